@@ -19,14 +19,51 @@ Sensor equation
 Uncertainty
     Every estimate carries a covariance and a list of what the data do not determine.
 
+The names of :data:`__all__` are what a notebook or another program needs (``docs/library.md``). Each is loaded when it
+is first asked for, so that the help of the command line does not wait for numpy; ``__init__.pyi`` has their types.
+
 The package opens files that it is given and nothing else: no sockets, no clocks, no printing.
 """
 
 from __future__ import annotations
+
+from importlib import import_module
 
 STANDARD_GRAVITY = 9.80665
 """Gravity that both firmwares calibrate against, m/s2 (ArduPilot AP_Math/definitions.h, PX4 geo.h)."""
 
 __version__ = "0.1.0"
 
-__all__ = ["STANDARD_GRAVITY", "__version__"]
+_PUBLIC = {
+    "METHODS": ("methods", "METHODS"),
+    "CalibError": ("errors", "CalibError"),
+    "Channel": ("recording", "Channel"),
+    "FitResult": ("fit", "FitResult"),
+    "FitStatus": ("fit", "FitStatus"),
+    "GapReport": ("gap", "GapReport"),
+    "Recording": ("recording", "Recording"),
+    "Sensor": ("recording", "Sensor"),
+    "Stage": ("recording", "Stage"),
+    "bare": ("library", "bare"),
+    "diagnose": ("gap", "run"),
+    "fit_recording": ("library", "fit_recording"),
+    "read": ("logs", "read"),
+    "save_fits": ("library", "save_fits"),
+    "save_report": ("library", "save_report"),
+}
+"""Where each public name is defined: the room, and its name there."""
+
+__all__ = ["STANDARD_GRAVITY", "__version__", *_PUBLIC]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    room, own = _PUBLIC[name]
+    value: object = getattr(import_module(f"{__name__}.{room}"), own)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

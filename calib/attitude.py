@@ -23,7 +23,7 @@ def tilt_sd_deg(model: TriadModel, covariance: Array, gravity: float) -> float:
     model
         Offset and matrix; no thermal part.
     covariance : shape (12, 12) or more
-        Of offset and matrix, in the order of :func:`calib.fit.parameter_names`.
+        Covariance of offset and matrix, in the order of :func:`calib.fit.parameter_names`.
     gravity
         Length of the corrected vector.
     """

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit_plot import plotted
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.plots.fit import plotted
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.summary import Summary, counted, spread
 from mavcal.calib.triad import TriadModel
 
 if TYPE_CHECKING:
@@ -148,32 +149,94 @@ class FitResult:
         variances = [np.einsum("ij,jk,ik->i", powers, self.covariance[b, b], powers) for b in blocks]
         return np.asarray(np.sqrt(np.clip(np.stack(variances, axis=1), 0.0, None)))
 
-    def plot(self, channel: Channel | None = None, temperature: ArrayLike | None = None) -> Figure:
+    def plot(self, samples: Channel | Recording | None = None, temperature: ArrayLike | None = None) -> Figure:
         """Before and after this fit, as a matplotlib figure; needs the extra ``mavcal[plot]``.
 
         Parameters
         ----------
-        channel
-            Raw samples of the sensor, usually those of the fit: residuals, and for a compass the sphere. None: what
-            the parameters say alone.
+        samples
+            Raw samples of the sensor, usually those of the fit, or a recording that has them: residuals, and what the
+            method determines (ellipsoid and sphere, directions, drift, Allan deviation, spectrum). None: what the
+            parameters say alone.
         temperature : shape (N,) or None
-            Temperature of every sample, degC; only a fit of the drift needs it.
+            Temperature of every sample, degC; only a fit of the drift needs it. None: that of the recording.
 
         Raises
         ------
         InvalidInputError
-            If the fit is refused, or the samples are not of its sensor.
+            If the fit is refused, or the samples are not raw samples of its sensor.
         MissingExtraError
             If matplotlib is not installed.
         """
         if self.status == FitStatus.REFUSED:
             raise InvalidInputError(f"a refused fit has nothing to plot: {self.message}")
-        return plotted(self, channel, temperature)
+        if isinstance(samples, Recording):
+            if temperature is None and self.model.polynomial is not None:
+                temperature = _temperature_of(samples, self.sensor, self.instance)
+            samples = samples.channel(self.sensor, self.instance)
+        if samples is not None and samples.stage != Stage.RAW and not self.relative:
+            raise InvalidInputError(
+                f"these samples of {self.sensor} {self.instance + 1} are {samples.stage}, the fit is of raw ones: "
+                "plot mavcal.calib.bare(recording)"
+            )
+        return plotted(self, samples, temperature)
+
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+    def _summary(self) -> Summary:
+        title = f"{self.method} of {self.sensor} {self.instance + 1}: {self.status}"
+        if self.status == FitStatus.REFUSED:
+            return Summary(title, notes=(self.message, *self.warnings))
+        used = f"{counted(self.n_used)} of {counted(self.n_samples)} samples"
+        title += f"; {used}, residual {self.residual_rms:.3g} {self.unit} rms"
+        relative = ("relative to the calibration in force, which is not known",) if self.relative else ()
+        return Summary(title, ("", *AXES, "unit"), self._rows(), (*relative, *_undetermined(self), *self.warnings))
+
+    def _rows(self) -> tuple[tuple[str, ...], ...]:
+        """Offset, matrix and drift with standard deviations; of a noise fit its figures."""
+        if "adev" in self.native:
+            return tuple(_noise_row(term, self.native) for term in self.native["sd"])
+        cells = [spread(float(value), float(sd)) for value, sd in zip(self.values, self.sd, strict=True)]
+        rows = [("offset", *cells[:3], self.unit)]
+        if self.sd[3:12].any() or not np.array_equal(self.model.matrix, np.eye(3)):
+            rows += [(f"matrix {axis}", *cells[3 + 3 * k : 6 + 3 * k], "1") for k, axis in enumerate(AXES)]
+        powers = range(self.degree)
+        rows += [(f"drift, T^{k + 1}", *cells[12 + k :: self.degree], f"{self.unit}/degC^{k + 1}") for k in powers]
+        return tuple(rows)
+
+
+def _undetermined(fit: FitResult) -> list[str]:
+    """What is undetermined, grouped by what would determine it."""
+    named: dict[str, list[str]] = {}
+    for name in fit.undetermined:
+        named.setdefault(fit.movements.get(name, "no remedy is known"), []).append(name)
+    return [
+        f"undetermined {names[0] if len(names) == 1 else f'{names[0]} to {names[-1]}, {len(names)}'}: {remedy}"
+        for remedy, names in named.items()
+    ]
+
+
+def _noise_row(term: str, native: Mapping[str, Any]) -> tuple[str, ...]:
+    pairs = zip(native[term], native["sd"][term], strict=True)
+    return term, *("not told" if v is None else spread(v, sd or 0.0) for v, sd in pairs), native["unit"][term]
+
+
+def _temperature_of(recording: Recording, sensor: Sensor, instance: int) -> Array | None:
+    """The thermometer of that instance, or the first one, at the times of the sensor's samples; None: there is none."""
+    have = recording.instances(Sensor.TEMPERATURE)
+    if not have:
+        return None
+    found = recording.channel(Sensor.TEMPERATURE, instance if instance in have else have[0])
+    return np.interp(recording.channel(sensor, instance).t, found.t, found.values[:, 0])
 
 
 @dataclass(frozen=True)
 class FitBuilder:
-    """What is known before anything is fitted: the method, and of which samples.
+    """What is known before anything is fitted: the method and the samples.
 
     It makes the result in one step, fitted or refused, so that none is ever half built.
     """

@@ -10,11 +10,17 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.plots.recording import plotted
+from mavcal.calib.summary import Summary, counted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -36,6 +42,9 @@ class Sensor(StrEnum):
     PLACE = "place"  # north east down of a local origin, m
     VIBRATION = "vibration"  # level that the autopilot measured on an accelerometer: x y z, or one number, m/s2
     GYRO_VIBRATION = "gyro_vibration"  # the same of a gyroscope, rad/s
+
+
+_LOOKED_AT = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
 
 
 class Stage(StrEnum):
@@ -297,6 +306,53 @@ class Recording:
         if not ends:
             return float("nan"), float("nan")
         return float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
+
+    def plot(self, *sensors: Sensor) -> Figure:
+        """The best channel of every instance over time and as a spectrum; needs the extra ``mavcal[plot]``.
+
+        Parameters
+        ----------
+        *sensors
+            What to plot; none: accelerometers, gyroscopes, magnetometers and their thermometers. A figure has at most
+            eight channels.
+
+        Raises
+        ------
+        InvalidInputError
+            If the recording has no samples of them.
+        MissingExtraError
+            If matplotlib is not installed.
+        """
+        found = []
+        for sensor in sensors or _LOOKED_AT:
+            usable = {c.instance for c in self.channels if c.sensor == sensor and c.stage != Stage.DEBIASED and len(c)}
+            found += [self.channel(sensor, instance) for instance in sorted(usable)]
+        return plotted(found, self.source or "recording")
+
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+    def _summary(self) -> Summary:
+        start, end = self.span
+        firmware = ".".join(map(str, self.identity.firmware or ()))
+        vehicle = f"{self.identity.autopilot} {firmware}".strip() if self.identity.autopilot else "no vehicle"
+        names = len({entry.name for entry in self.parameters.entries})
+        length = f"{end - start:.1f} s" if start == start else "no samples"
+        title = f"Recording {self.source or 'without a name'}: {length}, {vehicle}, {names} parameters"
+        rows = tuple(_row(channel) for channel in self.channels if len(channel))
+        beside = (f"{len(self.reference)} channels of a reference",) if self.reference else ()
+        marked = (f"{len(self.segments)} labelled segments",) if self.segments else ()
+        return Summary(title, ("channel", "samples", "rate", "unit", "stage", "source"), rows, (*marked, *beside))
+
+
+def _row(channel: Channel) -> tuple[str, ...]:
+    spent = float(channel.t[-1] - channel.t[0])
+    rate = f"{(len(channel) - 1) / spent:.4g} Hz" if spent > 0.0 else "-"
+    name = f"{channel.sensor} {channel.instance + 1}"
+    return name, counted(len(channel)), rate, channel.unit, str(channel.stage), channel.source
 
 
 def join(chunks: Iterable[Recording]) -> Recording:

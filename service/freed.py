@@ -14,7 +14,7 @@ from collections.abc import Callable
 PERIOD_S = 60.0
 HEAPS = 2
 _M_ARENA_MAX = -8
-"""Of glibc's ``malloc.h``."""
+"""Constant of glibc's ``malloc.h``."""
 
 
 def share_heaps() -> bool:

@@ -115,7 +115,7 @@ def rotation_matrix(autopilot: str, number: int) -> Array:
 def nearest_rotation(autopilot: str, body_from_sensor: Array) -> tuple[int, float]:
     """Number of the table's rotation next to `body_from_sensor`, and the angle between them in rad.
 
-    Of two numbers that mean the same rotation the smaller one is returned.
+    When two numbers mean the same rotation, the smaller one is returned.
     """
     angles = [_angle(rotation_matrix(autopilot, n).T @ body_from_sensor) for n in range(len(ROTATIONS[autopilot]))]
     best = int(np.argmin(np.round(angles, 9)))

@@ -34,7 +34,7 @@ class BiasObservation:
     bias, sd
         Along the sensor's axes, with their standard deviations, in m/s2, rad/s or uT.
     temperature
-        Of the sensor, degC; None: not known.
+        Temperature of the sensor, degC; None: not known.
     applied
         Whether the sensor is corrected by this very bias from then on.
     """

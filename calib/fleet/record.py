@@ -33,7 +33,7 @@ class SensorRecord:
     bias, sd
         Raw, in m/s2, rad/s or uT; None: it was not measured absolutely.
     norm
-        Of a preflight: rate or specific force under the calibration in force, in the same units.
+        What a preflight read: rate or specific force under the calibration in force, in the same units.
     covered
         The temperatures that the calibration covers; None: not known.
     by_itself

@@ -28,7 +28,7 @@ COVERAGE = 0.90
 LEAST_SPREAD_DEGC = 5.0
 """Temperatures that lie closer together say nothing of a slope."""
 _APART = 1e-3
-"""Of the spread: less than that is left of no thermometer's readings but of made ones."""
+"""Share of the spread. Real thermometers leave more than that; only made-up readings leave less."""
 LEAST_SPAN_D = 1.0
 MOST = 64
 """Measurements that one trend takes; calibrations first, then the newest of the others."""

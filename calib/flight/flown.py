@@ -31,7 +31,7 @@ class Flown:
     """Differences freed of N and of the constant of each log, and what not knowing those costs."""
 
     channel: Channel
-    """Empty: of which sensor and unit."""
+    """No samples yet; says the sensor and its unit."""
     data: DriftData
     loss: float  # largest factor by which the nuisances raise a variance of the curve
     flight: float  # s

@@ -54,7 +54,7 @@ class JudgedItem:
 def judged(
     name: str, subject: str, value: float, limit: FlightLimit, text: str, *, sd: float | None = None, **numbers: Any
 ) -> JudgedItem:
-    """An item of which a larger `value` is worse; what its own sd may explain is no finding."""
+    """An item whose larger `value` is worse. What its own sd may explain is no finding."""
     sure = value - 2.0 * (sd or 0.0)
     verdict = (
         FlightVerdict.FAIL if sure > limit.fail else FlightVerdict.WARN if sure > limit.warn else FlightVerdict.PASS

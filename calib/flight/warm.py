@@ -47,7 +47,7 @@ class RestTemperatures:
     """What the rests of every log say of one sensor: rows, and for each of them its rest and its log."""
 
     channel: Channel
-    """Empty: of which sensor, unit and resolution."""
+    """No samples yet; says the sensor, its unit and its resolution."""
     data: DriftData
     rest: NDArray[np.intp]  # (N,)
     log: NDArray[np.intp]  # (N,)

@@ -5,10 +5,10 @@ Parameters are forward: what is added to, or multiplies, the ideal sensor. Numbe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from cattrs import Converter
@@ -16,7 +16,12 @@ from cattrs.gen import make_dict_unstructure_fn, override
 from numpy.typing import NDArray
 
 from mavcal.calib.converter import make_converter
+from mavcal.calib.plots.gap import plotted
 from mavcal.calib.recording import Sensor
+from mavcal.calib.summary import Summary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
@@ -257,6 +262,49 @@ class GapReport:
     multiple_testing: MultipleTesting = MultipleTesting(0, 0.005)
     warnings: tuple[str, ...] = ()
     series: tuple[SeriesFit, ...] = ()
+
+    def plot(self) -> Figure:
+        """Residuals and spectra before and with the effects, as a matplotlib figure; needs ``mavcal[plot]``.
+
+        Raises
+        ------
+        InvalidInputError
+            If the report carries no residuals: none was testable, or it was read from JSON.
+        MissingExtraError
+            If matplotlib is not installed.
+        """
+        return plotted(self.series, f"Gap: {self.verdict.replace('_', ' ')}")
+
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+    def _summary(self) -> Summary:
+        closed = None if self.shrink is None else self.shrink.closed
+        shrunk = "" if closed is None else f"; the effects close {100.0 * closed:.0f} % of the gap on held-out data"
+        found = "1 effect" if len(self.effects) == 1 else f"{len(self.effects)} effects"
+        title = f"Gap: {self.verdict.replace('_', ' ')}, {found}{shrunk}"
+        rows = tuple(row for effect in self.effects for row in _rows(effect))
+        unknown = ("something has no name in the catalogue",) if self.unknown.flag else ()
+        missing = ", ".join(one.id for one in self.not_testable)
+        count = len(self.not_testable)
+        untested = (f"{count} effects cannot be tested with these recordings: {missing}",) if missing else ()
+        columns = ("effect", "sensor", "probability", "parameter", "value", "95 % interval", "unit")
+        return Summary(title, columns, rows, (*unknown, *untested, *self.warnings))
+
+
+def _rows(effect: EffectEstimate) -> Iterator[tuple[str, ...]]:
+    """A row a parameter; the effect is named in the first one."""
+    sensor = f"{effect.sensor} {'+'.join(map(str, effect.instances))}".strip()
+    first = (effect.id, sensor, f"{effect.evidence.probability:.3f}")
+    for one in effect.params or (None,):
+        if one is None:
+            yield (*first, "", "", "", "")
+        else:
+            yield (*first, one.name, f"{one.value:.4g}", f"{one.ci95[0]:.4g} to {one.ci95[1]:.4g}", one.unit)
+        first = ("", "", "")
 
 
 def as_json(report: GapReport) -> Json:

@@ -24,9 +24,9 @@ def gap_to_html(report: GapReport, *, title: str = "Sim-to-real gap") -> str:
     Parameters
     ----------
     report
-        Of a diagnosis; its `series` make the pictures, and are left out where it has none.
+        A diagnosis; its `series` make the pictures. Without series there are none.
     title
-        Of the page, such as the name of the recording.
+        Title of the page, such as the name of the recording.
     """
     return pages.page(
         "mavcal.calib.gap_report",

@@ -91,7 +91,7 @@ def fit_turns(
     gyro
         The channel that the turns are of; its unit is the result's.
     turns
-        Of known rate; an axis needs two different rates.
+        Turns at a known rate; an axis needs two different rates.
     earth_known
         Whether the Earth's rate is part of the turns' rates; else it is in the offset and in its uncertainty.
     native, warnings, temperature, relative

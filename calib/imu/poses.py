@@ -83,7 +83,7 @@ def find_poses(accel: Channel, gyro: Channel, gravity: float | None) -> Array:
 
 
 def measure(accel: Channel, gyro: Channel, spans: Array) -> Poses:
-    """What both channels read in `spans`, each of which holds two samples or more of both."""
+    """What both channels read in `spans`; each span holds two or more samples of both."""
     parts = [accel.between(*span) for span in spans]
     frames = [frame_along(part.values.mean(axis=0)) for part in parts]
     estimates = [mean_of(part) for part in parts]

@@ -129,7 +129,7 @@ def fit_noise(table: AllanTable, n: int) -> AllanFit:
     Parameters
     ----------
     table
-        Of at least four averaging times.
+        At least four averaging times.
     n : int
         Samples of the record.
     """

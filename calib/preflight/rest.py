@@ -50,7 +50,7 @@ class Mean:
 
 @dataclass(frozen=True)
 class Silent:
-    """A sensor of which too little came to say anything."""
+    """A sensor with too few samples to say anything."""
 
     why: str
 

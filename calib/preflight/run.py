@@ -99,7 +99,7 @@ def _reach(snapshot: Snapshot) -> tuple[tuple[CheckId, Iterable[Sensor]], ...]:
 
 
 def _means(snapshot: Snapshot, sensor: Sensor) -> tuple[dict[int, Mean], tuple[str, ...]]:
-    """What every instance read, and sentences on those of which too little came."""
+    """What every instance read, and sentences on those with too few samples."""
     means: dict[int, Mean] = {}
     silent: list[str] = []
     for instance in snapshot.recording.instances(sensor):

@@ -32,11 +32,11 @@ Key = tuple[Sensor, int, str]
 
 _USED = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE})
 _BREAKS = {
-    "reboot": ("the vehicle restarted", "wait until it is up again and start the job anew"),
-    "armed": ("the vehicle was armed", "disarm it and start the job anew"),
+    "reboot": ("the vehicle restarted", "wait until it is up again and start the job again"),
+    "armed": ("the vehicle was armed", "disarm it and start the job again"),
     "onboard_calibration": (
         "the vehicle began a calibration of its own, which changes what it streams",
-        "let it finish or cancel it, then start the job anew",
+        "let it finish or cancel it, then start the job again",
     ),
 }
 

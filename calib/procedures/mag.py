@@ -2,7 +2,7 @@
 
 Coverage is judged by what it does to the heading error, not by a share of directions. A compass that averages over its
 period is blurred by fast turns: the gyro tells by how much, mild blur is computed back, the rest left out. The strength
-of the field is held against the World Magnetic Model from the first second.
+of the field is compared with the World Magnetic Model from the first second.
 """
 
 from __future__ import annotations

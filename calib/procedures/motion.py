@@ -65,7 +65,7 @@ class TickStatistics:
 
 
 def statistics(values: Array) -> TickStatistics:
-    """Of `values` with shape (n, 3)."""
+    """Summary of `values` with shape (n, 3)."""
     mean = values.mean(axis=0)
     deviation = values - mean
     return TickStatistics(mean, np.sqrt((deviation * deviation).mean(axis=0)), len(values))
@@ -111,8 +111,8 @@ class Disturbance(StrEnum):
 class StillnessVerdict:
     """Whether a tick belongs to a still run.
 
-    `ticks` counts the run's ticks so far, `why` says what moves and by how much (empty while still), `what` of which
-    kind it is.
+    `ticks` counts the run's ticks so far, `why` says what moves and by how much (empty while still), `what` names
+    its kind.
     """
 
     still: bool

@@ -107,12 +107,12 @@ class MagRingsProcedure(TickedProcedure):
     def _follow(self, frame: TickChannels, verdict: Stillness, spin: Spin, at: Facing) -> None:
         if self._asked is not None and (not at.square or at.face != self._asked):
             if self._ring is not None and abs(self._ring.angle) > _BEGUN:
-                self._note = "It was tilted before it had gone round: begin this ring anew. "
+                self._note = "It was tilted before the turn was complete: start this ring again. "
             self._ring = self._asked = None
         axis = np.array(DOWN[at.face])
         if at.square and at.face not in self._done:
             if abs(spin.about(axis)) > FASTEST:
-                self._ring, self._note = None, "That was too fast: begin this ring anew, slowly. "
+                self._ring, self._note = None, "That was too fast: start this ring again, slowly. "
             elif self._spins.rested and spin.steady_about(axis):
                 self._turned(frame, spin, at)
                 return

@@ -45,7 +45,7 @@ def stated_in(text: str, suffix: str, *, frame: Frame = "ned", instance: int = 0
         JSON with ``accel gyro mag`` and the fields of :class:`SensorErrors`, or with ``accelparams gyroparams
         magparams`` and MATLAB's properties; or lines ``SIM_ACC1_BIAS_X,0.1``.
     suffix
-        Of the file, which tells what it is: ``.json``, else ``.param .parm .params``.
+        Ending of the file, which says what it is: ``.json``, else ``.param .parm .params``.
     frame
         Body axes of a JSON: forward-right-down for ned, forward-left-up for enu. ``SIM_*`` is forward-right-down.
     instance, rate

@@ -117,7 +117,7 @@ class SensorErrors:
         truth : shape (N, 3)
             What an ideal sensor reads.
         temperature : shape (N,) or None
-            Of the die, degC; None: `t_ref` throughout.
+            Temperature of the die, degC; None: `t_ref` throughout.
         force : shape (N, 3) or None
             Specific force, m/s2; None: none.
         """

@@ -135,7 +135,7 @@ def weighted_along(problem: NormProblem, poses: Sequence[PoseMean], solution: No
 
 
 def unlearnt(problem: NormProblem, solution: NormSolution, cross_sd: float | None) -> list[int]:
-    """Cross terms of which the poses say less than the prior."""
+    """Cross terms that the poses determine less than the prior does."""
     if cross_sd == 0.0:
         return []
     limit = UNDETERMINED if cross_sd is None else _CROSS_LEARNT * cross_sd

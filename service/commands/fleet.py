@@ -35,7 +35,7 @@ def _where(command: Command) -> Command:
 
 @click.group(invoke_without_command=True)
 @_where
-@click.option("--verdict", multiple=True, type=click.Choice(VERDICTS), help="Of the last preflight; several: any.")
+@click.option("--verdict", multiple=True, type=click.Choice(VERDICTS), help="Last preflight; several: any.")
 @click.option("--tag", default=None, help="Only units with this tag.")
 @click.option("--min-age", type=click.FloatRange(0.0), default=None, metavar="DAYS", help="Calibrated so long ago.")
 @click.option("--sensor", default=None, help="Only units with this kind (accel, gyro, mag) or type of sensor.")

@@ -69,7 +69,7 @@ class JobBook:
         return dropped
 
     def watch(self) -> None:
-        """Know every job of the store, none of which is ours yet."""
+        """Know every job of the store; none is ours yet."""
         self._others = {row.id: job_of(row, self._store) for row in self._store.each_job()}
 
     def asks_for(self, event: EventRow) -> bool:

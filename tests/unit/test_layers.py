@@ -21,7 +21,8 @@ LAYERS = (
         "recording",
         "triad",
         "fit",
-        "fit_plot",
+        "plots",
+        "summary",
         "geometry",
         "attitude",
         "tilt",
@@ -37,7 +38,7 @@ LAYERS = (
     {"simulate", "firmware", "converted"},
     {"logs"},
     {"procedures", "gap", "flight", "health", "preflight", "fleet", "blind", "withheld_check"},
-    {"report", "methods", "gap_report", "review"},
+    {"report", "methods", "gap_report", "review", "library"},
 )
 """Rooms of ``calib``, lowest first; a room imports its own layer and the ones below, never in a circle."""
 

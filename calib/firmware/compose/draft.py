@@ -218,7 +218,7 @@ class Draft:
 
     @property
     def dropped(self) -> dict[Subject, str]:
-        """The sensors of which a part is not written although the rest is, and why."""
+        """Sensors that are written in part only, and why."""
         return dict(self._dropped)
 
     @property

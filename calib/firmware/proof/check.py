@@ -116,7 +116,7 @@ class StreamCheck:
         return covariance(capture, self.corrections.model(ALL_APPLIED), undo, equality=equality)
 
     def distance_in(self, name: str, readings: tuple[StillMean, ...]) -> float:
-        """How many standard deviations `name` would be worth with other readings, held against lengths alone."""
+        """How many standard deviations `name` would be worth with other readings, compared with lengths alone."""
         capture = dataclasses.replace(self.capture, before=None, raw_before=None, after=readings, invariant=readings)
         root = np.linalg.cholesky(self.covariance(capture, equality=False))
         shift = discrepancy(capture, self._undo(frozenset({name})), equality=False)

@@ -107,7 +107,7 @@ class BeforeAfter:
     expected: Expected | None
     drift: KnownDrift
     restarted: bool
-    """Whether the vehicle was restarted between the captures: its clock then began anew."""
+    """Whether the vehicle was restarted between the captures: its clock then started again."""
 
     @property
     def equality(self) -> bool:
@@ -146,7 +146,7 @@ class BeforeAfter:
 
     @property
     def zero_rate(self) -> bool:
-        """A gyroscope is held against zero only without a capture before: its bias may have moved since the fit."""
+        """Compare a gyroscope with zero only if there is no capture before: its bias may have moved since the fit."""
         return self.sensor == Sensor.GYRO and self.raw_before is None
 
 

@@ -27,7 +27,7 @@ THRESHOLD: Final = 3.29
 """One false alarm in 2000 along one line, so that one parameter has fewer than one in 1000 over several lines."""
 CERTAIN: Final = 4.0
 """Threshold for "not everything was applied" where the data do not single out one parameter: it is asked along every
-line between combinations, of which there are many."""
+line between combinations, and there are many."""
 OBSERVABLE: Final = 3.0
 """Effects below this many standard deviations are not judged (DESIGN 6, rule 4)."""
 UNEXPLAINED: Final = 1e-4

@@ -27,7 +27,7 @@ UNKNOWN_TEMPERATURE: Final = 5.0  # degC of change that is allowed for where non
 class KnownDrift:
     """A polynomial (None: none is known) with the covariance (3k, 3k) of its coefficients, axis by axis.
 
-    `open_axes`: axes whose drift was not determined, or of which there is no polynomial.
+    `open_axes`: axes whose drift was not determined, or that have no polynomial.
     """
 
     sensor: Sensor

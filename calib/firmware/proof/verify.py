@@ -2,8 +2,8 @@
 
 Read-back proves that a number is stored, not that it is used: PX4 ignores small changes, ArduPilot a COMPASS_SCALE out
 of its window (FLIGHT_CONTROLLERS 1.3, 1.4), and either may be overwritten in the background. So the streams are undone
-under every combination of old and new values, and each combination is held against what does not depend on how the
-vehicle lies (:mod:`calib.firmware.proof.discrepancy`). A parameter whose effect is lost in the noise is said to be not
+under every combination of old and new values. Each combination is compared with what does not depend on how the vehicle
+lies (:mod:`calib.firmware.proof.discrepancy`). A parameter whose effect is lost in the noise is said to be not
 observable, never verified.
 """
 

@@ -14,11 +14,11 @@ from mavcal.calib.recording import Rounding, Sensor, Stage
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-RAW_IMU: Final = dialect.MAVLINK_MSG_ID_RAW_IMU
-SCALED_IMU: Final = dialect.MAVLINK_MSG_ID_SCALED_IMU
-SCALED_IMU2: Final = dialect.MAVLINK_MSG_ID_SCALED_IMU2
-SCALED_IMU3: Final = dialect.MAVLINK_MSG_ID_SCALED_IMU3
-HIGHRES_IMU: Final = dialect.MAVLINK_MSG_ID_HIGHRES_IMU
+RAW_IMU: Final[int] = dialect.MAVLINK_MSG_ID_RAW_IMU
+SCALED_IMU: Final[int] = dialect.MAVLINK_MSG_ID_SCALED_IMU
+SCALED_IMU2: Final[int] = dialect.MAVLINK_MSG_ID_SCALED_IMU2
+SCALED_IMU3: Final[int] = dialect.MAVLINK_MSG_ID_SCALED_IMU3
+HIGHRES_IMU: Final[int] = dialect.MAVLINK_MSG_ID_HIGHRES_IMU
 
 COMPASS_WINDOW: Final = MappingProxyType({"ardupilot": 0.1, "px4": 0.0})
 """What the stream's compass averages over, s: ArduPilot reads at 10 Hz and averages what the sensor gave meanwhile; PX4

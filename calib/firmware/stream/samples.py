@@ -18,8 +18,8 @@ DEFECT_GAUSS: Final = 10.0
 """No field is that strong; ArduPilot before PR #32286 sends HIGHRES_IMU's in mGauss times 1000."""
 DEFECT_FACTOR: Final = 1e-6
 REPEAT_PERIODS: Final = 1.25
-"""An unchanged field counts as read anew after so many read periods; less would take repeats for samples where reads
-and sends jitter, more would lose samples of a sensor that is quieter than its quantum."""
+"""An unchanged field counts as a new reading after so many read periods. Fewer would take repeats for samples where
+reads and sends jitter. More would lose samples of a sensor that is quieter than its quantum."""
 
 
 @dataclass
@@ -55,7 +55,7 @@ class MessageSamples:
         return [channel for channel in channels if len(channel)]
 
     def _fresh(self, t: Array, fields: NDArray[Any], candidates: Mask) -> Mask:
-        """Rows with a field that was read anew: it differs from the one before, or its time has come."""
+        """Rows with a field that holds a new reading: it differs from the one before, or its time has come."""
         keep = np.zeros(len(t), dtype=bool)
         where = np.flatnonzero(candidates)
         if not len(where):

@@ -141,7 +141,7 @@ def _channel(table: Table, reading: LogReading, instance: int, t: Array, values:
 
 
 def _readable(values: Array, most: float) -> Mask:
-    """Rows of which every number lies within +-`most`."""
+    """Rows whose numbers all lie within +-`most`."""
     with np.errstate(invalid="ignore"):
         if len(values) and values.min() >= -most and values.max() <= most:  # never true of a NaN
             return np.ones(len(values), dtype=bool)

@@ -144,7 +144,7 @@ class Clock:
 def ordered(t: Array) -> Mask:
     """Which of the times stay so that none is before the one in front of it; as few as possible are left out.
 
-    Of two that contradict each other the one goes that its other neighbour contradicts too.
+    When two contradict each other, the one goes that contradicts its other neighbour too.
     """
     keep = np.isfinite(t)
     for _ in range(ROUNDS):
@@ -169,7 +169,7 @@ def _believed(times: Array) -> Mask:
 
 
 def _restarts(t: Array) -> list[int]:
-    """Rows at which the clock begins anew: many in a row are earlier than the one before, and go on in order."""
+    """Rows at which the clock starts again: many in a row are earlier than the one before, and go on in order."""
     found = []
     for i in np.flatnonzero(np.diff(t) < -BACKWARD_S).tolist():
         after = t[i + 1 : i + 1 + CONFIRMATIONS]

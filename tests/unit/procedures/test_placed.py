@@ -174,7 +174,7 @@ def test_a_ring_that_is_too_fast_or_tilted_is_begun_anew():
     outcome, prompts = run("mag-rings", turned(bench), fixture_sd=0.0)
     assert isinstance(outcome, Done), outcome
     assert any("too fast" in p.text for p in prompts)
-    assert any("tilted before it had gone round" in p.text for p in prompts)
+    assert any("tilted before the turn was complete" in p.text for p in prompts)
 
 
 def test_rings_that_allow_no_more_say_why():

@@ -1,20 +1,18 @@
-"""Before and after a fit as a figure of matplotlib: of the samples where they are given, of the parameters else.
-
-The figure belongs to no window and no back end: save it, or show it in a notebook.
-"""
+"""Before and after a fit: its samples where they are given, else what the parameters say alone."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.errors import InvalidInputError, MissingExtraError
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.plots import noise
+from mavcal.calib.plots.canvas import AFTER, BEFORE, SHADES, PlottedChannel, figure_of, name_of, shown, thinned
 from mavcal.calib.triad import TriadModel
 
 if TYPE_CHECKING:
@@ -23,16 +21,21 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-BEFORE: Final = "#b3261e"
-AFTER: Final = "#14713a"
-SHADES: Final = ("#1f6fb2", "#c9731f", "#7a4fb5")
-"""Axes of the sensor."""
-MOST: Final = 4000
-"""Samples that are drawn; a recording has many more than a picture has dots."""
-WIDTH, HEIGHT = 5.2, 3.8
-"""Size of one panel, inches."""
-NAMES: Final = {Sensor.GYRO: "Gyro", Sensor.ACCEL: "Accelerometer", Sensor.MAG: "Compass"}
 FACES: Final = ("+x", "+y", "+z", "-x", "-y", "-z")
+_MERIDIANS, _PARALLELS = 25, 13
+"""Lines of the drawn ellipsoid."""
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """One pair of axes: how it is drawn, and on which projection."""
+
+    draw: Callable[[Any], None]
+    projection: str | None = None
+
+
+_POLES: Final = ((0, 0), (90, 0), (0, 82), (172, 0), (-90, 0), (0, -82))
+"""Longitude and latitude of :data:`FACES`, degrees; the outermost ones inside the frame."""
 
 
 class PlottedFit(Protocol):
@@ -41,7 +44,7 @@ class PlottedFit(Protocol):
     @property
     def method(self) -> str: ...  # noqa: D102 - as there
     @property
-    def sensor(self) -> Sensor: ...  # noqa: D102
+    def sensor(self) -> str: ...  # noqa: D102
     @property
     def instance(self) -> int: ...  # noqa: D102
     @property
@@ -50,53 +53,69 @@ class PlottedFit(Protocol):
     def model(self) -> TriadModel: ...  # noqa: D102
     @property
     def quality(self) -> Mapping[str, Any]: ...  # noqa: D102
+    @property
+    def native(self) -> Mapping[str, Any]: ...  # noqa: D102
 
     def corrected_sd(self, truths: Array) -> Array: ...  # noqa: D102
 
     def drift_sd(self, temperatures: Array) -> Array: ...  # noqa: D102
 
 
-def plotted(fit: PlottedFit, channel: Channel | None, temperature: ArrayLike | None) -> Figure:
+def plotted(fit: PlottedFit, channel: PlottedChannel | None, temperature: ArrayLike | None) -> Figure:
     """The figure of :meth:`calib.fit.FitResult.plot`."""
-    measured = None if channel is None else _samples(fit, channel, temperature)
-    drift, compass = fit.model.polynomial is not None, fit.sensor == Sensor.MAG
-    figure = _figure(columns := 2 if measured is not None and (drift or compass) else 1)
-    name = f"{NAMES.get(fit.sensor, str(fit.sensor).capitalize())} {fit.instance + 1}"
-    figure.suptitle(f"{name} by {fit.method}: before and after")
-    first = figure.add_subplot(1, columns, 1)
-    if measured is None:
-        (_drift if drift else _by_direction)(first, fit)
-    elif drift:
-        _drift(first, fit)
-        _residuals(figure.add_subplot(1, columns, 2), fit, *measured)
+    if channel is not None:
+        _check(fit, channel)
+    if "adev" in fit.native:
+        panels = _noise_panels(fit, channel)
+    elif channel is None:
+        drift = fit.model.polynomial is not None
+        panels = [_Panel(lambda axes: (_drift if drift else _by_direction)(axes, fit))]
     else:
-        _residuals(first, fit, *measured)
-        if compass:
-            _sphere(figure.add_subplot(1, columns, 2, projection="3d"), *measured[1:])
+        panels = _sample_panels(fit, *_samples(fit, channel, temperature))
+    figure = figure_of(len(panels))
+    said = "" if "adev" in fit.native else ": before and after"
+    figure.suptitle(f"{name_of(fit.sensor, fit.instance)} by {fit.method}{said}")
+    for place, panel in enumerate(panels, start=1):
+        panel.draw(figure.add_subplot(1, len(panels), place, projection=panel.projection))
     return figure
 
 
-def _figure(columns: int) -> Figure:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("a plot needs matplotlib: pip install 'mavcal[plot]'") from error
-    return Figure(figsize=(WIDTH * columns, HEIGHT), layout="constrained")
+def _noise_panels(fit: PlottedFit, channel: PlottedChannel | None) -> list[_Panel]:
+    panels = [_Panel(lambda axes: noise.allan(axes, fit.native, fit.unit))]
+    if channel is not None:
+        panels.append(_Panel(lambda axes: noise.spectrum(axes, channel, fit.native)))
+    return panels
 
 
-def _samples(fit: PlottedFit, channel: Channel, temperature: ArrayLike | None) -> tuple[Array, Array, Array]:
-    """Times from the first one (N,), raw and corrected values (N, 3), thinned to what can be seen."""
+def _sample_panels(fit: PlottedFit, t: Array, raw: Array, corrected: Array) -> list[_Panel]:
+    """Residuals, beside what the method determines: a drift curve, the sphere, the directions that were visited."""
+    panels = [_Panel(lambda axes: _residuals(axes, fit, t, raw, corrected))]
+    if fit.model.polynomial is not None:
+        panels.insert(0, _Panel(lambda axes: _drift(axes, fit)))
+    elif fit.sensor == "mag":
+        panels.append(_Panel(lambda axes: _sphere(axes, fit, raw, corrected), "3d"))
+        panels.append(_Panel(lambda axes: _directions(axes, fit, corrected), "mollweide"))
+    elif fit.sensor == "accel":
+        panels.append(_Panel(lambda axes: _directions(axes, fit, corrected), "mollweide"))
+    return panels
+
+
+def _check(fit: PlottedFit, channel: PlottedChannel) -> None:
     if (channel.sensor, channel.instance) != (fit.sensor, fit.instance):
         theirs, ours = f"{channel.sensor} {channel.instance + 1}", f"{fit.sensor} {fit.instance + 1}"
         raise InvalidInputError(f"these are samples of {theirs}, the fit is of {ours}: give the channel of the fit")
     if channel.unit != fit.unit:
         raise InvalidInputError(f"these samples are in {channel.unit}, the fit in {fit.unit}: convert them")
-    if not len(channel):
+    if not len(channel.t):
         raise InvalidInputError(f"there are no samples of {fit.sensor} {fit.instance + 1} to plot")
-    every = slice(None, None, math.ceil(len(channel) / MOST))
+
+
+def _samples(fit: PlottedFit, channel: PlottedChannel, temperature: ArrayLike | None) -> tuple[Array, Array, Array]:
+    """Times from the first one (N,), raw and corrected values (N, 3), thinned to what can be seen."""
+    every = thinned(len(channel.t))
     at = None if temperature is None else np.asarray(temperature, dtype=np.float64)
     if at is not None and at.shape != channel.t.shape:
-        raise InvalidInputError(f"{len(channel)} samples need as many temperatures, not an array of {at.shape}")
+        raise InvalidInputError(f"{len(channel.t)} samples need as many temperatures, not an array of {at.shape}")
     raw = channel.values[every]
     corrected = fit.model.apply(raw, None if at is None else at[every])
     return channel.t[every] - channel.t[0], raw, corrected
@@ -105,8 +124,8 @@ def _samples(fit: PlottedFit, channel: Channel, temperature: ArrayLike | None) -
 def _residuals(axes: Axes, fit: PlottedFit, t: Array, raw: Array, corrected: Array) -> None:
     """What a sample is off: its length, or the rate of a gyro at rest; over time."""
     axes.set_xlabel("time, s")
-    if fit.sensor == Sensor.GYRO:
-        unit, factor = _shown(fit.unit)
+    if fit.sensor == "gyro":
+        unit, factor = shown(fit.unit)
         for axis, (name, shade) in enumerate(zip("xyz", SHADES, strict=True)):
             before, after = factor * raw[:, axis], factor * corrected[:, axis]
             axes.plot(t, before, ".", markersize=2, color=shade, alpha=0.35, label=f"{name} before")
@@ -114,13 +133,13 @@ def _residuals(axes: Axes, fit: PlottedFit, t: Array, raw: Array, corrected: Arr
         axes.set_ylabel(f"rate, {unit}")
         axes.legend(fontsize="small", ncols=3)
         return
-    symbol, expected = ("|B|", _field(fit, corrected)) if fit.sensor == Sensor.MAG else ("|f|", STANDARD_GRAVITY)
+    symbol, expected = ("|B|", _field(fit, corrected)) if fit.sensor == "mag" else ("|f|", STANDARD_GRAVITY)
     for values, colour, when in ((raw, BEFORE, "before"), (corrected, AFTER, "after")):
         lengths = np.linalg.norm(values, axis=1)
         spread = float(np.sqrt(np.mean((lengths - expected) ** 2)))
         axes.plot(t, lengths, ".", markersize=2, color=colour, label=f"{when}, off by {spread:.2g} rms")
     axes.axhline(expected, color="0.4", linewidth=0.8, linestyle="--", label=f"expected {expected:.4g}")
-    axes.set_ylabel(f"{symbol}, {_shown(fit.unit)[0]}")
+    axes.set_ylabel(f"{symbol}, {shown(fit.unit)[0]}")
     axes.legend(fontsize="small")
 
 
@@ -134,14 +153,43 @@ def _field(fit: PlottedFit, corrected: Array | None) -> float:
     return float(np.median(np.linalg.norm(corrected, axis=1)))
 
 
-def _sphere(axes: Any, raw: Array, corrected: Array) -> None:
-    """Where the tips of the measured vectors lie: a sphere about the origin once they are corrected."""
+def _sphere(axes: Any, fit: PlottedFit, raw: Array, corrected: Array) -> None:
+    """Tips of the measured vectors on the fitted ellipsoid, and on the sphere about the origin once corrected."""
     axes.scatter(*raw.T, s=2, color=BEFORE, label="before")
     axes.scatter(*corrected.T, s=2, color=AFTER, label="after")
     axes.scatter(0.0, 0.0, 0.0, s=30, color="0.2", marker="+")
-    axes.set(xlabel="x", ylabel="y", zlabel="z", title="Samples before and after")
+    sphere = _field(fit, corrected) * _globe()
+    for surface, colour in ((sphere, AFTER), (fit.model.invert(sphere.reshape(-1, 3)).reshape(sphere.shape), BEFORE)):
+        axes.plot_wireframe(*np.moveaxis(surface, -1, 0), color=colour, linewidth=0.3, alpha=0.35)
+    unit = shown(fit.unit)[0]
+    axes.set(xlabel=f"x, {unit}", ylabel=f"y, {unit}", zlabel=f"z, {unit}", title="Ellipsoid before, sphere after")
     axes.set_aspect("equal")
+    axes.locator_params(nbins=5)
+    axes.tick_params(labelsize="x-small")
     axes.legend(fontsize="small")
+
+
+def _globe() -> Array:
+    """Points (meridians, parallels, 3) of the unit sphere."""
+    longitude, latitude = np.meshgrid(
+        np.linspace(-np.pi, np.pi, _MERIDIANS), np.linspace(-0.5 * np.pi, 0.5 * np.pi, _PARALLELS), indexing="ij"
+    )
+    flat = np.cos(latitude)
+    return np.stack([flat * np.cos(longitude), flat * np.sin(longitude), np.sin(latitude)], axis=-1)
+
+
+def _directions(axes: Any, fit: PlottedFit, corrected: Array) -> None:
+    """Directions of the corrected vectors in the sensor's axes: where there is no dot, nothing was measured."""
+    x, y, z = (corrected / np.linalg.norm(corrected, axis=1)[:, None]).T
+    axes.scatter(np.arctan2(y, x), np.arcsin(np.clip(z, -1.0, 1.0)), s=3, color=AFTER, alpha=0.5)
+    for name, (longitude, latitude) in zip(FACES, _POLES, strict=True):
+        axes.text(np.radians(longitude), np.radians(latitude), name, ha="center", va="center", weight="bold", zorder=5)
+    covered = fit.quality.get("coverage")
+    share = "" if covered is None else f", {100.0 * float(covered):.0f} % of the sphere"
+    axes.set_title(f"Directions measured{share}")
+    axes.grid(visible=True, linewidth=0.4)
+    axes.set_xticklabels([])
+    axes.set_yticklabels([])
 
 
 def _drift(axes: Axes, fit: PlottedFit) -> None:
@@ -149,7 +197,7 @@ def _drift(axes: Axes, fit: PlottedFit) -> None:
     curve = fit.model.polynomial
     assert curve is not None
     at = np.linspace(curve.t_min, curve.t_max, 121)
-    unit, factor = _shown(fit.unit)
+    unit, factor = shown(fit.unit)
     values, sd = factor * curve(at), factor * fit.drift_sd(at)
     for axis, shade in enumerate(SHADES):
         axes.plot(at, values[:, axis], color=shade, label="xyz"[axis])
@@ -161,10 +209,10 @@ def _drift(axes: Axes, fit: PlottedFit) -> None:
 
 def _by_direction(axes: Axes, fit: PlottedFit) -> None:
     """What the parameters correct, without samples: in six directions of the true vector, or at rest."""
-    gyro = fit.sensor == Sensor.GYRO
-    strength = 0.0 if gyro else STANDARD_GRAVITY if fit.sensor == Sensor.ACCEL else _field(fit, None)
+    gyro = fit.sensor == "gyro"
+    strength = 0.0 if gyro else STANDARD_GRAVITY if fit.sensor == "accel" else _field(fit, None)
     truths = np.zeros((1, 3)) if gyro else strength * np.vstack([np.eye(3), -np.eye(3)])
-    unit, factor = _shown(fit.unit)
+    unit, factor = shown(fit.unit)
     errors, sds = fit.model.invert(truths) - truths, fit.corrected_sd(truths)
     before = errors[0] if gyro else np.linalg.norm(truths + errors, axis=1) - strength
     left = sds[0] if gyro else np.linalg.norm(sds, axis=1)
@@ -177,8 +225,3 @@ def _by_direction(axes: Axes, fit: PlottedFit) -> None:
     axes.set_xticks(places, list("xyz") if gyro else list(FACES))
     axes.set(xlabel="axis" if gyro else "direction of the true vector", ylabel=f"error, {unit}")
     axes.legend(fontsize="small")
-
-
-def _shown(unit: str) -> tuple[str, float]:
-    """The unit in which a person reads it, and the factor from `unit`."""
-    return ("deg/s", math.degrees(1.0)) if unit == "rad/s" else (unit.replace("m/s2", "m/s²"), 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import dataclasses
 import io
 import subprocess
 import sys
@@ -13,7 +14,8 @@ import pytest
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError, MissingExtraError
 from mavcal.calib.fit import FitBuilder, FitResult
-from mavcal.calib.recording import Channel, Sensor, Stage
+from mavcal.calib.noise.allan_fit import fit_allan
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 OFFSET = np.array([12.0, -7.0, 3.0])
@@ -58,13 +60,15 @@ def lines(axes) -> dict[str, np.ndarray]:
 def test_a_compass_has_the_length_of_its_field_and_its_sphere(compass):
     samples, fit = compass
     figure = fit.plot(samples)
-    length, sphere = figure.axes
+    length, sphere, directions = figure.axes
     shown = lines(length)
     assert len(shown["before"]) == 3000  # thinned
     np.testing.assert_allclose(shown["after"], 50.0, rtol=1e-9)
     assert shown["expected 50"][0] == pytest.approx(50.0)  # the model's field, not the mean radius
     assert np.abs(shown["before"] - 50.0).max() > 10.0
     assert sphere.name == "3d"
+    assert len(sphere.collections) == 5, "samples before and after, the origin, the ellipsoid and the sphere"
+    assert directions.name == "mollweide"
     assert saved(figure).startswith(b"\x89PNG")
 
 
@@ -72,7 +76,8 @@ def test_an_accelerometer_has_the_length_of_gravity(rng):
     directions = rng.normal(size=(50, 3))
     truth = STANDARD_GRAVITY * directions / np.linalg.norm(directions, axis=1)[:, None]
     samples = channel(Sensor.ACCEL, truth + np.array([0.3, -0.2, 0.1]), "m/s2")
-    (axes,) = fitted(samples, TriadModel(np.array([0.3, -0.2, 0.1]))).plot(samples).axes
+    axes, directions = fitted(samples, TriadModel(np.array([0.3, -0.2, 0.1]))).plot(samples).axes
+    assert directions.get_title() == "Directions measured"
     np.testing.assert_allclose(lines(axes)["after"], STANDARD_GRAVITY, rtol=1e-9)
     assert axes.get_ylabel() == "|f|, m/s²"
 
@@ -129,6 +134,38 @@ def test_what_is_no_sample_of_the_fit_is_refused(compass):
         fit.plot(channel(Sensor.MAG, np.zeros((0, 3)), "uT"))
     with pytest.raises(InvalidInputError, match="nothing to plot: too little"):
         FitBuilder.of("a-method", samples).refused("too little").plot(samples)
+
+
+def test_samples_that_the_firmware_has_corrected_are_refused(compass):
+    samples, fit = compass
+    corrected = dataclasses.replace(samples, stage=Stage.CORRECTED)
+    with pytest.raises(InvalidInputError, match=r"mag 1 are corrected, the fit is of raw ones: plot .*bare"):
+        fit.plot(corrected)
+    assert dataclasses.replace(fit, relative=True).plot(corrected)
+
+
+def test_a_recording_stands_for_its_channel_and_its_thermometer():
+    curve = ThermalPolynomial(35.0, 20.0, 60.0, np.array([[1e-4], [2e-4], [-1e-4]]))
+    at = np.linspace(20.0, 60.0, 80)
+    samples = channel(Sensor.GYRO, curve(at), "rad/s")
+    thermometer = Channel(Sensor.TEMPERATURE, 0, samples.t[::79], at[::79], "degC", Stage.RAW, "test")
+    _, residuals = fitted(samples, TriadModel(polynomial=curve)).plot(Recording((samples, thermometer))).axes
+    np.testing.assert_allclose(lines(residuals)["x after"], 0.0, atol=1e-12)
+
+
+def test_noise_has_its_allan_deviation_and_its_spectrum(rng):
+    samples = channel(Sensor.GYRO, 0.01 * rng.normal(size=(5000, 3)), "rad/s")
+    fit = fit_allan(samples)
+    deviation, spectrum = fit.plot(samples).axes
+    assert (deviation.get_xscale(), spectrum.get_xscale()) == ("log", "log")
+    model = next(line for line in deviation.lines if line.get_label() == "x model")
+    white = np.degrees(fit.native["N"][0])
+    assert model.get_ydata()[0] == pytest.approx(white * np.sqrt(50.0), rel=0.05)  # at the shortest time, 1/50 s
+    dashes = [line.get_ydata()[0] for line in spectrum.lines if line.get_linestyle() == "--"]
+    measured = np.median(spectrum.lines[0].get_ydata())
+    assert measured == pytest.approx(dashes[0], rel=0.15)
+    assert saved(fit.plot(samples))
+    assert len(fit.plot().axes) == 1
 
 
 def test_without_matplotlib_the_extra_is_named(compass, monkeypatch):

@@ -1,0 +1,96 @@
+"""What every figure shares: its size, its colours, its units, and how many samples it shows."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+BEFORE: Final = "#b3261e"
+AFTER: Final = "#14713a"
+SHADES: Final = ("#1f6fb2", "#c9731f", "#7a4fb5")
+"""Axes of the sensor."""
+MOST: Final = 4000
+"""Samples that are drawn; a recording has many more than a picture has dots."""
+WIDTH, HEIGHT = 5.2, 3.8
+"""Size of one panel, inches."""
+NAMES: Final = {"gyro": "Gyro", "accel": "Accelerometer", "mag": "Compass"}
+_SEGMENT = 1024
+"""Samples of one segment of Welch's method, at most."""
+_LEAST = 16
+
+
+class PlottedChannel(Protocol):
+    """What a figure needs of a :class:`calib.recording.Channel`."""
+
+    @property
+    def sensor(self) -> str: ...  # noqa: D102 - as there
+    @property
+    def instance(self) -> int: ...  # noqa: D102
+    @property
+    def t(self) -> Array: ...  # noqa: D102
+    @property
+    def values(self) -> Array: ...  # noqa: D102
+    @property
+    def unit(self) -> str: ...  # noqa: D102
+
+
+def figure_of(columns: int, rows: int = 1, *, height: float = HEIGHT) -> Figure:
+    """An empty figure for `columns` by `rows` panels, each `height` inches high.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtraError("a plot needs matplotlib: pip install 'mavcal[plot]'") from error
+    return Figure(figsize=(WIDTH * columns, height * rows), layout="constrained")
+
+
+def name_of(sensor: str, instance: int) -> str:
+    """``Compass 1``; instances count from 1 for people."""
+    return f"{NAMES.get(sensor, str(sensor).replace('_', ' ').capitalize())} {instance + 1}"
+
+
+def shown(unit: str) -> tuple[str, float]:
+    """The unit in which a person reads it, and the factor from `unit`."""
+    if unit == "rad/s":
+        return "deg/s", math.degrees(1.0)
+    return {"m/s2": "m/s²", "degC": "°C", "uT": "µT"}.get(unit, unit), 1.0
+
+
+def thinned(count: int) -> slice:
+    """Every so many of `count` samples that at most :data:`MOST` are left."""
+    return slice(None, None, max(1, math.ceil(count / MOST)))
+
+
+def density(t: Array, values: Array) -> tuple[Array, Array] | None:
+    """Frequencies (K,), Hz, and root power density (K, 3) by Welch's method; None: too few samples, or no times.
+
+    Samples at uneven times are interpolated to their mean rate: a spectrum near half of it is then too small.
+    """
+    keep = np.isfinite(values).all(axis=1)
+    t, values = t[keep], values[keep]
+    if len(t) < _LEAST or not t[-1] > t[0]:
+        return None
+    from scipy.signal import welch
+
+    rate = (len(t) - 1) / (t[-1] - t[0])
+    even = np.linspace(t[0], t[-1], len(t))
+    columns = np.stack([np.interp(even, t, column) for column in values.T])
+    hz, power = welch(
+        columns, rate, nperseg=min(len(t), max(_SEGMENT // 4, min(_SEGMENT, len(t) // 4))), detrend="linear"
+    )
+    return hz[1:], np.sqrt(power[:, 1:].T)
