@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from functools import partial
@@ -139,6 +140,11 @@ class JobBook:
             del self._handles[job.id]
             raise
         return handle
+
+    async def kept(self, limit_s: float) -> None:
+        """Save what is owed of every job, as far as the store takes it within so long: the service ends."""
+        await self._store.do(lambda: None)  # what was refused last is known only then
+        await asyncio.gather(*(handle.kept_at_last(limit_s) for handle in self._handles.values() if handle.owes))
 
     def forget(self, job_id: str) -> None:
         """Remove a job that has ended and never wrote."""

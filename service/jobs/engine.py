@@ -192,6 +192,7 @@ class JobEngine:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        await self._book.kept(self.settings.last_save_s)
         await self._preflights.stop()
         if self._own_executor is not None:
             self._own_executor.shutdown(wait=False, cancel_futures=True)

@@ -25,6 +25,8 @@ from mavcal.service.store.rows import EventRow, Json
 log = structlog.get_logger(__name__)
 
 RETRY_S = 1.0
+LAST_RETRY_S = 0.1
+"""Between attempts to save what is owed while the service ends."""
 """Between two attempts to bring onto the disk what it has refused."""
 
 Publish = Callable[[EventRow], None]
@@ -84,6 +86,25 @@ class JobHandle:
     async def kept(self) -> None:
         """Return when every change of the job is on the disk. Raises DiskFull."""
         await self.store.do(self._save_owed)
+
+    @property
+    def owes(self) -> bool:
+        """Whether a change or a step is not on the disk yet."""
+        return bool(self._owed or self._owed_steps)
+
+    async def kept_at_last(self, limit_s: float) -> bool:
+        """Save what the store has refused, again and again for at most so long; whether nothing is owed any more."""
+        deadline = self._clock() + limit_s
+        while True:
+            try:
+                await self.kept()
+            except Exception as error:  # noqa: BLE001 - the service ends: the next start reads the vehicle
+                if self._clock() >= deadline:
+                    log.error("the last changes of a job are not on the disk", job=self.id, reason=str(error))
+                    return False
+                await asyncio.sleep(LAST_RETRY_S)
+            else:
+                return True
 
     def change(self, kind: str, data: Json, **changes: Any) -> None:
         """Change something other than the state, with an event that says so."""

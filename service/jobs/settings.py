@@ -56,6 +56,8 @@ class JobSettings:
     """How often preconditions are looked at while something is under way."""
     retry_s: float = 2.0
     """Between two attempts to resolve a job in doubt."""
+    last_save_s: float = 5.0
+    """How long a service that ends tries to save what its store has refused."""
     fits_at_once: int = 8
     """Fits of uploads that ask for a process at a time: uploads that are read need some as well."""
     diagnoses_at_once: int = 1

@@ -11,7 +11,8 @@ import pytest
 from mavcal.calib.procedures.protocol import Progress
 from mavcal.service.errors import DiskFull
 from mavcal.service.jobs import handle as handle_module
-from mavcal.service.jobs.codec import job_from_row
+from mavcal.service.jobs.codec import job_from_row, row_from_job
+from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.handle import JobHandle, counting
 from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.model import Job
@@ -19,6 +20,7 @@ from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import JournalRow, Json
 from tests.stores import new_store
+from tests.unit.jobs.fakes import FakeRegistry
 
 
 @pytest.fixture
@@ -131,4 +133,38 @@ async def test_what_the_disk_refused_last_is_saved_without_another_change(monkey
         while (row := store.job("j1")) is None or row.state != "failed":  # noqa: ASYNC110 - the store is polled
             await asyncio.sleep(0.01)
     assert [step.step for step in store.journal("j1")] == ["closed"]
+    store.close()
+
+
+async def test_a_service_that_ends_saves_what_its_store_refused_as_soon_as_it_is_back() -> None:
+    store = Refusing(None)
+    store.save_job(row_from_job(Job("j1", "v", "gyro", {}, JobState.QUEUED, 0.0, 0.0)))
+    engine = JobEngine(store, FakeRegistry({}))
+    (handle,) = engine._book.load()
+    store.refuses = True
+    await handle.record_anyway(JournalStep.CLOSED)
+    handle.move(JobState.FAILED)
+    stopping = asyncio.create_task(engine.stop())
+    await asyncio.sleep(0.01)
+    store.refuses = False
+    await stopping
+    row = store.job("j1")
+    store.close()
+    assert row is not None
+    assert row.state == "failed"
+
+
+async def test_a_store_that_stays_away_holds_no_end_up_for_long() -> None:
+    store = Refusing(None)
+    handle = JobHandle(Job("j1", "v", "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    await handle.kept()
+    store.refuses = True
+    await handle.record_anyway(JournalStep.CLOSED)
+    await store.do(lambda: None)
+    assert handle.owes
+    assert not await handle.kept_at_last(0.0)
+    store.refuses = False
+    assert await handle.kept_at_last(0.0)
+    assert not handle.owes
     store.close()
