@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.flight.rest import ground
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
@@ -36,6 +37,7 @@ _MOVED: Final = {Sensor.CURRENT: 1.0, Sensor.THROTTLE: 0.05}
 """A that a current, and 1 that a throttle must range over to tell of their field."""
 _TURNED: Final = 1.0
 """m/s2 by which an axis of the accelerometer changes where the vehicle was turned by 6 deg."""
+_FLOWN_S: Final = 10.0
 _RELATED: Final = 0.5
 """Correlation from which the field follows the motors."""
 _YEAR: Final = 2025.5
@@ -91,16 +93,21 @@ def _dead(recording: Recording) -> Iterator[HealthFinding]:
 
 
 def _constant(recording: Recording, channel: Channel) -> HealthFinding:
-    """A compass without a change, which one at rest may have where its stream is coarse."""
+    """A compass without a change, which one at rest may have: its stream may be coarse, or a simulator has no noise."""
     text = "reads the same throughout"
-    if channel.quantum and channel.values.any() and not _moved(recording):
-        text += f", as one at rest may in steps of {channel.quantum:.2g} uT"
+    if channel.values.any() and not _moved(recording):
+        text += ", and the vehicle was not turned: whether it lives is not known"
         return _bad("dead", channel, HealthVerdict.CANNOT_SAY, text, "Turn the vehicle while it logs.")
     return _bad("dead", channel, HealthVerdict.FAULTY, text, "Check its wiring; replace it.")
 
 
 def _moved(recording: Recording) -> bool:
-    """Whether gravity went from one axis of the board towards another by more than noise."""
+    """Whether the vehicle flew, or gravity went from one axis of the board towards another.
+
+    Not by its attitude, whose heading may settle while it stands.
+    """
+    if sum(span.duration for span in ground(recording).running) > _FLOWN_S:
+        return True
     for channel in recording.channels:
         if channel.sensor == Sensor.ACCEL and channel.unit == "m/s2" and len(channel) >= _LEAST:
             low, high = np.percentile(channel.values[finite_rows(channel.values)], (5.0, 95.0), axis=0)

@@ -145,3 +145,13 @@ def test_the_document_has_every_number_that_is_shown():
     assert finding["value"] > finding["limit"]["suspicious"]
     assert finding["action"]
     assert document["action"] in [f["action"] for f in bad["findings"]]
+
+
+def test_a_compass_that_never_changes_is_dead_only_where_the_vehicle_was_turned():
+    held = next(f for f in FAULTS if f.name.startswith("compass reads one value"))
+    turned = injected(flight(4), held, 0)
+    assert of(health(turned), Sensor.MAG).verdict == HealthVerdict.FAULTY
+    lying = turned.between(0.0, 19.0)
+    found = of(health(lying), Sensor.MAG)
+    assert found.verdict == HealthVerdict.CANNOT_SAY
+    assert any(f.action == "Turn the vehicle while it logs." for f in found.findings)
