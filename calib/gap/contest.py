@@ -217,8 +217,7 @@ def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float,
     kept = tuple(t for i, t in enumerate(bare.terms) if i not in beside.omit)
     terms = (*kept, Term(hypothesis, beta, math.nan))
     model, _ = refined(with_residual(replace(bare, terms=terms)))
-    without, _ = refined(replace(bare, terms=kept))
-    return misfit(without) - misfit(model), model.terms[-1].beta
+    return beside.misfit_alone - misfit(model), model.terms[-1].beta
 
 
 def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> ContestScore:

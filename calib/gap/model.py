@@ -214,6 +214,8 @@ def _left(view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | No
         left = left - predicted(term, view)
     if ridge is not None:
         left = left - ridge.predicted(view)
+    if frame.factor == 1 and frame.size == view.n:  # the noise is fitted to the same transform
+        return left, view.spectra(left)
     return left, frame.bins(np.ascontiguousarray(left.T))
 
 
@@ -236,10 +238,16 @@ def predicted(term: Term, view: View) -> Array:
         beta = term.beta
         return _exactly(exact, term.hypothesis, beta, view)
     if effect.signals is not None:
-        signals = summed(effect.signals, term.hypothesis, term.theta, view)
+        signals = _drawn(effect.signals, term.hypothesis, term.theta, view)
         return np.asarray(signals.T @ term.beta.reshape(len(signals), 3))
-    columns = summed(effect.columns, term.hypothesis, term.theta, view)
+    columns = _drawn(effect.columns, term.hypothesis, term.theta, view)
     return np.asarray(np.tensordot(term.beta, columns, axes=1))
+
+
+@lru_cache(maxsize=32)
+def _drawn(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
+    """Columns or signals of a hypothesis in `view`; kept, since amplitudes change far more often than shapes."""
+    return summed(columns, hypothesis, theta, view)
 
 
 def _exactly(exact: Callable[[Trace, Array], Array], hypothesis: Hypothesis, beta: Array, view: View) -> Array:
@@ -268,7 +276,7 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
     """Columns of everything that `term` estimates, at its present values; the last ones asked for are kept."""
     effect = term.effect
     if effect.shape is None and effect.exact is None:
-        found = columns_of(term.hypothesis, term.theta, setting.views, setting.frames)
+        found = _columns(term.hypothesis, term.theta, setting)
         return (
             found if found.p else HypothesisColumns(len(term.values), {})
         )  # a block in which its sensor has no samples
@@ -283,10 +291,16 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
         add_block(parts, v, np.asarray(block), setting.frames[v])
     if not linear:
         return HypothesisColumns(count, parts)
-    own = columns_of(term.hypothesis, term.theta, setting.views, setting.frames).parts
+    own = _columns(term.hypothesis, term.theta, setting).parts
     return HypothesisColumns(
         count, {a: _with_last(own.get(a), parts.get(a), count - 1) for a in sorted({*own, *parts})}
     )
+
+
+@lru_cache(maxsize=40)
+def _columns(hypothesis: Hypothesis, theta: float, setting: Setting) -> HypothesisColumns:
+    """Columns of an effect at a shape; kept, since they stay when only its amplitudes change."""
+    return columns_of(hypothesis, theta, setting.views, setting.frames)
 
 
 def _with_last(own: Part | None, last: Part | None, row: int) -> Part:

@@ -123,8 +123,15 @@ def _back(spectrum: NDArray[np.complex128], size: int, x: Array) -> Array:
 
 def _nearer(trace: Trace, changes: tuple[Array, Array]) -> int:
     """Which of the two changes leaves less of the residual; constants do not count."""
-    left = [float((trace.residual - change)[trace.observed].var(axis=0).sum()) for change in changes]
-    return int(left[1] < left[0])
+    residual, seen = trace.residual, trace.observed
+    one, two = (_scatter((residual - change)[seen]) for change in changes)
+    return int(two < one)
+
+
+def _scatter(series: Array) -> float:
+    """Sum of squares of a series (N, 3) about its mean."""
+    about = series - np.full(len(series), 1.0 / max(len(series), 1)) @ series
+    return float(np.vdot(about, about))
 
 
 def delays(trace: Trace) -> Array:
