@@ -257,6 +257,8 @@ class GapReport:
     multiple_testing: MultipleTesting = MultipleTesting(0, 0.005)
     warnings: tuple[str, ...] = ()
     series: tuple[SeriesFit, ...] = ()
+    left_out: tuple[str, ...] = ()
+    """Stages that were not finished, so that the diagnosis ended in time (:class:`calib.gap.pace.GapStage`)."""
 
 
 def as_json(report: GapReport) -> Json:

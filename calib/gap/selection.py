@@ -124,11 +124,11 @@ def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
     first = tuple(_scored(model, contest, candidates, {}, None).values())
     bare = ChosenModel(model, joint, noise, (), tests, first)
     chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
-    if _slow_is_left(chosen.model):
+    if _slow_is_left(chosen.model) and not contest.pace.ends():
         quiet = _quiet(model)
         scores = tuple(_scored(quiet, contest, steady, {}, None).values())
         chosen = _better(chosen, grown(replace(bare, model=quiet, first=scores), contest, level, steady), contest)
-    if not (wanders(chosen) or _drift_leads(first, level)):
+    if not (wanders(chosen) or _drift_leads(first, level)) or contest.pace.ends():
         return chosen
     return _better(chosen, grown(bare, contest, level, candidates), contest)
 
@@ -225,8 +225,9 @@ def grown(
         full = step >= _MOST or _lasting(joined) >= _IN_ALL
         still = {key: s for key, s in scores.items() if _happens(s)} if full else scores
         best = _best(still, level, gains, contest, model)
-        if best is None:
+        if best is None or contest.pace.ends():
             break
+        contest.pace.advance()
         trial = fitted_about(with_score(model, best), best.hypothesis)
         joined.append(best)
         model, joined, gains = pruned(trial, contest, joined, level)
