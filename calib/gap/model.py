@@ -202,21 +202,21 @@ def with_residual(model: Model) -> Model:
         seen = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
         left, bins = _left(view, setting.frames[v], own, model.ridge if seen else None)
         residual.append(left)
-        y += list(bins)
+        y += bins
     return replace(model, residual=tuple(residual), y=tuple(y))
 
 
 @lru_cache(maxsize=64)
-def _left(view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, Array]:
-    """What terms and ridge leave of a series, and its bins; kept, since most terms stay when one changes."""
+def _left(view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, tuple[Array, ...]]:
+    """What terms and ridge leave of a series, and its bins by axis; kept, since most terms stay when one changes."""
     left = view.residual
     for term in terms:
         left = left - predicted(term, view)
     if ridge is not None:
         left = left - ridge.predicted(view)
     if frame.factor == 1 and frame.size == view.n:  # the noise is fitted to the same transform
-        return left, view.spectra(left)
-    return left, frame.bins(np.ascontiguousarray(left.T))
+        return left, tuple(view.spectra(left))
+    return left, tuple(frame.bins(np.ascontiguousarray(left.T)))
 
 
 def with_noise(model: Model, noise: tuple[AxisNoise, ...]) -> Model:
@@ -442,7 +442,8 @@ def _step_of(terms: Sequence[Term], joint: Joint, *, hold: bool = False) -> Arra
 
 def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Model, float]:
     """The model after the step, shortened until it is no worse; and what was gained in twice the log-likelihood."""
-    level = misfit(model)
+    parts = _misfits(model)
+    level = _summed(parts, model)
     for _ in range(_SHORTENED):
         moved = list(model.terms)
         for i, own in rows.items():
@@ -452,7 +453,7 @@ def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Mode
         if ridge is not None:
             ridge = replace(ridge, value=ridge.value + step[len(step) - len(ridge.value) :])
         trial = with_residual(replace(model, terms=tuple(moved), ridge=ridge))
-        new = misfit(trial)
+        new = _summed(_misfits(trial, (model, parts)), trial)
         if new < level:
             return trial, level - new
         step = 0.3 * step
@@ -461,7 +462,22 @@ def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Mode
 
 def misfit(model: Model) -> float:
     """Weighted sum of squares of what is left, and of the random process against its prior."""
-    total = sum(float(w @ y**2) for w, y in zip(model.weight, model.y, strict=True))
+    return _summed(_misfits(model), model)
+
+
+def _misfits(model: Model, before: tuple[Model, Sequence[float]] | None = None) -> list[float]:
+    """Weighted sums of squares by axis; those of `before` where neither its bins nor its weights have changed."""
+    found = []
+    for axis, (w, y) in enumerate(zip(model.weight, model.y, strict=True)):
+        if before is not None and before[0].y[axis] is y and before[0].weight[axis] is w:
+            found.append(before[1][axis])
+        else:
+            found.append(float(w @ y**2))
+    return found
+
+
+def _summed(parts: Sequence[float], model: Model) -> float:
+    total = sum(parts)
     if model.ridge is not None:
         total += float(model.ridge.precision @ model.ridge.value**2)
     return total
