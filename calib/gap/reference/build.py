@@ -64,7 +64,8 @@ def build(
         If the recordings have nothing in common, or `real` has no sensor.
     """
     companions = (*nominal, *(() if sim is None else (sim,)))
-    real, sim = corrected(real), None if sim is None else corrected(sim)
+    given, real = real, corrected(real)
+    sim = None if sim is None else real if sim is given else corrected(sim)
     check_vehicles(real, companions)
     channels = sensors_of(real)
     if not channels:
