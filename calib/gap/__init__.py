@@ -19,7 +19,7 @@ from mavcal.calib.gap.export import with_patches
 from mavcal.calib.gap.flaws import beside_flaws, flaws_of
 from mavcal.calib.gap.pace import GapPace, GapProgress, GapStage
 from mavcal.calib.gap.problem import GapProblem
-from mavcal.calib.gap.reference import alike, build, flew_another, posed
+from mavcal.calib.gap.reference import alike, build, flew_another, posed, prepared
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording
 
@@ -82,7 +82,8 @@ def _problem(real: Recording, sim: Recording | None, nominal: Sequence[Recording
         baseline = baseline_of(build(sim, sim, nominal), alpha)
         return beside(build(real, sim, nominal, flaws=baseline.in_ideal, flawed=sim), baseline)
     if sim is None and (other := posed(real, nominal)) is not None:
-        flaws = flaws_of(lambda known: build(other, None, nominal, flaws=known, flawed=other), alpha)
+        its = prepared(other, None, nominal)
+        flaws = flaws_of(lambda known: its.problem(known, other), alpha)
         return beside_flaws(build(real, None, nominal, flaws=flaws.in_ideal, flawed=other), flaws)
     return build(real, sim, nominal)
 
