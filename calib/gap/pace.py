@@ -148,6 +148,11 @@ class GapPace:
         self.left_out[self.stage] = None
         return True
 
+    @property
+    def ended(self) -> bool:
+        """Whether something was left out of this stage already."""
+        return self.stage in self.left_out
+
 
 def with_limit(report: GapReport, pace: GapPace) -> GapReport:
     """The report with what the limit left out, which is not called done: no verdict rests on what was not tried."""

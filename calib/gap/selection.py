@@ -124,7 +124,9 @@ def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
     model, joint, noise = fitted(start)
     first = tuple(_scored(model, contest, candidates, {}, None).values())
     bare = ChosenModel(model, joint, noise, (), tests, first)
-    chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
+    chosen = grown(bare, contest, level, steady)
+    if not contest.pace.ended:
+        chosen = grown(chosen, contest, level, candidates)
     if _slow_is_left(chosen.model) and not contest.pace.ends():
         quiet = _quiet(model)
         scores = tuple(_scored(quiet, contest, steady, {}, None).values())

@@ -60,8 +60,10 @@ def test_a_stage_ends_at_its_part_of_the_limit_and_what_was_left_out_is_kept() -
     assert not pace.ends()
     assert not pace.left_out
     assert pace.ends(needs_s=20.0)
+    assert pace.ended
     assert list(pace.left_out) == [GapStage.SELECTION]
     pace.begin(GapStage.REPORT)
+    assert not pace.ended
     watch.now = 1e6
     assert not pace.ends()
 
