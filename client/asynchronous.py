@@ -369,10 +369,15 @@ class AsyncClient(AsyncTransport):
         """Every diagnosis, oldest first, without its report."""
         return await self._ask("GET", "/api/v1/gaps", answers.GAP_SUMMARY_LIST)
 
-    async def diagnose_gap(self, *, real: str, sim: str | None = None, nominal: list[str] | None = None) -> GapSummary:
+    async def diagnose_gap(
+        self, *, real: str, sim: str | None = None, nominal: list[str] | None = None, limit_s: Number | None = None
+    ) -> GapSummary:
         """Diagnose the sim-to-real gap of an uploaded recording; 429 if too many diagnoses are waiting."""
         return await self._ask(
-            "POST", "/api/v1/gaps", answers.GAP_SUMMARY, body={"real": real, "sim": sim, "nominal": nominal}
+            "POST",
+            "/api/v1/gaps",
+            answers.GAP_SUMMARY,
+            body={"real": real, "sim": sim, "nominal": nominal, "limit_s": limit_s},
         )
 
     async def get_gap(self, gap_id: str) -> GapModel:

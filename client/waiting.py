@@ -361,10 +361,15 @@ class Client(Transport):
         """Every diagnosis, oldest first, without its report."""
         return self._ask("GET", "/api/v1/gaps", answers.GAP_SUMMARY_LIST)
 
-    def diagnose_gap(self, *, real: str, sim: str | None = None, nominal: list[str] | None = None) -> GapSummary:
+    def diagnose_gap(
+        self, *, real: str, sim: str | None = None, nominal: list[str] | None = None, limit_s: Number | None = None
+    ) -> GapSummary:
         """Diagnose the sim-to-real gap of an uploaded recording; 429 if too many diagnoses are waiting."""
         return self._ask(
-            "POST", "/api/v1/gaps", answers.GAP_SUMMARY, body={"real": real, "sim": sim, "nominal": nominal}
+            "POST",
+            "/api/v1/gaps",
+            answers.GAP_SUMMARY,
+            body={"real": real, "sim": sim, "nominal": nominal, "limit_s": limit_s},
         )
 
     def get_gap(self, gap_id: str) -> GapModel:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,6 +22,9 @@ Json = dict[str, Any]
 
 REPORT, PAGE = "report.json", "report.html"
 """Documents of a gap diagnosis: the report, and the same as a page."""
+
+_IN_TIME = 0.8
+"""Part of the time after which a child is ended that a diagnosis takes at most: it answers instead."""
 
 
 class UploadComputations:
@@ -68,7 +72,13 @@ class UploadComputations:
         return fits, origin
 
     async def diagnose(
-        self, real: str, sim: str | None, nominal: Sequence[str], *, told: Told | None = None
+        self,
+        real: str,
+        sim: str | None,
+        nominal: Sequence[str],
+        *,
+        limit_s: float | None = None,
+        told: Told | None = None,
     ) -> Diagnosis:
         """The sim-to-real gap of an upload; errors as in the protocol."""
         uploads = [self._recordings.get(i) for i in (real, *(() if sim is None else (sim,)), *nominal)]
@@ -79,6 +89,7 @@ class UploadComputations:
             "nominal": parts[1 if sim is None else 2 :],
             "title": f"Sim-to-real gap of {uploads[0].name}",
             "vehicle": _vehicle(uploads[0]),
+            "limit_s": min(math.inf if limit_s is None else limit_s, _IN_TIME * self._of_gaps.wall_s),
         }
         try:
             done = await self._children.run(DIAGNOSE, order, self._of_gaps, told=told)

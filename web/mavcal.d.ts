@@ -433,6 +433,8 @@ export interface GapRequest {
   sim?: string | null;
   /** Ids of recordings without an effect, for noise and field. */
   nominal?: string[];
+  /** Seconds after which the best answer so far is given, from when the diagnosis has begun; null: as long as it takes. */
+  limit_s?: number | null;
 }
 
 /** A diagnosis in a list. */

@@ -17,12 +17,13 @@ from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
 from mavcal.calib.gap.flaws import beside_flaws, flaws_of
+from mavcal.calib.gap.pace import GapPace, GapProgress, GapStage
 from mavcal.calib.gap.problem import GapProblem
-from mavcal.calib.gap.reference import alike, build, flew_another, posed
+from mavcal.calib.gap.reference import alike, build, flew_another, posed, prepared
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording
 
-__all__ = ["GapReport", "as_json", "diagnose", "run", "simulator_of"]
+__all__ = ["GapPace", "GapProgress", "GapReport", "GapStage", "as_json", "diagnose", "run", "simulator_of"]
 
 
 def run(
@@ -34,6 +35,7 @@ def run(
     alpha: float = 0.005,
     nested: bool = True,
     inputs: Mapping[str, str] | None = None,
+    pace: GapPace | None = None,
 ) -> GapReport:
     """The gap between a real recording and its reference.
 
@@ -54,6 +56,8 @@ def run(
         Whether the shrink repeats the selection inside the folds.
     inputs
         sha256 of the files, by role (``real``, ``sim``), for the report.
+    pace
+        How long it may take, and who hears how far it is; None: as long as it takes.
 
     Raises
     ------
@@ -64,8 +68,10 @@ def run(
     if strangers := sorted(set(without) - {effect.id for effect in effects}):
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
     kept = tuple(effect for effect in effects if effect.id not in without)
+    pace = pace or GapPace()
+    pace.begin(GapStage.REFERENCE)
     problem = dataclasses.replace(_problem(real, sim, nominal, alpha), inputs=dict(inputs or {}))
-    report = diagnose(problem, effects=kept, alpha=alpha, nested=nested)
+    report = diagnose(problem, effects=kept, alpha=alpha, nested=nested, pace=pace)
     return with_patches(report, simulator_of(real, sim))
 
 
@@ -76,7 +82,8 @@ def _problem(real: Recording, sim: Recording | None, nominal: Sequence[Recording
         baseline = baseline_of(build(sim, sim, nominal), alpha)
         return beside(build(real, sim, nominal, flaws=baseline.in_ideal, flawed=sim), baseline)
     if sim is None and (other := posed(real, nominal)) is not None:
-        flaws = flaws_of(lambda known: build(other, None, nominal, flaws=known, flawed=other), alpha)
+        its = prepared(other, None, nominal)
+        flaws = flaws_of(lambda known: its.problem(known, other), alpha)
         return beside_flaws(build(real, None, nominal, flaws=flaws.in_ideal, flawed=other), flaws)
     return build(real, sim, nominal)
 

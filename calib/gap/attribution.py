@@ -169,6 +169,8 @@ def _improved(chosen: ChosenModel, places: Mapping[Key, Place], level: float, co
     Every exchange is judged beside the others as they are fitted to that moment, and they may have leant on what goes.
     """
     for worth, key, score in _exchanges(chosen, places, level, contest)[:_TRIED]:
+        if contest.pace.ends():
+            break
         other = grown(_exchanged(chosen, key, score), contest, level)
         if objective(other) < objective(chosen) + worth:
             return other
@@ -189,6 +191,8 @@ def steadily(chosen: ChosenModel, start: Model, contest: Contest, alpha: float) 
     """
     drifting = {t.hypothesis.effect.sensor for t in chosen.model.noise_terms if t.hypothesis.effect.drifts}
     if not drifting or {Sensor.ACCEL, Sensor.MAG} <= drifting:  # both: it is the reference, which comes next
+        return chosen
+    if contest.pace.ends():
         return chosen
     steady = [h for h in contest.hypotheses if not h.effect.drifts]
     level = alpha * len(steady) / max(len(contest.hypotheses), 1)

@@ -41,6 +41,7 @@ from mavcal.calib.gap.model import (
     with_residual,
 )
 from mavcal.calib.gap.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
+from mavcal.calib.gap.pace import GapPace
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.projection import Beside, Gain
 from mavcal.calib.recording import Sensor
@@ -107,7 +108,10 @@ def refinable(score: ContestScore) -> bool:
 
 
 class Contest:
-    """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory."""
+    """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory.
+
+    `pace` says when the search for effects has to end.
+    """
 
     def __init__(
         self,
@@ -115,14 +119,16 @@ class Contest:
         budget: int = 40_000_000,
         floors: Floors | None = None,
         kept: Kept | None = None,
+        pace: GapPace | None = None,
     ) -> None:
         self.hypotheses = tuple(hypotheses)
         self.floors = floors or Floors()
+        self.pace = pace or GapPace()
         self._kept = Kept(budget) if kept is None else kept
 
     def among(self, hypotheses: Sequence[Hypothesis]) -> Contest:
         """A contest of other hypotheses on the same setting, which shares the columns that were made."""
-        return Contest(hypotheses, floors=self.floors, kept=self._kept)
+        return Contest(hypotheses, floors=self.floors, kept=self._kept, pace=self.pace)
 
     def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> HypothesisColumns:
         """Transformed columns of `hypothesis`, kept."""
@@ -217,8 +223,7 @@ def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float,
     kept = tuple(t for i, t in enumerate(bare.terms) if i not in beside.omit)
     terms = (*kept, Term(hypothesis, beta, math.nan))
     model, _ = refined(with_residual(replace(bare, terms=terms)))
-    without, _ = refined(replace(bare, terms=kept))
-    return misfit(without) - misfit(model), model.terms[-1].beta
+    return beside.misfit_alone - misfit(model), model.terms[-1].beta
 
 
 def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> ContestScore:

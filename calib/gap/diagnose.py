@@ -23,6 +23,7 @@ from mavcal.calib.gap.locate import located
 from mavcal.calib.gap.louder import unsteady_line
 from mavcal.calib.gap.model import Model, setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.pace import GapPace, GapStage, with_limit
 from mavcal.calib.gap.power import powers_of
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.quieter import quieter
@@ -106,6 +107,7 @@ def diagnose(
     effects: tuple[CatalogueEffect, ...] | None = None,
     alpha: float = 0.005,
     nested: bool = True,
+    pace: GapPace | None = None,
 ) -> GapReport:
     """Where the sensors of `problem` differ from their references, which effects explain it, and how far.
 
@@ -119,18 +121,25 @@ def diagnose(
         Chance that anything is reported where there is no gap.
     nested
         Whether the shrink repeats the selection inside the folds.
+    pace
+        How long it may take, and who hears how far it is; None: as long as it takes.
     """
-    effects = catalogue() if effects is None else effects
-    problem, begun = _begun(problem, effects, alpha)
+    effects, pace = catalogue() if effects is None else effects, pace or GapPace()
+    pace.begin(GapStage.SELECTION)
+    problem, begun = _begun(problem, effects, alpha, pace)
     if begun is None:
         return _nothing(problem)
     task, chosen = begun
+    pace.begin(GapStage.RIVALS)
     answer = _settled(task, chosen, alpha, frozenset(e.id for e in effects))
-    return _report(task, _confirmed(answer, alpha, nested=nested), alpha, nested=nested)
+    pace.begin(GapStage.HELD_OUT)
+    answer = _confirmed(answer, alpha, nested=nested)
+    pace.begin(GapStage.REPORT)
+    return with_limit(_report(task, answer, alpha, nested=nested and GapStage.BLOCKS not in pace.left_out), pace)
 
 
 def _begun(
-    problem: GapProblem, effects: tuple[CatalogueEffect, ...], alpha: float
+    problem: GapProblem, effects: tuple[CatalogueEffect, ...], alpha: float, pace: GapPace
 ) -> tuple[GapProblem, tuple[_Task, ChosenModel] | None]:
     """The problem without what says nothing, and the effects that are selected for it; None: no series is left.
 
@@ -140,20 +149,20 @@ def _begun(
     left_out: tuple[JumpSpan, ...] = ()
     rounds = 0
     while True:
-        task = _task_of(problem, effects)
+        task = _task_of(problem, effects, pace)
         if task is None:
             return problem, None
         chosen = select(task.bare, task.contest, alpha)
         if dead := not_following(chosen.model):
             problem = without_sensors(problem, dead)
-        elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))):
+        elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))) and not pace.ends():
             problem, rounds = without_transitions(problem, taking), rounds + 1
             left_out = (*left_out, *taking)
         else:
             return problem, (replace(task, left_out=left_out), chosen)
 
 
-def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...]) -> _Task | None:
+def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: GapPace | None = None) -> _Task | None:
     """None: no sensor has enough samples beside a reference."""
     lattice = lattice_of(problem, effects)
     masked = {i: found.masked for i, found in lattice.masks.items()}
@@ -164,7 +173,7 @@ def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...]) -> _Task
     hypotheses, missing = hypotheses_of(effects, views, problem.worse)
     start = starting_model(setting, starting_noise(setting))
     bare = refitted(start).model
-    contest = with_flaws(Contest(hypotheses, floors=Floors(problem.floor)), start, problem.flaws)
+    contest = with_flaws(Contest(hypotheses, floors=Floors(problem.floor), pace=pace), start, problem.flaws)
     return _Task(problem, lattice, bare, contest, missing)
 
 

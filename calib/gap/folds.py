@@ -189,5 +189,5 @@ def with_weight(model: Model) -> Model:
 
 
 def contest_of(hypotheses: Sequence[Hypothesis], floors: Floors) -> Contest:
-    """A contest whose columns are not kept: every fold has its own."""
-    return Contest(hypotheses, budget=6_000_000, floors=floors)
+    """A contest of its own: every fold has other columns, and only as many are kept as one selection asks for."""
+    return Contest(hypotheses, budget=16_000_000, floors=floors)

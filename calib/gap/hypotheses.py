@@ -276,7 +276,7 @@ def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, the
     for instance, weight in view.weights.items():
         if instance in hypothesis.instances:
             if view.fine is not None and hypothesis.fast:
-                row = resampled(_over_trace(columns, view.fine.traces[instance], theta), len(view.keep))
+                row = _slower(columns, view.fine.traces[instance], theta, len(view.keep))
             else:
                 row = _over_trace(columns, view.traces[instance], theta)
             row = row if whole else np.compress(view.keep, row, axis=1)
@@ -290,6 +290,12 @@ def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, the
 def _over_trace(columns: Callable[[Trace, float], Array], trace: Trace, theta: float) -> Array:
     """Columns of a whole trace; kept for a moment, since blocks of it are asked for one after the other."""
     return columns(trace, theta)
+
+
+@lru_cache(maxsize=8)
+def _slower(columns: Callable[[Trace, float], Array], trace: Trace, theta: float, m: int) -> Array:
+    """The same at a lower rate, of `m` samples."""
+    return resampled(_over_trace(columns, trace, theta), m)
 
 
 def add_block(parts: dict[int, Part], v: int, block: Array, frame: Binning) -> None:

@@ -27,7 +27,7 @@ def with_flaws(contest: Contest, bare: Model, flaws: tuple[Flaw, ...]) -> Contes
     Its noise is the declared one: fitted to a gap it would be the louder, and what flaws gain the less.
     """
     own = _gains(contest, bare, flaws) if flaws else {}
-    return Contest(contest.hypotheses, floors=Floors(contest.floors.floor, own))
+    return Contest(contest.hypotheses, floors=Floors(contest.floors.floor, own), pace=contest.pace)
 
 
 def _gains(contest: Contest, bare: Model, flaws: tuple[Flaw, ...]) -> Mapping[Key, float]:

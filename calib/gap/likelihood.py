@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,9 +99,9 @@ class AxisNoise:
     densities: Mapping[str, Array]
     amplitudes: Mapping[str, float]
 
-    @property
+    @cached_property
     def power(self) -> Array:
-        """S_k, shape (n,)."""
+        """S_k, shape (n,); never changed in place."""
         total = self.base.copy()
         for name, density in self.densities.items():
             total += self.amplitudes[name] * density

@@ -202,19 +202,21 @@ def with_residual(model: Model) -> Model:
         seen = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
         left, bins = _left(view, setting.frames[v], own, model.ridge if seen else None)
         residual.append(left)
-        y += list(bins)
+        y += bins
     return replace(model, residual=tuple(residual), y=tuple(y))
 
 
 @lru_cache(maxsize=64)
-def _left(view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, Array]:
-    """What terms and ridge leave of a series, and its bins; kept, since most terms stay when one changes."""
+def _left(view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, tuple[Array, ...]]:
+    """What terms and ridge leave of a series, and its bins by axis; kept, since most terms stay when one changes."""
     left = view.residual
     for term in terms:
         left = left - predicted(term, view)
     if ridge is not None:
         left = left - ridge.predicted(view)
-    return left, frame.bins(np.ascontiguousarray(left.T))
+    if frame.factor == 1 and frame.size == view.n:  # the noise is fitted to the same transform
+        return left, tuple(view.spectra(left))
+    return left, tuple(frame.bins(np.ascontiguousarray(left.T)))
 
 
 def with_noise(model: Model, noise: tuple[AxisNoise, ...]) -> Model:
@@ -236,10 +238,16 @@ def predicted(term: Term, view: View) -> Array:
         beta = term.beta
         return _exactly(exact, term.hypothesis, beta, view)
     if effect.signals is not None:
-        signals = summed(effect.signals, term.hypothesis, term.theta, view)
+        signals = _drawn(effect.signals, term.hypothesis, term.theta, view)
         return np.asarray(signals.T @ term.beta.reshape(len(signals), 3))
-    columns = summed(effect.columns, term.hypothesis, term.theta, view)
+    columns = _drawn(effect.columns, term.hypothesis, term.theta, view)
     return np.asarray(np.tensordot(term.beta, columns, axes=1))
+
+
+@lru_cache(maxsize=32)
+def _drawn(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
+    """Columns or signals of a hypothesis in `view`; kept, since amplitudes change far more often than shapes."""
+    return summed(columns, hypothesis, theta, view)
 
 
 def _exactly(exact: Callable[[Trace, Array], Array], hypothesis: Hypothesis, beta: Array, view: View) -> Array:
@@ -268,7 +276,7 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
     """Columns of everything that `term` estimates, at its present values; the last ones asked for are kept."""
     effect = term.effect
     if effect.shape is None and effect.exact is None:
-        found = columns_of(term.hypothesis, term.theta, setting.views, setting.frames)
+        found = _columns(term.hypothesis, term.theta, setting)
         return (
             found if found.p else HypothesisColumns(len(term.values), {})
         )  # a block in which its sensor has no samples
@@ -283,10 +291,16 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
         add_block(parts, v, np.asarray(block), setting.frames[v])
     if not linear:
         return HypothesisColumns(count, parts)
-    own = columns_of(term.hypothesis, term.theta, setting.views, setting.frames).parts
+    own = _columns(term.hypothesis, term.theta, setting).parts
     return HypothesisColumns(
         count, {a: _with_last(own.get(a), parts.get(a), count - 1) for a in sorted({*own, *parts})}
     )
+
+
+@lru_cache(maxsize=40)
+def _columns(hypothesis: Hypothesis, theta: float, setting: Setting) -> HypothesisColumns:
+    """Columns of an effect at a shape; kept, since they stay when only its amplitudes change."""
+    return columns_of(hypothesis, theta, setting.views, setting.frames)
 
 
 def _with_last(own: Part | None, last: Part | None, row: int) -> Part:
@@ -428,7 +442,8 @@ def _step_of(terms: Sequence[Term], joint: Joint, *, hold: bool = False) -> Arra
 
 def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Model, float]:
     """The model after the step, shortened until it is no worse; and what was gained in twice the log-likelihood."""
-    level = misfit(model)
+    parts = _misfits(model)
+    level = _summed(parts, model)
     for _ in range(_SHORTENED):
         moved = list(model.terms)
         for i, own in rows.items():
@@ -438,7 +453,7 @@ def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Mode
         if ridge is not None:
             ridge = replace(ridge, value=ridge.value + step[len(step) - len(ridge.value) :])
         trial = with_residual(replace(model, terms=tuple(moved), ridge=ridge))
-        new = misfit(trial)
+        new = _summed(_misfits(trial, (model, parts)), trial)
         if new < level:
             return trial, level - new
         step = 0.3 * step
@@ -447,7 +462,22 @@ def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Mode
 
 def misfit(model: Model) -> float:
     """Weighted sum of squares of what is left, and of the random process against its prior."""
-    total = sum(float(w @ y**2) for w, y in zip(model.weight, model.y, strict=True))
+    return _summed(_misfits(model), model)
+
+
+def _misfits(model: Model, before: tuple[Model, Sequence[float]] | None = None) -> list[float]:
+    """Weighted sums of squares by axis; those of `before` where neither its bins nor its weights have changed."""
+    found = []
+    for axis, (w, y) in enumerate(zip(model.weight, model.y, strict=True)):
+        if before is not None and before[0].y[axis] is y and before[0].weight[axis] is w:
+            found.append(before[1][axis])
+        else:
+            found.append(float(w @ y**2))
+    return found
+
+
+def _summed(parts: Sequence[float], model: Model) -> float:
+    total = sum(parts)
     if model.ridge is not None:
         total += float(model.ridge.precision @ model.ridge.value**2)
     return total

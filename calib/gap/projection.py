@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.evidence import weighed
 from mavcal.calib.gap.hypotheses import HypothesisColumns, Part
-from mavcal.calib.gap.model import Model, Normal, Ridge, jacobian, normal_equations, stacked
+from mavcal.calib.gap.model import Model, Normal, Ridge, jacobian, misfit, normal_equations, refined, stacked
 from mavcal.calib.gap.normal import eigh, solved
 
 Array = NDArray[np.float64]
@@ -49,6 +50,12 @@ class Beside:
         self._solution, self.covariance, _ = solved(normal.gram, normal.right)
         self._right = normal.right
         self._own = [_own_on(a, blocks, normal.slices, model.ridge) for a in range(len(model.y))]
+
+    @cached_property
+    def misfit_alone(self) -> float:
+        """Misfit of the model without the terms that are left out, the others at their joint maximum."""
+        kept = tuple(t for i, t in enumerate(self.model.terms) if i not in self.omit)
+        return misfit(refined(replace(self.model, terms=kept))[0])
 
     def projected(self, columns: HypothesisColumns) -> tuple[Array, Array, Array]:
         """Gram matrix, right side and original energies of `columns` with the model's own columns taken out."""

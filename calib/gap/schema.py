@@ -262,6 +262,8 @@ class GapReport:
     multiple_testing: MultipleTesting = MultipleTesting(0, 0.005)
     warnings: tuple[str, ...] = ()
     series: tuple[SeriesFit, ...] = ()
+    left_out: tuple[str, ...] = ()
+    """Stages that were not finished, so that the diagnosis ended in time (:class:`calib.gap.pace.GapStage`)."""
 
     def plot(self) -> Figure:
         """Residuals and spectra before and with the effects, as a matplotlib figure; needs ``mavcal[plot]``.

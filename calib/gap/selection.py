@@ -5,6 +5,7 @@ After every step all parameters are fitted together, the noise anew, and what ha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -123,12 +124,14 @@ def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
     model, joint, noise = fitted(start)
     first = tuple(_scored(model, contest, candidates, {}, None).values())
     bare = ChosenModel(model, joint, noise, (), tests, first)
-    chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
-    if _slow_is_left(chosen.model):
+    chosen = grown(bare, contest, level, steady)
+    if not contest.pace.ended:
+        chosen = grown(chosen, contest, level, candidates)
+    if _slow_is_left(chosen.model) and not contest.pace.ends():
         quiet = _quiet(model)
         scores = tuple(_scored(quiet, contest, steady, {}, None).values())
         chosen = _better(chosen, grown(replace(bare, model=quiet, first=scores), contest, level, steady), contest)
-    if not (wanders(chosen) or _drift_leads(first, level)):
+    if not (wanders(chosen) or _drift_leads(first, level)) or contest.pace.ends():
         return chosen
     return _better(chosen, grown(bare, contest, level, candidates), contest)
 
@@ -224,10 +227,11 @@ def grown(
     for step in range(_MOST + _EVENTS):
         full = step >= _MOST or _lasting(joined) >= _IN_ALL
         still = {key: s for key, s in scores.items() if _happens(s)} if full else scores
-        best = _best(still, level, gains, contest, model)
-        if best is None:
+        best, trial = _best(still, level, gains, contest, model)
+        if best is None or contest.pace.ends():
             break
-        trial = fitted_about(with_score(model, best), best.hypothesis)
+        contest.pace.advance()
+        trial = trial or fitted_about(with_score(model, best), best.hypothesis)
         joined.append(best)
         model, joined, gains = pruned(trial, contest, joined, level)
         changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
@@ -281,11 +285,12 @@ def _scored(
 
 def _best(
     scores: dict[Key, ContestScore], level: float, gains: Gains, contest: Contest, model: Model
-) -> ContestScore | None:
+) -> tuple[ContestScore | None, Model | None]:
     """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
 
     Noise that wanders may have taken the place of a slow mean, and so may noise that nobody declared, which was fitted
-    while that was in it: what a mean gains beside them says little.
+    while that was in it: what a mean gains beside them says little. With it the model
+    that it joins, if that was fitted.
     """
     wandering = any(t.hypothesis.effect.drifts for t in model.noise_terms)
     undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}
@@ -303,7 +308,7 @@ def _best(
             and s.gain >= contest.floors.joining(s.hypothesis)
         ]
         if not good:
-            return None
+            return None, None
         ranked = sorted(good, key=lambda s: -s.delta)
         front = ranked[:_FRONT]
         unsure = next((s for s in front if not s.sure), None)
@@ -313,7 +318,7 @@ def _best(
         scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)
 
 
-def _by_refit(ranked: Sequence[ContestScore], model: Model) -> ContestScore:
+def _by_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[ContestScore, Model | None]:
     """The best of scores in their order; of large ones, the one beside which the noise anew says most.
 
     A large gap is in the noise that is fitted before anything explains it: beside a bias of a hundred standard
@@ -322,7 +327,7 @@ def _by_refit(ranked: Sequence[ContestScore], model: Model) -> ContestScore:
     best = ranked[0]
     size = sum(3 * view.count for view in model.setting.views if best.hypothesis.touches(view))
     if best.gain < _LOUD * size:
-        return best
+        return best, None
     rivals: dict[str, ContestScore] = {}
     for score in ranked:
         if score.delta > _RIVALS * best.delta and score.hypothesis.effect.sensor is best.hypothesis.effect.sensor:
@@ -330,13 +335,14 @@ def _by_refit(ranked: Sequence[ContestScore], model: Model) -> ContestScore:
     tried = list(rivals.values())[:_TRIED]
     touched = {v.sensor for v in model.setting.views if any(s.hypothesis.touches(v) for s in tried)}
     near = sorted(coupled(model, touched))
-    return min(tried, key=lambda score: _refitted_objective(model, score, near))
-
-
-def _refitted_objective(model: Model, score: ContestScore, sensors: Sequence[Sensor]) -> float:
-    """``-2 log L`` of `sensors` beside a hypothesis, everything about it fitted anew, with its price."""
-    trial = fitted_about(with_score(model, score), score.hypothesis)
-    return sum(refitted(trial, sensors).deviance.values()) + score.price
+    worth, least = None, math.inf
+    for score in tried:
+        trial = fitted_about(with_score(model, score), score.hypothesis)
+        level = sum(refitted(trial, near).deviance.values()) + score.price  # of -2 log L
+        if worth is None or level < least:
+            worth, least = (score, trial), level
+    assert worth is not None
+    return worth
 
 
 def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
@@ -405,10 +411,13 @@ def without(model: Model, key: Key) -> Model:
 def last_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
     """By term: what it gains beside all the others, its degrees of freedom, and the size of its grid."""
     found = _mean_gains(model, contest)
+    full: dict[Sensor, float] = {}
     for noise in model.noise_terms:
-        bare = refitted(without_term(model, noise), [noise.hypothesis.effect.sensor])
-        full = refitted(model, [noise.hypothesis.effect.sensor])
-        gain = sum(bare.deviance.values()) - sum(full.deviance.values())
+        sensor = noise.hypothesis.effect.sensor
+        bare = refitted(without_term(model, noise), [sensor])
+        if sensor not in full:
+            full[sensor] = sum(refitted(model, [sensor]).deviance.values())
+        gain = sum(bare.deviance.values()) - full[sensor]
         found[noise.hypothesis.key] = (max(gain, 0.0), len(noise.hypothesis.effect.parameters), 1)
     return found
 

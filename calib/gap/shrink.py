@@ -37,6 +37,7 @@ from mavcal.calib.gap.hypotheses import Key
 from mavcal.calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
 from mavcal.calib.gap.noise_fit import is_declared, refitted
 from mavcal.calib.gap.normal import solved
+from mavcal.calib.gap.pace import GapStage
 from mavcal.calib.gap.predictive import predictive_loss
 from mavcal.calib.gap.schema import SequenceStep, Shrink
 from mavcal.calib.gap.selection import ChosenModel, Gains, last_gains, select
@@ -52,6 +53,8 @@ _RESAMPLED = 2000
 """Draws of as many blocks, for an interval."""
 _PROMISING = 0.01
 """Chance, uncorrected, below which a hypothesis takes part in the folds; the level stays that of all tests."""
+_SECOND = 0.5
+"""Part of the time of the first selection that one in a block is believed to take: fewer effects compete."""
 _SIGNIFICANT = 3.0
 """Standard errors from which on power above the noise is no chance."""
 _ROUNDING = 1e-9
@@ -169,11 +172,20 @@ def _gains_anew(chosen: ChosenModel, contest: Contest) -> Gains:
 
 
 def nested_in(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: float) -> Heldout:
-    """The same with effects that are selected anew for each block, from the others; not where an event lies in it."""
-    again = [
-        fixed if happens else _selected_anew(fold, chosen, contest, alpha)
-        for fold, fixed, happens in zip(found.folds, found.losses[:, 1], found.happens, strict=True)
-    ]
+    """The same with effects that are selected anew for each block, from the others.
+
+    Not where an event lies in it, nor once the time for it is over.
+    """
+    pace, again = contest.pace, []
+    took = _SECOND * pace.took(GapStage.SELECTION) if GapStage.SELECTION in pace.began else 0.0
+    for k, (fold, fixed, happens) in enumerate(zip(found.folds, found.losses[:, 1], found.happens, strict=True)):
+        pace.begin(GapStage.BLOCKS, k / len(found.folds))
+        if happens or pace.ends(took):
+            again.append(float(fixed))
+            continue
+        began = pace.now
+        again.append(_selected_anew(fold, chosen, contest, alpha))
+        took = pace.now - began
     return replace(found, losses=np.column_stack([found.losses[:, 0], again]))
 
 

@@ -77,6 +77,8 @@ def explained(chosen: ChosenModel, contest: Contest, start: Model, alpha: float,
 
     `named` are the ids of the catalogue, of effects that cannot be tested here as well.
     """
+    if contest.pace.ends():
+        return WithShapes(chosen, contest)
     periodic = [t for t in chosen.model.terms if t.hypothesis.periodic]
     shapes = shapes_of(chosen.model.setting, periodic, named)
     scorer = contest.among(())

@@ -86,7 +86,7 @@ def sees(view: View) -> bool:
 def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float) -> WanderFit | None:
     """The better model in which the reference's attitude wanders, None if there is none."""
     setting = start.setting
-    if not any(map(sees, setting.views)):
+    if not any(map(sees, setting.views)) or contest.pace.ends():
         return None
     process, worth = _instead(chosen)
     gain, size, time = process.gain, process.size_deg, process.time_s
@@ -102,7 +102,7 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
     setting = replace(setting, frames=frames)
     # A bias that wanders cannot be told from a reference that does.
     told = [h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.drifts and _seen_by(h))]
-    contest = Contest(told, floors=contest.floors)
+    contest = Contest(told, floors=contest.floors, pace=contest.pace)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
     noise = with_tail(setting, start.noise, size, time)

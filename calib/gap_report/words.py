@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mavcal.calib.gap.pace import GapStage
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict, LocatedGap, Shrink
 
 _KINDS = {
@@ -48,11 +49,18 @@ _VERDICTS = {
     GapVerdict.NO_GAP: "No difference beyond the noise was found.",
     GapVerdict.NOT_TESTABLE: "These recordings do not allow an answer.",
 }
+_UNFINISHED = {
+    GapVerdict.PARTLY_EXPLAINED: "Known effects explain part of the difference; there was no time to try them all.",
+    GapVerdict.NOT_TESTABLE: "There was no time for an answer.",
+}
+"""Verdicts of a diagnosis that its limit ended."""
 
 
 def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     """The answer in one or two sentences, the effects `listed` or not."""
     said = _VERDICTS[report.verdict]
+    if set(report.left_out) - {GapStage.BLOCKS.value}:
+        said = _UNFINISHED.get(report.verdict, said)
     if listed and report.verdict in {GapVerdict.EXPLAINED, GapVerdict.PARTLY_EXPLAINED} and report.effects:
         likely = [effect_phrase(e) for e in report.effects if not e.evidence.doubtful]
         doubtful = [effect_phrase(e) for e in report.effects if e.evidence.doubtful]

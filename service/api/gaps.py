@@ -24,7 +24,7 @@ OPERATE = Depends(require(Scope.OPERATE))
 @router.post("/gaps", operation_id="diagnose_gap", status_code=202, dependencies=[OPERATE])
 async def diagnose(body: GapRequest, request: Request, response: Response, service: ServiceDep) -> GapSummary:
     """Diagnose the sim-to-real gap of an uploaded recording; 429 if too many diagnoses are waiting."""
-    model = gap_summary(await service.jobs.computing.diagnose(body.real, body.sim, body.nominal))
+    model = gap_summary(await service.jobs.computing.diagnose(body.real, body.sim, body.nominal, body.limit_s))
     response.headers["Location"] = relative(request, model.href)
     return model
 

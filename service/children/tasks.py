@@ -5,12 +5,17 @@ A task is named ``module:function``; only names in the service's own code are ev
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mavcal.calib.methods import MODULES
+from mavcal.service.told import ToldProgress, line_of
+
+if TYPE_CHECKING:
+    from mavcal.calib.gap import GapProgress
 
 Json = dict[str, Any]
 Tell = Callable[[str], None]
@@ -32,6 +37,10 @@ LATER = (
     *(*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report"),
 )
 """What the nursery imports for its children, before it serves and while it is idle."""
+
+
+_EVERY_S = 0.5
+"""Least time between two lines about one stage of a diagnosis."""
 
 
 def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
@@ -73,9 +82,11 @@ def series(order: Mapping[str, Any], tell: Tell) -> Json:
 def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
     """The gap of ``{real, sim, nominal}``, each ``{path, reading, sha256}`` or None: a sentence and the report.
 
-    With `title` also its page; `without` leaves effects out, `nested` is as in :func:`calib.gap.run`. `seconds` is the
-    time of the diagnosis alone. A digest may be left out.
+    With `title` also its page; `without` leaves effects out, `nested` is as in :func:`calib.gap.run`. `limit_s` is the
+    time from now on after which the best answer so far is given. `seconds` is the time of the diagnosis alone. A digest
+    may be left out.
     """
+    asked = time.monotonic()
     from mavcal.calib import gap, logs
     from mavcal.calib.gap.schema import as_json
     from mavcal.calib.gap_report import gap_to_html
@@ -91,8 +102,16 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
     hashes = {role: part["sha256"] for role in ("real", "sim") if "sha256" in (part := order[role] or {})}
     tell("diagnosing")
     began = time.perf_counter()
+    limit = order.get("limit_s")
+    pace = gap.GapPace(lambda: time.monotonic() - asked, math.inf if limit is None else limit, _seldom(tell))
     report = gap.run(
-        real, sim, nominal, without=order.get("without", ()), nested=order.get("nested", True), inputs=hashes or None
+        real,
+        sim,
+        nominal,
+        without=order.get("without", ()),
+        nested=order.get("nested", True),
+        inputs=hashes or None,
+        pace=pace,
     )
     return {
         "seconds": time.perf_counter() - began,
@@ -100,3 +119,17 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
         "report": as_json(report),
         "page": gap_to_html(report, title=order["title"]) if "title" in order else None,
     }
+
+
+def _seldom(tell: Tell) -> Callable[[GapProgress], None]:
+    """Tells every stage of a diagnosis, and of its steps no more than a few a second."""
+    told: dict[str, float] = {}
+
+    def show(standing: GapProgress) -> None:
+        now = time.monotonic()
+        if now - told.get(standing.stage, -math.inf) < _EVERY_S:
+            return
+        told[standing.stage] = now
+        tell(line_of(ToldProgress(standing.text, standing.share, standing.left_s)))
+
+    return show

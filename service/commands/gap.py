@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from mavcal.service.commands.gap_selftest import command as selftest
+from mavcal.service.commands.gauge import Gauge
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.commands.reading import parse_mapping, reading_options
 
@@ -65,6 +68,13 @@ _MOST_UNTESTABLE = 8
     metavar="NAME=COLUMN[*FACTOR],...",
     help="--map of --sim and --verify, where their tables have other columns than the real one.",
 )
+@click.option(
+    "--limit-s",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=None,
+    metavar="SECONDS",
+    help="End after this time by the clock with the best answer so far; the report says what was left out.",
+)
 @reading_options
 @json_option
 @click.pass_context
@@ -80,6 +90,7 @@ def command(
     exports: tuple[Path, ...],
     target: str | None,
     instance: int,
+    limit_s: float | None,
     as_json: bool,
     **reading: Any,
 ) -> int:
@@ -87,7 +98,7 @@ def command(
 
     The reference is found in the files: ref_* columns, a simulator's log of the same trajectory, a pose, other
     instances of the vehicle, or a trajectory that is estimated again. The reading options are of --real, and of the
-    other files as far as they are tables. Exit code 1 if nothing could be tested.
+    other files as far as they are tables. Exit code 1 if nothing could be tested, or not within --limit-s.
     """
     if ctx.invoked_subcommand is not None:
         return 0
@@ -97,10 +108,13 @@ def command(
     from mavcal.calib.gap.schema import as_json as document_of
     from mavcal.service.commands.gap_files import check_exports, check_folders, read_files, write_exports, write_page
 
+    began = time.monotonic()
     check_exports(exports, target)
     check_folders((*exports, *(() if page is None else (page,))))
     files = read_files(real, sim, nominal, again, reading)
-    report = gap.run(files.real, files.sim, files.nominal, inputs=files.hashes)
+    with Gauge() as gauge:
+        pace = gap.GapPace(lambda: time.monotonic() - began, limit_s or math.inf, gauge.show)
+        report = gap.run(files.real, files.sim, files.nominal, inputs=files.hashes, pace=pace)
     document = document_of(report)
     verified = None
     if files.again is not None:

@@ -25,11 +25,12 @@ from mavcal.service.jobs.model import Failure, Job, Result
 from mavcal.service.jobs.port import Computations, Told
 from mavcal.service.jobs.states import CANCELLABLE, ENDED, JobState
 from mavcal.service.jobs.tasks import JobTasks
+from mavcal.service.told import read_line
 
 FIT = "fit"
 """Kind of a job that runs a method on an upload: options `recording`, `method`, `options`."""
 GAP = "gap"
-"""Kind of a job that diagnoses a gap between uploads: options `real`, `sim`, `nominal`."""
+"""Kind of a job that diagnoses a gap between uploads: options `real`, `sim`, `nominal`, `limit_s`."""
 COMPUTED = frozenset({FIT, GAP})
 
 MOST_DIAGNOSES = 8
@@ -102,8 +103,8 @@ class Computing:
             raise ChildrenBusy(f"{waiting} fits are waiting or running: try again when some have ended")
         return (await self._start(FIT, {"recording": recording, "method": method, "options": dict(options)})).job
 
-    async def diagnose(self, real: str, sim: str | None, nominal: Sequence[str]) -> Job:
-        """A job that diagnoses the gap of an upload.
+    async def diagnose(self, real: str, sim: str | None, nominal: Sequence[str], limit_s: float | None = None) -> Job:
+        """A job that diagnoses the gap of an upload, `limit_s` seconds long at most once it has begun.
 
         Raises
         ------
@@ -117,7 +118,8 @@ class Computing:
         waiting = self._waiting(GAP)
         if waiting >= MOST_DIAGNOSES:
             raise GapsBusy(f"{waiting} diagnoses are waiting or running: try again when one has ended")
-        return (await self._start(GAP, {"real": real, "sim": sim, "nominal": list(nominal)})).job
+        limited = {} if limit_s is None else {"limit_s": limit_s}
+        return (await self._start(GAP, {"real": real, "sim": sim, "nominal": list(nominal), **limited})).job
 
     async def fitted(self, recording: str, method: str, options: Mapping[str, Any]) -> Job:
         """The same as :meth:`fit`, waited for: the job is cancelled when whoever waits goes away.
@@ -190,7 +192,7 @@ class Computing:
     async def _diagnosed(self, handle: JobHandle) -> None:
         order = handle.job.options
         diagnosis = await self._computations.diagnose(
-            order["real"], order["sim"], order["nominal"], told=self._told(handle)
+            order["real"], order["sim"], order["nominal"], limit_s=order.get("limit_s"), told=self._told(handle)
         )
         self._taken_up(handle)
         for document in diagnosis.documents:
@@ -209,7 +211,11 @@ class Computing:
 
         def told(text: str) -> None:
             self._taken_up(handle)
-            handle.progress(Progress(float(min(next(steps), STEPS)), float(STEPS), "steps", text))
+            said, step = read_line(text), next(steps)
+            if said.share is None:
+                handle.progress(Progress(float(min(step, STEPS)), float(STEPS), "steps", said.text))
+            else:
+                handle.progress(Progress(100.0 * said.share, 100.0, "%", said.text, said.left_s))
 
         return told
 

@@ -196,9 +196,15 @@ class Computations(Protocol):
         ...
 
     async def diagnose(
-        self, real: str, sim: str | None, nominal: Sequence[str], *, told: Told | None = None
+        self,
+        real: str,
+        sim: str | None,
+        nominal: Sequence[str],
+        *,
+        limit_s: float | None = None,
+        told: Told | None = None,
     ) -> Diagnosis:
-        """The sim-to-real gap of an upload."""
+        """The sim-to-real gap of an upload; with `limit_s` the best answer after so many seconds."""
         ...
 
 
@@ -224,7 +230,13 @@ class NoUploads:
         raise RecordingUnknown
 
     async def diagnose(
-        self, real: str, sim: str | None, nominal: Sequence[str], *, told: Told | None = None
+        self,
+        real: str,
+        sim: str | None,
+        nominal: Sequence[str],
+        *,
+        limit_s: float | None = None,
+        told: Told | None = None,
     ) -> Diagnosis:
         """Raise RecordingUnknown."""
         raise RecordingUnknown

@@ -98,11 +98,13 @@ def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
     return np.stack([gains[_FOLDS], gains.sum(axis=0)])
 
 
+@lru_cache(maxsize=4)
 def _filtered_less_ideal(trace: Trace, cutoff: float) -> tuple[Array, Array]:
     """Through one pole (a package, an analogue stage) and a Butterworth of two (ArduPilot's, PX4's, most chips').
 
     ``H = 1/(1 + s)`` and ``1/(1 + sqrt(2) s + s^2)`` at ``s = j f/fc``, by Fourier transform. A lead of eight time
-    constants lets the filter settle: the end ramps to where the movement may have come from.
+    constants lets the filter settle: the end ramps to where the movement may have come from. The last are kept: a
+    filter is asked for what it does to the movement, and to the noise.
     """
     x = trace.ideal
     lead = min(len(x) - 1, max(64, int(8.0 * trace.fs / (2.0 * np.pi * cutoff)))) // 2
@@ -123,8 +125,15 @@ def _back(spectrum: NDArray[np.complex128], size: int, x: Array) -> Array:
 
 def _nearer(trace: Trace, changes: tuple[Array, Array]) -> int:
     """Which of the two changes leaves less of the residual; constants do not count."""
-    left = [float((trace.residual - change)[trace.observed].var(axis=0).sum()) for change in changes]
-    return int(left[1] < left[0])
+    residual, seen = trace.residual, trace.observed
+    one, two = (_scatter((residual - change)[seen]) for change in changes)
+    return int(two < one)
+
+
+def _scatter(series: Array) -> float:
+    """Sum of squares of a series (N, 3) about its mean."""
+    about = series - np.full(len(series), 1.0 / max(len(series), 1)) @ series
+    return float(np.vdot(about, about))
 
 
 def delays(trace: Trace) -> Array:

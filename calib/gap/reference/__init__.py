@@ -5,8 +5,8 @@ a simulator's log of the same trajectory (:mod:`recorded`), a pose that drives a
 instance on the same vehicle (:mod:`redundant`).
 """
 
-from mavcal.calib.gap.reference.build import build
+from mavcal.calib.gap.reference.build import build, prepared
 from mavcal.calib.gap.reference.choose import flew_another, posed
 from mavcal.calib.gap.reference.chosen import alike
 
-__all__ = ["alike", "build", "flew_another", "posed"]
+__all__ = ["alike", "build", "flew_another", "posed", "prepared"]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.levels import steps_of, with_simulated_step
-from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace, Worse
 from mavcal.calib.gap.reference.calibrated import corrected, not_undone
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.choose import ChosenReferences, choose
@@ -63,24 +63,65 @@ def build(
     InvalidInputError
         If the recordings have nothing in common, or `real` has no sensor.
     """
+    return prepared(real, sim, nominal).problem(flaws, flawed)
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedProblem:
+    """Every sensor beside its reference, before anything is learned of its noise.
+
+    `single` and `pairs` are the traces of the real recording, against the reference and against each other; `judged`
+    those of each of the `companions`, in their order, or none where none of them has a reference.
+    """
+
+    real: Recording
+    sim: Recording | None
+    companions: tuple[Recording, ...]
+    channels: tuple[Channel, ...]
+    chosen: ChosenReferences | None
+    single: tuple[Trace, ...]
+    pairs: tuple[Trace, ...]
+    judged: tuple[tuple[Recording, Checked], ...]
+    worse: dict[Sensor, Worse]
+
+    def problem(
+        self,
+        flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
+        flawed: Recording | None = None,
+    ) -> GapProblem:
+        """The problem with the noise that the companions show beside these `flaws`; parameters as in :func:`build`."""
+        return _learned(self, flaws, flawed)
+
+
+def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Recording] = ()) -> PreparedProblem:
+    """What of :func:`build` does not depend on flaws that are known; parameters and errors are the same."""
     companions = (*nominal, *(() if sim is None else (sim,)))
-    real, sim = corrected(real), None if sim is None else corrected(sim)
+    given, real = real, corrected(real)
+    sim = None if sim is None else real if sim is given else corrected(sim)
     check_vehicles(real, companions)
     channels = sensors_of(real)
     if not channels:
         raise InvalidInputError("the recording has no accelerometer, gyroscope or magnetometer: nothing to compare")
     chosen = choose(real, sim, [corrected(n) for n in nominal])
     ideal = None if chosen is None else chosen.ideal
-    of_readings = {} if ideal is None else ideal.noise
     single = () if ideal is None else single_traces(real, channels, ideal)
     pairs = differences(real, ideal, single)
     worse = worse_of(single, _singles_of(sim, chosen))
     single = told_by(single, pairs)
     if not single and not pairs:
         raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
-    judged = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
+    judged = () if chosen is None else tuple((n, nominal_traces(n, its)) for n, its in chosen.nominal)
+    return PreparedProblem(real, sim, companions, tuple(channels), chosen, single, pairs, judged, worse)
+
+
+def _learned(
+    made: PreparedProblem, flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]], flawed: Recording | None
+) -> GapProblem:
+    ideal = None if made.chosen is None else made.chosen.ideal
+    of_readings = {} if ideal is None else ideal.noise
+    sim, single, pairs, judged = made.sim, made.single, made.pairs, list(made.judged)
     if flawed is not None and judged:
-        known = (c is flawed for c in companions)
+        known = (c is flawed for c in made.companions)
         judged = [(n, replace(f, traces=flaws(f.traces)) if k else f) for (n, f), k in zip(judged, known, strict=True)]
     ages = ages_of([t for _, found in judged for t in found.traces])
     clean = [(n, tuple(_settled(t, ages) for t in found.traces)) for n, found in judged]
@@ -100,7 +141,7 @@ def build(
     noisy = [as_moving(as_driven(_louder(t, ages, usual), driven), moved) for t in noisy]
     traces = tuple(simulated_ideal(as_heaving(t, info.bandwidth_hz), offsets) for t in noisy)
     warnings = (
-        *not_undone(channels, real),
+        *not_undone(list(made.channels), made.real),
         *(() if ideal is None else ideal.warnings),
         *(reason for _, reason, _ in sound.refused),
         *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),
@@ -108,7 +149,7 @@ def build(
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
     single_nominal = tuple(t for t in usual if t.against is None)
     return GapProblem(
-        traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=single_nominal, worse=worse
+        traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=single_nominal, worse=made.worse
     )
 
 

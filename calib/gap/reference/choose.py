@@ -71,7 +71,8 @@ def _best(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) 
     logged = real.identity.autopilot is not None  # of a vehicle: a simulator's truth is there too slow for a gyroscope
     truth = all(true_attitude(r) is not None for r in (real, *clean))
     if logged and (ideal := re_estimated(real, with_truth=truth)) is not None:
-        return ChosenReferences(_doubted(ideal), tuple((n, re_estimated(n, with_truth=truth)) for n in clean))
+        others = ((n, ideal if n is real else re_estimated(n, with_truth=truth)) for n in clean)
+        return ChosenReferences(_doubted(ideal), tuple(others))
     if (pose := pose_of(real)) is not None:
         poses = [(n, pose_of(n)) for n in clean]
         if any(p is not None and p.cutoffs != pose.cutoffs for _, p in poses):

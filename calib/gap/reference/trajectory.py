@@ -206,11 +206,13 @@ class _Normal:
     ) -> None:
         """Rows ``residual = by_node x + by_constant c + noise``; `weight` (M, 3) are their inverse variances."""
         weighted, constants = by_node * weight[:, :, None], by_constant * weight[:, :, None]
-        np.add.at(self.diagonal, node, np.einsum("mri,mrj->mij", weighted, by_node))
-        np.add.at(self.border, node, np.einsum("mri,mrj->mij", weighted, by_constant))
-        np.add.at(self.right, node, np.einsum("mri,mr->mi", weighted, residual))
-        self.corner += np.einsum("mri,mrj->ij", constants, by_constant)
-        self.right_constants += np.einsum("mri,mr->i", constants, residual)
+        turned = weighted.swapaxes(1, 2)
+        np.add.at(self.diagonal, node, turned @ by_node)
+        np.add.at(self.border, node, turned @ by_constant)
+        np.add.at(self.right, node, (turned @ residual[:, :, None])[:, :, 0])
+        rows = constants.reshape(-1, CONSTANTS)
+        self.corner += rows.T @ by_constant.reshape(-1, CONSTANTS)
+        self.right_constants += rows.T @ residual.reshape(-1)
         self.cost += float((weight * residual**2).sum() - np.log(np.maximum(weight, 1e-12)).sum())
 
     def solved(self, node_right: Array, constant_right: Array) -> tuple[Array, Array]:
@@ -277,10 +279,10 @@ def _tie(normal: _Normal, imu: Increments, between: Between, state: TrajectorySt
     variance[:, :6] += np.where(imu.known[:, None], np.repeat(imu.sampling**2, 3), _LOST**2)
     weight = 1.0 / variance
     weighted = f * weight[:, :, None]
-    normal.diagonal[:-1] += np.einsum("kij,kil->kjl", weighted, f)
+    normal.diagonal[:-1] += weighted.swapaxes(1, 2) @ f
     normal.diagonal[1:, range(NODE), range(NODE)] += weight
     normal.beside -= np.swapaxes(weighted, 1, 2)
-    normal.right[:-1] -= np.einsum("kij,ki->kj", weighted, defect)
+    normal.right[:-1] -= (weighted.swapaxes(1, 2) @ defect[:, :, None])[:, :, 0]
     normal.right[1:] += weight * defect
     turned = between.turn.as_rotvec()
     b = np.zeros((len(matrix), NODE, CONSTANTS))
@@ -292,10 +294,11 @@ def _tie(normal: _Normal, imu: Increments, between: Between, state: TrajectorySt
         b[:, :3, GYRO_DRIFT][:, :, own] = -dt * power[:, None, None] * np.eye(3)
         b[:, 3:6, ACCEL_DRIFT][:, :, own] = -dt * power[:, None, None] * matrix
     weighted_b = b * weight[:, :, None]
-    normal.border[:-1] += np.einsum("kij,kil->kjl", f, weighted_b)
+    normal.border[:-1] += f.swapaxes(1, 2) @ weighted_b
     normal.border[1:] -= weighted_b
-    normal.corner += np.einsum("kij,kil->jl", weighted_b, b)
-    normal.right_constants -= np.einsum("kij,ki->j", weighted_b, defect)
+    rows = weighted_b.reshape(-1, CONSTANTS)
+    normal.corner += rows.T @ b.reshape(-1, CONSTANTS)
+    normal.right_constants -= rows.T @ defect.reshape(-1)
     normal.cost += float((weight * defect**2).sum() - np.log(weight).sum())
 
 

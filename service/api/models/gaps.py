@@ -16,6 +16,13 @@ class GapRequest(Request):
     nominal: list[str] = Field(
         default_factory=list, max_length=8, description="ids of recordings without an effect, for noise and field"
     )
+    limit_s: float | None = Field(
+        default=None,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="seconds after which the best answer so far is given, from when the diagnosis has begun; "
+        "null: as long as it takes",
+    )
 
 
 class GapSummary(BaseModel):

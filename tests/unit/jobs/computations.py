@@ -28,6 +28,10 @@ class FakeComputations:
     go: asyncio.Event = field(default_factory=asyncio.Event)
     begins: bool = True
     """Whether a child takes the work up before it may end."""
+    lines: tuple[str, ...] = ("reading",)
+    """What such a child tells."""
+    limits: list[float | None] = field(default_factory=list)
+    """Of the diagnoses that were asked for, s."""
     begun: int = 0
     ended: int = 0
     at_once: int = 2
@@ -54,8 +58,15 @@ class FakeComputations:
         return self.fits, self.origin
 
     async def diagnose(
-        self, real: str, sim: str | None, nominal: Sequence[str], *, told: Told | None = None
+        self,
+        real: str,
+        sim: str | None,
+        nominal: Sequence[str],
+        *,
+        limit_s: float | None = None,
+        told: Told | None = None,
     ) -> Diagnosis:
+        self.limits.append(limit_s)
         await self._work(told)
         return DIAGNOSED
 
@@ -63,7 +74,8 @@ class FakeComputations:
         self.begun += 1
         try:
             if told is not None and self.begins:
-                told("reading")
+                for line in self.lines:
+                    told(line)
             await self.go.wait()
             if self.refusal is not None:
                 raise self.refusal

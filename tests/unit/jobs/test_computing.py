@@ -30,6 +30,7 @@ from mavcal.service.jobs.model import Failure, Job, Result
 from mavcal.service.jobs.proof import ProofLevel
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
+from mavcal.service.told import ToldProgress, line_of
 from tests.unit.jobs.fakes import FakeVehicle
 
 from .computations import DIAGNOSED, FakeComputations
@@ -280,3 +281,26 @@ def test_an_upload_stays_as_long_as_something_rests_on_it() -> None:
     assert of(FIT, OF_A, JobState.SUCCEEDED) == set()
     assert of("recording", OF_A, JobState.REVIEW) == {"a"}
     assert of("gyro", {}, JobState.REVIEW) == set()
+
+
+async def test_a_diagnosis_says_how_far_it_is_and_how_long_it_will_take(vehicle: FakeVehicle) -> None:
+    lines = ("reading", line_of(ToldProgress("selecting effects", 0.25, 90.0)))
+    work = FakeComputations(lines=lines)
+    work.go.clear()
+    async with running(vehicle, computations=work) as engine:
+        job = await engine.computing.diagnose("a", None, ())
+        await until(lambda: engine.get(job.id).progress is not None)
+        assert engine.get(job.id).progress == Progress(25.0, 100.0, "%", "selecting effects", 90.0)
+        work.go.set()
+        await until(lambda: engine.get(job.id).state == JobState.SUCCEEDED)
+        assert engine.get(job.id).progress is None
+
+
+async def test_the_limit_of_a_diagnosis_goes_with_it_also_into_the_store(vehicle: FakeVehicle) -> None:
+    work = FakeComputations()
+    async with running(vehicle, computations=work) as engine:
+        jobs = [await engine.computing.diagnose("a", None, (), limit) for limit in (20.0, None)]
+        await until(lambda: all(engine.get(job.id).state == JobState.SUCCEEDED for job in jobs))
+        assert work.limits == [20.0, None]
+        assert jobs[0].options["limit_s"] == 20.0
+        assert "limit_s" not in jobs[1].options

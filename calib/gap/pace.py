@@ -1,0 +1,174 @@
+"""How far a diagnosis is, and what is left out of it so that it ends in time.
+
+There is no clock here: whoever asks for a diagnosis tells how long it has taken so far. The parts of the time are those
+of recordings of minutes, measured; they are an estimate, and no promise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.schema import GapReport, GapVerdict
+
+
+class GapStage(StrEnum):
+    """What a diagnosis does, in this order."""
+
+    REFERENCE = "reference"
+    SELECTION = "selection"
+    RIVALS = "rivals"
+    HELD_OUT = "held_out"
+    BLOCKS = "blocks"
+    REPORT = "report"
+
+
+_BEGINS = {
+    GapStage.REFERENCE: 0.0,
+    GapStage.SELECTION: 0.25,
+    GapStage.RIVALS: 0.45,
+    GapStage.HELD_OUT: 0.6,
+    GapStage.BLOCKS: 0.65,
+    GapStage.REPORT: 0.97,
+}
+"""Part of the whole time after which a stage begins."""
+_MAY_TAKE = {
+    GapStage.REFERENCE: math.inf,
+    GapStage.SELECTION: 0.5,
+    GapStage.RIVALS: 0.7,
+    GapStage.HELD_OUT: math.inf,
+    GapStage.BLOCKS: 0.95,
+    GapStage.REPORT: math.inf,
+}
+"""Part of the limit after which nothing more is begun in a stage; infinite: it is never left out."""
+_MANY = 8
+"""Steps after which half of a stage is believed to be done."""
+_TEXT = {
+    GapStage.REFERENCE: "making the reference",
+    GapStage.SELECTION: "selecting effects",
+    GapStage.RIVALS: "comparing them with their rivals",
+    GapStage.HELD_OUT: "holding blocks out",
+    GapStage.BLOCKS: "repeating the selection in each block",
+    GapStage.REPORT: "writing the report",
+}
+_LEFT_OUT = {
+    GapStage.SELECTION: "further effects were not looked for",
+    GapStage.RIVALS: "not every other effect or shape was tried in the place of those that were found",
+    GapStage.BLOCKS: "the selection was not repeated in every block that was held out",
+}
+
+
+@dataclass(frozen=True)
+class GapProgress:
+    """How far a diagnosis is: `share` of the work from 0 to 1, and the seconds that are left, None if nobody knows."""
+
+    stage: GapStage
+    share: float
+    left_s: float | None
+
+    @property
+    def text(self) -> str:
+        """What is being done."""
+        return _TEXT[self.stage]
+
+
+def _nowhere(_standing: GapProgress) -> None:
+    """Nobody listens."""
+
+
+@dataclass(eq=False)
+class GapPace:
+    """How long a diagnosis may take, what was left out for it, and who hears how far it is.
+
+    Parameters
+    ----------
+    elapsed
+        Seconds since it began; None: nobody measures, and there is no limit.
+    limit_s
+        After which it should end.
+    told
+        Hears of every step.
+    """
+
+    elapsed: Callable[[], float] | None = None
+    limit_s: float = math.inf
+    told: Callable[[GapProgress], None] = _nowhere
+    stage: GapStage = GapStage.REFERENCE
+    left_out: dict[GapStage, None] = field(default_factory=dict)
+    began: dict[GapStage, float] = field(default_factory=dict)
+    steps: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.limit_s > 0.0:
+            raise InvalidInputError(f"the limit is {self.limit_s:g} s; it has to be above zero")
+        if self.elapsed is None and math.isfinite(self.limit_s):
+            raise InvalidInputError("a limit needs somebody who measures the time")
+
+    def begin(self, stage: GapStage, part: float = 0.0) -> None:
+        """A stage begins, or a `part` of it from 0 to 1 is done."""
+        if stage is not self.stage:
+            self.steps = 0
+        self.stage = stage
+        self.began.setdefault(stage, self.now)
+        begins = list(_BEGINS.values())
+        k = list(_BEGINS).index(stage)
+        end = begins[k + 1] if k + 1 < len(begins) else 1.0
+        share = begins[k] + part * (end - begins[k])
+        self.told(GapProgress(stage, share, self._left(share)))
+
+    def advance(self) -> None:
+        """One more step of the present stage is done; nobody knows how many there will be."""
+        self.steps += 1
+        self.begin(self.stage, self.steps / (self.steps + _MANY))
+
+    @property
+    def now(self) -> float:
+        """Seconds since the diagnosis began; 0 where nobody measures."""
+        return 0.0 if self.elapsed is None else self.elapsed()
+
+    def took(self, stage: GapStage) -> float:
+        """Seconds from the beginning of a stage that has begun to that of the next one."""
+        later = [at for other, at in self.began.items() if at > self.began[stage] and other is not stage]
+        return min(later, default=self.now) - self.began[stage]
+
+    def _left(self, share: float) -> float | None:
+        """Seconds that are left after a `share` of the work, no more than the limit leaves."""
+        if self.elapsed is None or share <= 0.0:
+            return None
+        took = self.now
+        return max(min(took * (1.0 - share) / share, self.limit_s - took), 0.0)
+
+    def ends(self, needs_s: float = 0.0) -> bool:
+        """Whether what takes `needs_s` has to be left out of this stage; that it was is kept."""
+        if self.elapsed is None or self.now + needs_s <= _MAY_TAKE[self.stage] * self.limit_s:
+            return False
+        self.left_out[self.stage] = None
+        return True
+
+    @property
+    def ended(self) -> bool:
+        """Whether something was left out of this stage already."""
+        return self.stage in self.left_out
+
+
+def with_limit(report: GapReport, pace: GapPace) -> GapReport:
+    """The report with what the limit left out, which is not called done: no verdict rests on what was not tried."""
+    if not pace.left_out:
+        return report
+    missing = "; ".join(_LEFT_OUT[stage] for stage in pace.left_out)
+    text = f"the limit of {pace.limit_s:g} s ended the diagnosis: {missing}; allow more time for the whole answer"
+    verdict = report.verdict
+    if GapStage.SELECTION in pace.left_out:
+        verdict = _NOT_SEARCHED.get(verdict, verdict)
+    elif GapStage.RIVALS in pace.left_out:
+        verdict = _NOT_COMPARED.get(verdict, verdict)
+    left_out = tuple(stage.value for stage in pace.left_out)
+    return replace(report, verdict=verdict, warnings=(text, *report.warnings), left_out=left_out)
+
+
+_NOT_COMPARED = {GapVerdict.EXPLAINED: GapVerdict.PARTLY_EXPLAINED, GapVerdict.NO_GAP: GapVerdict.NOT_TESTABLE}
+_NOT_SEARCHED = {**_NOT_COMPARED, GapVerdict.UNKNOWN: GapVerdict.NOT_TESTABLE}
+"""What is said in place of verdicts that claim that all was tried: in the place of what was found, or at all."""
