@@ -11,9 +11,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.baseline import baseline_of, beside
-from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
 from mavcal.calib.gap.flaws import beside_flaws, flaws_of
@@ -58,13 +58,18 @@ def run(
     Raises
     ------
     InvalidInputError
-        If the recordings have nothing in common, or `without` names an effect that there is not.
+        If the recordings have nothing in common or are of different vehicles, or `without` names an effect that there is
+        not.
     """
     effects = catalogue()
     if strangers := sorted(set(without) - {effect.id for effect in effects}):
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
     kept = tuple(effect for effect in effects if effect.id not in without)
-    problem = dataclasses.replace(_problem(real, sim, nominal, alpha), inputs=dict(inputs or {}))
+    digests = dict(inputs or {})
+    try:
+        problem = dataclasses.replace(_problem(real, sim, nominal, alpha), inputs=digests)
+    except IncomparableError as error:
+        return untestable(error.reason, error.need, digests)
     report = diagnose(problem, effects=kept, alpha=alpha, nested=nested)
     return with_patches(report, simulator_of(real, sim))
 

@@ -24,7 +24,7 @@ from mavcal.calib.gap.louder import unsteady_line
 from mavcal.calib.gap.model import Model, setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.power import powers_of
-from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.quieter import quieter
 from mavcal.calib.gap.reported import effect_of, wandering_reference
 from mavcal.calib.gap.samples import Lattice, lattice_of, shown_by
@@ -241,7 +241,7 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
     effects = _effects(task, answer, strangers, beside_unknown=unknown.flag)
     return GapReport(
         inputs_of(task.problem),
-        _verdict(effects, unknown),
+        _verdict(task, effects, unknown),
         _where(task, effects, unknown, alpha),
         effects,
         unknown,
@@ -298,11 +298,13 @@ def _effects(
     return (*task.lattice.effects, *wander, *(e for e in found if not shown_by(task.lattice, e)))
 
 
-def _verdict(effects: tuple[EffectEstimate, ...], unknown: Unknown) -> GapVerdict:
+def _verdict(task: _Task, effects: tuple[EffectEstimate, ...], unknown: Unknown) -> GapVerdict:
+    if task.problem.reference.useless:
+        return GapVerdict.REFERENCE
     if unknown.flag:
         return GapVerdict.PARTLY_EXPLAINED if effects else GapVerdict.UNKNOWN
     if not effects:
-        return GapVerdict.NO_GAP
+        return GapVerdict.NO_GAP if task.contest.hypotheses else GapVerdict.NOT_TESTABLE
     return GapVerdict.REFERENCE if all(e.id == REFERENCE for e in effects) else GapVerdict.EXPLAINED
 
 
@@ -312,11 +314,17 @@ def _untestable(task: _Task) -> tuple[NotTestable, ...]:
     return tuple(NotTestable(*entry) for entry in {e[0]: e for e in entries}.values())
 
 
+def untestable(reason: str, need: str, inputs: dict[str, str]) -> GapReport:
+    """The report of recordings of which nothing can be compared; `inputs` are digests by role."""
+    reference = ReferenceInfo(ReferenceKind.REDUNDANT, text=f"None: {reason}.")
+    return _nothing(GapProblem((), reference, 0.0, inputs=inputs, not_testable=(("all", reason, need),)))
+
+
 def _nothing(problem: GapProblem) -> GapReport:
     entries = problem.not_testable or (("all", "no sensor has enough samples beside a reference", "a longer overlap"),)
     return GapReport(
         inputs_of(problem),
-        GapVerdict.NOT_TESTABLE,
+        GapVerdict.REFERENCE if problem.reference.useless else GapVerdict.NOT_TESTABLE,
         not_testable=tuple(NotTestable(*e) for e in entries),
         warnings=problem.warnings,
     )

@@ -116,7 +116,7 @@ def command(
         write_json(document)
     else:
         _show(report, verified)
-    return EXIT_NO if document["verdict"] == "not_testable" else 0
+    return 0 if document["tested"] else EXIT_NO
 
 
 def _show(report: GapReport, verified: Verified | None) -> None:
