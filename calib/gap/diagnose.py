@@ -38,6 +38,7 @@ from mavcal.calib.gap.schema import (
     Unknown,
 )
 from mavcal.calib.gap.selection import ChosenModel, reduced, select
+from mavcal.calib.gap.separable import inseparable, inseparable_line
 from mavcal.calib.gap.series import series_of
 from mavcal.calib.gap.shrink import Heldout, held_out, nested_in, shrink_of
 from mavcal.calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
@@ -74,7 +75,7 @@ class _Answer:
 
     `wander` is the reference's own error, None where it has none to speak of. `heldout` is None where no block can be
     held out; `gates` say of each effect whether it held there (None: no block tells), and `withdrawn` is what the
-    effects that did not had gained.
+    effects that did not had gained. `small` are effects that nobody can tell from the reference's error.
     """
 
     chosen: ChosenModel
@@ -84,13 +85,14 @@ class _Answer:
     heldout: Heldout | None = None
     gates: Mapping[Key, bool | None] = field(default_factory=dict)
     withdrawn: tuple[Unexplained, ...] = ()
+    small: frozenset[Key] = frozenset()
 
     @property
     def tolerated(self) -> frozenset[Key]:
-        """Effects by which two recordings differ anyway: they are no gap."""
+        """Effects by which two recordings, or a sensor and its reference, differ anyway: they are no gap."""
         floors, gains = self.contest.floors, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
-        return frozenset(h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h))
+        return self.small | {h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h)}
 
     @property
     def gap(self) -> tuple[Attribution, ...]:
@@ -184,7 +186,8 @@ def _settled(task: _Task, chosen: ChosenModel, alpha: float, named: Collection[s
     found = settled(chosen, contest, alpha)
     best = explained(found.chosen, contest, start, alpha, named)
     found = settled(best.chosen, best.contest, alpha, found)
-    return _Answer(found.chosen, found.attributions, best.contest, wander)
+    small = inseparable(found.chosen, task.problem.reference)
+    return _Answer(found.chosen, found.attributions, best.contest, wander, small=small)
 
 
 def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
@@ -257,8 +260,9 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
 def _not_told(answer: _Answer) -> tuple[str, ...]:
     """What is in the model, and no gap, for who wants to look closer."""
     known = [t.hypothesis for t in answer.chosen.model.members if not t.hypothesis.effect.nameless]
-    small = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated)
-    return (f"two recordings differ by as much anyway: {', '.join(small)} are no gap here",) if small else ()
+    usual = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated - answer.small)
+    said = (f"two recordings differ by as much anyway: {', '.join(usual)} are no gap here",) if usual else ()
+    return (*said, *inseparable_line([h.effect.id for h in known if h.key in answer.small]))
 
 
 def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[LocatedGap, ...]:

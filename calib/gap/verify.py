@@ -183,9 +183,10 @@ def size_of(report: GapReport) -> Size:
 
 
 def _blocks(series: SeriesFit) -> Array:
-    """By block: loss of log-likelihood for want of the effects, and the count of numbers."""
+    """By block: loss of log-likelihood for want of the effects that are told, and the count of numbers."""
     left = series.residual - series.modelled
-    loss = 0.5 * ((series.residual**2 - left**2) / np.maximum(series.sigma, 1e-30) ** 2).sum(axis=1)
+    without = left + sum(series.parts.values(), np.zeros_like(left))
+    loss = 0.5 * ((without**2 - left**2) / np.maximum(series.sigma, 1e-30) ** 2).sum(axis=1)
     parts = np.array_split(loss, _BLOCKS)
     return np.array([[p.sum(), 3.0 * len(p)] for p in parts])
 
