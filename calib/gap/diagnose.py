@@ -15,6 +15,7 @@ from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.effects.parts import TRIADS
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.floors import Floors
+from mavcal.calib.gap.holding import not_holding
 from mavcal.calib.gap.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.impostors import Unexplained
 from mavcal.calib.gap.inputs import inputs_of
@@ -128,7 +129,10 @@ def diagnose(
         return _nothing(problem)
     task, chosen = begun
     answer = _settled(task, chosen, alpha, frozenset(e.id for e in effects))
-    return _report(task, _confirmed(answer, alpha, nested=nested), alpha, nested=nested)
+    confirmed = _confirmed(answer, alpha, nested=nested and not task.problem.alone)
+    if task.problem.alone:
+        confirmed = _holding(task, confirmed, alpha, nested=nested)
+    return _report(task, confirmed, alpha, nested=nested)
 
 
 def _begun(
@@ -222,6 +226,16 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     )
 
 
+def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
+    """The answer of a flight that stands alone: what holds on every block and along either attitude is told."""
+    denied = not_holding(task.problem, task.lattice, answer.chosen, answer.heldout)
+    answer = replace(answer, small=answer.small | denied)
+    heldout = held_out(answer.chosen, answer.contest, answer.tolerated)
+    if nested and heldout is not None:
+        heldout = nested_in(heldout, answer.chosen, answer.contest, alpha)
+    return replace(answer, heldout=heldout)
+
+
 def _gates_of(heldout: Heldout | None) -> Mapping[Key, bool | None]:
     return {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
 
@@ -244,7 +258,7 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
     effects = _effects(task, answer, strangers, beside_unknown=unknown.flag)
     return GapReport(
         inputs_of(task.problem),
-        _verdict(task, effects, unknown),
+        _verdict(task, effects, unknown, small=bool(answer.small)),
         _where(task, effects, unknown, alpha),
         effects,
         unknown,
@@ -302,12 +316,14 @@ def _effects(
     return (*task.lattice.effects, *wander, *(e for e in found if not shown_by(task.lattice, e)))
 
 
-def _verdict(task: _Task, effects: tuple[EffectEstimate, ...], unknown: Unknown) -> GapVerdict:
+def _verdict(task: _Task, effects: tuple[EffectEstimate, ...], unknown: Unknown, *, small: bool) -> GapVerdict:
     if task.problem.reference.useless:
         return GapVerdict.REFERENCE
     if unknown.flag:
         return GapVerdict.PARTLY_EXPLAINED if effects else GapVerdict.UNKNOWN
     if not effects:
+        if task.problem.alone and small:
+            return GapVerdict.REFERENCE
         return GapVerdict.NO_GAP if task.contest.hypotheses else GapVerdict.NOT_TESTABLE
     return GapVerdict.REFERENCE if all(e.id == REFERENCE for e in effects) else GapVerdict.EXPLAINED
 

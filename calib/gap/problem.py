@@ -219,5 +219,9 @@ class GapProblem:
     floor: Floor = field(default_factory=Floor)
     flaws: tuple[Flaw, ...] = ()
     """What another recording shows against its own reference."""
+    alone: bool = False
+    """Whether a re-estimated trajectory is the only reference, without a simulated or a nominal recording beside it."""
+    own_attitude: tuple[Array, Array] | None = None
+    """The attitude that the vehicle logged: times (K,), s, and quaternions (K, 4), continuous; None: it logged none."""
     worse: dict[Sensor, Worse] = field(default_factory=dict)
     """By sensor with two instances, which of them have something."""

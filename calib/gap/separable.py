@@ -1,7 +1,7 @@
 """Effects that are no larger than what the error of a re-estimated attitude makes of them: nobody can tell them apart.
 
-The noise of the samples would know them well; the reference does not. They stay in the model, so that nothing else takes
-their place, and are no gap.
+The noise of the samples would know them well; the reference does not. They stay in the model, so that nothing else
+takes their place, and are no gap.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Collection, Iterator
 
 from mavcal.calib.gap.estimates import estimates_of
 from mavcal.calib.gap.hypotheses import Key
-from mavcal.calib.gap.model import Term
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.schema import ParameterEstimate
 from mavcal.calib.gap.selection import ChosenModel

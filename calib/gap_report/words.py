@@ -63,6 +63,8 @@ _VERDICTS = {
 def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     """The answer in one or two sentences, the effects `listed` or not."""
     said = _useless(report) if report.inputs.useless else _VERDICTS[report.verdict]
+    if report.verdict is GapVerdict.REFERENCE and not report.effects and not report.inputs.useless:
+        said = "No difference beyond the error of the reference was found."
     named = report.inputs.useless or report.verdict in {GapVerdict.EXPLAINED, GapVerdict.PARTLY_EXPLAINED}
     if listed and named and report.effects:
         likely = [effect_phrase(e) for e in report.effects if not e.evidence.doubtful]

@@ -6,6 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.levels import steps_of, with_simulated_step
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
@@ -20,10 +23,14 @@ from mavcal.calib.gap.reference.ideal import Ideal, trace_of
 from mavcal.calib.gap.reference.moments import age_of, louder, settled
 from mavcal.calib.gap.reference.moving import as_heaving, as_moving, movement_of
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
+from mavcal.calib.gap.reference.recorded import continuous
 from mavcal.calib.gap.reference.redundant import differences
+from mavcal.calib.gap.reference.signal import Signal
 from mavcal.calib.gap.reference.useless import refusals
 from mavcal.calib.gap.reference.which import worse_of
 from mavcal.calib.recording import Channel, Recording, Sensor
+
+Array = NDArray[np.float64]
 
 _NO_REFERENCE = "nothing says what an ideal sensor would have read"
 _NEED = (
@@ -115,9 +122,23 @@ def build(
     duration = max((float(t.t[-1] - t.t[0]) for t in single + pairs), default=_span(channels))
     single_nominal = tuple(t for t in usual if t.against is None)
     refused = (*(refusals(info, (c.sensor for c in channels)) if useless else ()), *sound.refused)
+    alone = info.kind is ReferenceKind.ESTIMATOR and not companions
     return GapProblem(
-        traces, info, duration, warnings=warnings, not_testable=refused, nominal=single_nominal, worse=worse
+        *(traces, info, duration),
+        warnings=warnings,
+        not_testable=refused,
+        nominal=single_nominal,
+        worse=worse,
+        alone=alone,
+        own_attitude=_logged_attitude(real) if alone else None,
     )
+
+
+def _logged_attitude(real: Recording) -> tuple[Array, Array] | None:
+    """The longest attitude that the vehicle estimated itself."""
+    found = (s for c in real.find(Sensor.ATTITUDE) if (s := Signal.of(c)) is not None)
+    best = max(found, key=lambda s: float(s.t[-1] - s.t[0]), default=None)
+    return None if best is None else (best.t, continuous(best.values))
 
 
 def _info(chosen: ChosenReferences | None) -> ReferenceInfo:
