@@ -15,7 +15,7 @@ _CHANCE = 0.0455
 
 
 @dataclass(frozen=True)
-class Agreement:
+class EffectAgreement:
     """An effect of one diagnosis beside the same one of another.
 
     `other` is None where the other diagnosis has none on the same instances. `holds`: no parameter differs by more than
@@ -27,7 +27,7 @@ class Agreement:
     holds: bool
 
 
-def agreements(effects: Sequence[EffectEstimate], others: Iterable[EffectEstimate]) -> tuple[Agreement, ...]:
+def agreements(effects: Sequence[EffectEstimate], others: Iterable[EffectEstimate]) -> tuple[EffectAgreement, ...]:
     """Each of `effects` beside its like among `others`, each of which is the like of one at most.
 
     Of several of one kind (steps) the one that is nearest in its parameters counts.
@@ -39,7 +39,7 @@ def agreements(effects: Sequence[EffectEstimate], others: Iterable[EffectEstimat
         best = min(like, key=lambda o: distance(effect, o), default=None)
         if best is not None:
             left.remove(best)
-        found.append(Agreement(effect, best, best is not None and distance(effect, best) <= 1.0))
+        found.append(EffectAgreement(effect, best, best is not None and distance(effect, best) <= 1.0))
     return tuple(found)
 
 

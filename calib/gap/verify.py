@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.gap.agreement import Agreement, agreements
+from mavcal.calib.gap.agreement import EffectAgreement, agreements
 from mavcal.calib.gap.compared import problem_of
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.problem import GapProblem, ReferenceKind
@@ -115,7 +115,7 @@ def verify(
     same = direct.reference.kind is ReferenceKind.SIM and recorded(real) is None and recorded(again) is None
     lost: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
-    compared: tuple[Agreement, ...] = tuple(Agreement(e, None, holds=False) for e in report.effects)
+    compared: tuple[EffectAgreement, ...] = tuple(EffectAgreement(e, None, holds=False) for e in report.effects)
     if same:
         problem = direct
     else:
@@ -149,7 +149,7 @@ def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording
         raise InvalidInputError(f"the new recording of the simulator cannot be diagnosed by itself: {error}") from error
 
 
-def _remedied(compared: Sequence[Agreement], found: Sequence[EffectEstimate]) -> list[EffectEstimate]:
+def _remedied(compared: Sequence[EffectAgreement], found: Sequence[EffectEstimate]) -> list[EffectEstimate]:
     """What the simulator has now: of what agrees the first diagnosis knows the size on the real flight best."""
     as_before = {id(a.other): a.effect for a in compared if a.holds}
     return [as_before.get(id(effect), effect) for effect in found]
@@ -191,7 +191,7 @@ def _blocks(series: SeriesFit) -> Array:
     return np.array([[p.sum(), 3.0 * len(p)] for p in parts])
 
 
-def _left(compared: Agreement, rest: GapReport) -> Left:
+def _left(compared: EffectAgreement, rest: GapReport) -> Left:
     effect, other = compared.effect, compared.other
     same = [e for e in rest.effects if e.id == effect.id and set(e.instances) & set(effect.instances)]
     evidence = sum(e.evidence.two_delta_loglik for e in same)
