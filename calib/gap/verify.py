@@ -150,8 +150,12 @@ def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording
 
 
 def _remedied(compared: Sequence[EffectAgreement], found: Sequence[EffectEstimate]) -> list[EffectEstimate]:
-    """What the simulator has now: of what agrees the first diagnosis knows the size on the real flight best."""
-    as_before = {id(a.other): a.effect for a in compared if a.holds}
+    """What the simulator has now: where all of a sensor agrees, the first diagnosis knows its size best.
+
+    The parameters of one sensor depend on each other: those of two diagnoses are not mixed.
+    """
+    apart = {a.effect.sensor for a in compared if not a.holds}
+    as_before = {id(a.other): a.effect for a in compared if a.holds and a.effect.sensor not in apart}
     return [as_before.get(id(effect), effect) for effect in found]
 
 
