@@ -5,6 +5,7 @@
     CalibError
     +-- InvalidInputError          what was handed in is not what it claims to be
     |   +-- UnreadableError        a file or a byte stream cannot be read as the stated format
+    |   +-- IncomparableError      it is sound, and nothing in it says what was asked; names what would
     +-- UndeterminedError          the data do not determine what was asked; names the movement that would
     |   +-- NotConvergedError      an iteration did not settle on an answer
     +-- FirmwareError              an autopilot cannot take, hold or undo what was asked
@@ -30,6 +31,17 @@ class InvalidInputError(CalibError, ValueError):
 
 class UnreadableError(InvalidInputError):
     """The file cannot be read as a recording: give a table (.csv, .npz) or a telemetry log (.tlog)."""
+
+
+class IncomparableError(InvalidInputError):
+    """Nothing in the recording can be compared with a reference."""
+
+    def __init__(self, message: str | None = None, *, need: str = "") -> None:
+        super().__init__(f"{message}: {need}" if message and need else message)
+        self.reason = message or self.__doc__ or ""
+        """Why, without what would help."""
+        self.need = need
+        """What would help."""
 
 
 class UndeterminedError(CalibError):

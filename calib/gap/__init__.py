@@ -11,15 +11,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.gap.baseline import baseline_of, beside
-from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.errors import IncomparableError, InvalidInputError
+from mavcal.calib.gap.compared import problem_of
+from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
-from mavcal.calib.gap.flaws import beside_flaws, flaws_of
 from mavcal.calib.gap.pace import GapPace, GapProgress, GapStage
-from mavcal.calib.gap.problem import GapProblem
-from mavcal.calib.gap.reference import alike, build, flew_another, posed, prepared
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording
 
@@ -62,7 +59,8 @@ def run(
     Raises
     ------
     InvalidInputError
-        If the recordings have nothing in common, or `without` names an effect that there is not.
+        If the recordings have nothing in common or are of different vehicles, or `without` names an effect that does
+        not exist.
     """
     effects = catalogue()
     if strangers := sorted(set(without) - {effect.id for effect in effects}):
@@ -70,22 +68,13 @@ def run(
     kept = tuple(effect for effect in effects if effect.id not in without)
     pace = pace or GapPace()
     pace.begin(GapStage.REFERENCE)
-    problem = dataclasses.replace(_problem(real, sim, nominal, alpha), inputs=dict(inputs or {}))
+    digests = dict(inputs or {})
+    try:
+        problem = dataclasses.replace(problem_of(real, sim, nominal, alpha), inputs=digests)
+    except IncomparableError as error:
+        return untestable(error.reason, error.need, digests)
     report = diagnose(problem, effects=kept, alpha=alpha, nested=nested, pace=pace)
     return with_patches(report, simulator_of(real, sim))
-
-
-def _problem(real: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> GapProblem:
-    """The sensors of `real` beside their references, less what a companion on another trajectory shows of its own."""
-    if sim is not None and flew_another(real, sim):
-        real, sim = alike(real, sim)
-        baseline = baseline_of(build(sim, sim, nominal), alpha)
-        return beside(build(real, sim, nominal, flaws=baseline.in_ideal, flawed=sim), baseline)
-    if sim is None and (other := posed(real, nominal)) is not None:
-        its = prepared(other, None, nominal)
-        flaws = flaws_of(lambda known: its.problem(known, other), alpha)
-        return beside_flaws(build(real, None, nominal, flaws=flaws.in_ideal, flawed=other), flaws)
-    return build(real, sim, nominal)
 
 
 def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:

@@ -15,6 +15,7 @@ from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.effects.parts import TRIADS
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.floors import Floors
+from mavcal.calib.gap.holding import not_holding
 from mavcal.calib.gap.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.impostors import Unexplained
 from mavcal.calib.gap.inputs import inputs_of
@@ -25,7 +26,7 @@ from mavcal.calib.gap.model import Model, setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.pace import GapPace, GapStage, with_limit
 from mavcal.calib.gap.power import powers_of
-from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.quieter import quieter
 from mavcal.calib.gap.reported import effect_of, wandering_reference
 from mavcal.calib.gap.samples import Lattice, lattice_of, shown_by
@@ -39,6 +40,7 @@ from mavcal.calib.gap.schema import (
     Unknown,
 )
 from mavcal.calib.gap.selection import ChosenModel, reduced, select
+from mavcal.calib.gap.separable import inseparable, inseparable_line
 from mavcal.calib.gap.series import series_of
 from mavcal.calib.gap.shrink import Heldout, held_out, nested_in, shrink_of
 from mavcal.calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
@@ -75,7 +77,7 @@ class _Answer:
 
     `wander` is the reference's own error, None where it has none to speak of. `heldout` is None where no block can be
     held out; `gates` say of each effect whether it held there (None: no block tells), and `withdrawn` is what the
-    effects that did not had gained.
+    effects that did not had gained. `small` are effects that nobody can tell from the reference's error.
     """
 
     chosen: ChosenModel
@@ -85,13 +87,14 @@ class _Answer:
     heldout: Heldout | None = None
     gates: Mapping[Key, bool | None] = field(default_factory=dict)
     withdrawn: tuple[Unexplained, ...] = ()
+    small: frozenset[Key] = frozenset()
 
     @property
     def tolerated(self) -> frozenset[Key]:
-        """Effects by which two recordings differ anyway: they are no gap."""
+        """Effects by which two recordings, or a sensor and its reference, differ anyway: they are no gap."""
         floors, gains = self.contest.floors, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
-        return frozenset(h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h))
+        return self.small | {h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h)}
 
     @property
     def gap(self) -> tuple[Attribution, ...]:
@@ -133,9 +136,11 @@ def diagnose(
     pace.begin(GapStage.RIVALS)
     answer = _settled(task, chosen, alpha, frozenset(e.id for e in effects))
     pace.begin(GapStage.HELD_OUT)
-    answer = _confirmed(answer, alpha, nested=nested)
+    confirmed = _confirmed(answer, alpha, nested=nested and not task.problem.alone)
+    if task.problem.alone:
+        confirmed = _holding(task, confirmed, alpha, nested=nested)
     pace.begin(GapStage.REPORT)
-    return with_limit(_report(task, answer, alpha, nested=nested and GapStage.BLOCKS not in pace.left_out), pace)
+    return with_limit(_report(task, confirmed, alpha, nested=nested and GapStage.BLOCKS not in pace.left_out), pace)
 
 
 def _begun(
@@ -193,7 +198,8 @@ def _settled(task: _Task, chosen: ChosenModel, alpha: float, named: Collection[s
     found = settled(chosen, contest, alpha)
     best = explained(found.chosen, contest, start, alpha, named)
     found = settled(best.chosen, best.contest, alpha, found)
-    return _Answer(found.chosen, found.attributions, best.contest, wander)
+    small = inseparable(found.chosen, task.problem.reference)
+    return _Answer(found.chosen, found.attributions, best.contest, wander, small=small)
 
 
 def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
@@ -228,6 +234,16 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     )
 
 
+def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
+    """The answer of a flight that stands alone: what holds on every block and along either attitude is told."""
+    denied = not_holding(task.problem, task.lattice, answer.chosen, answer.heldout)
+    answer = replace(answer, small=answer.small | denied)
+    heldout = held_out(answer.chosen, answer.contest, answer.tolerated)
+    if nested and heldout is not None:
+        heldout = nested_in(heldout, answer.chosen, answer.contest, alpha)
+    return replace(answer, heldout=heldout)
+
+
 def _gates_of(heldout: Heldout | None) -> Mapping[Key, bool | None]:
     return {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
 
@@ -250,7 +266,7 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
     effects = _effects(task, answer, strangers, beside_unknown=unknown.flag)
     return GapReport(
         inputs_of(task.problem),
-        _verdict(effects, unknown),
+        _verdict(task, effects, unknown, small=bool(answer.small)),
         _where(task, effects, unknown, alpha),
         effects,
         unknown,
@@ -266,8 +282,9 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
 def _not_told(answer: _Answer) -> tuple[str, ...]:
     """What is in the model, and no gap, for who wants to look closer."""
     known = [t.hypothesis for t in answer.chosen.model.members if not t.hypothesis.effect.nameless]
-    small = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated)
-    return (f"two recordings differ by as much anyway: {', '.join(small)} are no gap here",) if small else ()
+    usual = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated - answer.small)
+    said = (f"two recordings differ by as much anyway: {', '.join(usual)} are no gap here",) if usual else ()
+    return (*said, *inseparable_line([h.effect.id for h in known if h.key in answer.small]))
 
 
 def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[LocatedGap, ...]:
@@ -307,11 +324,15 @@ def _effects(
     return (*task.lattice.effects, *wander, *(e for e in found if not shown_by(task.lattice, e)))
 
 
-def _verdict(effects: tuple[EffectEstimate, ...], unknown: Unknown) -> GapVerdict:
+def _verdict(task: _Task, effects: tuple[EffectEstimate, ...], unknown: Unknown, *, small: bool) -> GapVerdict:
+    if task.problem.reference.useless:
+        return GapVerdict.REFERENCE
     if unknown.flag:
         return GapVerdict.PARTLY_EXPLAINED if effects else GapVerdict.UNKNOWN
     if not effects:
-        return GapVerdict.NO_GAP
+        if task.problem.alone and small:
+            return GapVerdict.REFERENCE
+        return GapVerdict.NO_GAP if task.contest.hypotheses else GapVerdict.NOT_TESTABLE
     return GapVerdict.REFERENCE if all(e.id == REFERENCE for e in effects) else GapVerdict.EXPLAINED
 
 
@@ -321,11 +342,17 @@ def _untestable(task: _Task) -> tuple[NotTestable, ...]:
     return tuple(NotTestable(*entry) for entry in {e[0]: e for e in entries}.values())
 
 
+def untestable(reason: str, need: str, inputs: dict[str, str]) -> GapReport:
+    """The report of recordings of which nothing can be compared; `inputs` are digests by role."""
+    reference = ReferenceInfo(ReferenceKind.REDUNDANT, text=f"None: {reason}.")
+    return _nothing(GapProblem((), reference, 0.0, inputs=inputs, not_testable=(("all", reason, need),)))
+
+
 def _nothing(problem: GapProblem) -> GapReport:
     entries = problem.not_testable or (("all", "no sensor has enough samples beside a reference", "a longer overlap"),)
     return GapReport(
         inputs_of(problem),
-        GapVerdict.NOT_TESTABLE,
+        GapVerdict.REFERENCE if problem.reference.useless else GapVerdict.NOT_TESTABLE,
         not_testable=tuple(NotTestable(*e) for e in entries),
         warnings=problem.warnings,
     )

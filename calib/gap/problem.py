@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.schema import EffectEstimate
+from mavcal.calib.gap.schema import RE_ESTIMATED, EffectEstimate, is_useless
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ class ReferenceKind(StrEnum):
     REDUNDANT = "redundant"  # another instance on the same vehicle: measured minus measured, free of attitude
     SIM = "sim"  # ref_* columns, a simulator's log of the same trajectory, or the truth in a simulator's log
     POSE = "pose"  # an ideal sensor driven by a reference pose
-    ESTIMATOR = "estimator"  # an ideal sensor driven by a trajectory that was re-estimated from the recording itself
+    ESTIMATOR = RE_ESTIMATED  # an ideal sensor driven by a trajectory that was re-estimated from the recording itself
     NOMINAL = "nominal"  # a simulator's log of another flight: both are held against an ideal sensor
 
 
@@ -54,6 +54,11 @@ class ReferenceInfo:
     att_time_s: float = 5.0
     text: str = ""
     bandwidth_hz: float = math.inf
+
+    @property
+    def useless(self) -> bool:
+        """Whether the attitude is known too badly to judge any sensor by it."""
+        return is_useless(self.kind.value, self.att_sigma_deg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,5 +219,9 @@ class GapProblem:
     floor: Floor = field(default_factory=Floor)
     flaws: tuple[Flaw, ...] = ()
     """What another recording shows against its own reference."""
+    alone: bool = False
+    """Whether a re-estimated trajectory is the only reference, without a simulated or a nominal recording beside it."""
+    own_attitude: tuple[Array, Array] | None = None
+    """The attitude that the vehicle logged: times (K,), s, and quaternions (K, 4), continuous; None: it logged none."""
     worse: dict[Sensor, Worse] = field(default_factory=dict)
     """By sensor with two instances, which of them have something."""

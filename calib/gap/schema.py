@@ -28,6 +28,19 @@ Json = dict[str, Any]
 
 SCHEMA = "gap/1"
 _EVEN = 0.5
+USELESS_DEG = 3.0
+"""Standard deviation of a re-estimated attitude, degrees, from which on no sensor is judged by it.
+
+A tilt of it reads like 0.5 m/s2 of an accelerometer and 2.6 uT of a compass in a field of 50 uT: more than most errors
+that anybody looks for.
+"""
+REFERENCE_NEED = (
+    "a recording that speeds up, brakes and turns through all headings with GPS velocity and a compass, or --sim of "
+    "the same trajectory, or a measured pose (q_* or ref_q_* columns)"
+)
+"""What makes a better reference."""
+RE_ESTIMATED = "estimator"
+"""Kind of the reference that is made from the recording itself."""
 FIRST = 1
 """Instances count from 1 in a report."""
 
@@ -38,7 +51,7 @@ class GapVerdict(StrEnum):
     EXPLAINED = "explained"  # effects of the catalogue account for the gap
     PARTLY_EXPLAINED = "partly_explained"  # they account for part of it, and the rest is not of the catalogue
     UNKNOWN = "unknown"  # there is a gap, and no effect of the catalogue explains it
-    REFERENCE = "reference"  # what differs is the reference
+    REFERENCE = "reference"  # what differs is the reference, or it is known too badly to judge a sensor by it
     NO_GAP = "no_gap"  # nothing beyond the noise
     NOT_TESTABLE = "not_testable"  # these recordings do not allow an answer
 
@@ -223,6 +236,16 @@ class Inputs:
     declared_noise: Mapping[str, tuple[float, ...]]
     diagnoser_sha256: str
 
+    @property
+    def useless(self) -> bool:
+        """Whether the reference's attitude is known too badly to judge any sensor by it."""
+        return is_useless(self.reference_kind, self.att_sigma_deg)
+
+
+def is_useless(kind: str, att_sigma_deg: float) -> bool:
+    """Whether a reference of `kind` whose attitude is known to `att_sigma_deg` can judge no sensor."""
+    return kind == RE_ESTIMATED and not att_sigma_deg < USELESS_DEG
+
 
 @dataclass(frozen=True, eq=False)
 class SeriesFit:
@@ -264,6 +287,11 @@ class GapReport:
     series: tuple[SeriesFit, ...] = ()
     left_out: tuple[str, ...] = ()
     """Stages that were not finished, so that the diagnosis ended in time (:class:`calib.gap.pace.GapStage`)."""
+
+    @property
+    def tested(self) -> bool:
+        """Whether anything could be tested: with False the verdict says nothing of any sensor."""
+        return self.multiple_testing.m > 0 or bool(self.effects)
 
     def plot(self) -> Figure:
         """Residuals and spectra before and with the effects, as a matplotlib figure; needs ``mavcal[plot]``.
@@ -310,8 +338,8 @@ def _rows(effect: EffectEstimate) -> Iterator[tuple[str, ...]]:
 
 
 def as_json(report: GapReport) -> Json:
-    """The JSON of GAP 8, ``power`` beside it."""
-    return {"schema": SCHEMA, **CONVERTER.unstructure(report)}
+    """The JSON of GAP 8, ``power`` and ``tested`` beside it."""
+    return {"schema": SCHEMA, **CONVERTER.unstructure(report), "tested": report.tested}
 
 
 def _made() -> Converter:
@@ -322,7 +350,7 @@ def _made() -> Converter:
         data = written(inputs)
         reference = {"kind": "reference_kind", "att_sigma_deg": "att_sigma_deg", "text": "reference_text"}
         told = {name: data.pop(field) for name, field in reference.items()}
-        return {**data, "reference": told}
+        return {**data, "reference": {**told, "useless": inputs.useless}}
 
     made.register_unstructure_hook(Inputs, write_inputs)
     made.register_unstructure_hook(GapReport, make_dict_unstructure_fn(GapReport, made, series=override(omit=True)))

@@ -1,27 +1,31 @@
 """What is left of a gap once the simulator was run again with the remedy.
 
-The simulator's new flight is diagnosed as the real one was. Its effects are then put into the ideal readings of the
-real flight, and this problem is diagnosed once more: what it finds is what the simulator still lacks, and where nothing
-is found the gap is closed. The two flights need not be the same. Where they are (the new log is a reference for the
-real one by itself) the real sensors are held against the simulated ones directly.
+The simulator's new flight is diagnosed as the real one was: beside the same simulated flight, so that what both
+simulated flights show alike is nobody's remedy. The parameters of both diagnoses are compared, and what agrees within
+its errors is closed. What the new flight has is then put into the ideal readings of the real one, and this problem is
+diagnosed once more, with what two flights differ by anyway: what it finds is what the simulator still lacks, and where
+nothing is found the gap is closed. The two flights need not be the same. Where they are (the new log is a reference for
+the real one by itself) the real sensors are compared with the simulated ones directly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.agreement import EffectAgreement, agreements
+from mavcal.calib.gap.compared import problem_of
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.problem import GapProblem, ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.recorded import recorded
 from mavcal.calib.gap.replay import with_effects
-from mavcal.calib.gap.schema import CONVERTER, EffectEstimate, GapReport, SeriesFit, as_json
+from mavcal.calib.gap.schema import CONVERTER, EffectEstimate, GapReport, GapVerdict, SeriesFit, as_json
 from mavcal.calib.recording import Recording
 
 Array = NDArray[np.float64]
@@ -43,13 +47,19 @@ class Size:
 
 @dataclass(frozen=True)
 class Left:
-    """One effect before and after: `share` of its evidence that is left, and its parameters."""
+    """One effect before and after: `share` of its evidence that is left, and its parameters.
+
+    `again` are those that the new flight has by itself, None where it shows no such effect or was not diagnosed by
+    itself; `agrees` whether they are those of `before` within their errors.
+    """
 
     id: str
     instances: tuple[int, ...]
     share: float
     before: Mapping[str, float]
     left: Mapping[str, float]
+    again: Mapping[str, float] | None = None
+    agrees: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,37 +112,60 @@ def verify(
         If `again` has nothing in common with `real`, or no reference of its own.
     """
     direct = build(real, again, nominal)
-    alone = build(real, sim, nominal)
     same = direct.reference.kind is ReferenceKind.SIM and recorded(real) is None and recorded(again) is None
     lost: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
+    compared: tuple[EffectAgreement, ...] = tuple(EffectAgreement(e, None, holds=False) for e in report.effects)
     if same:
         problem = direct
     else:
-        found = diagnose(_of_new(again, sim, nominal), alpha=alpha, nested=False)
-        problem, lost = with_effects(alone, found.effects)
+        found = diagnose(_of_new(again, sim, nominal, alpha), alpha=alpha, nested=False)
+        compared = agreements(report.effects, found.effects)
+        problem, lost = with_effects(problem_of(real, sim, nominal, alpha), _remedied(compared, found.effects))
         said = tuple(f"the new recording: {warning}" for warning in found.warnings)
-    rest = diagnose(problem, alpha=alpha, nested=False)
+    unseen = {(a.effect.id, a.effect.instances) for a in compared if a.holds and a.effect.id in lost}
+    rest = _without(diagnose(problem, alpha=alpha, nested=False), unseen)
     known = {(e.id, n) for e in report.effects for n in e.instances}
     added = tuple(e for e in rest.effects if not any((e.id, n) in known for n in e.instances))
+    closed = {name for name, _ in unseen}
+    lost = tuple(name for name in lost if name not in closed)
     warnings = tuple(f"{name} of the new flight could not be replayed on the real one" for name in lost)
     return Verified(
         same,
         size_of(report),
         size_of(rest),
-        tuple(_left(e, rest) for e in report.effects),
+        tuple(_left(a, rest) for a in compared),
         added,
         rest,
         (*rest.warnings, *said, *warnings),
     )
 
 
-def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> GapProblem:
-    """`again` beside its own reference; an error says which of the recordings it is about."""
+def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> GapProblem:
+    """`again` beside its own reference, as the real recording was; an error says which recording it is about."""
     try:
-        return build(again, sim, nominal)
+        return problem_of(again, sim, nominal, alpha)
     except InvalidInputError as error:
         raise InvalidInputError(f"the new recording of the simulator cannot be diagnosed by itself: {error}") from error
+
+
+def _remedied(compared: Sequence[EffectAgreement], found: Sequence[EffectEstimate]) -> list[EffectEstimate]:
+    """What the simulator has now: where all of a sensor agrees, the first diagnosis knows its size best.
+
+    The parameters of one sensor depend on each other: those of two diagnoses are not mixed.
+    """
+    apart = {a.effect.sensor for a in compared if not a.holds}
+    as_before = {id(a.other): a.effect for a in compared if a.holds and a.effect.sensor not in apart}
+    return [as_before.get(id(effect), effect) for effect in found]
+
+
+def _without(rest: GapReport, agreed: Collection[tuple[str, tuple[int, ...]]]) -> GapReport:
+    """`rest` without effects that agree and are still seen, since nobody can replay them: those of the lattice."""
+    effects = tuple(e for e in rest.effects if (e.id, e.instances) not in agreed)
+    if len(effects) == len(rest.effects):
+        return rest
+    none = not effects and not rest.unknown.flag
+    return replace(rest, effects=effects, verdict=GapVerdict.NO_GAP if none else rest.verdict)
 
 
 def size_of(report: GapReport) -> Size:
@@ -154,19 +187,23 @@ def size_of(report: GapReport) -> Size:
 
 
 def _blocks(series: SeriesFit) -> Array:
-    """By block: loss of log-likelihood for want of the effects, and the count of numbers."""
+    """By block: loss of log-likelihood for want of the effects that are told, and the count of numbers."""
     left = series.residual - series.modelled
-    loss = 0.5 * ((series.residual**2 - left**2) / np.maximum(series.sigma, 1e-30) ** 2).sum(axis=1)
+    without = left + sum(series.parts.values(), np.zeros_like(left))
+    loss = 0.5 * ((without**2 - left**2) / np.maximum(series.sigma, 1e-30) ** 2).sum(axis=1)
     parts = np.array_split(loss, _BLOCKS)
     return np.array([[p.sum(), 3.0 * len(p)] for p in parts])
 
 
-def _left(effect: EffectEstimate, rest: GapReport) -> Left:
+def _left(compared: EffectAgreement, rest: GapReport) -> Left:
+    effect, other = compared.effect, compared.other
     same = [e for e in rest.effects if e.id == effect.id and set(e.instances) & set(effect.instances)]
     evidence = sum(e.evidence.two_delta_loglik for e in same)
     share = min(1.0, max(0.0, evidence / effect.evidence.two_delta_loglik)) if same else 0.0
     left = {p.name: p.value for p in same[0].params} if same else {p.name: 0.0 for p in effect.params}
-    return Left(effect.id, effect.instances, share, {p.name: p.value for p in effect.params}, left)
+    before = {p.name: p.value for p in effect.params}
+    again = None if other is None else {p.name: p.value for p in other.params}
+    return Left(effect.id, effect.instances, share, before, left, again, compared.holds)
 
 
 def verified_json(verified: Verified) -> Json:

@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 from mavcal.calib.gap.pace import GapStage
-from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict, LocatedGap, Shrink
+from mavcal.calib.gap.schema import (
+    REFERENCE_NEED,
+    USELESS_DEG,
+    EffectEstimate,
+    GapReport,
+    GapVerdict,
+    LocatedGap,
+    Shrink,
+)
 
 _KINDS = {
     "bias": "a constant offset",
@@ -58,10 +68,13 @@ _UNFINISHED = {
 
 def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     """The answer in one or two sentences, the effects `listed` or not."""
-    said = _VERDICTS[report.verdict]
+    said = _useless(report) if report.inputs.useless else _VERDICTS[report.verdict]
     if set(report.left_out) - {GapStage.BLOCKS.value}:
         said = _UNFINISHED.get(report.verdict, said)
-    if listed and report.verdict in {GapVerdict.EXPLAINED, GapVerdict.PARTLY_EXPLAINED} and report.effects:
+    if report.verdict is GapVerdict.REFERENCE and not report.effects and not report.inputs.useless:
+        said = "No difference beyond the error of the reference was found."
+    named = report.inputs.useless or report.verdict in {GapVerdict.EXPLAINED, GapVerdict.PARTLY_EXPLAINED}
+    if listed and named and report.effects:
         likely = [effect_phrase(e) for e in report.effects if not e.evidence.doubtful]
         doubtful = [effect_phrase(e) for e in report.effects if e.evidence.doubtful]
         said += f" Found: {'; '.join(likely)}." if likely else ""
@@ -69,10 +82,25 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     return said
 
 
+def _useless(report: GapReport) -> str:
+    """That no sensor was judged by the reference, what would make it better, and what is told all the same."""
+    sigma = report.inputs.att_sigma_deg
+    known = f"its attitude is known to {sigma:.1f} degrees only, {USELESS_DEG:g} are needed"
+    why = known if math.isfinite(sigma) else "its trajectory contradicts the inertial unit all the time"
+    said = (
+        f"The reference is of no use: {why}. No sensor was compared with it. To make it better, give {REFERENCE_NEED}."
+    )
+    if not report.tested:
+        return said
+    if not report.effects and not report.unknown.flag:
+        return f"{said} Compared with each other, the units of the vehicle show no difference beyond the noise."
+    return f"{said} What follows is only what units of the vehicle show against each other."
+
+
 def not_compared(report: GapReport) -> str:
     """Which sensors the answer is not about, though they were recorded; empty: it is about all."""
     lost = dict.fromkeys(n.id for n in report.not_testable if n.id in _SENSORS)
-    if not lost or report.verdict is GapVerdict.NOT_TESTABLE:
+    if not lost or report.verdict is GapVerdict.NOT_TESTABLE or report.inputs.useless:  # the verdict says it
         return ""
     return f"Not compared, at least in part: {', '.join(_SENSORS[name] for name in lost)}; why is said below."
 

@@ -107,9 +107,8 @@ class FolderGaps:
             JobDocument(REPORT, "application/json", report.encode()),
             JobDocument(PAGE, "text/html", page.encode()),
         )
-        verdict = done["report"]["verdict"]
         more = {"sha256": answer["sha256"], "seconds": answer["seconds"]}
-        return of_diagnosis(errand.item, done["summary"], verdict, documents, **more)
+        return of_diagnosis(errand.item, done["summary"], done["report"], documents, **more)
 
     async def cancelled(self, errand: Errand) -> str:
         """See ItemWork."""

@@ -53,8 +53,8 @@ class UploadGaps:
         """See ItemWork."""
         sim, nominal = errand.options["sim"], errand.options["nominal"]
         found = await _patiently(lambda: self.computations.diagnose(errand.item.subject, sim, nominal))
-        verdict = next((json.loads(d.body)["verdict"] for d in found.documents if d.name == REPORT), "")
-        return of_diagnosis(errand.item, found.summary, verdict, found.documents)
+        report = json.loads(next(d.body for d in found.documents if d.name == REPORT))
+        return of_diagnosis(errand.item, found.summary, report, found.documents)
 
     async def cancelled(self, errand: Errand) -> str:
         """See ItemWork."""

@@ -130,7 +130,7 @@ def command(
         write_json(document)
     else:
         _show(report, verified)
-    return EXIT_NO if document["verdict"] == "not_testable" else 0
+    return 0 if document["tested"] else EXIT_NO
 
 
 def _show(report: GapReport, verified: Verified | None) -> None:
@@ -181,7 +181,8 @@ def _show_verified(verified: Verified) -> None:
     )
     for left in verified.effects:
         on = ", ".join(map(str, left.instances))
-        click.echo(f"  {left.id} of instance {on}: {100 * left.share:.2g} % of its evidence is left")
+        same = "; the new flight has it within its errors" if left.agrees else ""
+        click.echo(f"  {left.id} of instance {on}: {100 * left.share:.2g} % of its evidence is left{same}")
     for effect in verified.added:
         click.echo(f"  {effect.id} is in the simulator and not in the vehicle, or was hidden before")
     for warning in verified.warnings:

@@ -119,11 +119,15 @@ def of_fits(fits: Sequence[Mapping[str, Any]], method: str, **more: Any) -> Item
     return ItemEnd(outcome, " ".join(texts), "refused" if refused else "", result={**more, "fits": list(fits)})
 
 
-def of_diagnosis(item: Item, summary: str, verdict: str, documents: Iterable[JobDocument], **more: Any) -> ItemEnd:
-    """How an item ends whose gap was diagnosed; its documents get names of their own."""
+def of_diagnosis(
+    item: Item, summary: str, report: Mapping[str, Any], documents: Iterable[JobDocument], **more: Any
+) -> ItemEnd:
+    """How an item ends whose gap was diagnosed, `report` as in ``mavcal gap --json``; documents get its own names."""
     named = tuple(dataclasses.replace(d, name=f"item-{item.number}-{d.name}") for d in documents)
-    outcome = ItemOutcome.REFUSED if verdict == "not_testable" else ItemOutcome.DONE
-    return ItemEnd(outcome, summary, verdict, result={**more, "documents": [d.name for d in named]}, documents=named)
+    outcome = ItemOutcome.DONE if report["tested"] else ItemOutcome.REFUSED
+    return ItemEnd(
+        outcome, summary, str(report["verdict"]), result={**more, "documents": [d.name for d in named]}, documents=named
+    )
 
 
 def _sentence(text: str) -> str:

@@ -52,15 +52,29 @@ async def test_a_gap_is_diagnosed_and_its_page_served(tmp_path):
         assert (await a.get(f"/gaps/{started['id']}"))["report"] == found["report"]
 
 
-async def test_what_cannot_be_compared_fails_with_its_reason(tmp_path):
+async def test_what_cannot_be_compared_is_an_answer_with_its_reason(tmp_path):
     (tmp_path / "still.csv").write_text(
         "t,accel_x,accel_y,accel_z\n" + "".join(f"{i / 50},0,0,-9.8\n" for i in range(99))
     )
     async with api(tmp_path / "data") as a:
         real = await upload(a, tmp_path / "still.csv")
         found = await ended(a, (await a.post("/gaps", {"real": real}, 202))["id"])
+        assert found["state"] == "succeeded"
+        assert (found["report"]["verdict"], found["report"]["tested"]) == ("not_testable", False)
+        (gone,) = found["report"]["not_testable"]
+        assert "ref_" in gone["need"]
+        assert "ref_" in (await a.client.get(f"/{found['page']}")).text
+
+
+async def test_two_files_that_are_one_fail_with_the_reason(tmp_path):
+    (tmp_path / "still.csv").write_text(
+        "t,accel_x,accel_y,accel_z\n" + "".join(f"{i / 50},0,0,-9.8\n" for i in range(99))
+    )
+    async with api(tmp_path / "data") as a:
+        real = await upload(a, tmp_path / "still.csv")
+        found = await ended(a, (await a.post("/gaps", {"real": real, "sim": real}, 202))["id"])
         assert (found["state"], found["report"], found["page"]) == ("failed", None, None)
-        assert "ref_" in found["error"]
+        assert "given twice" in found["error"]
         assert str(tmp_path) not in found["error"]
         said = await a.get(f"/gaps/{found['id']}/report.html", 409)
         assert said["type"].endswith("gap-unfinished")

@@ -97,6 +97,23 @@ def test_seconds_of_data_are_not_testable(cli: Cli, tmp_path: Path) -> None:
     assert (code, said["verdict"]) == (1, "not_testable")
 
 
+@pytest.mark.parametrize("column", ["accel", "temperature"])
+def test_a_sound_recording_that_nothing_can_be_compared_with_is_not_wrong_use(
+    cli: Cli, tmp_path: Path, column: str
+) -> None:
+    head = "t,temperature" if column == "temperature" else "t,accel_x,accel_y,accel_z"
+    rows = (f"{i / 50},{'20' if column == 'temperature' else '0.1,0,-9.8'}" for i in range(400))
+    (tmp_path / "bare.csv").write_text("\n".join([head, *rows]))
+    code, said, _ = cli("gap", "--real", "bare.csv", "--report", "out.html", "--json")
+    assert (code, said["verdict"], said["tested"]) == (1, "not_testable", False)
+    (gone,) = said["not_testable"]
+    assert gone["need"]
+    assert gone["reason"] in (tmp_path / "out.html").read_text()
+    code, text, _ = cli("gap", "--real", "bare.csv")
+    assert code == 1
+    assert gone["need"] in text
+
+
 def test_mappings_are_of_the_real_table_and_the_simulators_has_its_own(cli: Cli, tmp_path: Path) -> None:
     table = write_table(tmp_path / "real.csv").read_text().splitlines()
     (tmp_path / "real.csv").write_text("\n".join([table[0].replace("t,accel_x", "t,ax"), *table[1:]]))

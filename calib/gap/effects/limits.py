@@ -75,11 +75,18 @@ def widths(trace: Trace) -> Array:
     return beyond if len(beyond) else size[-1:]
 
 
+def _within_noise(size: Array, trace: Trace) -> bool:
+    """Whether no ideal reading, of sizes (n, 3), is larger than the noise: nothing moves that could be cut off."""
+    return 0.0 < float(size.max(initial=0.0)) < _noise(trace)
+
+
 def _reaches_far(sensor: Sensor) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         size = np.abs(trace.ideal[trace.observed])
         if not len(size) or float(size.max()) <= 0.0:
             return f"the ideal {sensor.value} reads zero", "movement up to the end of the range"
+        if _within_noise(size, trace):
+            return f"the ideal {sensor.value} stays within the noise", "movement up to the end of the range"
         if (size.max(axis=1) < _BELOW * size.max()).mean() < _OUTSIDE:
             return f"the ideal {sensor.value} is as large throughout", "movement that comes and goes"
         return None
@@ -90,6 +97,8 @@ def _reaches_far(sensor: Sensor) -> Missing:
 def _crosses_zero(sensor: Sensor) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         ideal = np.abs(trace.ideal[trace.observed])
+        if _within_noise(ideal, trace):
+            return f"the ideal {sensor.value} stays within the noise", "slow movement through zero"
         if len(ideal) and (ideal < 0.5 * ideal.max()).mean() > _OUTSIDE and float(ideal.max()) > 0.0:
             return None
         return f"the ideal {sensor.value} stays away from zero", "slow movement through zero"

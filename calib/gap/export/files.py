@@ -118,6 +118,7 @@ def exported(
 _WHY_NOT = {
     GapVerdict.NO_GAP: "there is no gap",
     GapVerdict.UNKNOWN: "no effect of the catalogue explains the gap",
+    GapVerdict.REFERENCE: "no sensor could be compared with the reference",
     GapVerdict.NOT_TESTABLE: "these recordings could not be diagnosed",
 }
 

@@ -6,7 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from mavcal.calib.errors import InvalidInputError
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.levels import steps_of, with_simulated_step
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace, Worse
 from mavcal.calib.gap.reference.calibrated import corrected, not_undone
@@ -20,13 +23,19 @@ from mavcal.calib.gap.reference.ideal import Ideal, trace_of
 from mavcal.calib.gap.reference.moments import age_of, louder, settled
 from mavcal.calib.gap.reference.moving import as_heaving, as_moving, movement_of
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
+from mavcal.calib.gap.reference.recorded import continuous
 from mavcal.calib.gap.reference.redundant import differences
+from mavcal.calib.gap.reference.signal import Signal
+from mavcal.calib.gap.reference.useless import refusals
 from mavcal.calib.gap.reference.which import worse_of
 from mavcal.calib.recording import Channel, Recording, Sensor
 
-_NO_REFERENCE = (
-    "nothing says what an ideal sensor would have read: add ref_* or q_* columns, give --sim of the same trajectory, "
-    "or a log with GPS velocity, or with several instances of a sensor"
+Array = NDArray[np.float64]
+
+_NO_REFERENCE = "nothing says what an ideal sensor would have read"
+_NEED = (
+    "add ref_* or q_* columns, give --sim of the same trajectory, or a log with GPS velocity, or with several "
+    "instances of a sensor"
 )
 _NO_OVERLAP = "the recording and its reference have no sensor in common, or do not overlap in time: check their clocks"
 _FAST_HZ = 100.0  # rate of a gyroscope whose turns between samples are hardly more than noise
@@ -60,8 +69,10 @@ def build(
 
     Raises
     ------
+    IncomparableError
+        If `real` has no sensor, or nothing that it could be compared with.
     InvalidInputError
-        If the recordings have nothing in common, or `real` has no sensor.
+        If the recordings have nothing in common.
     """
     return prepared(real, sim, nominal).problem(flaws, flawed)
 
@@ -101,15 +112,18 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     check_vehicles(real, companions)
     channels = sensors_of(real)
     if not channels:
-        raise InvalidInputError("the recording has no accelerometer, gyroscope or magnetometer: nothing to compare")
+        raise IncomparableError(
+            "the recording has no accelerometer, gyroscope or magnetometer", need="a log of the sensors' own samples"
+        )
     chosen = choose(real, sim, [corrected(n) for n in nominal])
-    ideal = None if chosen is None else chosen.ideal
+    useless = chosen is not None and chosen.ideal.info.useless
+    ideal = None if chosen is None or useless else chosen.ideal
     single = () if ideal is None else single_traces(real, channels, ideal)
     pairs = differences(real, ideal, single)
     worse = worse_of(single, _singles_of(sim, chosen))
     single = told_by(single, pairs)
-    if not single and not pairs:
-        raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
+    if not single and not pairs and not useless:
+        raise InvalidInputError(_NO_OVERLAP) if ideal is not None else IncomparableError(_NO_REFERENCE, need=_NEED)
     judged = () if chosen is None else tuple((n, nominal_traces(n, its)) for n, its in chosen.nominal)
     return PreparedProblem(real, sim, companions, tuple(channels), chosen, single, pairs, judged, worse)
 
@@ -117,8 +131,9 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
 def _learned(
     made: PreparedProblem, flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]], flawed: Recording | None
 ) -> GapProblem:
-    ideal = None if made.chosen is None else made.chosen.ideal
-    of_readings = {} if ideal is None else ideal.noise
+    chosen, channels, real = made.chosen, made.channels, made.real
+    useless = chosen is not None and chosen.ideal.info.useless
+    of_readings = {} if chosen is None or useless else chosen.ideal.noise
     sim, single, pairs, judged = made.sim, made.single, made.pairs, list(made.judged)
     if flawed is not None and judged:
         known = (c is flawed for c in made.companions)
@@ -136,21 +151,48 @@ def _learned(
     usual = [trace for _, its in clean for trace in its]
     noisy = [with_noise(_settled(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
     driven = driven_by(usual)
-    info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
+    info = _info(chosen)
     moved = movement_of([t for t in usual if t.against is None]) if info.kind is ReferenceKind.POSE else {}
     noisy = [as_moving(as_driven(_louder(t, ages, usual), driven), moved) for t in noisy]
     traces = tuple(simulated_ideal(as_heaving(t, info.bandwidth_hz), offsets) for t in noisy)
     warnings = (
-        *not_undone(list(made.channels), made.real),
-        *(() if ideal is None else ideal.warnings),
+        *not_undone(list(channels), real),
+        *(() if chosen is None else chosen.ideal.warnings),
         *(reason for _, reason, _ in sound.refused),
         *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),
     )
-    duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
+    duration = max((float(t.t[-1] - t.t[0]) for t in single + pairs), default=_span(channels))
     single_nominal = tuple(t for t in usual if t.against is None)
+    refused = (*(refusals(info, (c.sensor for c in channels)) if useless else ()), *sound.refused)
+    alone = info.kind is ReferenceKind.ESTIMATOR and not made.companions
     return GapProblem(
-        traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=single_nominal, worse=made.worse
+        *(traces, info, duration),
+        warnings=warnings,
+        not_testable=refused,
+        nominal=single_nominal,
+        worse=made.worse,
+        alone=alone,
+        own_attitude=_logged_attitude(real) if alone else None,
     )
+
+
+def _logged_attitude(real: Recording) -> tuple[Array, Array] | None:
+    """The longest attitude that the vehicle estimated itself."""
+    found = (s for c in real.find(Sensor.ATTITUDE) if (s := Signal.of(c)) is not None)
+    best = max(found, key=lambda s: float(s.t[-1] - s.t[0]), default=None)
+    return None if best is None else (best.t, continuous(best.values))
+
+
+def _info(chosen: ChosenReferences | None) -> ReferenceInfo:
+    """The reference; a useless one bounds nothing, since nothing is judged by it."""
+    if chosen is None:
+        return ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT)
+    info = chosen.ideal.info
+    return replace(info, bandwidth_hz=math.inf) if info.useless else info
+
+
+def _span(channels: Sequence[Channel]) -> float:
+    return max((float(c.t[-1] - c.t[0]) for c in channels if len(c)), default=0.0)
 
 
 def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:

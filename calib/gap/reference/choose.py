@@ -25,6 +25,7 @@ from mavcal.calib.gap.reference.notices import notices, why_no_reference
 from mavcal.calib.gap.reference.posed import Array, Cutoffs, PoseTrajectory, driven, earth_field_of, pose_of
 from mavcal.calib.gap.reference.recorded import recorded, simulated, true_attitude
 from mavcal.calib.gap.reference.smoothed import re_estimated
+from mavcal.calib.gap.reference.useless import not_learned
 from mavcal.calib.recording import Recording, Sensor
 
 DOUBTFUL_DEG = 0.5
@@ -50,10 +51,9 @@ def choose(real: Recording, sim: Recording | None, nominal: Sequence[Recording])
     check_times((real, *nominal, *(() if sim is None else (sim,))))
     chosen = _best(real, sim, nominal)
     if chosen is not None:
-        said = tuple(notices(real, sim, nominal, chosen.ideal))
-        return dataclasses.replace(
-            chosen, ideal=dataclasses.replace(chosen.ideal, warnings=(*chosen.ideal.warnings, *said))
-        )
+        said = (*notices(real, sim, nominal, chosen.ideal), *_not_learned(chosen))
+        warned = dataclasses.replace(chosen.ideal, warnings=(*chosen.ideal.warnings, *said))
+        return ChosenReferences(warned, tuple((n, _useful(its)) for n, its in chosen.nominal))
     if sim is not None and sim is not real and not any(len(comparable(real, s)) > 1 for s in TRIADS):
         raise InvalidInputError(why_no_reference(real, sim))
     return None
@@ -84,6 +84,15 @@ def _best(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) 
     if not logged and (ideal := re_estimated(real)) is not None:
         return ChosenReferences(_doubted(ideal), tuple((n, re_estimated(n)) for n in clean))
     return None
+
+
+def _useful(ideal: Ideal | None) -> Ideal | None:
+    return None if ideal is None or ideal.info.useless else ideal
+
+
+def _not_learned(chosen: ChosenReferences) -> tuple[str, ...]:
+    poor = (its.info for _, its in chosen.nominal if its is not None and its.info.useless)
+    return tuple(dict.fromkeys(map(not_learned, poor)))
 
 
 def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
@@ -131,7 +140,7 @@ def earth_of(posed: Sequence[tuple[Recording, PoseTrajectory]]) -> Array | None:
 
 def _doubted(ideal: Ideal) -> Ideal:
     """With a warning, if the attitude of the reference is so poor that it imitates an effect."""
-    if ideal.info.att_sigma_deg < DOUBTFUL_DEG:
+    if ideal.info.att_sigma_deg < DOUBTFUL_DEG or ideal.info.useless:  # that ends the diagnosis
         return ideal
     said = (
         f"the re-estimated attitude is known to {ideal.info.att_sigma_deg:.1f} deg only: an accelerometer bias below "

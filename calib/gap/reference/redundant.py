@@ -13,6 +13,7 @@ from scipy.ndimage import uniform_filter1d
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.calibrated import TRIADS
 from mavcal.calib.gap.reference.chosen import comparable
+from mavcal.calib.gap.reference.denoised import denoised, error_sd
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
 from mavcal.calib.gap.reference.signal import Signal
 from mavcal.calib.recording import Channel, Recording, Sensor
@@ -44,8 +45,23 @@ def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Reco
     assert reading is not None
     trace = dataclasses.replace(trace_of(channel, reading, ideal, real), against=base.instance)
     if ideal is None:
-        return trace
+        return _beside_movement(trace, channel, base, real)
     return dataclasses.replace(trace, observed=trace.observed & ~_contradicted(channel.sensor, ideal, trace.t))
+
+
+def _beside_movement(trace: Trace, channel: Channel, base: Channel, real: Recording) -> Trace:
+    """`trace` with the movement in the readings of `base` as ideal, and the same residual.
+
+    Its own noise is in the residual too: what follows such a reading would seem to explain it.
+    """
+    found = denoised(base)
+    if found is None:
+        return trace
+    moving = trace_of(channel, found.signal, None, real)
+    if len(moving.t) != len(trace.t):
+        return trace
+    measured = moving.ideal + trace.residual
+    return dataclasses.replace(trace, ideal=moving.ideal, measured=measured, ideal_sd=error_sd(found.noise))
 
 
 def _contradicted(sensor: Sensor, ideal: Ideal, t: Array) -> NDArray[np.bool_]:

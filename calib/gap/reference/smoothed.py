@@ -253,6 +253,8 @@ def _driven(found: SmoothedTrajectory) -> Ideal:
     rate = (between.rate + slip[:, None, :] / imu.dt).reshape(-1, 3)
     held = np.repeat(~_strained(found, between), STEPS)
     attitude = Signal(fine_t, continuous(q))
+    if not held.any():  # nowhere do trajectory and inertial unit agree: the attitude is known nowhere
+        return Ideal(dataclasses.replace(_info(found), att_sigma_deg=np.inf), {}, attitude)
     down = CubicSpline(imu.t, state.velocity, axis=0)(fine_t, 1) - GRAVITY_NED
     body_from_ned = rotation(q).inv()
     readings = {

@@ -1,0 +1,144 @@
+"""The exported remedy flown again by the project's simulated vehicle, on another path, and what is said of it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from mavcal.calib import gap
+from mavcal.calib.gap.agreement import agreements, distance
+from mavcal.calib.gap.export import Target, exported
+from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate
+from mavcal.calib.gap.verify import verified_json, verify
+from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
+from mavcal.calib.simulate import SensorErrors, SensorSuite
+from mavcal.calib.simulate.document import stated_in
+from tests.unit.gap.export.making import effect
+
+from .reference.test_recorded import channel
+
+Array = NDArray[np.float64]
+
+RATE, SECONDS = 100.0, 60.0
+EARTH = np.array([22.0, 5.0, -52.0])
+G = np.array([0.0, 0.0, 9.80665])
+GYRO_BIAS = np.array([-0.012, 0.018, 0.020])
+IRON = np.array([-6.0, 4.0, -3.0])
+LATE_S = 0.05
+"""Delay of the simulator's compasses: what every flight of it shows beside an ideal one."""
+FRESH_OFFSET = np.array([-0.5, -1.3, 1.8])
+"""That of a fresh SITL's compass, uT, as a sensor reads it: its own calibration takes it off."""
+
+
+def path(t: Array, phase: float) -> tuple[Rotation, Array]:
+    velocity = np.column_stack(
+        [
+            3.0 * np.sin(0.5 * t + phase),
+            2.0 * np.cos((0.35 + 0.05 * phase) * t),
+            0.5 * np.sin(0.8 * t + 2.0 * phase),
+        ]
+    )
+    angles = np.column_stack([(0.15 - 0.01 * phase) * t, 0.25 * np.sin(0.6 * t + phase), 0.2 * np.sin(0.9 * t + 1.0)])
+    return Rotation.from_euler("ZYX", angles), velocity
+
+
+def flown(suite: SensorSuite, seed: int) -> Recording:
+    """Two inertial units at 100 Hz and a compass at 10 Hz; `suite` are the errors of the first unit and the compass."""
+    rng, phase, h = np.random.default_rng(seed), 0.7 * seed, 1e-4
+    t = np.arange(int(RATE * SECONDS)) / RATE
+    turn, _ = path(t, phase)
+    ahead, after = path(t + h, phase)
+    _, before = path(t - h, phase)
+    force = turn.inv().apply((after - before) / (2.0 * h) - G)
+    rate = (turn.inv() * ahead).as_rotvec() / h
+    channels: list[Channel] = []
+    for i in range(2):
+        own = suite if i == 0 else SensorSuite()
+        accel = force @ own.accel.matrix.T + own.accel.bias + 0.02 * rng.standard_normal(force.shape)
+        gyro = rate @ own.gyro.matrix.T + own.gyro.bias + 0.001 * rng.standard_normal(rate.shape)
+        channels += [channel(Sensor.ACCEL, t, accel, i, "IMU"), channel(Sensor.GYRO, t, gyro, i, "IMU")]
+    slow = t[::10]
+    field = path(slow - LATE_S, phase)[0].inv().apply(EARTH) @ suite.mag.matrix.T + suite.mag.bias
+    channels.append(channel(Sensor.MAG, slow, field + 0.2 * rng.standard_normal(field.shape), 0, "MAG"))
+    gps = t[::20]
+    velocity = path(gps, phase)[1] + 0.03 * rng.standard_normal((len(gps), 3))
+    channels.append(Channel(Sensor.VELOCITY, 0, gps + 0.12, velocity, "m/s", Stage.RAW, "GPS"))
+    attitude = path(slow, phase)[0].as_quat()[:, [3, 0, 1, 2]]
+    channels.append(channel(Sensor.ATTITUDE, slow, attitude, 0, "ATT"))
+    return Recording(tuple(channels), identity=Identity(autopilot="ardupilot"))
+
+
+REAL = SensorSuite(gyro=SensorErrors(bias=GYRO_BIAS), mag=SensorErrors(bias=IRON))
+
+
+def flown_again(text: str, seed: int, share: float = 1.0) -> Recording:
+    """The sensors that an exported file states, or a share of their offsets, on a path of their own."""
+    stated = stated_in(text, ".parm").suite
+    mag = dataclasses.replace(stated.mag, bias=share * (stated.mag.bias - FRESH_OFFSET))
+    gyro = dataclasses.replace(stated.gyro, bias=share * stated.gyro.bias)
+    return flown(SensorSuite(accel=stated.accel, gyro=gyro, mag=mag), seed)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_a_remedy_that_was_flown_again_closes_the_gap_and_brings_nothing_in() -> None:
+    real, sim = flown(REAL, 1), flown(SensorSuite(), 2)
+    report = gap.run(real, sim, nested=False)
+    assert {e.id for e in report.effects} == {"gyro_bias", "mag_hard_iron"}
+    text = exported(report, real, Target.SITL).text
+    found = verified_json(verify(report, real, sim, flown_again(text, 3)))
+    assert found["same_flight"] is False
+    assert found["verdict"] == "no_gap"
+    assert found["added"] == []
+    assert found["closed"] > 0.999
+    assert all(e["share"] == 0.0 and e["agrees"] for e in found["effects"])
+    for said in found["effects"]:  # the new flight shows the same numbers by itself
+        assert said["again"] == pytest.approx(said["before"], abs=2e-4 if said["id"] == "gyro_bias" else 0.3)
+    half = verified_json(verify(report, real, sim, flown_again(text, 3, share=0.5)))
+    assert half["verdict"] == "explained"
+    assert half["added"] == []
+    assert not any(e["agrees"] for e in half["effects"])
+    assert [e["share"] for e in half["effects"]] == pytest.approx([0.25, 0.25], abs=0.1)
+
+
+def stated(value: float, se: float, effect_id: str = "gyro_bias", instances: tuple[int, ...] = (1,)) -> EffectEstimate:
+    axes = tuple(ParameterEstimate(f"bias.{a}", value, se, (value, value), "rad/s") for a in "xyz")
+    return dataclasses.replace(effect(effect_id, instances), params=axes)
+
+
+def test_what_differs_within_two_standard_errors_agrees() -> None:
+    before = stated(0.020, 3e-5)
+    near, far = stated(0.02008, 4e-5), stated(0.02015, 4e-5)  # 1.6 and 3 standard errors of the difference
+    assert [a.holds for a in agreements([before], [near])] == [True]
+    assert [a.holds for a in agreements([before], [far])] == [False]
+    one = dataclasses.replace(before, params=before.params[:1])
+    assert distance(one, dataclasses.replace(one, params=(stated(0.0201, 4e-5).params[0],))) == pytest.approx(
+        1.0, rel=1e-3
+    )
+
+
+def test_only_the_same_effect_on_the_same_units_is_compared() -> None:
+    before = stated(0.02, 3e-5)
+    others = [
+        stated(0.02, 3e-5, "accel_bias"),
+        stated(0.02, 3e-5, instances=(2,)),
+        stated(0.02, 3e-5, instances=(1, 2)),
+    ]
+    (found,) = agreements([before], others)
+    assert found.other is None
+    assert not found.holds
+
+
+def test_each_of_several_events_is_compared_with_the_one_that_is_like_it() -> None:
+    first, second = stated(0.02, 3e-5), stated(-0.02, 3e-5)
+    found = agreements([first, second], [stated(-0.02, 3e-5), stated(0.02, 3e-5)])
+    assert [a.other.params[0].value for a in found if a.other is not None] == [0.02, -0.02]
+    assert all(a.holds for a in found)
+
+
+def test_what_no_number_determines_is_not_the_same() -> None:
+    assert not agreements([stated(0.02, float("inf"))], [stated(0.02, 1e-5)])[0].holds
