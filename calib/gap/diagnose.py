@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from mavcal.calib.gap.attribution import Attribution, settled, steadily
 from mavcal.calib.gap.bands import split
@@ -41,6 +42,7 @@ from mavcal.calib.gap.selection import ChosenModel, reduced, select
 from mavcal.calib.gap.series import series_of
 from mavcal.calib.gap.shrink import Heldout, held_out, nested_in, shrink_of
 from mavcal.calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
+from mavcal.calib.gap.tilted import below_reference
 from mavcal.calib.gap.transitions import JumpSpan, passing, transitions, without_transitions
 from mavcal.calib.gap.unknown import explained
 from mavcal.calib.gap.usual import usual_tone
@@ -48,6 +50,8 @@ from mavcal.calib.gap.views import views_of
 from mavcal.calib.gap.wander import WanderFit, wandering
 from mavcal.calib.recording import Sensor
 
+_BY_CHANCE = 0.005
+"""Chance above which an effect is as large as the reference's own error makes it."""
 _ROUNDS = 3
 """Times that samples during events are left out, after which a selection stands whatever it says."""
 
@@ -85,12 +89,13 @@ class _Answer:
     gates: Mapping[Key, bool | None] = field(default_factory=dict)
     withdrawn: tuple[Unexplained, ...] = ()
 
-    @property
+    @cached_property
     def tolerated(self) -> frozenset[Key]:
-        """Effects by which two recordings differ anyway: they are no gap."""
+        """Effects by which two recordings differ anyway, or that the reference's own error makes: they are no gap."""
         floors, gains = self.contest.floors, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
-        return frozenset(h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h))
+        small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h))
+        return small | below_reference(self.chosen.model, self.chosen.joint, _BY_CHANCE)
 
     @property
     def gap(self) -> tuple[Attribution, ...]:
@@ -215,7 +220,7 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         attributions=found.attributions,
         heldout=heldout,
         gates=gates,
-        withdrawn=_withdrawn(gone),
+        withdrawn=_withdrawn(s for s in gone if s.hypothesis.key not in answer.tolerated),
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.levels import steps_of, with_simulated_step
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.reference.calibrated import corrected, not_undone
+from mavcal.calib.gap.reference.calibrated import corrected, not_undone, offset_changed
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.choose import ChosenReferences, choose
 from mavcal.calib.gap.reference.chosen import sensors_of
@@ -101,6 +101,7 @@ def build(
     traces = tuple(simulated_ideal(as_heaving(t, info.bandwidth_hz), offsets) for t in noisy)
     warnings = (
         *not_undone(channels, real),
+        *offset_changed(channels, real),
         *(() if ideal is None else ideal.warnings),
         *(reason for _, reason, _ in sound.refused),
         *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),

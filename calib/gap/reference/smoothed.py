@@ -25,7 +25,17 @@ from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
 from mavcal.calib.gap.reference.recorded import continuous, true_attitude
 from mavcal.calib.gap.reference.signal import Signal, linear, slow
 from mavcal.calib.gap.reference.strapdown import STEPS, Between, Increments
-from mavcal.calib.gap.reference.trajectory import ITERATIONS, LATE_GPS, WALK, Aiding, TrajectoryState, smooth, start_at
+from mavcal.calib.gap.reference.trajectory import (
+    EARTH,
+    GYRO,
+    ITERATIONS,
+    LATE_GPS,
+    WALK,
+    Aiding,
+    TrajectoryState,
+    smooth,
+    start_at,
+)
 from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
@@ -290,4 +300,5 @@ def _info(found: SmoothedTrajectory) -> ReferenceInfo:
         + f"; GPS {found.state.constants[LATE_GPS]:.2f} s late); the log's own attitude is not used as truth."
     )
     att_sd = float(np.degrees(found.state.att_sd))
-    return ReferenceInfo(ReferenceKind.ESTIMATOR, att_sd, 10.0, text, _FOLLOWED_HZ)
+    gyro_sd, field_sd = (tuple(map(float, found.state.constants_sd[part])) for part in (GYRO, EARTH))
+    return ReferenceInfo(ReferenceKind.ESTIMATOR, att_sd, 10.0, text, _FOLLOWED_HZ, gyro_sd, field_sd)
