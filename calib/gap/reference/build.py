@@ -17,7 +17,7 @@ from mavcal.calib.gap.reference.denoised import error_sd, with_error
 from mavcal.calib.gap.reference.deviation import deviations, simulated_ideal
 from mavcal.calib.gap.reference.driven_noise import as_driven, driven_by
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
-from mavcal.calib.gap.reference.moments import age_of, louder, settled
+from mavcal.calib.gap.reference.moments import age_of, louder, settled, swayed
 from mavcal.calib.gap.reference.moving import as_heaving, as_moving, movement_of
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
 from mavcal.calib.gap.reference.redundant import differences
@@ -98,7 +98,7 @@ def build(
     info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
     moved = movement_of([t for t in usual if t.against is None]) if info.kind is ReferenceKind.POSE else {}
     noisy = [as_moving(as_driven(_louder(t, ages, usual), driven), moved) for t in noisy]
-    traces = tuple(simulated_ideal(as_heaving(t, info.bandwidth_hz), offsets) for t in noisy)
+    traces = tuple(simulated_ideal(as_heaving(t, info), offsets) for t in noisy)
     warnings = (
         *not_undone(channels, real),
         *offset_changed(channels, real),
@@ -132,8 +132,13 @@ def _settled(trace: Trace, ages: Mapping[Sensor, float]) -> Trace:
 
 
 def _louder(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequence[Trace]) -> Trace:
-    age = ages.get(trace.sensor) if trace.against is not None else None
-    return trace if age is None else louder(trace, age, [t for t in nominal if t.sensor is trace.sensor])
+    if trace.against is None:
+        return trace
+    alike = [t for t in nominal if t.sensor is trace.sensor]
+    age = ages.get(trace.sensor)
+    if age is not None:
+        return louder(trace, age, alike)
+    return trace if trace.sensor is Sensor.MAG else swayed(trace, [t for t in alike if t.against is not None])
 
 
 def _of_one_rate(
