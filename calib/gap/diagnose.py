@@ -19,6 +19,7 @@ from mavcal.calib.gap.floors import Floors
 from mavcal.calib.gap.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.impostors import Unexplained
 from mavcal.calib.gap.inputs import inputs_of
+from mavcal.calib.gap.lasting import with_levels
 from mavcal.calib.gap.left_open import with_flaws
 from mavcal.calib.gap.locate import located
 from mavcal.calib.gap.louder import unsteady_line
@@ -149,6 +150,8 @@ def _begun(
         if task is None:
             return problem, None
         chosen = select(task.bare, task.contest, alpha)
+        if all(view.att_sd == 0.0 for view in task.bare.setting.views):
+            chosen = with_levels(chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1))
         if dead := not_following(chosen.model):
             problem = without_sensors(problem, dead)
         elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))):

@@ -57,7 +57,7 @@ class View:
     dof
         Squared numbers that the noise was learned from, an axis; infinite where it is declared.
     inside_sd
-        Standard deviations of what was estimated inside the reference: of a gyroscope's matrix, or of the Earth's field.
+        Standard deviations of what was estimated inside the reference: a gyroscope's matrix, or the Earth's field.
     label
         Whose noise it has: blocks of one series share it, and its bands.
     first

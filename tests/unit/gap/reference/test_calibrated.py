@@ -73,7 +73,9 @@ def test_the_filter_in_force_is_told():
 def test_a_compass_is_looked_at_as_long_as_it_has_one_offset():
     """PX4 takes off what its estimator learned once it disarms: half of an offset is gone in the last second."""
     t = np.arange(0.0, 60.0, 0.1)
-    values = np.tile([20.0, 0.0, 40.0], (len(t), 1)) + np.where(t > 57.0, 0.5, 1.0)[:, None] * np.array([8.0, -5.0, 3.0])
+    values = np.tile([20.0, 0.0, 40.0], (len(t), 1)) + np.where(t > 57.0, 0.5, 1.0)[:, None] * np.array(
+        [8.0, -5.0, 3.0]
+    )
     said = "[vehicle_magnetometer] 0 (197388) EST:0 offset: [0.000, 0.000, 0.000]->[0.040, -0.025, 0.015]"
     mag = dataclasses.replace(channel(Sensor.MAG, t, values, 0, "vehicle_magnetometer"), stage=Stage.CORRECTED)
     recording = Recording(
