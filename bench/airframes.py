@@ -1,4 +1,4 @@
-"""``python -m bench.airframes DATA``: flights whose airframes differ, each against the calm one: which sensors are named.
+"""``python -m bench.airframes DATA``: flights whose airframes differ, each against the calm one: is a sensor named?
 
 A vehicle that flies differently has no wrong sensor. Exit code 1: a sensor is named that is right, or one that is wrong
 is not.
@@ -73,9 +73,7 @@ def answer(
     name, airframe, known = flight
     began = time.process_time()
     sim = CALM_ITSELF.get(name, SIMULATED[name[0]])
-    report = gap.run(
-        logs.read(unpacked(data, name, folder)), logs.read(unpacked(data, sim, folder)), nested=nested
-    )
+    report = gap.run(logs.read(unpacked(data, name, folder)), logs.read(unpacked(data, sim, folder)), nested=nested)
     return told(name, airframe, known, report, time.process_time() - began)
 
 
