@@ -23,7 +23,7 @@ SIMULATED = {"d": "d01sim.bin", "p": "p01.ulg"}
 """By the first letter of a flight's name, the calm one with nothing wrong."""
 CALM_ITSELF = {"p01.ulg": "p02.ulg"}
 """Where a flight is itself the calm one, another with right sensors."""
-SENSORS = {"acc_scale": ("accel_scale", (1,))}
+SENSORS: Mapping[str, tuple[str, tuple[int, ...]]] = {"acc_scale": ("accel_scale", (1,))}
 """Ids of the labels that are of a sensor, as a report names them, and on which instances."""
 
 

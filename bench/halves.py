@@ -36,9 +36,9 @@ def recordings(data: Path, folder: Path) -> Iterator[tuple[str, Recording]]:
 
 def answers(name: str, recording: Recording) -> Iterator[Answer]:
     """Either half against the other."""
-    pair = halves(recording)
+    first, second = halves(recording)
     flown = recording.identity.autopilot is not None
-    for real, other, which in ((*pair, "first"), (*reversed(pair), "second")):
+    for real, other, which in ((first, second, "first"), (second, first, "second")):
         began = time.process_time()
         report = gap.run(real, other if flown else None, () if flown else (other,), nested=False)
         yield told(f"{which} half", (name,), {}, report, time.process_time() - began)

@@ -70,4 +70,4 @@ def _excess(model: Model, term: NoiseTerm) -> tuple[Array, Array]:
             white = view.whitened(view.spectra(model.residual[v])[c] / np.sqrt(bare))
             squares += np.bincount(at[inside], white[inside] ** 2, len(squares))
             counts += np.bincount(at[inside], None, len(squares)) * (view.count / view.n)
-    return edges, squares - counts
+    return np.asarray(edges, dtype=np.float64), squares - counts

@@ -67,9 +67,9 @@ def steps_of(trace: Trace) -> Steps:
 
     def level(start: NDArray[np.intp], end: NDArray[np.intp]) -> Array:
         n = number[end] - number[start]
-        return np.asarray(
-            np.where((n >= _SEEN * length)[:, None], (total[end] - total[start]) / np.maximum(n, 1)[:, None], np.nan)
-        )
+        mean = (total[end] - total[start]) / np.maximum(n, 1)[:, None]
+        mean[n < _SEEN * length] = np.nan
+        return np.asarray(mean)
 
     apart = level(k + pause, k + pause + length) - level(k - pause - length, k - pause)
     return Steps(trace.t[k * width], np.linalg.norm(apart, axis=1))
