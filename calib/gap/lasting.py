@@ -57,10 +57,10 @@ def steps_of(trace: Trace) -> Steps:
     seen = trace.observed[:rows].reshape(count, width)
     summed = np.where(trace.observed[:rows, None], trace.residual[:rows], 0.0).reshape(count, width, 3).sum(axis=1)
     means = summed / np.maximum(seen.sum(axis=1), 1)[:, None]
-    known = seen.any(axis=1)
+    known: NDArray[np.bool_] = np.asarray(seen.any(axis=1))
     length, pause = round(_LEVEL_S / _STEP_S), round(0.5 * _APART_S / _STEP_S)
     total = np.vstack([np.zeros(3), np.cumsum(np.where(known[:, None], means, 0.0), axis=0)])
-    number = np.concatenate([[0], np.cumsum(known)])
+    number = np.append(0, np.cumsum(known))
     k = np.arange(length + pause, count - length - pause)
     if not len(k):
         return Steps(np.zeros(0), np.zeros(0))
