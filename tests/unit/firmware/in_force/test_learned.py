@@ -22,4 +22,5 @@ def test_parameters_of_either_autopilot_count_once_they_change():
         ParameterEntry(30.0, "COMPASS_OFS_X", 3.0),
         ParameterEntry(40.0, "CAL_MAG0_ZOFF", 0.1),
     ]
-    assert compass_offset_changes(Recording((), parameters=ParameterTimeline(tuple(entries)))) == {0: (40.0,), 1: (20.0,)}
+    recording = Recording((), parameters=ParameterTimeline(tuple(entries)))
+    assert compass_offset_changes(recording) == {0: (40.0,), 1: (20.0,)}
