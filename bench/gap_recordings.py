@@ -84,14 +84,14 @@ def cases(data: Path, folder: Path) -> Iterator[RealCase]:
         write_table(recording, path)
         return path
 
-    nominal = dict(_nominal(data))
+    clean = dict(nominal(data))
     half = {}
-    for name, recording in nominal.items():
+    for name, recording in clean.items():
         first, second = halves(recording)
         known, half[name] = f"nothing: the second half of {name}", table(first, f"{name}_1")
         yield RealCase(f"null {name}", table(second, f"{name}_2"), None, (half[name],), known, {})
-    if "broad_01" in nominal:
-        whole = table(nominal["broad_01"], "broad_01")
+    if "broad_01" in clean:
+        whole = table(clean["broad_01"], "broad_01")
         for file, known in LABELLED.items():
             recording = broad_recording(data / "broad" / file)
             yield RealCase(file.removesuffix(".mat"), table(recording, file[:2]), None, (whole,), known)
@@ -99,7 +99,7 @@ def cases(data: Path, folder: Path) -> Iterator[RealCase]:
         path, null = data / "sitl_flights" / file, data / "sitl_flights" / "null.bin"
         if path.is_file():
             yield RealCase(f"sitl {file}", path, null, (), "injected by SIM_* parameters", effects)
-    for name, recording in nominal.items():
+    for name, recording in clean.items():
         for k, kind in enumerate(KINDS):
             changed, label = injected(halves(recording)[1], kind, 100 + k)
             known = f"{kind}, lambda {label['lambda_of_fast_noise']:.0f} of the fast noise"
@@ -112,7 +112,8 @@ def broad_recording(path: Path) -> Recording:
     return logs.read(path, mapping=BROAD, world="enu", rate=2000.0 / 7.0)
 
 
-def _nominal(data: Path) -> Iterator[tuple[str, Recording]]:
+def nominal(data: Path) -> Iterator[tuple[str, Recording]]:
+    """Recordings of hand-held units without an effect."""
     if (path := data / "broad" / "01_undisturbed_slow_rotation_A.mat").is_file():
         yield "broad_01", broad_recording(path)
     if (path := data / "vqf_test_data" / "imu_data.npz").is_file():

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from mavcal.calib.gap.floors import SMALL, Floors, indifferent
-from mavcal.calib.gap.problem import Floor, GapProblem, Trace
+from mavcal.calib.gap.problem import Floor, GapProblem, ReferenceInfo, Trace
 from mavcal.calib.gap.replay import with_effects, with_effects_in
 from mavcal.calib.gap.schema import EffectEstimate
 from mavcal.calib.gap.shown import shown
@@ -24,13 +24,14 @@ _DIFFERENT = 0.1
 @dataclass(frozen=True, eq=False)
 class Baseline:
     """Effects of a simulated flight, and by sensor: the gain of the largest of them, what all of them change (the sum
-    of squares over the flight), and the gain below which they were not asked for.
+    of squares over the flight), and the gain below which they were not asked for. `reference`: what it is beside.
     """
 
     effects: tuple[EffectEstimate, ...]
     gains: Mapping[Sensor, float]
     changes: Mapping[Sensor, float]
     indifferent: Mapping[Sensor, float]
+    reference: ReferenceInfo
 
     def in_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
         """`traces` of the simulator beside what it reads with its flaws: what is left is its noise."""
@@ -51,7 +52,7 @@ def baseline_of(problem: GapProblem, alpha: float) -> Baseline:
             largest[sensor] = max(largest[sensor], one.gain)
     effects = tuple(one.effect for one in found)
     changed, _ = with_effects(problem, effects, shared=True)
-    return Baseline(effects, largest, _changes(problem, changed), small)
+    return Baseline(effects, largest, _changes(problem, changed), small, problem.reference)
 
 
 def _undeclared(trace: Trace) -> Trace:
@@ -67,7 +68,15 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     livelier = _changes(problem, changed)
     small = indifferent(problem, SMALL)
     floor = {s: max(small[s], _flaws(problem, baseline, livelier, s)) for s in small}
-    return replace(changed, floor=Floor(floor, floor, floor, floor))
+    reference = _of_both(problem.reference, baseline.reference)
+    return replace(changed, floor=Floor(floor, floor, floor, floor), reference=reference)
+
+
+def _of_both(real: ReferenceInfo, simulated: ReferenceInfo) -> ReferenceInfo:
+    """The reference of a real flight, of which what was estimated inside is held against that of a simulated one."""
+    pairs = ((real.gyro_sd, simulated.gyro_sd), (real.field_sd, simulated.field_sd))
+    gyro, field = (tuple(map(math.hypot, a, b)) if len(a) == len(b) else a for a, b in pairs)
+    return replace(real, gyro_sd=gyro, field_sd=field)
 
 
 def _flaws(problem: GapProblem, baseline: Baseline, livelier: Mapping[Sensor, float], sensor: Sensor) -> float:

@@ -130,6 +130,10 @@ class Contest:
         """A contest of other hypotheses on the same setting, which shares the columns that were made."""
         return Contest(hypotheses, floors=self.floors, kept=self._kept, pace=self.pace)
 
+    def without_floors(self) -> Contest:
+        """The same in which any gain may join that is significant."""
+        return Contest(self.hypotheses, kept=self._kept)
+
     def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> HypothesisColumns:
         """Transformed columns of `hypothesis`, kept."""
         return self._kept.of(hypothesis, theta, model.setting)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from mavcal.calib.gap.attribution import Attribution, settled, steadily
 from mavcal.calib.gap.bands import split
@@ -19,6 +20,7 @@ from mavcal.calib.gap.holding import not_holding
 from mavcal.calib.gap.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.impostors import Unexplained
 from mavcal.calib.gap.inputs import inputs_of
+from mavcal.calib.gap.lasting import with_levels
 from mavcal.calib.gap.left_open import with_flaws
 from mavcal.calib.gap.locate import located
 from mavcal.calib.gap.louder import unsteady_line
@@ -44,6 +46,7 @@ from mavcal.calib.gap.separable import inseparable, inseparable_line
 from mavcal.calib.gap.series import series_of
 from mavcal.calib.gap.shrink import Heldout, held_out, nested_in, shrink_of
 from mavcal.calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
+from mavcal.calib.gap.tilted import below_reference
 from mavcal.calib.gap.transitions import JumpSpan, passing, transitions, without_transitions
 from mavcal.calib.gap.unknown import explained
 from mavcal.calib.gap.usual import usual_tone
@@ -51,6 +54,8 @@ from mavcal.calib.gap.views import views_of
 from mavcal.calib.gap.wander import WanderFit, wandering
 from mavcal.calib.recording import Sensor
 
+_BY_CHANCE = 0.005
+"""Chance above which an effect is as large as the reference's own error makes it."""
 _ROUNDS = 3
 """Times that samples during events are left out, after which a selection stands whatever it says."""
 
@@ -89,12 +94,13 @@ class _Answer:
     withdrawn: tuple[Unexplained, ...] = ()
     small: frozenset[Key] = frozenset()
 
-    @property
+    @cached_property
     def tolerated(self) -> frozenset[Key]:
-        """Effects by which two recordings, or a sensor and its reference, differ anyway: they are no gap."""
+        """Effects by which two recordings differ anyway, or that the reference's own error makes: they are no gap."""
         floors, gains = self.contest.floors, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
-        return self.small | {h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h)}
+        small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h))
+        return self.small | small | below_reference(self.chosen.model, self.chosen.joint, _BY_CHANCE)
 
     @property
     def gap(self) -> tuple[Attribution, ...]:
@@ -158,6 +164,8 @@ def _begun(
         if task is None:
             return problem, None
         chosen = select(task.bare, task.contest, alpha)
+        if all(view.att_sd == 0.0 for view in task.bare.setting.views):
+            chosen = with_levels(chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1))
         if dead := not_following(chosen.model):
             problem = without_sensors(problem, dead)
         elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))) and not pace.ends():
@@ -230,7 +238,7 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         attributions=found.attributions,
         heldout=heldout,
         gates=gates,
-        withdrawn=_withdrawn(gone),
+        withdrawn=_withdrawn(s for s in gone if s.hypothesis.key not in answer.tolerated),
     )
 
 

@@ -47,6 +47,11 @@ class ReferenceInfo:
         One sentence for the report.
     bandwidth_hz
         Up to which it knows how the vehicle accelerates; above, an accelerometer feels more than it tells.
+    turns_hz
+        The same of how it turns, and a gyroscope.
+    gyro_sd, field_sd
+        Standard deviations of what was estimated inside: the gyroscope's matrix by rows (9), and the Earth's field
+        north, east, down (3), uT. Empty where nothing was.
     """
 
     kind: ReferenceKind
@@ -54,6 +59,9 @@ class ReferenceInfo:
     att_time_s: float = 5.0
     text: str = ""
     bandwidth_hz: float = math.inf
+    turns_hz: float = math.inf
+    gyro_sd: tuple[float, ...] = ()
+    field_sd: tuple[float, ...] = ()
 
     @property
     def useless(self) -> bool:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcal.calib.gap.attribution import Attribution
+from mavcal.calib.gap.bursts import bursts
 from mavcal.calib.gap.hypotheses import Key
 from mavcal.calib.gap.impostors import Unexplained, impostors, unsteady
 from mavcal.calib.gap.leftover import leftover
@@ -59,6 +60,7 @@ def strangers_in(model: Model, attributions: Sequence[Attribution]) -> tuple[Str
         *(Stranger((a.key,), f"{a.shape}, or {names[a.key]}") for a in doubted),
         *_swarms(model),
         *_beats(model),
+        *(Stranger((key,), text) for key, text in bursts(model)),
     )
 
 

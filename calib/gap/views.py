@@ -56,6 +56,8 @@ class View:
         Standard deviation of the reference's attitude about an axis, rad, where it was re-estimated; else 0.
     dof
         Squared numbers that the noise was learned from, an axis; infinite where it is declared.
+    inside_sd
+        Standard deviations of what was estimated inside the reference: a gyroscope's matrix, or the Earth's field.
     label
         Whose noise it has: blocks of one series share it, and its bands.
     first
@@ -80,6 +82,7 @@ class View:
     fine: View | None = None
     gain: float = 1.0
     att_sd: float = 0.0
+    inside_sd: tuple[float, ...] = ()
 
     @property
     def n(self) -> int:
@@ -160,7 +163,12 @@ def views_of(
         views += _of_sensor(entries, uncertain=uncertain)
     estimated = problem.reference.kind is ReferenceKind.ESTIMATOR
     sd = math.radians(problem.reference.att_sigma_deg) if estimated else 0.0
-    return tuple(replace(view, label=str(v), att_sd=sd) for v, view in enumerate(views) if view.n >= _SHORTEST)
+    inside = {Sensor.GYRO: problem.reference.gyro_sd, Sensor.MAG: problem.reference.field_sd}
+    return tuple(
+        replace(view, label=str(v), att_sd=sd, inside_sd=inside.get(view.sensor, ()))
+        for v, view in enumerate(views)
+        if view.n >= _SHORTEST
+    )
 
 
 class _Entry:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.levels import steps_of, with_simulated_step
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace, Worse
-from mavcal.calib.gap.reference.calibrated import corrected, not_undone
+from mavcal.calib.gap.reference.calibrated import corrected, not_undone, offset_changed
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.choose import ChosenReferences, choose
 from mavcal.calib.gap.reference.chosen import sensors_of
@@ -20,7 +20,7 @@ from mavcal.calib.gap.reference.denoised import error_sd, with_error
 from mavcal.calib.gap.reference.deviation import deviations, simulated_ideal
 from mavcal.calib.gap.reference.driven_noise import as_driven, driven_by
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
-from mavcal.calib.gap.reference.moments import age_of, louder, settled
+from mavcal.calib.gap.reference.moments import age_of, louder, settled, swayed
 from mavcal.calib.gap.reference.moving import as_heaving, as_moving, movement_of
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
 from mavcal.calib.gap.reference.recorded import continuous
@@ -154,9 +154,10 @@ def _learned(
     info = _info(chosen)
     moved = movement_of([t for t in usual if t.against is None]) if info.kind is ReferenceKind.POSE else {}
     noisy = [as_moving(as_driven(_louder(t, ages, usual), driven), moved) for t in noisy]
-    traces = tuple(simulated_ideal(as_heaving(t, info.bandwidth_hz), offsets) for t in noisy)
+    traces = tuple(simulated_ideal(as_heaving(t, info), offsets) for t in noisy)
     warnings = (
         *not_undone(list(channels), real),
+        *offset_changed(list(channels), real),
         *(() if chosen is None else chosen.ideal.warnings),
         *(reason for _, reason, _ in sound.refused),
         *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),
@@ -214,8 +215,13 @@ def _settled(trace: Trace, ages: Mapping[Sensor, float]) -> Trace:
 
 
 def _louder(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequence[Trace]) -> Trace:
-    age = ages.get(trace.sensor) if trace.against is not None else None
-    return trace if age is None else louder(trace, age, [t for t in nominal if t.sensor is trace.sensor])
+    if trace.against is None:
+        return trace
+    alike = [t for t in nominal if t.sensor is trace.sensor]
+    age = ages.get(trace.sensor)
+    if age is not None:
+        return louder(trace, age, alike)
+    return trace if trace.sensor is Sensor.MAG else swayed(trace, [t for t in alike if t.against is not None])
 
 
 def _of_one_rate(

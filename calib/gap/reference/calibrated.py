@@ -9,20 +9,23 @@ the same calibration is treated in the same way, and its offset from the ideal i
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError, InvalidInputError
-from mavcal.calib.firmware import body_from_sensor, calibration_in_force
+from mavcal.calib.firmware import body_from_sensor, calibration_in_force, compass_offset_changes
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+_BEFORE_S, _AFTER_S = 0.5, 0.2
+"""Around a change of an offset: the autopilot says it late, and means over a moment have both."""
 _FILTERS = {Sensor.ACCEL: "INS_ACCEL_FILTER", Sensor.GYRO: "INS_GYRO_FILTER"}
 
 
@@ -30,14 +33,42 @@ def corrected(recording: Recording) -> Recording:
     """`recording` with the raw sensors of a vehicle whose calibration is known corrected, in body axes.
 
     Tables and vehicles without a known calibration stay as they are, and so do sensors whose correction depends on a
-    temperature: bare, they are what their table says.
+    temperature: bare, they are what their table says. A compass whose offset in force changed is kept as long as it had
+    one offset, over the longest such time.
     """
     if not _known(recording):
         return recording
+    changes = compass_offset_changes(recording)
     return recording.with_channels(
-        _corrected(c, recording) if c.sensor in TRIADS and c.stage == Stage.RAW and len(c) else c
+        _corrected(c, recording)
+        if c.sensor in TRIADS and c.stage == Stage.RAW and len(c)
+        else _of_one_offset(c, changes)
         for c in recording.channels
     )
+
+
+def offset_changed(channels: Sequence[Channel], recording: Recording) -> tuple[str, ...]:
+    """A warning for each compass of which a part was left out, because its offset in force changed there."""
+    changes = compass_offset_changes(recording) if _known(recording) else {}
+    said = []
+    for channel in channels:
+        if channel.sensor is Sensor.MAG and channel.stage != Stage.RAW and (moments := changes.get(channel.instance)):
+            when = ", ".join(f"{t:.1f} s" for t in moments)
+            said.append(
+                f"the autopilot changed the offset of compass {channel.instance + 1} at {when}: it is looked at from "
+                f"{channel.t[0]:.1f} to {channel.t[-1]:.1f} s"
+            )
+    return tuple(said)
+
+
+def _of_one_offset(channel: Channel, changes: Mapping[int, Sequence[float]]) -> Channel:
+    """A corrected compass without what its firmware wrote with other offsets."""
+    moments = changes.get(channel.instance, ()) if channel.sensor is Sensor.MAG else ()
+    if channel.stage == Stage.RAW or not moments or not len(channel):
+        return channel
+    edges = [-math.inf, *moments, math.inf]
+    parts = [channel.between(low + _AFTER_S, high - _BEFORE_S) for low, high in itertools.pairwise(edges)]
+    return max(parts, key=len)
 
 
 def sensor_from_corrected(channel: Channel, recording: Recording) -> Array:

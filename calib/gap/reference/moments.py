@@ -60,6 +60,36 @@ def _squares(trace: Trace) -> Array:
     return np.asarray((residual - np.median(residual, axis=0)) ** 2)
 
 
+def swayed(trace: Trace, nominal: Sequence[Trace]) -> Trace:
+    """The difference of two instances, with the noise that it has for moving faster than the `nominal` ones.
+
+    Of what these leave at most all is movement between the moments of their samples: as much is expected as there is,
+    up to that. How fast a vehicle moves is what both instances show alike: noise of either is not in it. A calmer
+    recording is not expected to be quieter.
+    """
+    before, now = [_common(n) for n in nominal], _common(trace)
+    if trace.against is None or not before:
+        return trace
+    usual = np.maximum(np.mean(before, axis=0), np.finfo(float).tiny)
+    left = np.mean([_squares(n).mean(axis=0) for n in nominal], axis=0)
+    known = trace.observed[1:] & trace.observed[:-1]
+    there = 0.5 * (np.diff(trace.residual, axis=0)[known] ** 2).mean(axis=0)
+    return with_more(trace, np.clip(there - left, 0.0, left * np.maximum(now / usual - 1.0, 0.0)))
+
+
+def _common(trace: Trace) -> Array:
+    """How much of the fast movement both instances of a difference show, (3,).
+
+    Second differences: manoeuvres are far larger than what changes from one sample to the next, and hide it in the
+    first ones.
+    """
+    known = trace.observed[2:] & trace.observed[1:-1] & trace.observed[:-2]
+    if not known.any():
+        return np.zeros(3)
+    one, other = (np.diff(reading, 2, axis=0)[known] * trace.fs**2 for reading in (trace.measured, trace.ideal))
+    return np.asarray(np.maximum((one * other).mean(axis=0), 0.0))
+
+
 def _fitted(trace: Trace, base: Array, more: Sequence[Array]) -> AmplitudeFit | None:
     """Steady noise of each axis, in units of its mean square, beside `base` and variances `more`, all (3 n,)."""
     squares = _squares(trace)

@@ -8,17 +8,23 @@ that share, together with the sensor's own noise, which has none.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import ReferenceInfo, Trace
+from mavcal.calib.gap.reference.driven_noise import motor_power
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, on, pooled
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
+_ABOUT = 0.3
+"""Part of a frequency within which a line of a rotor, whose speed differs, is less than half of what there is."""
+_REST_S, _LOUDER = 2.0, 2.0
+"""Seconds with the motors off that tell of noise, and the times by which it must exceed what is expected."""
 _BODY_HZ = 10.0
 """Up to which a vehicle moves as a whole: attitude controllers end there, rotors begin beyond."""
 
@@ -56,22 +62,49 @@ def as_moving(trace: Trace, usual: Mapping[Sensor, ResidualSpectrum]) -> Trace:
     return dataclasses.replace(trace, psd=louder, psd_hz=hz, own_psd=_own_on(trace, hz))
 
 
-def as_heaving(trace: Trace, bandwidth_hz: float) -> Trace:
-    """An accelerometer's `trace` with as much noise expected as there is, where its reference does not follow a body.
+def as_heaving(trace: Trace, reference: ReferenceInfo) -> Trace:
+    """A single unit's `trace` with as much noise expected as there is, where its reference does not follow a body.
 
-    From `bandwidth_hz` to where bodies are too heavy to follow, what a single unit feels is how its vehicle moves in
-    gusts: no other flight moves the same.
+    From the reference's bandwidth to where bodies are too heavy to follow, what a single unit feels is how its vehicle
+    moves in gusts: no other flight moves the same. Faster, it is how the vehicle shakes, unless it is as loud at rest;
+    lines of rotors stand out of that.
     """
-    if trace.sensor is not Sensor.ACCEL or trace.against is not None or trace.psd is None or bandwidth_hz > _BODY_HZ:
+    bandwidth = {Sensor.ACCEL: reference.bandwidth_hz, Sensor.GYRO: reference.turns_hz}.get(trace.sensor, math.inf)
+    if trace.against is not None or trace.psd is None or math.isinf(bandwidth):
         return trace
     own = learned(trace)
     if own is None:
         return trace
     hz = np.unique(np.concatenate([_hz_of(trace), own.hz]))
     psd, felt = _psd_of(trace, hz), on(own, hz, trace.fs, trace.low_pass_hz)
-    moves = (hz > bandwidth_hz) & (hz < _BODY_HZ)
-    psd[moves] = np.maximum(psd[moves], felt[moves])
+    heaves, shakes = (hz > bandwidth) & (hz < _BODY_HZ), hz > max(bandwidth, _BODY_HZ)
+    psd[heaves] = np.maximum(psd[heaves], felt[heaves])
+    if not _loud_at_rest(trace, hz, psd):
+        between_lines = np.exp(_median_about(hz, np.log(felt)))
+        psd[shakes] = np.maximum(psd[shakes], between_lines[shakes])
     return dataclasses.replace(trace, psd=psd, psd_hz=hz, own_psd=_own_on(trace, hz))
+
+
+def _loud_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
+    """Whether fast noise is more than expected while the motors are off; without such a time, it is of the flight."""
+    power = motor_power(trace)
+    if power is None:
+        return False
+    still = trace.observed & (power <= 0.0)
+    pairs = still[1:] & still[:-1]
+    if pairs.sum() < _REST_S * trace.fs:
+        return False
+    steps = (np.diff(trace.residual, axis=0)[pairs] ** 2).mean(axis=0)
+    omega = 2.0 * np.pi * np.minimum(hz / trace.fs, 0.5)
+    # of steps: each frequency by four times the square of the sine of half of it, over all of them evenly
+    expected = np.trapezoid(psd * (4.0 * np.sin(0.5 * omega) ** 2)[:, None], hz, axis=0) / (0.5 * trace.fs)
+    return bool((steps > _LOUDER * expected).any())
+
+
+def _median_about(hz: Array, values: Array) -> Array:
+    """Medians of `values` (K, 3) over frequencies within a part of each: what lies between lines."""
+    low, high = np.searchsorted(hz, hz * (1.0 - _ABOUT)), np.searchsorted(hz, hz * (1.0 + _ABOUT))
+    return np.array([np.median(values[a : max(b, a + 1)], axis=0) for a, b in zip(low, high, strict=True)])
 
 
 def _hz_of(trace: Trace) -> Array:

@@ -21,6 +21,7 @@ from mavcal.calib.recording import Channel, Recording, Sensor
 Array = NDArray[np.float64]
 
 _SMOOTH_S = 2.0  # over which a residual is averaged, for its slow part
+_FASTER = 1.5  # times the rate of the other, from which on a unit is looked at when that has samples
 _EDGE_S = 0.5  # from the ends of a trajectory, where the filters of the units reach beyond it
 
 
@@ -43,6 +44,10 @@ def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...])
 def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Recording) -> Trace:
     reading = Signal.of(base)
     assert reading is not None
+    if _rate(channel) > _FASTER * _rate(base) and (faster := Signal.of(channel)) is not None:
+        # Between the samples of a slow unit nobody knows how the vehicle moved.
+        within = base.between(float(channel.t[0]), float(channel.t[-1]))
+        channel = dataclasses.replace(channel, t=within.t, values=faster.at(within.t), zero_bin=None)
     trace = dataclasses.replace(trace_of(channel, reading, ideal, real), against=base.instance)
     if ideal is None:
         return _beside_movement(trace, channel, base, real)
@@ -62,6 +67,10 @@ def _beside_movement(trace: Trace, channel: Channel, base: Channel, real: Record
         return trace
     measured = moving.ideal + trace.residual
     return dataclasses.replace(trace, ideal=moving.ideal, measured=measured, ideal_sd=error_sd(found.noise))
+
+
+def _rate(channel: Channel) -> float:
+    return 1.0 / max(float(np.median(np.diff(channel.t))), 1e-9)
 
 
 def _contradicted(sensor: Sensor, ideal: Ideal, t: Array) -> NDArray[np.bool_]:

@@ -25,7 +25,17 @@ from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
 from mavcal.calib.gap.reference.recorded import continuous, true_attitude
 from mavcal.calib.gap.reference.signal import Signal, linear, slow
 from mavcal.calib.gap.reference.strapdown import STEPS, Between, Increments
-from mavcal.calib.gap.reference.trajectory import ITERATIONS, LATE_GPS, WALK, Aiding, TrajectoryState, smooth, start_at
+from mavcal.calib.gap.reference.trajectory import (
+    EARTH,
+    GYRO,
+    ITERATIONS,
+    LATE_GPS,
+    WALK,
+    Aiding,
+    TrajectoryState,
+    smooth,
+    start_at,
+)
 from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
@@ -37,6 +47,8 @@ _AROUND = 10
 """Standard deviations from which on an interval is not believed, and intervals on either side."""
 _FOLLOWED_HZ = 0.2 / STEP_S
 """Up to which a spline through the velocities of the nodes follows an acceleration: a fifth is lost there."""
+_TURNS_HZ = 0.25 * STEPS / STEP_S
+"""Up to which turns between the steps are followed: four steps a period."""
 _TRIALS = 3  # iterations after which the inertial units can be compared
 _FEWEST_GPS = 20  # velocities, for a trajectory
 _SHORTEST_S = 10.0  # for a trajectory
@@ -285,11 +297,13 @@ def _info(found: SmoothedTrajectory) -> ReferenceInfo:
     )
     if found.true:
         text = "The attitude in a simulator's log, and the velocities between."
-        return ReferenceInfo(ReferenceKind.SIM, float(np.degrees(found.state.att_sd)), 10.0, text, _FOLLOWED_HZ)
+        known_deg = float(np.degrees(found.state.att_sd))
+        return ReferenceInfo(ReferenceKind.SIM, known_deg, 10.0, text, _FOLLOWED_HZ, _TURNS_HZ)
     text = (
         f"A trajectory re-estimated from {sources} with their errors inside (inertial unit {found.instance + 1}"
         + ("" if found.mag_instance is None else f", compass {found.mag_instance + 1}")
         + f"; GPS {found.state.constants[LATE_GPS]:.2f} s late); the log's own attitude is not used as truth."
     )
     att_sd = float(np.degrees(found.state.att_sd))
-    return ReferenceInfo(ReferenceKind.ESTIMATOR, att_sd, 10.0, text, _FOLLOWED_HZ)
+    gyro_sd, field_sd = (tuple(map(float, found.state.constants_sd[part])) for part in (GYRO, EARTH))
+    return ReferenceInfo(ReferenceKind.ESTIMATOR, att_sd, 10.0, text, _FOLLOWED_HZ, _TURNS_HZ, gyro_sd, field_sd)

@@ -10,7 +10,7 @@ measured between them, so the normal equations are banded, bordered by the const
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +88,10 @@ class Aiding:
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryState:
-    """State at the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (41,), noise of the aiding."""
+    """State at the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (41,), noise of the aiding.
+
+    `att_sd` (rad) and `constants_sd` (41,) say how well attitude and constants are known.
+    """
 
     t: Array
     attitude: Rotation
@@ -100,6 +103,7 @@ class TrajectoryState:
     mag_sd: float
     cost: float = np.inf
     att_sd: float = np.inf
+    constants_sd: Array = field(default_factory=lambda: np.full(CONSTANTS, np.inf))
 
     @property
     def earth(self) -> Array:
@@ -172,8 +176,9 @@ def smooth(
         if moved < 5e-5:
             break
     cautious = replace(state, velocity_sd=_CAUTION * state.velocity_sd, mag_sd=_CAUTION * state.mag_sd)
-    att_sd = _attitude_sd(_normal_equations(imu, aiding, cautious, prior))
-    return replace(state, cost=_normal_equations(imu, aiding, state, prior).cost, att_sd=att_sd)
+    att_sd, constants_sd = _known_to(_normal_equations(imu, aiding, cautious, prior))
+    cost = _normal_equations(imu, aiding, state, prior).cost
+    return replace(state, cost=cost, att_sd=att_sd, constants_sd=constants_sd)
 
 
 def _prior(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
@@ -383,16 +388,16 @@ def _stepped(state: TrajectoryState, normal: _Normal) -> tuple[TrajectoryState, 
     return new, float(np.abs(step[:, :3]).max())
 
 
-def _attitude_sd(normal: _Normal) -> float:
-    """Median over a few nodes of the standard deviation of roll, pitch and yaw, rad."""
+def _known_to(normal: _Normal) -> tuple[float, Array]:
+    """Standard deviations: of roll, pitch and yaw, rad, the median over a few nodes, and of the constants (41,)."""
     n = len(normal.diagonal)
     nodes = np.linspace(0, n - 1, 8).astype(np.intp)
-    right = np.zeros((n, NODE, 24))
+    right = np.zeros((n, NODE, 24 + CONSTANTS))
     for i, node in enumerate(nodes):
         right[node, range(3), range(3 * i, 3 * i + 3)] = 1.0
-    solution, _ = normal.solved(right, np.zeros((CONSTANTS, 24)))
+    solution, constants = normal.solved(right, np.hstack([np.zeros((CONSTANTS, 24)), np.eye(CONSTANTS)]))
     variances = [solution[node, range(3), range(3 * i, 3 * i + 3)] for i, node in enumerate(nodes)]
-    return float(np.sqrt(np.median(variances)))
+    return float(np.sqrt(np.median(variances))), np.sqrt(np.diag(constants[:, 24:]))
 
 
 def _cross(v: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import lzma
 from collections.abc import Callable
 from pathlib import Path
 
@@ -179,6 +180,48 @@ def test_a_magnet_that_is_put_on_and_taken_off_is_a_step_and_its_opposite(
     assert {finding.channel.partition(".")[0] for finding in report.where} == {"mag"}
     assert {name for series in report.series for name in series.parts} == {"mag_step"}
     assert any(w.startswith("two recordings differ by as much anyway") for w in report.warnings)
+
+
+def test_a_weak_magnet_is_two_steps_and_handling_is_no_noise_of_the_sensor(shared_data: Path) -> None:
+    """8.5 uT along z from 43 to 99 s; from 120 to 130 s somebody has the board in hand."""
+    report = beside_the_undisturbed(shared_data, "35")
+    assert [e.id for e in report.effects] == ["mag_step", "mag_step"]
+    on, off = sorted(({p.name: p.value for p in e.params} for e in report.effects), key=lambda step: step["time_s"])
+    assert on["time_s"] == pytest.approx(43.0, abs=1.5)
+    assert off["time_s"] == pytest.approx(99.0, abs=1.5)
+    assert on["step.z"] == pytest.approx(-8.5, abs=2.0)
+    assert off["step.z"] == pytest.approx(8.5, abs=2.0)
+    assert report.unknown.flag
+    assert "noise on accel from 119 to 132 s" in report.unknown.shape
+
+
+def packed(path: Path, folder: Path) -> Recording:
+    """A log that is kept compressed."""
+    plain = folder / path.stem
+    plain.write_bytes(lzma.decompress(path.read_bytes()))
+    return logs.read(plain)
+
+
+def test_an_offset_that_px4_halves_when_it_disarms_is_an_offset(shared_data: Path, tmp_path: Path) -> None:
+    real, sim = (packed(shared_data / "px4_flights" / f"{name}.ulg.xz", tmp_path) for name in ("mag_bias", "null"))
+    report = gap.run(real, sim, nested=False)
+    (effect,) = report.effects
+    assert effect.id == "mag_hard_iron"
+    agrees(effect, "hard_iron", [8.31, -5.57, 3.79])
+    assert not report.unknown.flag
+    assert any("changed the offset of compass 1 at 155.4 s" in warning for warning in report.warnings)
+
+
+@pytest.mark.parametrize(("name", "known"), [("d02", {}), ("d08", {}), ("d14", {"accel_scale": [1]})])
+def test_a_vehicle_that_flies_differently_has_no_wrong_sensor(
+    shared_data: Path, tmp_path: Path, name: str, known: dict[str, list[int]]
+) -> None:
+    """Wind and turbulence; other inertia; other thrust and a wrong accelerometer (bench/airframes.py: all)."""
+    folder = shared_data / "airframe_flights"
+    real, sim = (packed(folder / f"{file}.bin.xz", tmp_path) for file in (name, "d01sim"))
+    report = gap.run(real, sim, nested=False)
+    assert {e.id: list(e.instances) for e in report.effects} == known
+    assert not report.unknown.flag
 
 
 def test_of_a_magnet_in_the_room_nothing_is_on_the_sensor(shared_data: Path) -> None:

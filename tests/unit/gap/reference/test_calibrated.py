@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.reference import build
-from mavcal.calib.gap.reference.calibrated import corrected, filter_gain, filter_in_force, sensor_from_corrected
-from mavcal.calib.recording import Identity, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.gap.reference.calibrated import (
+    corrected,
+    filter_gain,
+    filter_in_force,
+    offset_changed,
+    sensor_from_corrected,
+)
+from mavcal.calib.recording import Event, Identity, ParameterTimeline, Recording, Sensor, Stage
 
 from .test_recorded import RATE, SECONDS, channel, truth
 
@@ -62,3 +68,24 @@ def test_the_filter_in_force_is_told():
     assert filter_in_force(vehicle().channels[0], vehicle(INS_ACCEL_FILTER=20.0)) is None
     assert filter_gain(np.array([20.0, 200.0]), 20.0) == pytest.approx([np.sqrt(0.5), 0.01], rel=1e-3)
     assert filter_gain(np.array([50.0]), None) == pytest.approx([1.0])
+
+
+def test_a_compass_is_looked_at_as_long_as_it_has_one_offset():
+    """PX4 takes off what its estimator learned once it disarms: half of an offset is gone in the last second."""
+    t = np.arange(0.0, 60.0, 0.1)
+    values = np.tile([20.0, 0.0, 40.0], (len(t), 1)) + np.where(t > 57.0, 0.5, 1.0)[:, None] * np.array(
+        [8.0, -5.0, 3.0]
+    )
+    said = "[vehicle_magnetometer] 0 (197388) EST:0 offset: [0.000, 0.000, 0.000]->[0.040, -0.025, 0.015]"
+    mag = dataclasses.replace(channel(Sensor.MAG, t, values, 0, "vehicle_magnetometer"), stage=Stage.CORRECTED)
+    recording = Recording(
+        (mag,),
+        parameters=ParameterTimeline.constant({"CAL_MAG0_ID": 197388, "CAL_MAG0_XOFF": 0.0}),
+        identity=Identity(autopilot="px4"),
+        events=(Event(57.0, "text", said),),
+    )
+    (kept,) = corrected(recording).channels
+    assert np.ptp(kept.values, axis=0).max() < 1e-9
+    assert kept.t[-1] > 56.0
+    (warning,) = offset_changed([kept], recording)
+    assert "compass 1 at 57.0 s" in warning

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.moments import age_of, louder, settled
+from mavcal.calib.gap.reference.moments import age_of, louder, settled, swayed
 from mavcal.calib.recording import Sensor
 
 AGE, NOISE, FS = 1e-3, 1e-3, 25.0
@@ -54,3 +54,25 @@ def test_a_flight_that_moves_more_is_expected_to_be_louder():
     assert made.sigma == pytest.approx(np.sqrt(made.psd[0]))
     same = louder(nominal, AGE**2, [lively])
     assert same.sigma == pytest.approx(nominal.sigma)
+
+
+def shaken(size, seed=0, own=0.0):
+    """Two units whose samples are a millisecond apart, in a vehicle that shakes fast; `own`: noise of the first."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(4000) / 40.0
+    shake = size * np.sin(2.0 * np.pi * 13.0 * t + np.cumsum(0.5 * rng.standard_normal(len(t))))[:, None] * np.ones(3)
+    slow = 5.0 * np.sin(2.0 * np.pi * 0.2 * t)[:, None] * np.ones(3)
+    late = 0.08 * size * rng.standard_normal((len(t), 3))
+    measured = slow + shake + late + (NOISE + own) * rng.standard_normal((len(t), 3))
+    seen = np.ones(len(t), dtype=bool)
+    return Trace(Sensor.ACCEL, (1,), t, measured, slow + shake, seen, against=0, sigma=np.full(3, NOISE))
+
+
+def test_two_units_differ_more_in_gusts_and_noise_of_one_of_them_is_no_gust():
+    calm = shaken(0.01)
+    gusty = swayed(shaken(0.3, 1), [calm])
+    assert gusty.psd is not None
+    felt = gusty.residual.std(axis=0)
+    assert np.sqrt(gusty.psd.mean(axis=0)) == pytest.approx(felt, rel=0.1)
+    noisy = shaken(0.01, 2, own=0.05)
+    assert swayed(noisy, [calm]).psd is None or swayed(noisy, [calm]).psd.mean() < 0.1 * noisy.residual.var()

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.moving import as_heaving, as_moving, movement_of
 from mavcal.calib.gap.reference.noise import learned, with_noise
 from mavcal.calib.recording import Sensor
@@ -103,6 +103,9 @@ def test_what_is_held_against_another_instance_or_has_no_noise_stays():
     assert as_moving(known, {}) is known
 
 
+FOLLOWED = ReferenceInfo(ReferenceKind.ESTIMATOR, bandwidth_hz=2.0, turns_hz=20.0)
+
+
 def heaving(hz, size):
     """An accelerometer that feels a gust at `hz` of which its reference knows nothing."""
     t = np.arange(N) / FS
@@ -117,6 +120,20 @@ def test_what_a_reference_cannot_follow_of_a_body_is_expected_and_nothing_else(h
     calm = heaving(hz, 0.0)
     known = dataclasses.replace(calm, psd=np.full((2, 3), 1e-4), psd_hz=np.array([0.01, 50.0]))
     lively = dataclasses.replace(known, measured=heaving(hz, 0.2).measured)
-    made = as_heaving(lively, 2.0)
+    made = as_heaving(lively, FOLLOWED)
     assert bool(np.interp(hz, made.psd_hz, made.psd[:, 2]) > 5e-4) is excused
-    assert as_heaving(lively, np.inf) is lively
+    assert as_heaving(lively, ReferenceInfo(ReferenceKind.POSE)) is lively
+
+
+@pytest.mark.parametrize(("sensor", "at_rest"), [(Sensor.ACCEL, False), (Sensor.GYRO, False), (Sensor.ACCEL, True)])
+def test_what_shakes_a_flight_is_expected_unless_it_is_as_loud_at_rest(sensor, at_rest):
+    """Turbulence is felt by a single unit, and is no noise of it."""
+    t = np.arange(N) / FS
+    rng = np.random.default_rng(9)
+    flies = t > 0.2 * t[-1]
+    shaken = np.ones(N) if at_rest else 1.0 * flies
+    measured = 0.05 * shaken[:, None] * rng.standard_normal((N, 3)) + 0.01 * rng.standard_normal((N, 3))
+    trace = Trace(sensor, (0,), t, measured, 0.0 * measured, np.ones(N, dtype=bool), throttle=0.4 * flies)
+    lively = dataclasses.replace(trace, psd=np.full((2, 3), 1e-4), psd_hz=np.array([0.01, 50.0]))
+    made = as_heaving(lively, FOLLOWED)
+    assert bool(np.interp(35.0, made.psd_hz, made.psd[:, 2]) > 5e-4) is not at_rest
