@@ -191,7 +191,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     counts = {"T5": asked.unknown, "T0": asked.nulls, "T1": asked.singles, "T3": asked.mixtures}
     cases = [(tier, seed) for tier, count in counts.items() for seed in range(asked.seed, asked.seed + count)]
     rows = read(asked.answers) if asked.score_only else measured(cases, asked.processes, asked.answers)
-    print(f"seeds from {min(r.seed for r in rows)}: " + ", ".join(f"{t} {n}" for t, n in counts.items() if n))
+    for tier in counts:
+        if mine := [r.seed for r in rows if r.tier == tier]:
+            print(f"{tier}: {len(mine)} cases, seeds {min(mine)} to {max(mine)}")
     print("\n".join(table(rows)))
     for r in rows:
         if r.flag != r.flag_before or (r.flag and not r.strange):
