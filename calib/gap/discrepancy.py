@@ -36,6 +36,10 @@ _DUTY = np.array([0.02, 0.1, 0.3])
 """Parts of the time for which it is louder."""
 _BLOCKS = 7000
 """Averages that a series has at most where bursts are looked for."""
+_SINGLE = 4
+"""Samples of such an average up to which loud samples are looked for one by one, too."""
+_LONGEST = 20_000
+"""Averages that a series has at most where waves are looked for: faster ones of a long recording are lines."""
 _ROUNDS = 40
 """Rounds of a fit of two variances."""
 _STARTS = ((0.02, 4.0), (0.2, 1.5))
@@ -101,7 +105,8 @@ def bursting(white: Array) -> float:
     for axes, chain in zip(each, chains, strict=True):
         own = list(axes)
         if chain > 0.0:  # else no more than a draw, whatever it is held against
-            chain -= max(_unordered(square[own].ravel(), 1), _unordered(energy[own].sum(axis=0), width * len(own)))
+            alone = _unordered(square[own].ravel(), 1) if width <= _SINGLE else 0.0
+            chain -= max(alone, _unordered(energy[own].sum(axis=0), width * len(own)))
         bets.append(chain)
     return _mean(np.array(bets))
 
@@ -156,7 +161,9 @@ def comb(white: Array) -> tuple[float, float]:
     A wave and its overtones, of amplitudes that are alike under a prior of their own size, at each frequency
     (periodograms that are summed over overtones: de Jager, Raubenheimer & Swanepoel 1989).
     """
-    n = white.shape[1]
+    width = -(-white.shape[1] // _LONGEST)
+    n = white.shape[1] // width
+    white = white[:, : n * width].reshape(len(white), n, width).mean(axis=2)
     level = np.maximum((white**2).mean(axis=1, keepdims=True), 1e-300)  # louder noise is no wave
     power = 2.0 * np.abs(rfft(white, n=_PAD * n, axis=1)) ** 2 / (n * level)  # chi-square of two degrees of freedom
     at = np.arange(_PAD * _PERIODS, power.shape[1] // 2)

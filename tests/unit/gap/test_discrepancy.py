@@ -97,3 +97,11 @@ def test_coarse_readings_are_left_out():
     step = 4.0 * SD
     rounded = np.round(SD * np.random.default_rng(0).normal(size=(N, 3)) / step) * step
     assert bets(rounded - SD * np.random.default_rng(0).normal(size=(N, 3))) == ()
+
+
+def test_slow_waves_of_long_series_keep_their_number_of_periods():
+    n = 50_000
+    wave = 0.1 * np.sin(2.0 * np.pi * 37.0 * np.arange(n) / n)
+    nats, periods = comb(np.random.default_rng(4).normal(size=(3, n)) + wave)
+    assert nats > 20.0
+    assert periods == pytest.approx(37.0, rel=0.01)
