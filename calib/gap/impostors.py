@@ -141,7 +141,7 @@ def unsteady(model: Model) -> list[Unexplained]:
     """
     worst: dict[Sensor, Unexplained] = {}
     for v, view in enumerate(model.setting.views):
-        if view.density is not None or view.variance is None or view.first or _varies(model, view) or coarse(view):
+        if view.density is not None or view.variance is None or view.first or varies(model, view) or coarse(view):
             continue
         white = np.stack(
             [
@@ -168,7 +168,8 @@ def coarse(view: View) -> bool:
     return False
 
 
-def _varies(model: Model, view: View) -> bool:
+def varies(model: Model, view: View) -> bool:
+    """Whether a model has noise on a series that goes with something: it is not steady, and has a name."""
     return any(
         isinstance(term.hypothesis.effect, NoiseEffect)
         and term.hypothesis.effect.variance is not None

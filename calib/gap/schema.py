@@ -159,12 +159,17 @@ class HiddenDriver:
 
 @dataclass(frozen=True)
 class Unknown:
-    """What no effect of the catalogue explains."""
+    """What no effect of the catalogue explains.
+
+    `log_odds` of bets that more than white noise is left over (:mod:`calib.gap.discrepancy`): where nothing is, it
+    exceeds x with a chance of at most exp(-x). None: no noise was declared that could be held against it.
+    """
 
     flag: bool = False
     share: float = 0.0
     shape: str = ""
     hidden_driver: HiddenDriver | None = None
+    log_odds: float | None = None
 
 
 @dataclass(frozen=True)

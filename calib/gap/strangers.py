@@ -15,6 +15,7 @@ import numpy as np
 
 from mavcal.calib.gap.attribution import Attribution
 from mavcal.calib.gap.bursts import bursts
+from mavcal.calib.gap.discrepancy import bets_of, log_odds, won
 from mavcal.calib.gap.hypotheses import Key
 from mavcal.calib.gap.impostors import Unexplained, impostors, unsteady
 from mavcal.calib.gap.leftover import leftover
@@ -130,14 +131,17 @@ def unknown_of(
     strange = worth.but({key for s in strangers for key in s.keys})
     texts = [s.text for s in strangers]
     share, part = worth.shares(strange)
-    for one in (*leftover(model, bandwidth_hz, floor or {}), *unsteady(model), *unexplained):
+    left = [*leftover(model, bandwidth_hz, floor or {}), *unsteady(model)]
+    told, bets = {one.sensor for one in left}, bets_of(model)
+    left += [one for one in won(bets) if one.sensor not in told]
+    for one in (*left, *unexplained):
         whole, own = (one.nats / (other + one.nats) for other in (worth.whole, worth.on(one.sensor)))
         if whole > _MATERIAL or own > _LEFT:
             texts.append(one.text)
             share += whole * (1.0 - share)
             part = max(part, own)
     driver = next((s.driver for s in strangers if s.driver is not None), None)
-    return Unknown(part > _MATERIAL, share, "; ".join(dict.fromkeys(texts)), driver)
+    return Unknown(part > _MATERIAL, share, "; ".join(dict.fromkeys(texts)), driver, log_odds(bets))
 
 
 @dataclass(frozen=True)

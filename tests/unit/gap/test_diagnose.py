@@ -223,7 +223,7 @@ def test_what_the_catalogue_does_not_have_is_unknown_with_its_shape():
     report = diagnose(problem_of(np.random.default_rng(8), (A,), gap), nested=False)
     assert report.verdict is GapVerdict.UNKNOWN
     assert "a_x on accel.x" in report.unknown.shape
-    assert set(as_json(report)["unknown"]) == {"flag", "share", "shape", "hidden_driver"}  # no number nobody calibrated
+    assert set(as_json(report)["unknown"]) == {"flag", "share", "shape", "hidden_driver", "log_odds"}
 
 
 def test_missing_telemetry_is_not_testable_rather_than_absent():
