@@ -1,6 +1,6 @@
 """What each effect of a model is worth: its share, its rivals, and how probable it is.
 
-An effect is held against every other hypothesis in its own place, beside all the other effects. `kappa` is the part of
+An effect is compared with every other hypothesis in its own place, beside all the other effects. `kappa` is the part of
 its fitted energy that a rival can imitate; what separates them is ``gain (1 - kappa)``.
 """
 
@@ -117,7 +117,7 @@ def settled(chosen: ChosenModel, contest: Contest, alpha: float, before: Settled
     """A model in which no effect has a better one in its place, and what its effects are worth.
 
     Forward steps take the best single effect first: one that stands for two of them, noise for a mean. Each effect is
-    therefore held against all others once the model is complete. After an exchange that is those of its sensors; once
+    therefore compared with all others once the model is complete. After an exchange that is those of its sensors; once
     none is better, all.
 
     Parameters
@@ -164,7 +164,7 @@ def _elsewhere(model: Model, other: Model) -> frozenset[Key]:
 
 
 def _improved(chosen: ChosenModel, places: Mapping[Key, Place], level: float, contest: Contest) -> ChosenModel | None:
-    """The model after the best exchange that keeps what it promised once everything was fitted anew; None: none does.
+    """The model after the best exchange that keeps what it promised once everything was fitted again; None: none does.
 
     Every exchange is judged beside the others as they are fitted to that moment, and they may have leant on what goes.
     """

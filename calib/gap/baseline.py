@@ -1,6 +1,6 @@
 """What a simulated flight already shows against its own ideal: flaws of the reference and traits of the simulator.
 
-Where the simulator flew another flight (GAP 3.5b c), both logs are held against an ideal sensor, and the gap is what
+Where the simulator flew another flight (GAP 3.5b c), both logs are compared with an ideal sensor, and the gap is what
 the real one has and the simulated one has not: what the simulated one shows is put into the ideal reading of the real.
 """
 
@@ -41,7 +41,7 @@ class Baseline:
 def baseline_of(problem: GapProblem, alpha: float) -> Baseline:
     """What of the mean a simulated flight shows beside its own ideal; what happens once is not carried over.
 
-    The noise that was learned from this flight has in it what is looked for: it is fitted anew beside it.
+    The noise that was learned from this flight has in it what is looked for: it is fitted again beside it.
     """
     problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
     small = indifferent(problem, SMALL)
@@ -63,7 +63,7 @@ def _undeclared(trace: Trace) -> Trace:
 
 
 def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
-    """`problem` held against a simulator that has what its own flight shows."""
+    """`problem` compared with a simulator that has what its own flight shows."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
     livelier = _changes(problem, changed)
     small = indifferent(problem, SMALL)
@@ -73,7 +73,7 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
 
 
 def _of_both(real: ReferenceInfo, simulated: ReferenceInfo) -> ReferenceInfo:
-    """The reference of a real flight, of which what was estimated inside is held against that of a simulated one."""
+    """The reference of a real flight, of which what was estimated inside is compared with that of a simulated one."""
     pairs = ((real.gyro_sd, simulated.gyro_sd), (real.field_sd, simulated.field_sd))
     gyro, field = (tuple(map(math.hypot, a, b)) if len(a) == len(b) else a for a, b in pairs)
     return replace(real, gyro_sd=gyro, field_sd=field)
@@ -83,7 +83,7 @@ def _flaws(problem: GapProblem, baseline: Baseline, livelier: Mapping[Sensor, fl
     """Twice the log-likelihood that what a simulated flight's flaws leave open has in this one.
 
     A livelier flight shows more of them. Their parameters are as uncertain as a part of their own evidence, and as what
-    was too little to be asked for beside them. They are common to all instances; noise that is fitted anew grows to
+    was too little to be asked for beside them. They are common to all instances; noise that is fitted again grows to
     meet them, so that evidence counts as ``n log(1 + gain / n)``.
     """
     there = baseline.changes.get(sensor, 0.0)

@@ -155,7 +155,7 @@ def _begun(
     """The problem without what says nothing, and the effects that are selected for it; None: no series is left.
 
     A selection tells of sensors that do not follow their reference, and of samples during events that take time.
-    Neither belongs to any model: they are left out, and it is selected anew.
+    Neither belongs to any model: they are left out, and it is selected again.
     """
     left_out: tuple[JumpSpan, ...] = ()
     rounds = 0

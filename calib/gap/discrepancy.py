@@ -1,8 +1,8 @@
 """Whether whitened residuals are white noise, as bets: noise that is louder at times, waves of any form.
 
 A bet is an e-value: a likelihood averaged over what it bets on, in parts of the largest likelihood that a model without
-it reaches. Where that model is true its mean is at most one, so that it exceeds ``1 / a`` with a chance of at most
-`a`, whatever was averaged over (Ville 1939; Wasserman, Ramdas & Balakrishnan 2020). Nothing has to be simulated, and
+it reaches. Where that model is true its mean is at most one. It then exceeds ``1 / a`` with a chance of at most `a`,
+whatever was averaged over (Ville 1939; Wasserman, Ramdas & Balakrishnan 2020). Nothing has to be simulated, and
 the mean of bets is a bet.
 """
 
@@ -104,7 +104,7 @@ def bursting(white: Array) -> float:
     bets = []
     for axes, chain in zip(each, chains, strict=True):
         own = list(axes)
-        if chain > 0.0:  # else no more than a draw, whatever it is held against
+        if chain > 0.0:  # else no more than a draw, whatever it is compared with
             alone = _unordered(square[own].ravel(), 1) if width <= _SINGLE else 0.0
             chain -= max(alone, _unordered(energy[own].sum(axis=0), width * len(own)))
         bets.append(chain)
@@ -158,7 +158,7 @@ def _unordered(energy: Array, freedom: int) -> float:
 def comb(white: Array) -> tuple[float, float]:
     """Log of the bet that white series (p, n) have a wave of any form, and how many periods of the likeliest they have.
 
-    A wave and its overtones, of amplitudes that are alike under a prior of their own size, at each frequency
+    At each frequency a wave and its overtones are tried, of amplitudes that are alike under a prior of their own size
     (periodograms that are summed over overtones: de Jager, Raubenheimer & Swanepoel 1989).
     """
     width = -(-white.shape[1] // _LONGEST)

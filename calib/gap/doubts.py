@@ -29,7 +29,7 @@ _LIVE = "a live sensor, and a reference of the same movement"
 def not_following(model: Model) -> frozenset[Sensor]:
     """Sensors that, by the model, show next to nothing of their reference: no scale is minus one, no field turned off.
 
-    What scales and fields make of the reference's movement is held against it, axis by axis.
+    What scales and fields make of the reference's movement is compared with it, axis by axis.
     """
     found = set()
     for view in model.setting.views:

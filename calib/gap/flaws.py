@@ -83,7 +83,7 @@ def _bias_of(trace: Trace) -> EffectEstimate:
 
 
 def beside_flaws(problem: GapProblem, flaws: Flaws) -> GapProblem:
-    """`problem` held against a pose that has the flaws which a nominal recording shows against its own.
+    """`problem` compared with a pose that has the flaws which a nominal recording shows against its own.
 
     A bias is not carried over, but one as large is no gap.
     """

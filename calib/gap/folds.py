@@ -115,7 +115,7 @@ def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
 
 
 def parted(model: Model, hypothesis: Hypothesis) -> Model:
-    """The model without the term of a hypothesis, what remains fitted anew."""
+    """The model without the term of a hypothesis, what remains fitted again."""
     return fitted_about(without(model, hypothesis.key), hypothesis)
 
 

@@ -1,7 +1,7 @@
 """Effects that a real flight shows by itself: on each of its blocks, and along either attitude.
 
-Without a simulated or nominal flight, and without a reference from elsewhere, nothing says what two flights differ by
-anyway, and the trajectory was made of the sensors in question. What it errs by looks like effects, which hold for a
+Without a simulated or nominal flight or an outside reference, nothing says what two flights differ by anyway. The
+trajectory was made of the sensors in question. What it errs by looks like effects, which hold for a
 part of the flight, or only along this one trajectory. The estimator of the vehicle made another one.
 """
 

@@ -36,7 +36,7 @@ _WINDOWS = (64, 256, 1024)
 _LENGTHS = (32, 64, 128, 256, 512, 1024)
 """Samples of which slow deviations are sought, in turn, every half a length."""
 _SLOW = 8
-"""Bins of such a window that are held against its others."""
+"""Bins of such a window that are compared with its others."""
 _SLOWEST = 4
 """Bins from the lowest on that are not looked at: a mean is fitted there."""
 
@@ -146,7 +146,7 @@ def _passing(view: View, white: Array) -> Iterator[_Excess]:
     """Waves that last for some windows, of whitened spectra (p, count): short spectra that are less even than noise's.
 
     Each cell of frequency and time has a chance; of noise, minus its logarithm is exponential, and the sum of squares
-    of n such numbers has the mean 2 n and the variance 20 n. A window is held against its own power: louder noise is
+    of n such numbers has the mean 2 n and the variance 20 n. A window is compared with its own power: louder noise is
     no wave. What was learned from flights was averaged over what passed there.
     """
     if view.density is not None or view.variance is None or view.first or coarse(view):
@@ -170,7 +170,7 @@ def _passing(view: View, white: Array) -> Iterator[_Excess]:
 def _blips(view: View, white: Array) -> Iterator[_Excess]:
     """What deviates slowly for a moment: windows of whitened spectra (p, count), their first bins louder than the rest.
 
-    A window is held against its own noise, as in :func:`_passing`: what is louder at all frequencies is no deviation.
+    A window is compared with its own noise, as in :func:`_passing`: what is louder at all frequencies is no deviation.
     """
     if view.density is not None or view.first or coarse(view):
         return

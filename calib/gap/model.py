@@ -193,7 +193,7 @@ def starting_model(setting: Setting, noise: tuple[AxisNoise, ...], ridge: Ridge 
 
 
 def with_residual(model: Model) -> Model:
-    """The same with its residual computed anew from its terms."""
+    """The same with its residual computed again from its terms."""
     setting = model.setting
     residual: list[Array] = []
     y: list[Array] = []

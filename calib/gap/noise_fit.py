@@ -208,7 +208,7 @@ class FittedNoise:
 
 
 def refitted(model: Model, sensors: Iterable[Sensor] | None = None) -> FittedNoise:
-    """The noise fitted anew to what the mean leaves over; only that of `sensors` if given."""
+    """The noise fitted again to what the mean leaves over; only that of `sensors` if given."""
     setting = model.setting
     noise = list(model.noise)
     levels: dict[tuple[Sensor, int], float] = {}

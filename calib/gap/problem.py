@@ -28,7 +28,7 @@ class ReferenceKind(StrEnum):
     SIM = "sim"  # ref_* columns, a simulator's log of the same trajectory, or the truth in a simulator's log
     POSE = "pose"  # an ideal sensor driven by a reference pose
     ESTIMATOR = RE_ESTIMATED  # an ideal sensor driven by a trajectory that was re-estimated from the recording itself
-    NOMINAL = "nominal"  # a simulator's log of another flight: both are held against an ideal sensor
+    NOMINAL = "nominal"  # a simulator's log of another flight: both are compared with an ideal sensor
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ _BINS = 1024  # of a spectrum that is made here
 def with_effects(
     problem: GapProblem, effects: Sequence[EffectEstimate], *, shared: bool = False
 ) -> tuple[GapProblem, tuple[str, ...]]:
-    """`problem` held against a simulator that has `effects`, and those that could not be replayed.
+    """`problem` compared with a simulator that has `effects`, and those that could not be replayed.
 
     Mean effects move the ideal reading, noise effects raise the noise that is expected. What is left in its residuals
     is what such a simulator still lacks. What all sensors share is the reference's and no simulator's, unless `shared`.
@@ -79,7 +79,7 @@ def _complete(described: CatalogueEffect, found: EffectEstimate) -> bool:
 
 
 def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:
-    """Effects on the trace's sensor, and minus one for those on the instance that it is held against."""
+    """Effects on the trace's sensor, and minus one for those on the instance that it is compared with."""
     for effect in effects:
         if effect.sensor is not trace.sensor and not by_id()[effect.id].shared:
             continue

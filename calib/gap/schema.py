@@ -35,8 +35,8 @@ A tilt of it reads like 0.5 m/s2 of an accelerometer and 2.6 uT of a compass in 
 that anybody looks for.
 """
 REFERENCE_NEED = (
-    "a recording that speeds up, brakes and turns through all headings with GPS velocity and a compass, or --sim of "
-    "the same trajectory, or a measured pose (q_* or ref_q_* columns)"
+    "a recording that speeds up, brakes and turns through all headings with GPS velocity and a compass; or --sim of "
+    "the same trajectory; or a measured pose (q_* or ref_q_* columns)"
 )
 """What makes a better reference."""
 RE_ESTIMATED = "estimator"
@@ -162,7 +162,7 @@ class Unknown:
     """What no effect of the catalogue explains.
 
     `log_odds` of bets that more than white noise is left over (:mod:`calib.gap.discrepancy`): where nothing is, it
-    exceeds x with a chance of at most exp(-x). None: no noise was declared that could be held against it.
+    exceeds x with a chance of at most exp(-x). None: no noise was declared that could be compared with it.
     """
 
     flag: bool = False

@@ -1,6 +1,6 @@
 """Forward-backward selection: the best hypothesis that is significant and worth its price joins, until none is.
 
-After every step all parameters are fitted together, the noise anew, and what has become superfluous leaves again.
+After every step all parameters are fitted together, the noise again, and what has become superfluous leaves again.
 """
 
 from __future__ import annotations
@@ -319,7 +319,7 @@ def _best(
 
 
 def _by_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[ContestScore, Model | None]:
-    """The best of scores in their order; of large ones, the one beside which the noise anew says most.
+    """The best of scores in their order; of large ones, the one beside which the noise again says most.
 
     A large gap is in the noise that is fitted before anything explains it: beside a bias of a hundred standard
     deviations what else a misalignment explains counts for next to nothing.
@@ -390,7 +390,7 @@ def pruned(
 
 
 def reduced(chosen: ChosenModel, keys: Collection[Key]) -> ChosenModel:
-    """The same without the effects of those keys, everything fitted anew."""
+    """The same without the effects of those keys, everything fitted again."""
     model = chosen.model
     for key in keys:
         model = without(model, key)

@@ -172,7 +172,7 @@ def _gains_anew(chosen: ChosenModel, contest: Contest) -> Gains:
 
 
 def nested_in(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: float) -> Heldout:
-    """The same with effects that are selected anew for each block, from the others.
+    """The same with effects that are selected again for each block, from the others.
 
     Not where an event lies in it, nor once the time for it is over.
     """

@@ -114,7 +114,7 @@ def unknown_of(
 ) -> Unknown:
     """What is not of the catalogue: strangers in the model, bands that are left over, and what did not last.
 
-    Each is held against the gap of its own sensor: a large effect on another one hides nothing.
+    Each is compared with the gap of its own sensor: a large effect on another one hides nothing.
 
     Parameters
     ----------

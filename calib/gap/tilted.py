@@ -62,8 +62,8 @@ def _chance(values: Array, covariance: Array) -> float:
 def _moved(model: Model, joint: Joint) -> Array:
     """What each error of the trajectory, of one standard deviation, makes of the numbers of `joint`, (p, errors).
 
-    The attitude is off by a rotation of standard deviation :attr:`View.att_sd` about each axis, half of its variance
-    constant and half growing evenly over the recording; :attr:`View.inside_sd` are those of what was estimated with it.
+    The attitude is off by a rotation of standard deviation :attr:`View.att_sd` about each axis. Half of its variance is
+    constant, half grows evenly over the recording; :attr:`View.inside_sd` are those of what was estimated with it.
     They move the amplitudes by ``C X' W R`` (first order), `R` being the readings' change with them. Nothing where the
     error is itself in the model.
     """

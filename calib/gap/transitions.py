@@ -29,7 +29,7 @@ _ONE_MOMENT = 1.5
 _MARGIN_S = 0.3
 """Before the first and after the last of them."""
 _WINDOW_S = 0.25
-"""Over which readings are averaged before they are held against a level."""
+"""Over which readings are averaged before they are compared with a level."""
 _LEVEL = 33
 """Windows whose median is a level: some eight seconds."""
 _RAMP = 0.3
@@ -114,7 +114,7 @@ def passing(
 def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:
     """From when to when a series (n, 3) about an event is off the levels that it keeps before and after it.
 
-    Means over windows are held against their median over the seconds on that side; how far they scatter about such
+    Means over windows are compared with their median over the seconds on that side; how far they scatter about such
     medians elsewhere says how much is off, whatever the noise. Gaps in the series end what is beside them.
     """
     width = max(1, round(_WINDOW_S * view.fs))

@@ -1,6 +1,6 @@
 """What no effect of the catalogue explains, as competitors that pay for their freedom.
 
-The catalogue is tried first and alone. Shapes (:mod:`calib.gap.shapes`) are then held against it in three places:
+The catalogue is tried first and alone. Shapes (:mod:`calib.gap.shapes`) are then compared with it in three places:
 beside its model, instead of all that it has on a sensor, and instead of each of its effects; the best of them
 join the contest. (What is said of them, and of all else that is unknown: :mod:`calib.gap.strangers`.)
 """

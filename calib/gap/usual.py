@@ -20,7 +20,7 @@ _AS_LARGE = 0.3
 _STANDS_OUT = 12.0
 """Energy of a line over that of its neighbours."""
 _NEIGHBOURS = 40
-"""Frequencies on either side, the nearest two apart, that a line is held against."""
+"""Frequencies on either side, the nearest two apart, that a line is compared with."""
 
 
 def usual_samples(effect: LatticeEffect, evidence: LatticeEvidence, nominal: Iterable[Trace]) -> bool:

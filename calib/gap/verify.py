@@ -2,8 +2,8 @@
 
 The simulator's new flight is diagnosed as the real one was: beside the same simulated flight, so that what both
 simulated flights show alike is nobody's remedy. The parameters of both diagnoses are compared, and what agrees within
-its errors is closed. What the new flight has is then put into the ideal readings of the real one, and this problem is
-diagnosed once more, with what two flights differ by anyway: what it finds is what the simulator still lacks, and where
+its errors is closed. What the new flight has is then put into the ideal readings of the real one. This problem is
+diagnosed once more, with what two flights differ by anyway. What it finds is what the simulator still lacks; where
 nothing is found the gap is closed. The two flights need not be the same. Where they are (the new log is a reference for
 the real one by itself) the real sensors are compared with the simulated ones directly.
 """

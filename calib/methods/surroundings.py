@@ -82,8 +82,8 @@ def of_one_surroundings(source: Source, mag: Channel, fit: Callable[[Channel], F
     found = fit(_joined([part.mag for part in same])) if len(same) > 1 else measure.fit
     listed = ", ".join(f"{part.text} by {100.0 * by:.1f} %" for part, by in other)
     note = (
-        f"only {', '.join(part.text for part in same)} was used: the field of other stretches does not fit to it "
-        f"({listed} of the field), as between a bench and a flight. --from and --until choose another stretch"
+        f"only {', '.join(part.text for part in same)} was used: the field of other stretches departs from it "
+        f"({listed}). Bench and flight differ so. --from and --until choose another stretch"
     )
     return dataclasses.replace(found, n_samples=len(mag), warnings=(note, *found.warnings))
 

@@ -41,7 +41,7 @@ _NO_OVERLAP = "the recording and its reference have no sensor in common, or do n
 _FAST_HZ = 100.0  # rate of a gyroscope whose turns between samples are hardly more than noise
 _ONE_RATE = 0.02  # by which rates may differ, relative
 _OTHER = "the simulator's or a nominal recording"
-_REDUNDANT = "The instances of the vehicle are held against each other."
+_REDUNDANT = "The instances of the vehicle are compared with each other."
 
 
 def build(

@@ -1,4 +1,4 @@
-"""Which reference a recording is held against, and what its nominal companions are held against."""
+"""Which reference a recording is compared with, and what its nominal companions are compared with."""
 
 from __future__ import annotations
 
@@ -118,13 +118,13 @@ def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
 
 
 def flew_another(real: Recording, sim: Recording) -> bool:
-    """Whether a simulated vehicle's log is of another flight: each is held against an ideal sensor of its own."""
+    """Whether a simulated vehicle's log is of another flight: each is compared with an ideal sensor of its own."""
     table = sim.identity.autopilot is None or real.identity.autopilot is None
     return not table and recorded(real) is None and of_same_trajectory(real, sim) is None
 
 
 def posed(real: Recording, nominal: Sequence[Recording]) -> Recording | None:
-    """The first of the `nominal` recordings with a pose, where `real` is held against one as well."""
+    """The first of the `nominal` recordings with a pose, where `real` is compared with one as well."""
     if real.identity.autopilot is not None or recorded(real) is not None or true_attitude(real) is None:
         return None
     return next((n for n in nominal if recorded(n) is None and true_attitude(n) is not None), None)

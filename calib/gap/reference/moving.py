@@ -1,4 +1,4 @@
-"""A pose errs by a share of the movement: a livelier recording is expected to be held against a worse reference.
+"""A pose errs by a share of the movement: a livelier recording is expected to be compared with a worse reference.
 
 Stamps that jitter, markers that give way on the vehicle and a body that bends leave a residual in proportion to how
 much moves at a frequency, with no fixed phase: 2 ms of jitter are 6 % of a movement at 5 Hz. A nominal recording shows

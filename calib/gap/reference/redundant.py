@@ -29,7 +29,7 @@ def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...])
     """Every instance of a sensor that has several, against the one that is most like its reference.
 
     That one is found from the `single` traces; without them it is the one that is nearest to all others. Of two
-    without a single trace nothing says which is at fault: the first is held against the second.
+    without a single trace nothing says which is at fault: the first is compared with the second.
     """
     made: list[Trace] = []
     for sensor in TRIADS:

@@ -371,7 +371,7 @@ def _weights(residual: Array, sd: Array) -> Array:
 
 
 def _stepped(state: TrajectoryState, normal: _Normal) -> tuple[TrajectoryState, float]:
-    """The state moved by the solution, with the noise of the aiding learned anew, and how far attitudes moved, rad."""
+    """The state moved by the solution, with the noise of the aiding learned again, and how far attitudes moved, rad."""
     nodes, constants = normal.solved(normal.right[:, :, None], normal.right_constants[:, None])
     step = nodes[:, :, 0]
     mag = normal.mag_residual
