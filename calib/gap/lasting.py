@@ -1,8 +1,8 @@
 """Levels that come and go, beside a nominal recording whose noise wanders: what it excuses has the same form.
 
 A spectrum learned from a recording that wanders grants any other as much power at low frequencies. A magnet that is
-put on and taken off has its power there. Neither of its steps says much alone. A nominal recording that wanders shows no
-level that is as far from the one before it, though: steps are compared with the largest that it has itself.
+put on and taken off has its power there. Neither of its steps says much alone. A nominal recording that wanders shows
+no level that is as far from the one before it, though: steps are compared with the largest that it has itself.
 """
 
 from __future__ import annotations

@@ -42,8 +42,8 @@ def vibration_findings(
 ) -> Iterator[HealthFinding]:
     """Vibration, clipping and aliasing of every accelerometer, and the vibration of gyroscopes.
 
-    `flown` are the spans with the motors on, and `shaking` is what :func:`calib.flight.flying.shaking_items` found there.
-    `how_to_log` is the action that has every sample of the sensor logged.
+    `flown` are the spans with the motors on, and `shaking` is what :func:`calib.flight.flying.shaking_items` found
+    there. `how_to_log` is the action that has every sample of the sensor logged.
     """
     items = {(item.name, _instance(item)): item for item in shaking}
     for instance in recording.instances(Sensor.ACCEL):

@@ -1,8 +1,9 @@
 """The field of the motors at a compass, from an ordinary flight: against current, throttle, or every output.
 
 Each way of driving it is fitted together with everything else that a flight leaves unknown (:mod:`calib.mag.flight`:
-offset, attitude, gyroscope, delay), so that none of these is taken for it. Before anything is proposed, the models with
-and without the term are compared on parts of the flight that neither saw (:mod:`calib.mag.motor_hidden`): the term must bring every part nearer, by the attitude of the gyroscope and by that of the log.
+offset, attitude, gyroscope, delay), so that none of these is taken for it. Before anything is proposed, the models
+with and without the term are compared on parts of the flight that neither saw (:mod:`calib.mag.motor_hidden`): the
+term must bring every part nearer, by the attitude of the gyroscope and by that of the log.
 """
 
 from __future__ import annotations
