@@ -233,6 +233,8 @@ class Sensor(StrEnum):
     POSITION = "position"
     VELOCITY = "velocity"
     PLACE = "place"
+    VIBRATION = "vibration"
+    GYRO_VIBRATION = "gyro_vibration"
 
 
 class SensorCheckId(StrEnum):

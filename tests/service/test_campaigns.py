@@ -134,7 +134,8 @@ async def test_uploads_are_fitted_paged_filtered_and_told(tmp_path: Path) -> Non
         assert [row["outcome"] for row in table] == [i["outcome"] for i in items]
         assert table[1]["name"] == "'=rest1.csv"
 
-        events = await a.events(f"/jobs/{job['id']}/events", 7, 0)
+        # Three states, five items, and at least one word of progress.
+        events = await a.events(f"/jobs/{job['id']}/events", 9, 0)
         told = [data for _, _, data in events if data["kind"] == "item"]
         assert told[0]["data"]["subject"] == ids[0]
         assert any(data["kind"] == "progress" and data["data"]["unit"] == "items" for _, _, data in events)

@@ -175,7 +175,7 @@ def test_the_methods_pool_logs_and_the_line_agrees():
     with pytest.raises(InvalidInputError, match="takes one recording, not 2"):
         METHODS["gyro-rest"].run_pooled(logs)
     table = dataclasses.replace(logs[0], identity=Identity())
-    with pytest.raises(InvalidInputError, match="only a vehicle's logs are pooled"):
+    with pytest.raises(InvalidInputError, match="logs and tables do not pool"):
         METHODS["thermal-poly"].run_pooled([logs[1], table])
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,12 +65,19 @@ def test_one_unit_is_not_judged_and_the_reference_is_said_first() -> None:
 
 
 def test_a_trajectory_that_contradicts_its_own_inertial_unit_throughout_is_useless_too() -> None:
-    report = gap.run(resting(1, gps_noise=10.0), nested=False)
-    assert report.verdict is GapVerdict.REFERENCE
-    assert report.effects == ()
+    known = diagnosed(1)
+    report = replace(known, inputs=replace(known.inputs, att_sigma_deg=math.inf))
+    assert report.inputs.useless
     assert as_json(report)["inputs"]["reference"]["att_sigma_deg"] is None
     assert "contradicts the inertial unit all the time" in verdict_sentence(report)
     assert "degrees" not in verdict_sentence(report)
+
+
+def test_a_poorer_position_is_of_no_use_either() -> None:
+    report = gap.run(resting(1, gps_noise=10.0), nested=False)
+    assert report.verdict is GapVerdict.REFERENCE
+    assert report.effects == ()
+    assert report.inputs.att_sigma_deg > USELESS_DEG
 
 
 def test_two_units_tell_of_each_other_what_needs_no_attitude() -> None:
