@@ -80,7 +80,8 @@ def with_levels(
 ) -> ChosenModel:
     """The model, or one with steps in place of noise that wanders, on sensors that have larger ones than `nominal`.
 
-    Steps of one sensor need together what the floor asks of one.
+    Steps of one sensor need together what the floor asks of one. Only compasses are asked: levels of the others come
+    and go with how the vehicle moves, of which a calm nominal recording has less.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ def with_levels(
         Chance of a step where there is none, a test.
     """
     for sensor in dict.fromkeys(view.sensor for view in chosen.model.setting.views):
-        if _jumps(chosen, sensor):
+        if sensor is not Sensor.MAG or _jumps(chosen, sensor):
             continue
         usual = max((steps_of(t).largest for t in nominal if _alone(t, sensor)), default=0.0)
         own = [steps_of(t) for t in traces if _alone(t, sensor)]

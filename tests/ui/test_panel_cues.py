@@ -59,7 +59,9 @@ def test_each_sign_comes_when_what_it_means_happens(desk, tmp_path):
         finished = [sign for sign in heard(desk, "tone", DONE) if sign["prompt"]]
         turned = [sign["done"] for sign in finished if not str(sign["prompt"]).startswith("Computes")]
         assert turned == sorted(turned), turned  # tiles turn green, and none back
-        assert 9 <= len(finished) <= 10, turned  # one a pose
+        before = heard(desk, "vibration")[0]["done"]  # the vehicle lies level already: that face may be done first
+        assert before in (0, 1)
+        assert 9 <= len(finished) + before <= 10, turned  # one a pose
         spoken = heard(desk, "speech")
         assert spoken
         for sign in spoken[:-1]:

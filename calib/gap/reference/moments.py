@@ -70,7 +70,7 @@ def swayed(trace: Trace, nominal: Sequence[Trace]) -> Trace:
     before, now = [_common(n) for n in nominal], _common(trace)
     if trace.against is None or not before:
         return trace
-    usual = np.maximum(np.mean(before, axis=0), np.finfo(float).tiny)
+    usual = np.maximum(np.mean(before, axis=0), np.maximum(1e-12 * now, np.finfo(float).tiny))
     left = np.mean([_squares(n).mean(axis=0) for n in nominal], axis=0)
     known = trace.observed[1:] & trace.observed[:-1]
     there = 0.5 * (np.diff(trace.residual, axis=0)[known] ** 2).mean(axis=0)
