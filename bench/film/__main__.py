@@ -82,8 +82,8 @@ def take_rooms(looking: Camera, client: Client, vehicle: str, flight: Path) -> N
         "logs": f"#/log/{log}",
         "gap": f"#/gap/{gap}",
         "history": f"#/history/{vehicle}",
+        "live": f"#/vehicle/{vehicle}/live",
         "job": f"#/job/{rooms.capturing(client, waits)}",
-        "live": f"#/vehicle/{waits}/live",
     }
     for room, place in places.items():
         taken(looking, room, place, READY[room])
@@ -92,7 +92,7 @@ def take_rooms(looking: Camera, client: Client, vehicle: str, flight: Path) -> N
 def taken(looking: Camera, room: str, place: str, ready: str) -> None:
     """A room at both sizes, in files named after it."""
     for size, end in ((DESK, ""), (PHONE, "-phone")):
-        shot = Image.open(io.BytesIO(looking.room(place, ready, size)))
+        shot = Image.open(io.BytesIO(looking.room(place, ready, size, there=room == "live")))
         save(shot, PICTURES / f"panel-{room}{end}.png", ROOM_BYTES)
 
 

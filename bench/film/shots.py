@@ -42,10 +42,13 @@ class Camera:
         finally:
             context.close()
 
-    def room(self, place: str, ready: str, size: dict[str, int], *, whole: bool = False) -> bytes:
-        """A PNG of a room once `ready`, a selector, is there."""
+    def room(self, place: str, ready: str, size: dict[str, int], *, whole: bool = False, there: bool = False) -> bytes:
+        """A PNG of a room once `ready`, a selector, is there; of its top, or with `there` of that place."""
         with self.page(size, place) as page:
             page.wait_for_selector(ready, timeout=60_000)
+            if there:
+                page.wait_for_timeout(15_000)  # charts have something to show
+                page.locator(ready).first.evaluate("it => it.scrollIntoView({block: 'center'})")
             page.wait_for_timeout(2500)  # pictures are drawn, bars have moved
             return page.screenshot(full_page=whole)
 

@@ -15,13 +15,7 @@ from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.calib.report import to_json
-from mavcal.service.errors import (
-    AnswerRefused,
-    Forbidden,
-    IllegalTransition,
-    NotCancellable,
-    NotRevertible,
-)
+from mavcal.service.errors import AnswerRefused, Forbidden, IllegalTransition, NotCancellable, NotRevertible
 from mavcal.service.jobs.acceptance import Acceptance
 from mavcal.service.jobs.admission import (
     request_digest,
