@@ -7,28 +7,29 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.fit import FitResult
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.recording import Sensor
 from mavcal.calib.report import from_json, to_json
-from mavcal.client import ApiProblem, Client, Unreachable
+from mavcal.client import ApiProblem, Client, ClientError, Unreachable
 from mavcal.client.enums import JobState, ProofVerdict
 from mavcal.client.events import ProgressEvent, PromptEvent, StateEvent
 from mavcal.client.jobs import JobModel, PlanModel, PromptModel, ResultModel, SegmentModel
-from mavcal.client.problems import VehicleArmed
+from mavcal.client.problems import VehicleArmed, VehicleSilent
 from mavcal.service.demo.judge import DemoJudgement, SensorReport, judge
 from mavcal.service.demo.screen import called
 from mavcal.service.lifetime import ending_with_us
-from mavcal.service.simvehicle import Operator, SimulatedVehicle
+from mavcal.service.simvehicle import Operator, SimulatedVehicle, SimulatedVehicleError
 
 Json = dict[str, Any]
+T = TypeVar("T")
 
 KINDS = ("gyro", "accel", "mag", "thermal")
 NAMES = {"gyro": "Gyro", "accel": "Accelerometer", "mag": "Compass", "thermal": "Temperature"}
@@ -46,6 +47,8 @@ SHOWS = 5.0
 older calibration, and some of its values have hardly changed."""
 PATIENCE_S = 60.0 * SPEED
 """How long a job waits for the next movement, seconds of the vehicle: a minute of ours at this speed."""
+READY_S = 10.0
+"""How long the vehicle may take to be disarmed and heard before a request is given up, wall seconds."""
 OPTIONS: Mapping[str, Json] = {
     **{kind: {"patience": PATIENCE_S} for kind in KINDS},
     "thermal": {"patience": PATIENCE_S, "span": SPAN_C, "extend": False},
@@ -115,8 +118,15 @@ def run(autopilot: str, *, seed: int, screen: Narrator, keep_open: bool = False,
     Raises
     ------
     DemoError
-        If a job does not end well, with its own reason.
+        If a job does not end well, with its own reason, or if the service or the vehicle stops answering.
     """
+    try:
+        return _run(autopilot, seed=seed, screen=screen, keep_open=keep_open, speed=speed)
+    except (ClientError, SimulatedVehicleError, OSError) as error:
+        raise DemoError(f"{type(error).__name__}: {error}") from error
+
+
+def _run(autopilot: str, *, seed: int, screen: Narrator, keep_open: bool, speed: float) -> DemoResult:
     began = time.monotonic()
     config = {"temperature": START_C, "parameters": BARE.get(autopilot, {})}
     with (
@@ -226,7 +236,7 @@ class _Demo:
     def _calibrate(self, vehicle_id: str, kind: str) -> tuple[JobModel, Json]:
         """The job as it ended, and the truth of the time in which its samples were taken."""
         self._screen.begin(NAMES[kind])
-        job = self._client.start_job(vehicle_id, kind=kind, options=OPTIONS.get(kind, {}))
+        job = _when_ready(lambda: self._client.start_job(vehicle_id, kind=kind, options=OPTIONS.get(kind, {})))
         state = self._follow(job.id, until={JobState.REVIEW} | ENDED)
         job = self._client.get_job(job.id)
         if state not in {JobState.REVIEW, JobState.SUCCEEDED} or job.plan is None:
@@ -250,18 +260,14 @@ class _Demo:
         return job, truth
 
     def _apply(self, job: JobModel, digest: str) -> None:
-        until = time.monotonic() + 10.0
-        while True:
-            try:
-                self._client.apply_plan(
+        try:
+            _when_ready(
+                lambda: self._client.apply_plan(
                     job.id, plan_sha256=digest, reboot=True, prove_s=PROVE_S, idempotency_key=job.id
                 )
-            except ApiProblem as error:
-                if isinstance(error, VehicleArmed) and time.monotonic() < until:
-                    time.sleep(0.5)  # disarmed for 2 s on the wall clock is a rule
-                    continue
-                raise DemoError(f"{job.kind}: {error}") from error
-            return
+            )
+        except ApiProblem as error:
+            raise DemoError(f"{job.kind}: {error}") from error
 
     def _follow(self, job_id: str, *, until: Set[JobState], after_review: bool = False) -> JobState:
         """Move the vehicle as the job asks until it reaches one of these states."""
@@ -303,6 +309,18 @@ class _Demo:
             )
         self._screen.detail(_said(job))
         self._screen.end(_ended(job), good=job.state == JobState.SUCCEEDED)
+
+
+def _when_ready(ask: Callable[[], T]) -> T:
+    """The answer; asked again for a while where the vehicle was armed a moment ago, or is late on a busy machine."""
+    until = time.monotonic() + READY_S
+    while True:
+        try:
+            return ask()
+        except (VehicleArmed, VehicleSilent):
+            if time.monotonic() > until:
+                raise
+        time.sleep(0.5)
 
 
 def _ended(job: JobModel) -> str:

@@ -49,6 +49,7 @@ def test_a_gyroscope_that_is_off_fails_and_is_mended(autopilot: str, tmp_path: P
     if autopilot == "px4":
         config["parameters"] = {"IMU_GYRO_CAL_EN": 0.0}  # else it mends its gyroscope by itself
     with SimulatedVehicle(autopilot, seed=8, speed=4.0, config=config) as sim:
+        sim.wait(5.0)  # a PX4 is not ready in its first seconds
         sim.call("add", sensor="gyro", instance=1, by=[0.02, 0.0, 0.0])
         first = preflight(sim.url, tmp_path, "--json")
         told = json.loads(first.stdout)

@@ -14,6 +14,7 @@ def demonstrated(autopilot: str, seed: int) -> dict[str, Any]:
     """The document of a demonstration; slower than by default, since the machine may be busy with other tests."""
     command = [sys.executable, "-m", "mavcal", "demo", "--autopilot", autopilot, "--seed", str(seed)]
     done = subprocess.run([*command, "--speed", "12", "--json"], capture_output=True, text=True, check=False)
+    assert done.stdout, (done.returncode, done.stderr[-2000:])
     found: dict[str, Any] = json.loads(done.stdout)
     assert (done.returncode == 0) == found["ok"], done.stderr[-500:]
     return found
