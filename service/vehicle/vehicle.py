@@ -241,10 +241,12 @@ class Vehicle:
         """Take the frames of this vehicle out of a batch, in order."""
         now, since = batch.received_at, batch.since
         clock: float | None = None
+        beating = False
         for frame in frames:
             message_id = frame.message_id
             clock = boot_time(frame) if message_id in BOOT_TIME_IDS else clock
             if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                beating = True
                 self._ask_clock()
                 self.heartbeat = decode(frame)
             if message_id in STATE_IDS:
@@ -259,6 +261,8 @@ class Vehicle:
             self._change(note_boot_time(self.state, clock))
         if self.state.last_heard != now:
             self.state = changed(self.state, last_heard=now)
+        if beating:
+            self._poll_when_due(now)
         self._hand_on(frames, batch)
 
     def _hand_on(self, frames: Sequence[Frame], batch: Batch) -> None:
@@ -352,7 +356,12 @@ class Vehicle:
             self._silent = silent
             kind = VehicleEventKind.SILENT if silent else VehicleEventKind.HEARD_AGAIN
             self._tell(kind, "No heartbeat for 3 s." if silent else "Its heartbeat is back.")
-        if not silent and now - self._polled_at >= _POLL_S:
+        if not silent:
+            self._poll_when_due(now)
+
+    def _poll_when_due(self, now: float) -> None:
+        """With time and with every heartbeat: a late event loop may have a turn only before what it is to hear."""
+        if now - self._polled_at >= _POLL_S:
             self._polled_at = now
             self._poll(now)
 

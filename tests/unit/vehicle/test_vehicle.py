@@ -110,18 +110,37 @@ async def test_the_time_is_asked_for_with_the_first_heartbeat() -> None:
 async def test_its_state_is_asked_for_when_it_has_grown_old(ardupilot: FakeVehicle) -> None:
     ardupilot.link.sent.clear()
     ardupilot.vehicle.tick()
-    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE) == 0  # just heard
-    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_VFR_HUD) == 1
+    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_VFR_HUD) == 0  # asked for with its first heartbeat
     ardupilot.clock.now += 1.9
     ardupilot.vehicle.tick()
-    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_VFR_HUD) == 1
+    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_VFR_HUD) == 0
+    ardupilot.hear(heartbeat(), landed())
     ardupilot.clock.now += 0.1
     ardupilot.vehicle.tick()
+    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE) == 0  # just heard
+    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_VFR_HUD) == 1
+    ardupilot.clock.now += 2.0
+    ardupilot.vehicle.tick()  # what was heard 2.1 s ago has grown old
     assert asked(ardupilot, dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE) == 1
     assert asked(ardupilot, dialect.MAVLINK_MSG_ID_VFR_HUD) == 2
     ardupilot.clock.now += 100.0
     ardupilot.vehicle.tick()  # who is silent is not asked
     assert asked(ardupilot, dialect.MAVLINK_MSG_ID_VFR_HUD) == 2
+
+
+async def test_its_state_is_asked_for_with_the_heartbeat_that_a_late_loop_hears_after_its_turn(
+    ardupilot: FakeVehicle,
+) -> None:
+    ardupilot.vehicle.tick()
+    ardupilot.clock.now += 2.5
+    ardupilot.link.heard_until = ardupilot.clock.now - 2.4
+    ardupilot.link.sent.clear()
+    ardupilot.vehicle.tick()  # nothing of these 2.5 s has been read yet
+    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE) == 0
+    ardupilot.hear(heartbeat())
+    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE) == 1
+    ardupilot.hear(heartbeat())
+    assert asked(ardupilot, dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE) == 1
 
 
 async def test_another_address_is_told_and_is_no_conflict(ardupilot: FakeVehicle) -> None:
@@ -272,7 +291,7 @@ async def test_a_demand_on_a_link_that_is_down_is_lost(ardupilot: FakeVehicle) -
 
 async def test_who_it_is_is_asked_every_five_seconds_of_a_vehicle_that_has_said_so(ardupilot: FakeVehicle) -> None:
     who = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-    ardupilot.vehicle.tick()
+    ardupilot.advance(2.0)
     ardupilot.link.sent.clear()
     counts = []
     for _ in range(12):
@@ -283,7 +302,7 @@ async def test_who_it_is_is_asked_every_five_seconds_of_a_vehicle_that_has_said_
 
 
 async def test_who_it_is_is_asked_again_as_soon_as_five_seconds_have_passed(ardupilot: FakeVehicle) -> None:
-    ardupilot.vehicle.tick()
+    ardupilot.advance(2.0)
     ardupilot.link.sent.clear()
     counts = []
     for _ in range(4):
