@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -56,8 +57,8 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def main() -> int:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else COUNT
+def main(arguments: Sequence[str]) -> int:
+    count = int(arguments[0]) if arguments else COUNT
     rng = random.Random(20_261_123)
     pool = [hostile(rng) for _ in range(KINDS)]
     port = free_port()
@@ -77,7 +78,7 @@ def main() -> int:
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as attacker,
     ):
         threading.Thread(target=vehicle, daemon=True).start()
-        while not any(v["system"] == 1 for v in running.client.get("/vehicles")):
+        while not any(v.system == 1 for v in running.client.list_vehicles()):
             time.sleep(0.1)
         before, used = running.resident_bytes(), running.processor_s()
         slowest, sent, began = 0.0, 0, time.monotonic()
@@ -87,23 +88,23 @@ def main() -> int:
             sent += RATE // 10
             if sent % RATE == 0:
                 asked = time.monotonic()
-                running.client.get("/links")
+                running.client.list_links()
                 slowest = max(slowest, time.monotonic() - asked)
             time.sleep(max(0.0, began + sent / RATE - time.monotonic()))
         took = time.monotonic() - began
         grown = (running.resident_bytes() - before) / 2**20
         time.sleep(1.0)
-        vehicles = running.client.get("/vehicles")
-        (true,) = [v for v in vehicles if v["system"] == 1]
-        (link,) = running.client.get("/links")
-        print(f"{sent} datagrams in {took:.0f} s; damaged frames seen: {link['crc_errors']}; vehicles: {len(vehicles)}")
+        vehicles = running.client.list_vehicles()
+        (true,) = [v for v in vehicles if v.system == 1]
+        (link,) = running.client.list_links()
+        print(f"{sent} datagrams in {took:.0f} s; damaged frames seen: {link.crc_errors}; vehicles: {len(vehicles)}")
         spent = running.processor_s() - used
         print(f"memory grew by {grown:.0f} MiB; slowest answer {slowest:.2f} s; {spent:.0f} s of a processor")
-        print(f"the true vehicle: silent {true['silent']}, writable {true['writable']}, {'; '.join(true['obstacles'])}")
+        print(f"the true vehicle: silent {true.silent}, writable {true.writable}, {'; '.join(true.obstacles)}")
         over.set()
-    good = not true["silent"] and not true["writable"] and grown < MOST_MIB and slowest < MOST_ANSWER_S
+    good = not true.silent and not true.writable and grown < MOST_MIB and slowest < MOST_ANSWER_S
     return 0 if good else 1
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(main(sys.argv[1:]))

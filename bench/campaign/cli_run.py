@@ -20,7 +20,7 @@ from bench.campaign.judge import Ending, Evidence, judge
 from bench.campaign.kill_scene import SCENES
 from bench.campaign.report import KillReport
 from bench.campaign.scenario import OPTIONS, SPEED
-from bench.campaign.truth import Holding, holding, residuals
+from bench.campaign.truth import Holding, holding, residuals, true_px4_gyro
 from mavcal.service.api.views import job_model
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.jobs.salvage import job_of
@@ -98,9 +98,9 @@ def _outcome(kill: CliKill) -> tuple[Ending, tuple[str, ...], str]:
     ):
         sim.call("still")
         sim.wait(30.0)
-        for name, change in scene.off_by.items():
-            sim.call("fault", kind="foreign_write", name=name, value=holding(sim).stored[name] + change)
-        if scene.off_by:
+        if scene.gyro_off_by:
+            for name, true in true_px4_gyro(sim.truth(), holding(sim).stored).items():
+                sim.call("fault", kind="foreign_write", name=name, value=true + scene.gyro_off_by)
             sim.wait(5.0)
             sim.call("reboot")  # PX4 loads so small a change only then
             sim.wait(30.0)

@@ -24,8 +24,8 @@ class Scene:
     """Let loose when the plan is accepted; `share` places it among the plan's parameters."""
     parameters: Mapping[str, float] = field(default_factory=dict)
     """Settings of the vehicle."""
-    off_by: Mapping[str, float] = field(default_factory=dict)
-    """Parameters that somebody has changed by so much before the job: there is something to write."""
+    gyro_off_by: float = 0.0
+    """How far from its truth somebody has set PX4's first gyro along x before the job, rad/s: it is to be written."""
 
 
 _BARE = {"INS_GYR_CAL": 0.0}
@@ -34,7 +34,7 @@ _BARE = {"INS_GYR_CAL": 0.0}
 SCENES: Mapping[str, Scene] = {
     "gyro": Scene("ardupilot", "gyro", None, _BARE),
     # PX4 has calibrated its gyros by itself: what is left is below its thresholds, and acts after a restart only.
-    "restart": Scene("px4", "gyro", off_by={"CAL_GYRO0_XOFF": 0.004}),
+    "restart": Scene("px4", "gyro", gyro_off_by=0.004),
     "commands": Scene("ardupilot", "accel", None, _BARE),
     "not applied": Scene("ardupilot", "gyro", {"kind": "not_applied", "share": 0.5}, _BARE),
     "third party": Scene("ardupilot", "gyro", {"kind": "foreign_write", "share": 0.99, "value": 0.0321}, _BARE),

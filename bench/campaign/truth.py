@@ -88,6 +88,12 @@ def residuals(
     return tuple(found)
 
 
+def true_px4_gyro(truth: Json, stored: Mapping[str, float]) -> dict[str, float]:
+    """The offset along x that would leave the gyro of PX4's first slot without any, by its parameter's name."""
+    (gyro,) = [entry for entry in truth["gyros"] if int(entry["id"]) == int(stored["CAL_GYRO0_ID"])]
+    return {"CAL_GYRO0_XOFF": float(gyro["offset"][0])}
+
+
 def _asked(truth: Json, job: str, uncertainty: float) -> float:
     if job == "gyro":
         return math.radians(uncertainty)
