@@ -97,6 +97,16 @@ def logs_of(recordings: Sequence[Recording]) -> tuple[Log, ...]:
     return tuple(logs)
 
 
+def no_temperature(recording: Recording) -> str:
+    """What to do where there is no thermometer: a vehicle's log states its fields, of a table a column may be named."""
+    if recording.identity.autopilot is None:
+        return "the table has no temperature: name its column, --map temperature=COLUMN"
+    return (
+        f"{recording.source or 'the log'} has no temperature of this sensor: log it from the vehicle "
+        "(DataFlash IMU.T; telemetry SCALED_IMU with its temperature or HIGHRES_IMU)"
+    )
+
+
 def warmth(logs: Sequence[Log], sensor: Sensor, instance: int, *, other: int | None = None) -> RestTemperatures | None:
     """The rests of that sensor in every log; None: there is no row.
 
@@ -116,9 +126,7 @@ def warmth(logs: Sequence[Log], sensor: Sensor, instance: int, *, other: int | N
             continue
         thermometer = log.temperature_of.get(instance, log.temperature_of.get(0))
         if thermometer is None:
-            raise InvalidInputError(
-                f"{log.name or 'the recording'} has no temperature: name its column, --map temperature=COLUMN"
-            )
+            raise InvalidInputError(no_temperature(log.recording))
         for rest in rests(log.recording, instance):
             if _add(pool, channel, thermometer, rest, log.shift, len(found)):
                 found.append(rest)

@@ -13,6 +13,7 @@ from mavcal.calib.accel.poses import fit_one_axis, fit_poses
 from mavcal.calib.accel.six_face import FORMS, fit_six_face
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
+from mavcal.calib.flight.warm import no_temperature
 from mavcal.calib.methods.method import (
     FIXTURE,
     GRAVITY,
@@ -136,7 +137,7 @@ def accel_thermal(source: Source, options: Options) -> list[FitResult]:
     for accel in source.channels(Sensor.ACCEL):
         temperature = source.temperature(accel.instance)
         if temperature is None:
-            raise InvalidInputError(source.no_temperature())
+            raise InvalidInputError(no_temperature(source.recording))
         if not source.timed and not source.recording.segments:
             raise InvalidInputError("still poses are found by time: the table has none; give --rate, or a column t")
         fits.append(

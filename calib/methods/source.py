@@ -51,15 +51,6 @@ class Source:
         """The thermometer of that instance, or the only one there is."""
         return self.maybe(Sensor.TEMPERATURE, instance) or self.maybe(Sensor.TEMPERATURE, 0)
 
-    def no_temperature(self) -> str:
-        """What to do where there is no thermometer: a column of a table may be named, a log states its fields."""
-        if self.of_vehicle:
-            return (
-                f"{self.recording.source or 'the log'} has no temperature of this sensor: log it from the vehicle "
-                "(DataFlash IMU.T; telemetry SCALED_IMU with its temperature or HIGHRES_IMU)"
-            )
-        return "the table has no temperature: name its column, --map temperature=COLUMN"
-
     def relative(self, channel: Channel) -> bool:
         """Whether the calibration in force is unknown, or could not be undone."""
         return not self.recording.parameters or channel.stage != Stage.RAW

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.flight.thermal import ThermalWish, fit_rests
-from mavcal.calib.flight.warm import logs_of
+from mavcal.calib.flight.warm import logs_of, no_temperature
 from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
 from mavcal.calib.methods.source import Source
 from mavcal.calib.methods.thermal_tables import fit_tables
@@ -50,7 +50,7 @@ def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalWish) -
     """The same from what vehicles logged: only their rests on the ground."""
     for source in sources:
         if not source.recording.instances(Sensor.TEMPERATURE):
-            raise InvalidInputError(source.no_temperature())
+            raise InvalidInputError(no_temperature(source.recording))
     logs = logs_of([source.recording for source in sources])
     sensors = [s for s in (Sensor.ACCEL, Sensor.GYRO) if options["sensor"] in {"all", s.value}]
     fits = []
@@ -225,7 +225,7 @@ def _temperature_at(source: Source, channel: Channel) -> Array:
     """
     temperature = source.temperature(channel.instance)
     if temperature is None:
-        raise InvalidInputError(source.no_temperature())
+        raise InvalidInputError(no_temperature(source.recording))
     good = np.isfinite(temperature.values[:, 0])
     if not good.any():
         raise InvalidInputError("the temperature column has no finite number")

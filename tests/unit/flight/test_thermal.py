@@ -149,7 +149,7 @@ def test_logs_of_other_vehicles_or_sensors_are_not_pooled():
 def test_no_thermometer_is_said():
     recording = log([STEADY], (20.0, 40.0), seed=11)
     blind = recording.with_channels(c for c in recording.channels if c.sensor != Sensor.TEMPERATURE)
-    with pytest.raises(InvalidInputError, match="no temperature"):
+    with pytest.raises(InvalidInputError, match="log it from the vehicle"):
         fitted([blind], Sensor.GYRO)
 
 
