@@ -20,14 +20,14 @@ from mavcal.service.jobs.journal import JournalStep, WriteRecord, fold
 from mavcal.service.jobs.model import Job, advance
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store.protocol import JobStore
-from mavcal.service.store.rows import EventRow, Json
+from mavcal.service.store.rows import EventRow, JournalRow, Json
 
 log = structlog.get_logger(__name__)
 
 RETRY_S = 1.0
-LAST_RETRY_S = 0.1
-"""Between attempts to save what is owed while the service ends."""
 """Between two attempts to bring onto the disk what it has refused."""
+LAST_RETRY_S = 0.1
+"""Between two of them while the service ends."""
 
 Publish = Callable[[EventRow], None]
 
@@ -147,7 +147,7 @@ class JobHandle:
             await self.record(step, **data)
         except Exception as error:  # noqa: BLE001 - the vehicle comes first
             at = self._wall()
-            self.store.soon(lambda: self._owed_steps.append((at, step, data)))
+            await self.store.do(lambda: self._owed_steps.append((at, step, data)))
             self._retry_later(asyncio.get_running_loop())
             why = "the disk is full" if isinstance(error, DiskFull) else "the store does not work"
             self.warn(f"{why}: the last steps of this job are recorded late, or not at all if the service ends now")
@@ -158,8 +158,12 @@ class JobHandle:
             self._tell(kind, data)
 
     def written(self) -> WriteRecord:
-        """What the journal says."""
-        return fold(self.store.journal(self.id))
+        """What the journal says, with the steps that the store still has to take."""
+        owed = tuple(self._owed_steps)  # first: what is saved meanwhile is then in both, and never in neither
+        rows = self.store.journal(self.id)
+        kept = {(row.at, row.step) for row in rows}
+        late = (JournalRow(0, self.id, at, step.value, data) for at, step, data in owed if (at, step) not in kept)
+        return fold((*rows, *late))
 
     def _tell(self, kind: str, data: Json) -> None:
         at = self._wall()

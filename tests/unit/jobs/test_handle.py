@@ -11,6 +11,7 @@ import pytest
 from mavcal.calib.procedures.protocol import Progress
 from mavcal.service.errors import DiskFull
 from mavcal.service.jobs import handle as handle_module
+from mavcal.service.jobs.account import as_heard
 from mavcal.service.jobs.codec import job_from_row, row_from_job
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.handle import JobHandle, counting
@@ -117,6 +118,22 @@ async def test_steps_that_the_disk_refused_are_in_the_journal_once_it_takes_them
     store.close()
     assert steps == ["echo", "undo", "undone"]
     assert "recorded late" in handle.job.warnings[0]
+
+
+async def test_an_undo_that_the_disk_refused_already_makes_the_value_uncertain() -> None:
+    store = Refusing(None)
+    handle = JobHandle(Job("j1", "v", "gyro", {}, JobState.ROLLING_BACK, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    await handle.record(JournalStep.SEND, name="A", old=1.0, new=2.0, kind="real32", session=False)
+    await handle.record(JournalStep.ECHO, name="A", value=2.0)
+    store.refuses = True
+    await handle.record_anyway(JournalStep.UNDO, name="A")
+    (standing,) = as_heard(handle.written(), {})
+    assert not standing.certain
+    await handle.record_anyway(JournalStep.UNDONE, name="A", value=1.0)
+    (standing,) = as_heard(handle.written(), {})
+    assert (standing.value, standing.certain) == (1.0, True)
+    store.close()
 
 
 async def test_what_the_disk_refused_last_is_saved_without_another_change(monkeypatch: pytest.MonkeyPatch) -> None:
