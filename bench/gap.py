@@ -15,6 +15,7 @@ from mavcal.calib.gap.hypotheses import hypotheses_of
 from mavcal.calib.gap.model import setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.reference import build
+from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.selection import select
 from mavcal.calib.gap.views import views_of
 
@@ -62,7 +63,8 @@ def _kept_row(log: _Log) -> Row:
     took, found = [], []
     for budget in (_BUDGET, 0):
         began = time.process_time()
-        chosen = select(start, Contest(hypotheses, budget=budget), 0.005)
+        with one_diagnosis():
+            chosen = select(start, Contest(hypotheses, budget=budget), 0.005)
         took.append(time.process_time() - began)
         found.append([score.hypothesis.key for score in chosen.scores])
     ratio, same = took[1] / took[0], found[0] == found[1]

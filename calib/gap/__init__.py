@@ -17,12 +17,14 @@ from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
 from mavcal.calib.gap.pace import GapPace, GapProgress, GapStage
+from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording
 
 __all__ = ["GapPace", "GapProgress", "GapReport", "GapStage", "as_json", "diagnose", "run", "simulator_of"]
 
 
+@one_diagnosis()
 def run(
     real: Recording,
     sim: Recording | None = None,

@@ -8,9 +8,11 @@ from mavcal.calib.gap.baseline import baseline_of, beside
 from mavcal.calib.gap.flaws import beside_flaws, flaws_of
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.reference import alike, build, flew_another, posed, prepared
+from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.recording import Recording
 
 
+@one_diagnosis()
 def problem_of(real: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> GapProblem:
     """What is diagnosed of `real` beside `sim` and `nominal`; errors are those of :func:`calib.gap.reference.build`."""
     if sim is not None and flew_another(real, sim):

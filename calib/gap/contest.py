@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +43,7 @@ from mavcal.calib.gap.noise_fit import AxisFit, axes_of, axis_fit, densities_of,
 from mavcal.calib.gap.pace import GapPace
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.projection import Beside, Gain
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -273,13 +273,13 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> ContestScore:
     return ContestScore(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 
-@lru_cache(maxsize=6)
+@remembered(6)
 def noise_fits(model: Model, sensor: Sensor) -> tuple[AxisFit, ...]:
     """The fits of the three axes of a sensor."""
     return tuple(axis_fit(model, axes_of(model.setting, sensor, c)) for c in range(3))
 
 
-@lru_cache(maxsize=32)
+@remembered(32)
 def alone(fit: AxisFit) -> float:
     """``-2 log L`` of an axis without anything new."""
     return fit.fitted()[1]
@@ -378,7 +378,7 @@ def _loudness(model: Model, v: int) -> float:
     return max(float((model.weight[a] * model.y[a] ** 2).mean()) for b in bands for a in range(3 * b, 3 * b + 3))
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def unexplained(model: Model, v: int, trace: Trace) -> Array:
     """The residual of a series on the whole grid of `trace`, zero where it is not kept; of both bands at its rate."""
     view, left = model.setting.views[v], model.residual[v]

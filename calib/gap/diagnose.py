@@ -30,6 +30,7 @@ from mavcal.calib.gap.pace import GapPace, GapStage, with_limit
 from mavcal.calib.gap.power import powers_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.quieter import quieter
+from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.reported import effect_of, wandering_reference
 from mavcal.calib.gap.samples import Lattice, lattice_of, shown_by
 from mavcal.calib.gap.schema import (
@@ -110,6 +111,7 @@ class _Answer:
         return tuple(replace(a, share=a.share / (whole or 1.0)) for a in told)
 
 
+@one_diagnosis()
 def diagnose(
     problem: GapProblem,
     *,

@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from mavcal.calib.gap.model import (
     with_residual,
 )
 from mavcal.calib.gap.noise_fit import starting_noise, with_term
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.selection import fitted_about, without
 from mavcal.calib.gap.views import View, between
 
@@ -47,7 +47,7 @@ class Fold:
     test: Model
 
 
-@lru_cache(maxsize=2)
+@remembered(2)
 def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
     """`count` folds of a setting; fewer where a block has no samples. The last ones asked for are kept."""
     edges, guard = _edges(setting, count)
@@ -60,7 +60,7 @@ def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
     return tuple(found) if len(found) >= _LEAST_BLOCKS else ()
 
 
-@lru_cache(maxsize=1)
+@remembered(1)
 def blocks_of(setting: Setting, count: int) -> tuple[Model, ...]:
     """The blocks of those folds alone."""
     edges, guard = _edges(setting, count)

@@ -13,6 +13,7 @@ from mavcal.calib.gap.bands import resampled
 from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect, NoiseEffect
 from mavcal.calib.gap.likelihood import fast_length, transform
 from mavcal.calib.gap.problem import Trace, Worse
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.views import View
 from mavcal.calib.recording import Sensor
 
@@ -286,13 +287,13 @@ def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, the
     return total
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def _over_trace(columns: Callable[[Trace, float], Array], trace: Trace, theta: float) -> Array:
     """Columns of a whole trace; kept for a moment, since blocks of it are asked for one after the other."""
     return columns(trace, theta)
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def _slower(columns: Callable[[Trace, float], Array], trace: Trace, theta: float, m: int) -> Array:
     """The same at a lower rate, of `m` samples."""
     return resampled(_over_trace(columns, trace, theta), m)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from mavcal.calib.gap.hypotheses import Binning, Hypothesis, HypothesisColumns, 
 from mavcal.calib.gap.likelihood import AxisNoise, FrequencyBins, bins_of
 from mavcal.calib.gap.normal import solved, weighted_gram
 from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.views import View
 from mavcal.calib.recording import Sensor
 
@@ -166,13 +166,13 @@ class Ridge:
         return np.stack([turn[1] * z - turn[2] * y, turn[2] * x - turn[0] * z, turn[0] * y - turn[1] * x], axis=1)
 
 
-@lru_cache(maxsize=6)
+@remembered(6)
 def _waves(view: View, span: tuple[float, float], modes: int) -> Array:
     """The cosines at the times of a series; kept, since only their amplitudes change from step to step."""
     return cosines(view.t, span, modes)
 
 
-@lru_cache(maxsize=6)
+@remembered(6)
 def _turned(view: View) -> Array:
     """What an error of the attitude turns: the ideal reading of a series, (3, n)."""
     ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
@@ -206,7 +206,7 @@ def with_residual(model: Model) -> Model:
     return replace(model, residual=tuple(residual), y=tuple(y))
 
 
-@lru_cache(maxsize=64)
+@remembered(64)
 def _left(view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, tuple[Array, ...]]:
     """What terms and ridge leave of a series, and its bins by axis; kept, since most terms stay when one changes."""
     left = view.residual
@@ -229,7 +229,7 @@ def with_noise(model: Model, noise: tuple[AxisNoise, ...]) -> Model:
     return replace(model, noise=noise, weight=tuple(weight))
 
 
-@lru_cache(maxsize=64)
+@remembered(64)
 def predicted(term: Term, view: View) -> Array:
     """Change of the mean by `term` in `view`, shape (n, 3); the last ones asked for are kept."""
     effect = term.effect
@@ -244,7 +244,7 @@ def predicted(term: Term, view: View) -> Array:
     return np.asarray(np.tensordot(term.beta, columns, axes=1))
 
 
-@lru_cache(maxsize=32)
+@remembered(32)
 def _drawn(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
     """Columns or signals of a hypothesis in `view`; kept, since amplitudes change far more often than shapes."""
     return summed(columns, hypothesis, theta, view)
@@ -271,7 +271,7 @@ def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
     return float(grid[0]), float(grid[-1])
 
 
-@lru_cache(maxsize=40)
+@remembered(40)
 def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
     """Columns of everything that `term` estimates, at its present values; the last ones asked for are kept."""
     effect = term.effect
@@ -297,7 +297,7 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
     )
 
 
-@lru_cache(maxsize=40)
+@remembered(40)
 def _columns(hypothesis: Hypothesis, theta: float, setting: Setting) -> HypothesisColumns:
     """Columns of an effect at a shape; kept, since they stay when only its amplitudes change."""
     return columns_of(hypothesis, theta, setting.views, setting.frames)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.hypotheses import Hypothesis
 from mavcal.calib.gap.likelihood import AxisNoise, deviance, fit_amplitudes, flicker, random_walk
 from mavcal.calib.gap.model import Model, NoiseTerm, Setting, with_noise
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.views import View
 from mavcal.calib.recording import Sensor
 
@@ -171,7 +171,7 @@ def densities_of(hypothesis: Hypothesis, view: View, theta: float) -> Array:
     return np.asarray(np.add.reduce([w**2 * _density(effect, view, i, theta) for i, w in own.items()]))
 
 
-@lru_cache(maxsize=96)
+@remembered(96)
 def _density(effect: NoiseEffect, view: View, instance: int, theta: float) -> Array:
     return view.gain * effect.density(view.whole.traces[instance], view.omega, theta)
 

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotri
 
 from mavcal.calib.gap.hypotheses import Part
+from mavcal.calib.gap.remembered import remembered
 
 Array = NDArray[np.float64]
 
 _RANK = 1e-9
 """Relative eigenvalue of a normalised Gram matrix below which a direction does not exist."""
-_KEPT = 24
-_GRAMS: OrderedDict[tuple[int, int], tuple[Part, Array, Array]] = OrderedDict()
 
 
+@remembered(24)
 def weighted_gram(part: Part, weight: Array) -> Array:
     """``X W X'`` of many columns on one axis; the last ones are kept, since weights change only with the noise.
 
@@ -28,15 +26,8 @@ def weighted_gram(part: Part, weight: Array) -> Array:
     weight : shape (n,)
         Of the bins; never changed in place.
     """
-    key = id(part), id(weight)
-    known = _GRAMS.get(key)
-    if known is None or known[0] is not part or known[1] is not weight:
-        half = part.X * np.sqrt(weight)
-        known = part, weight, half @ half.T
-        _GRAMS[key] = known
-        if len(_GRAMS) > _KEPT:
-            _GRAMS.popitem(last=False)
-    return known[2]
+    half = part.X * np.sqrt(weight)
+    return np.asarray(half @ half.T)
 
 
 def eigh(gram: Array) -> tuple[Array, Array]:

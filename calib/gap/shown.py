@@ -15,6 +15,7 @@ from mavcal.calib.gap.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.model import setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence
 from mavcal.calib.gap.selection import ChosenModel, last_gains, reduced, select
 from mavcal.calib.gap.views import views_of
@@ -36,6 +37,7 @@ class Shown:
     sensors: tuple[Sensor, ...]
 
 
+@one_diagnosis()
 def shown(problem: GapProblem, alpha: float, floors: Floors, without: Sequence[str] = ()) -> list[Shown]:
     """Steady effects on the mean that are significant beside each other, and above what recordings differ by anyway."""
     views = split(views_of(problem, {}, {}))

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +38,7 @@ from mavcal.calib.gap.noise_fit import is_declared, refitted
 from mavcal.calib.gap.normal import solved
 from mavcal.calib.gap.pace import GapStage
 from mavcal.calib.gap.predictive import predictive_loss
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.schema import SequenceStep, Shrink
 from mavcal.calib.gap.selection import ChosenModel, Gains, last_gains, select
 
@@ -204,7 +204,7 @@ def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model
     return log_loss(carried(known, fold.test)) + 0.5 * followed * share
 
 
-@lru_cache(maxsize=2)
+@remembered(2)
 def trusting(model: Model) -> Setting:
     """The setting with the error of the reference taken out: it says nothing about another block."""
     if model.ridge is None:

@@ -24,6 +24,7 @@ from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.problem import GapProblem, ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.recorded import recorded
+from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.replay import with_effects
 from mavcal.calib.gap.schema import CONVERTER, EffectEstimate, GapReport, GapVerdict, SeriesFit, as_json
 from mavcal.calib.recording import Recording
@@ -84,6 +85,7 @@ class Verified:
         return 1.0 - self.remaining.nats / self.before.nats if self.before.nats > 0.0 else None
 
 
+@one_diagnosis()
 def verify(
     report: GapReport,
     real: Recording,

@@ -8,7 +8,6 @@ the same information, each series with noise of its own.
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,17 +18,13 @@ from scipy.fft import idct
 
 from mavcal.calib.gap.likelihood import fast_length, frequencies, transform
 from mavcal.calib.gap.problem import GapProblem, ReferenceKind, Trace
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
 _SHORTEST = 32
 """Samples below which a series says nothing."""
-
-
-_KEPT = 60
-"""Spectra that are remembered."""
-_SPECTRA: OrderedDict[tuple[int, int], tuple[Array, Array]] = OrderedDict()
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +101,7 @@ class View:
 
     def spectra(self, series: Array) -> Array:
         """The bins of the transforms of a `series` (n, 3), (3, count); the last ones asked for are kept."""
-        key = id(series), self.first
-        known = _SPECTRA.get(key)
-        if known is None or known[0] is not series:
-            known = series, transform(np.ascontiguousarray(series.T))[:, self.first :]
-            _SPECTRA[key] = known
-            if len(_SPECTRA) > _KEPT:
-                _SPECTRA.popitem(last=False)
-        return known[1]
+        return _spectra(series, self.first)
 
     def whitened(self, bins: Array) -> Array:
         """A series (n,) back from its bins (count,), the others zero."""
@@ -134,6 +122,12 @@ class View:
     def t(self) -> Array:
         """Times of the kept rows, s."""
         return np.asarray(self.any_trace.t[self.keep])
+
+
+@remembered(60)
+def _spectra(series: Array, first: int) -> Array:
+    """The transforms of a `series` (n, 3) from bin `first` on, (3, n - first)."""
+    return transform(np.ascontiguousarray(series.T))[:, first:]
 
 
 def views_of(

@@ -57,7 +57,7 @@ STANDARD = {
     *("__future__", "abc", "array", "ast", "bisect", "collections", "contextlib", "copy", "csv", "dataclasses"),
     *("datetime", "decimal", "enum", "fractions", "functools", "hashlib", "heapq", "hmac", "io", "itertools", "json"),
     *("math", "operator", "pathlib", "re", "statistics", "string", "struct", "textwrap", "types", "typing", "warnings"),
-    *("zipfile", "zlib", "importlib", "numbers", "unicodedata"),
+    *("zipfile", "zlib", "importlib", "numbers", "unicodedata", "contextvars"),
 }
 
 

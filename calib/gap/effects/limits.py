@@ -6,7 +6,6 @@ The samples themselves show nothing (:mod:`calib.gap.effects.lattice` finds what
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT
 from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def _at_energies(values: Array, energy: Array, noise: float) -> Array:
     return np.unique(values[np.minimum(np.searchsorted(energy, wanted), len(values) - 1)])
 
 
-@lru_cache(maxsize=16)
+@remembered(16)
 def limits(trace: Trace) -> Array:
     """Limits to try, ascending, in the unit of the readings."""
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())[::-1]
@@ -66,7 +66,7 @@ def limits(trace: Trace) -> Array:
     return below if len(below) else tried[:1]
 
 
-@lru_cache(maxsize=16)
+@remembered(16)
 def widths(trace: Trace) -> Array:
     """Half widths to try, ascending, in the unit of the readings."""
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())

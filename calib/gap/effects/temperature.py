@@ -8,7 +8,6 @@ the truth, every thermal effect would be accompanied by a bias that is not there
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from mavcal.calib.gap.effects.affine import scale_columns
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, moves, per_axis
 from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def best_references(factor: Callable[[Trace], Array], degree: int) -> Callable[[
     ``a = (1, T, T^2 ...)``, then costs ``(a'c)^2 / (a' G^-1 a)``, G the Gram matrix. The least dear ones are returned.
     """
 
-    @lru_cache(maxsize=8)
+    @remembered(8)
     def prepared(trace: Trace) -> tuple[Array, Array, Array]:
         grid = references(trace)
         u = (temperature_of(trace)[trace.observed] - 0.5 * (grid[0] + grid[-1])) / (0.5 * (grid[-1] - grid[0]))

@@ -7,7 +7,6 @@ of the Nyquist frequency), not expanded: at 5 ms and 5 Hz the first order is alr
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from scipy.interpolate import BSpline
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS
 from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ _SLOPE = {Sensor.ACCEL: 0.5, Sensor.GYRO: 0.05, Sensor.MAG: 1.0}
 _SHAKE = "a fast shake or a yaw jerk"
 
 
-@lru_cache(maxsize=12)
+@remembered(12)
 def splines_of(trace: Trace) -> Array:
     """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading; the last are kept.
 
@@ -98,7 +98,7 @@ def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
     return np.stack([gains[_FOLDS], gains.sum(axis=0)])
 
 
-@lru_cache(maxsize=4)
+@remembered(4)
 def _filtered_less_ideal(trace: Trace, cutoff: float) -> tuple[Array, Array]:
     """Through one pole (a package, an analogue stage) and a Butterworth of two (ArduPilot's, PX4's, most chips').
 

@@ -9,7 +9,6 @@ without, it is a fixed frequency while the motors run.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def folded(frequency: Array, fs: float) -> Array:
     return np.asarray(np.abs((frequency + 0.5 * fs) % fs - 0.5 * fs), dtype=np.float64)
 
 
-@lru_cache(maxsize=12)
+@remembered(12)
 def drive(trace: Trace) -> Array | None:
     """Power of the rotors' vibration over time (N,), at most one: fourth power of speed, square of thrust.
 
@@ -70,7 +70,7 @@ def drive(trace: Trace) -> Array | None:
     return np.asarray(power / largest, dtype=np.float64) if largest > 0.0 else np.zeros(len(trace.t))
 
 
-@lru_cache(maxsize=12)
+@remembered(12)
 def running(trace: Trace) -> NDArray[np.bool_]:
     """(N,) True while a motor turns."""
     if trace.rotor_hz is not None:
@@ -102,7 +102,7 @@ def line(trace: Trace, omega: Array, frequency: float) -> Array:
     return np.asarray(np.interp(omega, np.pi * np.arange(n) / n, power), dtype=np.float64)[None]
 
 
-@lru_cache(maxsize=24)
+@remembered(24)
 def _line_over_all_bins(trace: Trace, frequency: float) -> Array:
     """The same at the bins of the whole trace, (N,); kept for the other bands and contrasts of the sensor."""
     speed = mean_speed(trace)
