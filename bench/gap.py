@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from bench.gap_picture import CLEAN, REAL, recorded
 from bench.rows import Row, Section
 from mavcal.calib import gap
-from mavcal.calib.gap.bands import split
-from mavcal.calib.gap.contest import Contest
 from mavcal.calib.gap.effects import catalogue
-from mavcal.calib.gap.hypotheses import hypotheses_of
-from mavcal.calib.gap.model import setting_of, starting_model
-from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.bands import split
+from mavcal.calib.gap.model.hypotheses import hypotheses_of
+from mavcal.calib.gap.model.joint import setting_of, starting_model
+from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.remembered import one_diagnosis
-from mavcal.calib.gap.selection import select
-from mavcal.calib.gap.views import views_of
+from mavcal.calib.gap.search.contest import Contest
+from mavcal.calib.gap.search.selection import select
 
 SEED = 20261122
 _BUDGET = 16_000_000

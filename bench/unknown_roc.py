@@ -2,7 +2,8 @@
 
 Unknown errors of the withheld-effect check (T5) are to be rejected; nulls (T0), single effects (T1) and mixtures (T3)
 are not. *Before* ranks a case by the share that has no name, *after* also by the bets on what is left over
-(:mod:`calib.gap.discrepancy`). Both are read off one diagnosis: the bets change nothing but what is called unknown.
+(:mod:`calib.gap.unknown.discrepancy`). Both are read off one diagnosis: the bets change nothing but what is called
+unknown.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 
 from mavcal.calib import gap, logs
 from mavcal.calib.converter import make_converter
-from mavcal.calib.gap.discrepancy import LOUDER, WAVES
+from mavcal.calib.gap.unknown.discrepancy import LOUDER, WAVES
 from mavcal.calib.withheld_check import Tier, make_case
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "pictures" / "unknown-roc.svg"

@@ -12,11 +12,11 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from mavcal.calib.errors import IncomparableError, InvalidInputError
-from mavcal.calib.gap.compared import problem_of
+from mavcal.calib.gap.companion.compensation import problem_of
 from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
-from mavcal.calib.gap.pace import GapPace, GapProgress, GapStage
+from mavcal.calib.gap.progress import GapPace, GapProgress, GapStage
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording

@@ -7,32 +7,22 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from mavcal.calib.gap.attribution import Attribution, settled, steadily
-from mavcal.calib.gap.bands import split
-from mavcal.calib.gap.contest import Contest, ContestScore
-from mavcal.calib.gap.doubts import nameless, not_following, without_sensors
+from mavcal.calib.gap.companion.level_shifts import with_level_shifts
+from mavcal.calib.gap.companion.nuisance_gain import above_nuisance
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.effects.parts import TRIADS
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
-from mavcal.calib.gap.floors import Floors
-from mavcal.calib.gap.holding import not_holding
-from mavcal.calib.gap.hypotheses import Key, hypotheses_of
-from mavcal.calib.gap.impostors import Unexplained
-from mavcal.calib.gap.inputs import inputs_of
-from mavcal.calib.gap.lasting import with_levels
-from mavcal.calib.gap.left_open import with_flaws
-from mavcal.calib.gap.locate import located
-from mavcal.calib.gap.louder import unsteady_line
-from mavcal.calib.gap.model import Model, setting_of, starting_model
-from mavcal.calib.gap.noise_fit import refitted, starting_noise
-from mavcal.calib.gap.pace import GapPace, GapStage, with_limit
-from mavcal.calib.gap.power import powers_of
+from mavcal.calib.gap.heldout.consistency import inconsistent_effects
+from mavcal.calib.gap.heldout.shrink import Heldout, held_out, nested_in, shrink_of
+from mavcal.calib.gap.model.bands import split
+from mavcal.calib.gap.model.hypotheses import Key, hypotheses_of
+from mavcal.calib.gap.model.joint import Model, setting_of, starting_model
+from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.quieter import quieter
+from mavcal.calib.gap.progress import GapPace, GapStage, with_limit
 from mavcal.calib.gap.remembered import one_diagnosis
-from mavcal.calib.gap.reported import effect_of, wandering_reference
-from mavcal.calib.gap.samples import Lattice, lattice_of, shown_by
 from mavcal.calib.gap.schema import (
     EffectEstimate,
     GapReport,
@@ -42,17 +32,27 @@ from mavcal.calib.gap.schema import (
     NotTestable,
     Unknown,
 )
-from mavcal.calib.gap.selection import ChosenModel, reduced, select
-from mavcal.calib.gap.separable import inseparable, inseparable_line
-from mavcal.calib.gap.series import series_of
-from mavcal.calib.gap.shrink import Heldout, held_out, nested_in, shrink_of
-from mavcal.calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
-from mavcal.calib.gap.tilted import below_reference
-from mavcal.calib.gap.transitions import JumpSpan, passing, transitions, without_transitions
-from mavcal.calib.gap.unknown import explained
-from mavcal.calib.gap.usual import usual_tone
-from mavcal.calib.gap.views import views_of
-from mavcal.calib.gap.wander import WanderFit, wandering
+from mavcal.calib.gap.search.added_noise import unsteady_line
+from mavcal.calib.gap.search.contest import Contest, ContestScore
+from mavcal.calib.gap.search.lattice_effects import Lattice, lattice_of, shown_by
+from mavcal.calib.gap.search.nominal_check import nominal_has_tone
+from mavcal.calib.gap.search.power import powers_of
+from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
+from mavcal.calib.gap.search.thresholds import Thresholds
+from mavcal.calib.gap.search.wander import WanderFit, wandering
+from mavcal.calib.gap.telling.effect_report import effect_of, wandering_reference
+from mavcal.calib.gap.telling.inputs import inputs_of
+from mavcal.calib.gap.telling.locate import located
+from mavcal.calib.gap.telling.overstated_noise import overstated_noise
+from mavcal.calib.gap.telling.separability import inseparable, inseparable_notice
+from mavcal.calib.gap.telling.series import series_of
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
+from mavcal.calib.gap.unknown.plausibility import nameless, not_following, without_sensors
+from mavcal.calib.gap.unknown.shape_search import explained
+from mavcal.calib.gap.unknown.transitions import JumpSpan, passing, transitions, without_transitions
+from mavcal.calib.gap.unknown.verdict import NOT_LASTING, UnnamedCause, unknown_of, unnamed_causes_in
+from mavcal.calib.gap.worth.attitude_error import below_reference
+from mavcal.calib.gap.worth.attribution import Attribution, settled, steadily
 from mavcal.calib.recording import Sensor
 
 _BY_CHANCE = 0.005
@@ -167,7 +167,9 @@ def _begun(
             return problem, None
         chosen = select(task.bare, task.contest, alpha)
         if all(view.att_sd == 0.0 for view in task.bare.setting.views):
-            chosen = with_levels(chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1))
+            chosen = with_level_shifts(
+                chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1)
+            )
         if dead := not_following(chosen.model):
             problem = without_sensors(problem, dead)
         elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))) and not pace.ends():
@@ -188,7 +190,7 @@ def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: Ga
     hypotheses, missing = hypotheses_of(effects, views, problem.worse)
     start = starting_model(setting, starting_noise(setting))
     bare = refitted(start).model
-    contest = with_flaws(Contest(hypotheses, floors=Floors(problem.floor), pace=pace), start, problem.flaws)
+    contest = above_nuisance(Contest(hypotheses, floors=Thresholds(problem.floor), pace=pace), start, problem.flaws)
     return _Task(problem, lattice, bare, contest, missing)
 
 
@@ -246,7 +248,7 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
 
 def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     """The answer of a flight that stands alone: what holds on every block and along either attitude is told."""
-    denied = not_holding(task.problem, task.lattice, answer.chosen, answer.heldout)
+    denied = inconsistent_effects(task.problem, task.lattice, answer.chosen, answer.heldout)
     answer = replace(answer, small=answer.small | denied)
     heldout = held_out(answer.chosen, answer.contest, answer.tolerated)
     if nested and heldout is not None:
@@ -270,7 +272,7 @@ def _withdrawn(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
 def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapReport:
     """Everything that is said of a problem and of the answer to it."""
     chosen, model = answer.chosen, answer.chosen.model
-    seen = (s for s in strangers_in(model, answer.gap) if not answer.tolerated.issuperset(s.keys))
+    seen = (s for s in unnamed_causes_in(model, answer.gap) if not answer.tolerated.issuperset(s.keys))
     strangers = (*seen, *nameless(answer.gap, answer.withdrawn))
     unknown = _unknown(task, answer, strangers)
     effects = _effects(task, answer, strangers, beside_unknown=unknown.flag)
@@ -284,7 +286,7 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
         not_testable=_untestable(task),
         power=powers_of(chosen, answer.contest, alpha),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
-        warnings=(*task.problem.warnings, *_not_told(answer), *quieter(model)),
+        warnings=(*task.problem.warnings, *_not_told(answer), *overstated_noise(model)),
         series=series_of(model, answer.tolerated),
     )
 
@@ -294,7 +296,7 @@ def _not_told(answer: _Answer) -> tuple[str, ...]:
     known = [t.hypothesis for t in answer.chosen.model.members if not t.hypothesis.effect.nameless]
     usual = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated - answer.small)
     said = (f"two recordings differ by as much anyway: {', '.join(usual)} are no gap here",) if usual else ()
-    return (*said, *inseparable_line([h.effect.id for h in known if h.key in answer.small]))
+    return (*said, *inseparable_notice([h.effect.id for h in known if h.key in answer.small]))
 
 
 def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[LocatedGap, ...]:
@@ -306,7 +308,7 @@ def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alp
     return tuple(one for one in found if one.channel.partition(".")[0] in named)
 
 
-def _unknown(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> Unknown:
+def _unknown(task: _Task, answer: _Answer, strangers: Iterable[UnnamedCause]) -> Unknown:
     """What is not of the catalogue, in the model or in none of its effects."""
     model, reference = answer.chosen.model, task.problem.reference
     # A reference that turns looks like events that pass.
@@ -318,12 +320,12 @@ def _unknown(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> Unk
 
 
 def _effects(
-    task: _Task, answer: _Answer, strangers: Iterable[Stranger], *, beside_unknown: bool
+    task: _Task, answer: _Answer, strangers: Iterable[UnnamedCause], *, beside_unknown: bool
 ) -> tuple[EffectEstimate, ...]:
     """What has a name: of the samples, of the reference, and of the model all that stands for nothing else."""
     model = answer.chosen.model
     denied = {key for stranger in strangers for key in stranger.keys}
-    denied |= {t.hypothesis.key for t in model.terms if usual_tone(t, task.problem.nominal)}
+    denied |= {t.hypothesis.key for t in model.terms if nominal_has_tone(t, task.problem.nominal)}
     denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
     found = (
         effect_of(answer.chosen, a, answer.gates.get(a.key), beside_unknown=beside_unknown)

@@ -169,7 +169,7 @@ class Trace:
 
 
 @dataclass(frozen=True)
-class Worse:
+class FaultyInstances:
     """Which of two instances have something: slowly, against the reference that both share, and in fast bands.
 
     None: nothing says.
@@ -203,7 +203,7 @@ class Floor:
 
 
 @dataclass(frozen=True)
-class Flaw:
+class NuisanceEffect:
     """An effect that another recording shows against its own reference, and which part of it is left open in this."""
 
     effect: EffectEstimate
@@ -225,11 +225,11 @@ class GapProblem:
     nominal: tuple[Trace, ...] = ()
     """Sensors of recordings without an effect: what the samples of both show is no gap."""
     floor: Floor = field(default_factory=Floor)
-    flaws: tuple[Flaw, ...] = ()
+    flaws: tuple[NuisanceEffect, ...] = ()
     """What another recording shows against its own reference."""
     alone: bool = False
     """Whether a re-estimated trajectory is the only reference, without a simulated or a nominal recording beside it."""
     own_attitude: tuple[Array, Array] | None = None
     """The attitude that the vehicle logged: times (K,), s, and quaternions (K, 4), continuous; None: it logged none."""
-    worse: dict[Sensor, Worse] = field(default_factory=dict)
+    worse: dict[Sensor, FaultyInstances] = field(default_factory=dict)
     """By sensor with two instances, which of them have something."""

@@ -161,8 +161,8 @@ class HiddenDriver:
 class Unknown:
     """What no effect of the catalogue explains.
 
-    `log_odds` of bets that more than white noise is left over (:mod:`calib.gap.discrepancy`): where nothing is, it
-    exceeds x with a chance of at most exp(-x). None: no noise was declared that could be compared with it.
+    `log_odds` of bets that more than white noise is left over (:mod:`calib.gap.unknown.discrepancy`): where nothing is,
+    it exceeds x with a chance of at most exp(-x). None: no noise was declared that could be compared with it.
     """
 
     flag: bool = False
@@ -291,7 +291,7 @@ class GapReport:
     warnings: tuple[str, ...] = ()
     series: tuple[SeriesFit, ...] = ()
     left_out: tuple[str, ...] = ()
-    """Stages that were not finished, so that the diagnosis ended in time (:class:`calib.gap.pace.GapStage`)."""
+    """Stages that were not finished, so that the diagnosis ended in time (:class:`calib.gap.progress.GapStage`)."""
 
     @property
     def tested(self) -> bool:

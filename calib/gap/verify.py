@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.gap.agreement import EffectAgreement, agreements
-from mavcal.calib.gap.compared import problem_of
+from mavcal.calib.gap.companion.compensation import problem_of
 from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects.replay import with_effects
 from mavcal.calib.gap.problem import GapProblem, ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.recorded import recorded
 from mavcal.calib.gap.remembered import one_diagnosis
-from mavcal.calib.gap.replay import with_effects
 from mavcal.calib.gap.schema import CONVERTER, EffectEstimate, GapReport, GapVerdict, SeriesFit, as_json
+from mavcal.calib.gap.telling.agreement import EffectAgreement, agreements
 from mavcal.calib.recording import Recording
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mavcal.calib.gap.pace import GapStage
+from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.schema import (
     REFERENCE_NEED,
     USELESS_DEG,

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.gap.effects.shape_ids import is_shape
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.shape_ids import is_shape
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]

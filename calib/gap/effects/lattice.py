@@ -14,8 +14,8 @@ from scipy.optimize import brentq
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, LatticeEffect, LatticeEvidence
 from mavcal.calib.gap.effects.parts import AXES, TRIADS, UNIT
-from mavcal.calib.gap.levels import levels_of, noise_of
 from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.resolution import levels_of, noise_of
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]

@@ -5,8 +5,8 @@ a simulator's log of the same trajectory (:mod:`recorded`), a pose that drives a
 instance on the same vehicle (:mod:`redundant`).
 """
 
+from mavcal.calib.gap.reference.best_reference import flew_another, posed
 from mavcal.calib.gap.reference.build import build, prepared
-from mavcal.calib.gap.reference.choose import flew_another, posed
-from mavcal.calib.gap.reference.chosen import alike
+from mavcal.calib.gap.reference.channels import with_common_channels
 
-__all__ = ["alike", "build", "flew_another", "posed", "prepared"]
+__all__ = ["build", "flew_another", "posed", "prepared", "with_common_channels"]

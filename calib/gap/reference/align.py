@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.signal import correlate, correlation_lags
 
 from mavcal.calib.gap.reference.calibrated import TRIADS
-from mavcal.calib.gap.reference.frames import turned_correlation
-from mavcal.calib.gap.reference.signal import Signal, linear
+from mavcal.calib.gap.reference.correlation import turned_correlation
+from mavcal.calib.gap.reference.signals import Signal, linear
 from mavcal.calib.recording import Recording, Sensor, Stage
 
 Array = NDArray[np.float64]

@@ -10,24 +10,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import IncomparableError, InvalidInputError
-from mavcal.calib.gap.levels import steps_of, with_simulated_step
-from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace, Worse
+from mavcal.calib.gap.problem import FaultyInstances, GapProblem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.reference.best_reference import BestReferences, best_references
 from mavcal.calib.gap.reference.calibrated import corrected, not_undone, offset_changed
+from mavcal.calib.gap.reference.channels import sensors_of
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
-from mavcal.calib.gap.reference.choose import ChosenReferences, choose
-from mavcal.calib.gap.reference.chosen import sensors_of
-from mavcal.calib.gap.reference.denoised import error_sd, with_error
-from mavcal.calib.gap.reference.deviation import deviations, simulated_ideal
-from mavcal.calib.gap.reference.driven_noise import as_driven, driven_by
+from mavcal.calib.gap.reference.expected_noise import (
+    motor_noise_of,
+    movement_of,
+    with_heave_noise,
+    with_motor_noise,
+    with_movement_noise,
+)
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
-from mavcal.calib.gap.reference.moments import age_of, louder, settled, swayed
-from mavcal.calib.gap.reference.moving import as_heaving, as_moving, movement_of
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
+from mavcal.calib.gap.reference.notices import refusals
 from mavcal.calib.gap.reference.recorded import continuous
-from mavcal.calib.gap.reference.redundant import differences
-from mavcal.calib.gap.reference.signal import Signal
-from mavcal.calib.gap.reference.useless import refusals
-from mavcal.calib.gap.reference.which import worse_of
+from mavcal.calib.gap.reference.redundant import differences, faulty_instances_of
+from mavcal.calib.gap.reference.resolution import steps_of, with_simulated_step
+from mavcal.calib.gap.reference.sample_age import age_of, with_age_noise, with_sway_noise, without_aged_samples
+from mavcal.calib.gap.reference.signals import Signal
+from mavcal.calib.gap.reference.simulator import deviations, error_sd, simulated_ideal, with_error
 from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
@@ -89,11 +92,11 @@ class PreparedProblem:
     sim: Recording | None
     companions: tuple[Recording, ...]
     channels: tuple[Channel, ...]
-    chosen: ChosenReferences | None
+    chosen: BestReferences | None
     single: tuple[Trace, ...]
     pairs: tuple[Trace, ...]
     judged: tuple[tuple[Recording, Checked], ...]
-    worse: dict[Sensor, Worse]
+    worse: dict[Sensor, FaultyInstances]
 
     def problem(
         self,
@@ -115,12 +118,12 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
         raise IncomparableError(
             "the recording has no accelerometer, gyroscope or magnetometer", need="a log of the sensors' own samples"
         )
-    chosen = choose(real, sim, [corrected(n) for n in nominal])
+    chosen = best_references(real, sim, [corrected(n) for n in nominal])
     useless = chosen is not None and chosen.ideal.info.useless
     ideal = None if chosen is None or useless else chosen.ideal
     single = () if ideal is None else single_traces(real, channels, ideal)
     pairs = differences(real, ideal, single)
-    worse = worse_of(single, _singles_of(sim, chosen))
+    worse = faulty_instances_of(single, _singles_of(sim, chosen))
     single = told_by(single, pairs)
     if not single and not pairs and not useless:
         raise InvalidInputError(_NO_OVERLAP) if ideal is not None else IncomparableError(_NO_REFERENCE, need=_NEED)
@@ -150,11 +153,11 @@ def _learned(
     rounded = [replace(t, ideal_sd=error_sd(n)) if (n := of_readings.get(t.sensor)) else t for t in rounded]
     usual = [trace for _, its in clean for trace in its]
     noisy = [with_noise(_settled(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
-    driven = driven_by(usual)
+    driven = motor_noise_of(usual)
     info = _info(chosen)
     moved = movement_of([t for t in usual if t.against is None]) if info.kind is ReferenceKind.POSE else {}
-    noisy = [as_moving(as_driven(_louder(t, ages, usual), driven), moved) for t in noisy]
-    traces = tuple(simulated_ideal(as_heaving(t, info), offsets) for t in noisy)
+    noisy = [with_movement_noise(with_motor_noise(_louder(t, ages, usual), driven), moved) for t in noisy]
+    traces = tuple(simulated_ideal(with_heave_noise(t, info), offsets) for t in noisy)
     warnings = (
         *not_undone(list(channels), real),
         *offset_changed(list(channels), real),
@@ -184,7 +187,7 @@ def _logged_attitude(real: Recording) -> tuple[Array, Array] | None:
     return None if best is None else (best.t, continuous(best.values))
 
 
-def _info(chosen: ChosenReferences | None) -> ReferenceInfo:
+def _info(chosen: BestReferences | None) -> ReferenceInfo:
     """The reference; a useless one bounds nothing, since nothing is judged by it."""
     if chosen is None:
         return ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT)
@@ -203,7 +206,7 @@ def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:
     return {sensor: age for sensor, age in found.items() if age > 0.0}
 
 
-def _singles_of(sim: Recording | None, chosen: ChosenReferences | None) -> tuple[Trace, ...]:
+def _singles_of(sim: Recording | None, chosen: BestReferences | None) -> tuple[Trace, ...]:
     """Each instance of a simulator's recording against its own reference, where it flew by itself."""
     own = None if chosen is None else next((its for n, its in chosen.nominal if n is sim), None)
     return () if sim is None or own is None else single_traces(sim, sensors_of(sim), own)
@@ -211,7 +214,7 @@ def _singles_of(sim: Recording | None, chosen: ChosenReferences | None) -> tuple
 
 def _settled(trace: Trace, ages: Mapping[Sensor, float]) -> Trace:
     age = ages.get(trace.sensor) if trace.against is not None else None
-    return trace if age is None else settled(trace, age)
+    return trace if age is None else without_aged_samples(trace, age)
 
 
 def _louder(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequence[Trace]) -> Trace:
@@ -220,8 +223,8 @@ def _louder(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequence[Trace]
     alike = [t for t in nominal if t.sensor is trace.sensor]
     age = ages.get(trace.sensor)
     if age is not None:
-        return louder(trace, age, alike)
-    return trace if trace.sensor is Sensor.MAG else swayed(trace, [t for t in alike if t.against is not None])
+        return with_age_noise(trace, age, alike)
+    return trace if trace.sensor is Sensor.MAG else with_sway_noise(trace, [t for t in alike if t.against is not None])
 
 
 def _of_one_rate(

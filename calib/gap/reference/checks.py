@@ -11,8 +11,7 @@ from scipy.signal.windows import hann
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.following import unrelated
-from mavcal.calib.gap.reference.frames import correlation, turn_of
+from mavcal.calib.gap.reference.correlation import correlation, turn_of, uncorrelated_axes
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Recording, Sensor
 
@@ -123,7 +122,7 @@ def _unrelated(trace: Trace, name: str) -> Refusal | None:
     """A sensor that does not follow its reference: one of them is dead, or of another movement."""
     if trace.against is not None or not trace.followed:
         return None
-    axes = unrelated(trace, MOVES[trace.sensor])
+    axes = uncorrelated_axes(trace, MOVES[trace.sensor])
     if not axes.any() or (np.ptp(trace.measured[trace.observed], axis=0)[axes] < _ONE_VALUE).all():
         return None
     reason = f"{name} does not follow its reference on {_axes(axes)}: they have nothing in common"

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.problem import ReferenceInfo, Trace
 from mavcal.calib.gap.reference.calibrated import filter_in_force, sensor_from_corrected
-from mavcal.calib.gap.reference.grid import grid_of
 from mavcal.calib.gap.reference.noise import ResidualSpectrum
-from mavcal.calib.gap.reference.signal import Signal, slow
+from mavcal.calib.gap.reference.signals import Signal, grid_of, slow
 from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]

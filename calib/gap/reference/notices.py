@@ -1,18 +1,25 @@
-"""What is said of recordings beside the traces: what was not compared, given twice, or is too coarse to be compared."""
+"""What the report says of recordings and references beside the traces.
+
+The notices name what was not compared, given twice, or is too coarse to be compared. A reference is useless if its
+trajectory bends to any reading, so that effects which are measured along it are made by it. Then only the differences
+of instances are left, which need no attitude; the notices say what would make the reference better.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from mavcal.calib.gap.problem import ReferenceKind
+from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.reference.align import SAME, aligned, aligned_in_any_frame, same_digits
 from mavcal.calib.gap.reference.calibrated import TRIADS
-from mavcal.calib.gap.reference.chosen import comparable, sensors_of
-from mavcal.calib.gap.reference.grid import LONGEST_HOLE_S
+from mavcal.calib.gap.reference.channels import comparable, sensors_of
+from mavcal.calib.gap.reference.checks import Refusal
 from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.gap.reference.signals import LONGEST_HOLE_S
+from mavcal.calib.gap.schema import REFERENCE_NEED, USELESS_DEG
 from mavcal.calib.recording import Recording, Sensor
 
 _SLOWER = 0.5
@@ -105,3 +112,26 @@ def why_no_reference(real: Recording, sim: Recording) -> str:
 
 def _names(sensors: set[Sensor]) -> str:
     return ", ".join(s.value for s in TRIADS if s in sensors) or "none"
+
+
+def refusals(info: ReferenceInfo, sensors: Iterable[Sensor]) -> tuple[Refusal, ...]:
+    """Why the `sensors` of a recording are not judged by its reference `info`, one line each."""
+    reason = f"{uselessness(info)}: no single {{}} is compared with it"
+    return tuple((s.value, reason.format(s.value), REFERENCE_NEED) for s in dict.fromkeys(sensors))
+
+
+def uselessness(info: ReferenceInfo) -> str:
+    """How badly the attitude of a useless reference is known, and the limit."""
+    if math.isinf(info.att_sigma_deg):
+        return "the trajectory that was estimated contradicts its own inertial unit all the time"
+    return (
+        f"the attitude of the reference is known to {info.att_sigma_deg:.1f} deg only, {USELESS_DEG:g} deg are needed"
+    )
+
+
+def not_learned(info: ReferenceInfo) -> str:
+    """The same of another recording, from which noise was to be learned."""
+    return (
+        f"nothing was learned of single sensors from the simulator's or a nominal recording: {uselessness(info)}; "
+        f"it takes {REFERENCE_NEED}"
+    )

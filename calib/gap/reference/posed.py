@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.reference.frames import TURNS, correlation, likened, turned_correlation
+from mavcal.calib.gap.reference.correlation import TURNS, correlation, likened, turned_correlation
 from mavcal.calib.gap.reference.ideal import Ideal
 from mavcal.calib.gap.reference.recorded import continuous, true_attitude, true_place
-from mavcal.calib.gap.reference.signal import Signal, linear
-from mavcal.calib.gap.reference.smooth import SmoothedSignal, bandwidth, smoothed
+from mavcal.calib.gap.reference.signals import LowPassedSignal, Signal, bandwidth, linear, low_passed
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -93,7 +92,7 @@ def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTraject
     )
 
 
-def _known(attitude: Signal, smooth: SmoothedSignal) -> NDArray[np.bool_]:
+def _known(attitude: Signal, smooth: LowPassedSignal) -> NDArray[np.bool_]:
     """Where an attitude was recorded nearby: what a filter draws across a hole is no pose."""
     known = attitude.known(smooth.t)
     if smooth.cutoff_hz is None or known.all():
@@ -102,7 +101,7 @@ def _known(attitude: Signal, smooth: SmoothedSignal) -> NDArray[np.bool_]:
     return np.asarray(binary_erosion(known, np.ones(2 * count + 1), border_value=1))
 
 
-def _check_convention(smooth: SmoothedSignal, gyro: Array, force: Array | None) -> None:
+def _check_convention(smooth: LowPassedSignal, gyro: Array, force: Array | None) -> None:
     """The quaternion turns as the gyroscope does, unless it was written in another convention.
 
     Some conventions turn as a gyroscope in another frame does: then gravity decides.
@@ -115,10 +114,10 @@ def _check_convention(smooth: SmoothedSignal, gyro: Array, force: Array | None) 
     """
     if np.linalg.eigvalsh(np.cov(gyro.T))[1] < _TURNING**2:
         return  # a turn about one axis is a turn the other way with a sign
-    reading = smoothed(Signal(smooth.t, gyro), _CONVENTION_HZ).values
+    reading = low_passed(Signal(smooth.t, gyro), _CONVENTION_HZ).values
 
     def turns(q: Array) -> Array:
-        turned = smoothed(Signal(smooth.t, continuous(q)), _CONVENTION_HZ)
+        turned = low_passed(Signal(smooth.t, continuous(q)), _CONVENTION_HZ)
         return body_rate(turned.values / np.linalg.norm(turned.values, axis=1, keepdims=True), turned.first)
 
     def hangs(q: Array) -> float:
@@ -153,9 +152,9 @@ _CONVENTION_HZ = 5.0  # up to which turns are compared
 _ALIKE, _STRANGE = 0.9, 0.3  # correlations from which turns are the same, and below which they have nothing in common
 
 
-def _turned(attitude: Signal, cutoff: float | None) -> tuple[SmoothedSignal, Array, Array]:
+def _turned(attitude: Signal, cutoff: float | None) -> tuple[LowPassedSignal, Array, Array]:
     """Attitudes below `cutoff`, as unit quaternions, and the rates in the body."""
-    smooth = smoothed(attitude, cutoff)
+    smooth = low_passed(attitude, cutoff)
     q = smooth.values / np.linalg.norm(smooth.values, axis=1, keepdims=True)
     return smooth, q, body_rate(q, smooth.first)
 
@@ -186,16 +185,16 @@ def _acceleration(recording: Recording, t: Array, q: Array, highest: float | Non
         if signal is not None:
             cutoff = None
             if force is not None:
-                plain = smoothed(signal)
+                plain = low_passed(signal)
                 moved = linear(plain.t, _derivative(plain, sensor), t)
                 likely = likened(force, turn.inv().apply(moved - GRAVITY_NED))
                 cutoff = bandwidth(t, moved, turn.apply(likely) + GRAVITY_NED)
-            smooth = smoothed(signal, _lower(cutoff, highest))
+            smooth = low_passed(signal, _lower(cutoff, highest))
             return linear(smooth.t, _derivative(smooth, sensor), t), smooth.cutoff_hz
     return None, None
 
 
-def _derivative(smooth: SmoothedSignal, sensor: Sensor) -> Array:
+def _derivative(smooth: LowPassedSignal, sensor: Sensor) -> Array:
     return smooth.first if sensor == Sensor.VELOCITY else smooth.second
 
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.reference.calibrated import TRIADS
-from mavcal.calib.gap.reference.denoised import denoised
 from mavcal.calib.gap.reference.ideal import Ideal
-from mavcal.calib.gap.reference.signal import Signal
+from mavcal.calib.gap.reference.signals import Signal
+from mavcal.calib.gap.reference.simulator import denoised
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.gap.reference.signal import Signal
+from mavcal.calib.gap.reference.signals import Signal
 
 Array = NDArray[np.float64]
 

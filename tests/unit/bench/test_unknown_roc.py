@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from bench.unknown_roc import Rejected, area, at_most, curve, drawn, read, table
-from mavcal.calib.gap.discrepancy import LOUDER, WAVES
+from mavcal.calib.gap.unknown.discrepancy import LOUDER, WAVES
 from mavcal.calib.report import to_json
 
 BLANK = Rejected("T5", 1, ("unknown_x",), 200.0, 150.0, (), flag=False, share=0.0, shape="", log_odds=-1.0)

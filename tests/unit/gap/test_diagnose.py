@@ -8,19 +8,19 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.gap.bands import split
-from mavcal.calib.gap.contest import Contest
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
-from mavcal.calib.gap.estimates import estimates_of
-from mavcal.calib.gap.hypotheses import hypotheses_of
-from mavcal.calib.gap.model import setting_of, starting_model
-from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.heldout.shrink import dose_of
+from mavcal.calib.gap.model.bands import split
+from mavcal.calib.gap.model.hypotheses import hypotheses_of
+from mavcal.calib.gap.model.joint import setting_of, starting_model
+from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.schema import GapReport, GapVerdict, as_json
-from mavcal.calib.gap.selection import select
-from mavcal.calib.gap.shrink import dose_of
-from mavcal.calib.gap.views import views_of
+from mavcal.calib.gap.search.contest import Contest
+from mavcal.calib.gap.search.selection import select
+from mavcal.calib.gap.telling.estimates import estimates_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.effects.conftest import make
 from tests.unit.gap.synthetic import problem_of

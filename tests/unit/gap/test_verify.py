@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib import gap
-from mavcal.calib.gap.agreement import agreements, distance
 from mavcal.calib.gap.export import Target, exported
 from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate
+from mavcal.calib.gap.telling.agreement import agreements, distance
 from mavcal.calib.gap.verify import verified_json, verify
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.calib.simulate import SensorErrors, SensorSuite

@@ -9,7 +9,7 @@ from mavcal.calib import logs
 from mavcal.calib.gap.problem import ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.calibrated import corrected
-from mavcal.calib.gap.reference.smoothed import best_trajectory
+from mavcal.calib.gap.reference.re_estimated import best_trajectory
 from mavcal.calib.recording import Sensor
 
 pytestmark = pytest.mark.shared
@@ -43,7 +43,7 @@ def test_an_attitude_is_estimated_better_than_the_firmware_does(flights):
     truth = next(c for c in null.reference if c.sensor == Sensor.ATTITUDE)
     from mavcal.calib.gap.reference.posed import rotation
     from mavcal.calib.gap.reference.recorded import continuous
-    from mavcal.calib.gap.reference.signal import linear
+    from mavcal.calib.gap.reference.signals import linear
 
     at = rotation(linear(truth.t, continuous(truth.values), found.state.t))
     error = np.degrees((at.inv() * found.state.attitude).as_rotvec())

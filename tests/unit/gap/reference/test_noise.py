@@ -5,9 +5,9 @@ import pytest
 
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.calibrated import filter_gain
-from mavcal.calib.gap.reference.deviation import deviations, simulated_ideal
-from mavcal.calib.gap.reference.grid import grid_of
 from mavcal.calib.gap.reference.noise import learned, pooled, with_noise
+from mavcal.calib.gap.reference.signals import grid_of
+from mavcal.calib.gap.reference.simulator import deviations, simulated_ideal
 from mavcal.calib.recording import Sensor
 
 from .test_recorded import channel

@@ -9,8 +9,8 @@ from mavcal.calib.gap.problem import ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.recording import Recording, Sensor
 
+from .test_re_estimated import flight
 from .test_recorded import RATE, SECONDS, channel, flown, truth
-from .test_smoothed import flight
 
 
 def several(biases, seed=1):

@@ -1,0 +1,26 @@
+"""The sensors of a recording beside their references, less what a companion on another trajectory shows of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mavcal.calib.gap.companion.nominal_baseline import beside_nominal, nominal_baseline_of
+from mavcal.calib.gap.companion.simulated_baseline import baseline_of, beside
+from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.gap.reference import build, flew_another, posed, prepared, with_common_channels
+from mavcal.calib.gap.remembered import one_diagnosis
+from mavcal.calib.recording import Recording
+
+
+@one_diagnosis()
+def problem_of(real: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> GapProblem:
+    """What is diagnosed of `real` beside `sim` and `nominal`; errors are those of :func:`calib.gap.reference.build`."""
+    if sim is not None and flew_another(real, sim):
+        real, sim = with_common_channels(real, sim)
+        baseline = baseline_of(build(sim, sim, nominal), alpha)
+        return beside(build(real, sim, nominal, flaws=baseline.in_ideal, flawed=sim), baseline)
+    if sim is None and (other := posed(real, nominal)) is not None:
+        its = prepared(other, None, nominal)
+        flaws = nominal_baseline_of(lambda known: its.problem(known, other), alpha)
+        return beside_nominal(build(real, None, nominal, flaws=flaws.in_ideal, flawed=other), flaws)
+    return build(real, sim, nominal)

@@ -1,0 +1,132 @@
+"""Levels that come and go, beside a nominal recording whose noise wanders: what it excuses has the same form.
+
+A spectrum learned from a recording that wanders grants any other as much power at low frequencies. A magnet that is
+put on and taken off has its power there. Neither of its steps says much alone. A nominal recording that wanders shows
+no level that is as far from the one before it, though: steps are compared with the largest that it has itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.model.joint import NoiseTerm, Term
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.search.contest import Contest
+from mavcal.calib.gap.search.selection import ChosenModel, grown, reduced
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_STEP_S = 0.5
+"""Over which readings are averaged first."""
+_LEVEL_S, _APART_S = 8.0, 2.0
+"""How long a level lasts on either side of a step at least, and what is left out between: hands take their time."""
+_SEEN = 0.5
+"""Part of the averages of a level that has to be there."""
+_LARGER = 1.5
+"""Times the largest step of a nominal recording from which on one is not of that kind."""
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """How far the levels before and after each moment `t` (K,) are apart, `size` (K,); NaN where there is none."""
+
+    t: Array
+    size: Array
+
+    @property
+    def largest(self) -> float:
+        """Zero where no level is known."""
+        return float(np.nanmax(self.size)) if np.isfinite(self.size).any() else 0.0
+
+    def at(self, moment: float) -> float:
+        """The largest that holds the moment within its pause."""
+        near = np.abs(self.t - moment) <= _APART_S
+        return Steps(self.t[near], self.size[near]).largest if near.any() else 0.0
+
+
+def steps_of(trace: Trace) -> Steps:
+    """The steps of the residual of a trace at every half second."""
+    width = max(1, round(_STEP_S * trace.fs))
+    count = len(trace.t) // width
+    rows = count * width
+    seen = trace.observed[:rows].reshape(count, width)
+    summed = np.where(trace.observed[:rows, None], trace.residual[:rows], 0.0).reshape(count, width, 3).sum(axis=1)
+    means = summed / np.maximum(seen.sum(axis=1), 1)[:, None]
+    known: NDArray[np.bool_] = np.asarray(seen.any(axis=1))
+    length, pause = round(_LEVEL_S / _STEP_S), round(0.5 * _APART_S / _STEP_S)
+    total = np.vstack([np.zeros(3), np.cumsum(np.where(known[:, None], means, 0.0), axis=0)])
+    number = np.append(0, np.cumsum(known))
+    k = np.arange(length + pause, count - length - pause)
+    if not len(k):
+        return Steps(np.zeros(0), np.zeros(0))
+
+    def level(start: NDArray[np.intp], end: NDArray[np.intp]) -> Array:
+        n = number[end] - number[start]
+        mean = (total[end] - total[start]) / np.maximum(n, 1)[:, None]
+        mean[n < _SEEN * length] = np.nan
+        return np.asarray(mean)
+
+    apart = level(k + pause, k + pause + length) - level(k - pause - length, k - pause)
+    return Steps(trace.t[k * width], np.linalg.norm(apart, axis=1))
+
+
+def with_level_shifts(
+    chosen: ChosenModel, contest: Contest, traces: Sequence[Trace], nominal: Sequence[Trace], level: float
+) -> ChosenModel:
+    """The model, or one with steps in place of noise that wanders, on sensors that have larger ones than `nominal`.
+
+    Steps of one sensor need together what the floor asks of one. Only compasses are asked: levels of the others come
+    and go with how the vehicle moves, of which a calm nominal recording has less.
+
+    Parameters
+    ----------
+    chosen, contest
+        A model, and what competes.
+    traces, nominal
+        Sensors beside their references: of the recording, and of nominal ones.
+    level
+        Chance of a step where there is none, a test.
+    """
+    for sensor in dict.fromkeys(view.sensor for view in chosen.model.setting.views):
+        if sensor is not Sensor.MAG or _jumps(chosen, sensor):
+            continue
+        usual = max((steps_of(t).largest for t in nominal if _alone(t, sensor)), default=0.0)
+        own = [steps_of(t) for t in traces if _alone(t, sensor)]
+        if usual > 0.0 and max((steps.largest for steps in own), default=0.0) > _LARGER * usual:
+            chosen = _with_steps(chosen, contest, sensor, own, _LARGER * usual, level)
+    return chosen
+
+
+def _alone(trace: Trace, sensor: Sensor) -> bool:
+    return trace.sensor is sensor and trace.against is None
+
+
+def _with_steps(
+    chosen: ChosenModel, contest: Contest, sensor: Sensor, own: Sequence[Steps], least: float, level: float
+) -> ChosenModel:
+    """The model with steps of a sensor, each at a moment where `own` steps are at least that large."""
+    jumps = [h for h in contest.hypotheses if h.effect.jumps and h.effect.sensor is sensor]
+    drifts = [t.hypothesis.key for t in chosen.model.noise_terms if _drifts(t, sensor)]
+    bare = reduced(chosen, drifts) if drifts else chosen
+    found = grown(bare, contest.among(jumps).without_floors(), level)
+    small = [t.hypothesis.key for t in _jumps(found, sensor) if max(s.at(t.theta) for s in own) < least]
+    found = reduced(found, small) if small else found
+    steps = [t.hypothesis for t in _jumps(found, sensor)]
+    if not steps:
+        return chosen
+    without = reduced(found, [h.key for h in steps])
+    gain = sum(without.noise.deviance.values()) - sum(found.noise.deviance.values())
+    return found if gain > min(map(contest.floors.joining, steps)) else chosen
+
+
+def _jumps(chosen: ChosenModel, sensor: Sensor) -> list[Term]:
+    return [t for t in chosen.model.terms if t.effect.jumps and t.effect.sensor is sensor]
+
+
+def _drifts(term: NoiseTerm, sensor: Sensor) -> bool:
+    return term.hypothesis.effect.drifts and term.hypothesis.effect.sensor is sensor

@@ -1,0 +1,110 @@
+"""What a nominal recording shows against a pose of its own is no gap of another recording (decision 0007)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from mavcal.calib.gap.companion.steady_effects import steady_effects
+from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
+from mavcal.calib.gap.problem import Floor, GapProblem, NuisanceEffect, Trace
+from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
+from mavcal.calib.gap.search.thresholds import SMALL, Thresholds, accepted_difference
+from mavcal.calib.recording import Sensor
+
+_OF_ONE_RECORDING = ("clock_drift", "accel_bias", "gyro_bias")
+"""Two clocks may be set alike anywhere in a recording, and a bias is another one each time that a sensor is switched
+on; a simulator's is always the same.
+"""
+_OPEN, _OPEN_BIAS = 1.0 / 3.0, 1.5
+"""Part of a flaw by which two recordings against poses differ; of a bias all, and its estimate's own error."""
+_SMALL_LEVEL = 0.006
+"""Evidence a number, beside `SMALL`, of shifts of the level: they are a few numbers of a spectrum."""
+_SMALL_JOINS = 0.003
+"""The same of what is in the model, so that nothing else takes its place, and not told of."""
+_LOUD = 0.3
+"""Evidence a number of noise of twice the power: 1 - log 2. It differs by as much from minute to minute."""
+_ROUNDS, _SETTLED = 5, 0.1
+"""Times at most that the noise is learned, first with the flaws, then beside them; and the share by which what they
+gain may still change.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class NominalBaseline:
+    """What a nominal recording shows against its own pose: effects that another one has as well, and its biases."""
+
+    effects: tuple[EffectEstimate, ...]
+    biases: tuple[EffectEstimate, ...] = ()
+
+    def in_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
+        """Traces of the nominal recording beside what it reads with them: what is left is its noise."""
+        return with_effects_in(traces, self.effects)[0]
+
+
+def nominal_baseline_of(
+    learned: Callable[[Callable[[Sequence[Trace]], tuple[Trace, ...]]], GapProblem], alpha: float
+) -> NominalBaseline:
+    """What of the mean a nominal recording shows beside a pose of its own.
+
+    Parameters
+    ----------
+    learned
+        Makes the problem of the nominal recording, its noise learned beside the flaws that are put into the ideal.
+    alpha
+        Chance that anything is found where there is nothing.
+    """
+    flaws, before = NominalBaseline(()), 0.0
+    for _ in range(_ROUNDS):
+        problem = learned(flaws.in_ideal)
+        found = steady_effects(problem, alpha, Thresholds(), _OF_ONE_RECORDING)
+        gain = sum(one.gain for one in found)
+        flaws = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
+        if abs(gain - before) <= _SETTLED * before:
+            break
+        before = gain
+    return flaws
+
+
+def _single(traces: Sequence[Trace]) -> list[Trace]:
+    """Those of sensors that have a bias, against the pose."""
+    return [t for t in traces if t.against is None and t.sensor in (Sensor.ACCEL, Sensor.GYRO)]
+
+
+def _bias_of(trace: Trace) -> EffectEstimate:
+    """The mean residual, whether it is significant or not."""
+    mean = trace.residual[trace.observed].mean(axis=0)
+    values = tuple(
+        ParameterEstimate(f"bias.{a}", float(v), 0.0, (float(v), float(v)), trace.unit)
+        for a, v in zip("xyz", mean, strict=True)
+    )
+    instances = tuple(i + 1 for i in trace.instances)
+    return EffectEstimate(
+        f"{trace.sensor}_bias", trace.sensor, instances, values, EffectEvidence(0.0, 3, 1.0, 0.0, 0.0)
+    )
+
+
+def beside_nominal(problem: GapProblem, flaws: NominalBaseline) -> GapProblem:
+    """`problem` compared with a pose that has the flaws which a nominal recording shows against its own.
+
+    A bias is not carried over, but one as large is no gap.
+    """
+    changed, _ = with_effects(problem, flaws.effects, shared=True)
+    floor = Floor(
+        joins=accepted_difference(problem, _SMALL_JOINS),
+        lasting=accepted_difference(problem, SMALL),
+        level=accepted_difference(problem, _SMALL_LEVEL),
+        loud=accepted_difference(problem, _LOUD),
+    )
+    parts = (*(NuisanceEffect(e, _OPEN) for e in flaws.effects), *(NuisanceEffect(e, _OPEN_BIAS) for e in flaws.biases))
+    return replace(changed, floor=floor, flaws=parts, warnings=(*changed.warnings, *_said(flaws)))
+
+
+def _said(flaws: NominalBaseline) -> tuple[str, ...]:
+    """What was taken off, for who reads the report; nothing where nothing was."""
+    if not flaws.effects:
+        return ()
+    named = ", ".join(
+        f"{e.id} ({', '.join(f'{p.name} {p.value:.3g} {p.unit}' for p in e.params)})" for e in flaws.effects
+    )
+    return (f"the nominal recording shows this against its own pose, and it was taken off: {named}",)

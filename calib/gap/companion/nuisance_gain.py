@@ -1,0 +1,57 @@
+"""What a hypothesis would gain if a part of the reference's flaws were still there.
+
+A baseline takes the flaws off that another recording showed. In this one they are a little different: a hypothesis that
+would explain the difference is no gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.effects.replay import split_of
+from mavcal.calib.gap.model.hypotheses import Key
+from mavcal.calib.gap.model.joint import Model, Term, with_residual
+from mavcal.calib.gap.problem import NuisanceEffect
+from mavcal.calib.gap.search.contest import Contest
+from mavcal.calib.gap.search.projection import Beside
+from mavcal.calib.gap.search.thresholds import Thresholds
+
+
+def above_nuisance(contest: Contest, bare: Model, flaws: tuple[NuisanceEffect, ...]) -> Contest:
+    """`contest` in which every hypothesis must gain more than it would of what `flaws` leave open in the `bare` model.
+
+    Its noise is the declared one: fitted to a gap it would be the louder, and what flaws gain the less.
+    """
+    own = _gains(contest, bare, flaws) if flaws else {}
+    return Contest(contest.hypotheses, floors=Thresholds(contest.floors.floor, own), pace=contest.pace)
+
+
+def _gains(contest: Contest, bare: Model, flaws: tuple[NuisanceEffect, ...]) -> Mapping[Key, float]:
+    nothing = with_residual(replace(bare, terms=()))
+    residual = [np.zeros_like(r) for r in nothing.residual]
+    y = [np.zeros_like(r) for r in nothing.y]
+    for flaw in flaws:
+        if (term := _term(contest, flaw)) is None:
+            continue
+        there = with_residual(replace(bare, terms=(term,)))
+        residual = [s + flaw.open * (a - b) for s, a, b in zip(residual, nothing.residual, there.residual, strict=True)]
+        y = [s + flaw.open * (a - b) for s, a, b in zip(y, nothing.y, there.y, strict=True)]
+    left = replace(nothing, residual=tuple(residual), y=tuple(y))
+    means = [h for h in contest.hypotheses if isinstance(h.effect, MeanEffect)]
+    return {score.hypothesis.key: max(score.gain, 0.0) for score in contest.scores(means, Beside(left))}
+
+
+def _term(contest: Contest, flaw: NuisanceEffect) -> Term | None:
+    """The flaw as a term; None if nothing of its kind can be tested here."""
+    alike = [h for h in contest.hypotheses if h.effect.id == flaw.effect.id and not h.again and not h.effect.form]
+    if not alike:
+        return None
+    hypothesis = max(alike, key=lambda h: len(h.instances))
+    effect = hypothesis.effect
+    assert isinstance(effect, MeanEffect)
+    theta, amplitudes = split_of(effect, flaw.effect)
+    return Term(hypothesis, np.ones(1) if effect.fixed else amplitudes, theta)

@@ -1,0 +1,82 @@
+"""Whether blocks that were held out confirm an effect, or deny it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.heldout.folds import Fold, carried, expected_gain
+from mavcal.calib.gap.model.hypotheses import Key
+from mavcal.calib.gap.model.joint import NoiseTerm, Setting, Term
+from mavcal.calib.gap.search.selection import ChosenModel, Gains
+
+Array = NDArray[np.float64]
+
+_SHORT = 2.5
+"""Standard deviations by which a held-out gain may be less than was due."""
+_ENOUGH = 0.2
+"""Part of what was due that is enough in any case: no model of a real sensor foretells thousands of nats exactly."""
+_FORETOLD = -5.0
+"""Nats below which the other blocks do not know what to expect of one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gate:
+    """Whether an effect shrinks held-out data: gain by block in nats, and whether it stays; None: not to be told."""
+
+    key: Key
+    gains: Array
+    passed: bool | None
+
+
+def gate_of(
+    term: Term | NoiseTerm,
+    gains: Array,
+    told: Sequence[bool],
+    folds: Sequence[Fold],
+    chosen: ChosenModel,
+    beside: Gains,
+) -> Gate:
+    """Passed where held-out data are described better; withdrawn where they are not although they should.
+
+    An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats: one near the limit of detection may gain
+    nothing although it is true. What happened in one block only cannot be foretold from the others, and a drift of
+    the bias does not tell one block of the next.
+    """
+    total = float(gains.sum())
+    key = term.hypothesis.key
+    if isinstance(term, NoiseTerm):
+        drifts = term.hypothesis.effect.drifts
+        return Gate(key, gains, passed=True if total > 0.0 else None if drifts else False)
+    expected = [expected_gain(term, fold.train, carried(chosen.model, fold.test)) for fold in folds]
+    seen = [e > _FORETOLD and t for e, t in zip(expected, told, strict=True)]
+    sizes = [_touched(term, fold.test.setting) for fold in folds]
+    due = sum(_at_most(e, n) for e, s, n in zip(expected, seen, sizes, strict=True) if s)
+    joined_with = next((s.gain for s in chosen.scores if s.hypothesis.key == key), math.inf)
+    due = min(due, 0.5 * min(joined_with, beside[key][0]))  # what noise or other effects take in its place is no gain
+    total = float(gains[seen].sum())
+    if due <= 1.0:
+        return Gate(key, gains, passed=None)
+    least = min(due - _SHORT * math.sqrt(2.0 * due), _ENOUGH * due)
+    if total <= 0.0 and least < 0.0:
+        return Gate(key, gains, passed=None)
+    passed = bool(total > max(least, 0.0))  # numpy's False `is` not False
+    return Gate(key, gains, passed=None if not passed and _an_event(term) else passed)
+
+
+def _an_event(term: Term) -> bool:
+    """Whether it happens at a moment: the levels of other blocks are then shared with other events and with drifts."""
+    return term.effect.shape is not None and term.effect.shape.still
+
+
+def _touched(term: Term, setting: Setting) -> int:
+    return sum(3 * view.count for view in setting.views if term.hypothesis.touches(view))
+
+
+def _at_most(nats: float, numbers: int) -> float:
+    """What of a gain is left beside a model whose noise grew in place of the effect: ``n/2 log(1 + 2 nats/n)``."""
+    return 0.5 * numbers * math.log1p(max(2.0 * nats / max(numbers, 1), -0.9))

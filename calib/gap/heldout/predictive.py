@@ -1,0 +1,104 @@
+"""What a fit to some blocks foretells of another one, with how sure it is of it.
+
+A curve that is carried on beyond what the blocks saw is known badly there; taken for certain it would be punished for
+more than it claims. The amplitudes of the fit are therefore integrated out under the posterior of the blocks, whose
+prior is that of :mod:`calib.gap.search.evidence`, widened: amplitudes of one unit are alike, and about as large as
+these blocks say. Of what they do not show at all they foretell nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.heldout.folds import carried, log_loss, with_weight
+from mavcal.calib.gap.model.hypotheses import units_of
+from mavcal.calib.gap.model.joint import Model, Term, jacobian, normal_equations
+from mavcal.calib.gap.model.normal_equations import solved
+from mavcal.calib.gap.search.evidence import prior_sd
+
+Array = NDArray[np.float64]
+
+_WIDE = 10.0
+"""Times the size that the other blocks say, that an amplitude may have by the prior: it is to bound what they do not
+show, and not to shrink what they do."""
+_NOTHING = 1e-3
+"""Prior standard deviation of an amplitude of which there is no sign, in standard errors of all blocks together."""
+_LEAST = 1e-9
+"""Added to normalised information, so that what nothing tells has an inverse."""
+
+
+def predictive_loss(fitted: Model, block: Model) -> float:
+    """Negative log predictive density of a held-out block under what was fitted to the others, in nats.
+
+    With information K and estimates v of the others, prior precision L, and S and b of the block (its information, and
+    the right side of its normal equations at v): the posterior is ``N(v - d, P^-1)``, ``P = K + L``, ``P d = L v``, and
+    the block costs, more than at v for certain,
+    ``d'b + d'Sd/2 + (log|P + S| - log|P| - c'(P + S)^-1 c) / 2`` with ``c = b + S d``.
+
+    Parameters
+    ----------
+    fitted
+        A model of the other blocks.
+    block
+        The held-out block's data without an effect.
+    """
+    tested = carried(fitted, block)
+    loss = log_loss(tested)
+    if not tested.terms:
+        return loss
+    tested = with_weight(tested)
+    known, _ = _information(fitted)
+    shown, b = _information(tested)
+    v = np.concatenate([term.values for term in fitted.terms])
+    precision = _precision(fitted, known, shown)
+    kept = [i for i in range(len(v)) if i not in _moments(fitted.terms)]
+    known, shown = known[np.ix_(kept, kept)], shown[np.ix_(kept, kept)]
+    b, v, precision = b[kept], v[kept], precision[kept]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(known + shown) + precision, np.finfo(float).tiny))
+    S, prior = shown * np.outer(scale, scale), precision * scale**2
+    P = known * np.outer(scale, scale) + np.diag(prior + _LEAST)
+    b = b * scale
+    d = np.linalg.solve(P, prior * v / scale)
+    c = b + S @ d
+    moved = float(d @ b + 0.5 * d @ S @ d)
+    return loss + moved + 0.5 * (_log_det(P + S) - _log_det(P) - float(c @ np.linalg.solve(P + S, c)))
+
+
+def _information(model: Model) -> tuple[Array, Array]:
+    """Information on all values of a model's terms, and the right side beside it."""
+    normal = normal_equations([jacobian(t, model.setting) for t in model.terms], model.y, model.weight)
+    return normal.gram, normal.right
+
+
+def _precision(fitted: Model, known: Array, shown: Array) -> Array:
+    """Precision of the prior of every value: amplitudes have one of their own size, shapes none."""
+    ends = np.cumsum([0, *(len(term.values) for term in fitted.terms)])
+    error = 1.0 / np.sqrt(np.maximum(np.diag(known + shown), np.finfo(float).tiny))
+    values = np.concatenate([term.values for term in fitted.terms])
+    precision = np.zeros(len(known))
+    for term, (start, end) in zip(fitted.terms, itertools.pairwise(ends), strict=True):
+        if term.effect.fixed:
+            continue
+        own = np.arange(start, start + len(term.beta))
+        rest = np.setdiff1d(np.arange(len(known)), np.arange(start, end))
+        cross = known[np.ix_(own, rest)]
+        gram = known[np.ix_(own, own)] - cross @ solved(known[np.ix_(rest, rest)], np.zeros(len(rest)))[1] @ cross.T
+        units = units_of(term.effect, len(own))
+        size = prior_sd(gram, gram @ term.beta, units)
+        if not size.any():  # beside another that does the same there; of both together they may say much
+            size = prior_sd(known[np.ix_(own, own)], known[own] @ values, units)
+        precision[own] = 1.0 / np.maximum(_WIDE * size, _NOTHING * error[own]) ** 2
+    return precision
+
+
+def _moments(terms: tuple[Term, ...]) -> set[int]:
+    """Where moments are among the values of all terms: nothing is smooth about them."""
+    ends = np.cumsum([len(term.values) for term in terms])
+    return {int(e) - 1 for e, t in zip(ends, terms, strict=True) if t.effect.shape is not None and t.effect.shape.still}
+
+
+def _log_det(matrix: Array) -> float:
+    return float(np.linalg.slogdet(matrix)[1])

@@ -1,0 +1,336 @@
+"""How far the gap shrinks on data that the effects have not seen, in nats a sample.
+
+Blocks are held out in turn; effects are chosen and fitted on the others. The loss is the negative log predictive
+density: a proper score that knows means and noise. The floor is what a model would lose that has the effects exactly:
+the loss of the fit to all data, with the half nat for each of its numbers by which it follows its own noise (Akaike
+1974) given back, less what still is above the noise it claims.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from mavcal.calib.gap.heldout.folds import (
+    GUARD_S,
+    Fold,
+    blocks_of,
+    carried,
+    contest_of,
+    folds_of,
+    foretold,
+    joined,
+    log_loss,
+    parted,
+    power_ratio,
+    with_weight,
+)
+from mavcal.calib.gap.heldout.gates import Gate, gate_of
+from mavcal.calib.gap.heldout.predictive import predictive_loss
+from mavcal.calib.gap.model.hypotheses import Key
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
+from mavcal.calib.gap.model.noise_fit import is_declared, refitted
+from mavcal.calib.gap.model.normal_equations import solved
+from mavcal.calib.gap.progress import GapStage
+from mavcal.calib.gap.remembered import remembered
+from mavcal.calib.gap.schema import SequenceStep, Shrink
+from mavcal.calib.gap.search.contest import Contest
+from mavcal.calib.gap.search.selection import ChosenModel, Gains, last_gains, select
+
+Array = NDArray[np.float64]
+
+_BLOCKS = 8
+"""Blocks of a recording, each of which is held out once."""
+_LONG = 40_000
+_FEW = 4
+"""Blocks where a series is longer than `_LONG` samples: each repeats the selection."""
+_RESAMPLED = 2000
+"""Draws of as many blocks, for an interval."""
+_PROMISING = 0.01
+"""Chance, uncorrected, below which a hypothesis takes part in the folds; the level stays that of all tests."""
+_SECOND = 0.5
+"""Part of the time of the first selection that one in a block is believed to take: fewer effects compete."""
+_SIGNIFICANT = 3.0
+"""Standard errors from which on power above the noise is no chance."""
+_ROUNDING = 1e-9
+"""Part of a gap below which what is left of it is rounding."""
+_DISAGREE = 1e-3
+"""Chance below which blocks do not agree on the size of an effect."""
+
+
+@dataclass(frozen=True, eq=False)
+class Heldout:
+    """What B blocks say that were held out, and the gates of the effects.
+
+    `losses` (B, 2) are nats without the effects and with them, `floor` (B,) those of whoever has them exactly,
+    `samples` (B,) the numbers in each block, and `steps` (B, K) what it gains by each effect of the ids `order` in
+    turn. `happens` tells blocks in which an event lies, of which the others cannot know when it was.
+    """
+
+    folds: tuple[Fold, ...]
+    losses: Array
+    floor: Array
+    samples: Array
+    happens: tuple[bool, ...]
+    order: tuple[str, ...]
+    steps: Array
+    gates: tuple[Gate, ...]
+
+    @property
+    def before(self) -> Array:
+        """Nats (B,) above the floor without the effects."""
+        return self.losses[:, 0] - self._lowest
+
+    @property
+    def after(self) -> Array:
+        """Nats (B,) above the floor with them."""
+        return self.losses[:, 1] - self._lowest
+
+    @property
+    def _lowest(self) -> Array:
+        """The floor by block; over all blocks no model is below it."""
+        below = max(float((self.floor - self.losses[:, 1]).sum()), 0.0)
+        return self.floor - below / float(self.samples.sum()) * self.samples
+
+    @property
+    def sequence(self) -> tuple[SequenceStep, ...]:
+        """Which part of the gap each effect closes, added one after the other."""
+        whole = float(self.before.sum())
+        if whole <= 0.0:
+            return ()
+        parts = self.steps.sum(axis=0) / whole
+        return tuple(SequenceStep(name, float(part)) for name, part in zip(self.order, parts, strict=True))
+
+
+def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] = ()) -> Heldout | None:
+    """Every block held out in turn; None if the recording is too short for that, or nothing is a gap.
+
+    Effects of the keys `tolerated` are in every model: by them two recordings differ anyway.
+    """
+    setting = chosen.model.setting
+    given, order = _order(chosen, tolerated)
+    if not order:
+        return None
+    jumps = any(term.hypothesis.effect.jumps for term in order)  # long blocks do not know what was before or after it
+    long = max(view.whole.n for view in setting.views) > _LONG and not jumps
+    folds = folds_of(trusting(chosen.model), _FEW if long else _BLOCKS)
+    if not folds:
+        return None
+    floor_ratio = _excess(chosen.model)
+    losses, floors, gains, steps, told = [], [], [], [], []
+    for fold in folds:
+        base = refitted(fold.train).model
+        for term in given:
+            base = joined(base, term) if foretold(term, chosen.model, fold.train.setting) else base
+        chain = [base]
+        known = [foretold(term, chosen.model, fold.train.setting) for term in order]
+        for term, seen in zip(order, known, strict=True):
+            chain.append(joined(chain[-1], term) if seen else chain[-1])
+        nats = [predictive_loss(model, fold.test) for model in chain]
+        losses.append((nats[0], nats[-1]))
+        floors.append(_floor(chosen, order, chain[-1], fold) - floor_ratio * _numbers(fold.test))
+        less = (parted(chain[-1], t.hypothesis) if seen else chain[-1] for t, seen in zip(order, known, strict=True))
+        told.append(known)
+        gains.append([predictive_loss(model, fold.test) - nats[-1] for model in less])
+        steps.append([nats[0] - loss for loss in nats[1:]])
+    beside = _gains_anew(chosen, contest)
+    gates = tuple(
+        gate_of(term, np.array([g[i] for g in gains]), [k[i] for k in told], folds, chosen, beside)
+        for i, term in enumerate(order)
+    )
+    return Heldout(
+        folds,
+        np.array(losses, dtype=np.float64),
+        np.array(floors, dtype=np.float64),
+        np.array([_numbers(fold.test) for fold in folds], dtype=np.float64),
+        tuple(any(_happens_in(term, fold.test) for term in order) for fold in folds),
+        tuple(term.hypothesis.effect.id for term in order),
+        np.array(steps, dtype=np.float64),
+        gates,
+    )
+
+
+def _gains_anew(chosen: ChosenModel, contest: Contest) -> Gains:
+    """What each effect gains as the last one; of noise that nobody declared no more than once it is fitted without it.
+
+    That takes much of a slow effect for its own, on held-out blocks as well.
+    """
+    gains = dict(last_gains(chosen.model, contest))
+    unknown = {view.sensor for view in chosen.model.setting.views if not is_declared(view)}
+    level = sum(chosen.noise.deviance.values())
+    for term in chosen.model.terms:
+        key = term.hypothesis.key
+        if term.effect.sensor in unknown and key in gains:
+            anew = sum(refitted(parted(chosen.model, term.hypothesis)).deviance.values())
+            gains[key] = (max(min(gains[key][0], anew - level), 0.0), *gains[key][1:])
+    return gains
+
+
+def nested_in(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: float) -> Heldout:
+    """The same with effects that are selected again for each block, from the others.
+
+    Not where an event lies in it, nor once the time for it is over.
+    """
+    pace, again = contest.pace, []
+    took = _SECOND * pace.took(GapStage.SELECTION) if GapStage.SELECTION in pace.began else 0.0
+    for k, (fold, fixed, happens) in enumerate(zip(found.folds, found.losses[:, 1], found.happens, strict=True)):
+        pace.begin(GapStage.BLOCKS, k / len(found.folds))
+        if happens or pace.ends(took):
+            again.append(float(fixed))
+            continue
+        began = pace.now
+        again.append(_selected_anew(fold, chosen, contest, alpha))
+        took = pace.now - began
+    return replace(found, losses=np.column_stack([found.losses[:, 0], again]))
+
+
+def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model, fold: Fold) -> float:
+    """Loss of a held-out block under the effects as all data have them.
+
+    How loud a sensor is every model has to learn from the other blocks, and is no part of the gap: unless noise is the
+    effect, the floor has that of the model `fitted` there, as it has everything that is tolerated.
+    """
+    noise = chosen.model if any(isinstance(term, NoiseTerm) for term in order) else fitted
+    told = {term.hypothesis.key for term in order}
+    given = tuple(t for t in fitted.terms if t.hypothesis.key not in told)
+    known = replace(noise, terms=(*(term for term in order if isinstance(term, Term)), *given))
+    followed = len(chosen.joint.covariance) if chosen.model.ridge is None else 0
+    share = _numbers(fold.test) / max(_numbers(fold.train) + _numbers(fold.test), 1)
+    return log_loss(carried(known, fold.test)) + 0.5 * followed * share
+
+
+@remembered(2)
+def trusting(model: Model) -> Setting:
+    """The setting with the error of the reference taken out: it says nothing about another block."""
+    if model.ridge is None:
+        return model.setting
+    ridge, seen = model.ridge, model.ridge.columns.parts
+    views = [
+        replace(view, residual=view.residual - ridge.predicted(view)) if 3 * v in seen or 3 * v + 1 in seen else view
+        for v, view in enumerate(model.setting.views)
+    ]
+    return setting_of(tuple(views))
+
+
+def _happens_in(term: Term | NoiseTerm, block: Model) -> bool:
+    """Whether a term is an event of the held-out block: when it happened no other block can tell."""
+    if not isinstance(term, Term) or not term.hypothesis.effect.jumps:
+        return False
+    own = [view for view in block.setting.views if term.hypothesis.touches(view)]
+    return any(view.t[0] - 2.0 * GUARD_S <= term.theta <= view.t[-1] + 2.0 * GUARD_S for view in own)
+
+
+def _order(chosen: ChosenModel, tolerated: Collection[Key]) -> tuple[list[Term | NoiseTerm], list[Term | NoiseTerm]]:
+    """Terms in the order in which they joined: those that are tolerated, and the others."""
+    members = {t.hypothesis.key: t for t in chosen.model.members}
+    terms = [members[s.hypothesis.key] for s in chosen.scores if s.hypothesis.key in members]
+    given = [term for term in terms if term.hypothesis.key in tolerated]
+    return given, [term for term in terms if term.hypothesis.key not in tolerated]
+
+
+def _numbers(model: Model) -> int:
+    return model.setting.samples
+
+
+def _excess(model: Model) -> float:
+    """Nats a number that the model leaves above its own noise, if more than chance."""
+    ratio, count = power_ratio(model)
+    excess = 0.5 * (ratio - 1.0)
+    return excess if excess > _SIGNIFICANT / math.sqrt(2.0 * count) else 0.0
+
+
+def _selected_anew(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: float) -> float:
+    """Loss of the held-out block under what is selected without it."""
+    promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _PROMISING}
+    few = [h for h in contest.hypotheses if h.key in promising or (h.before is not None and h.before in promising)]
+    level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
+    if not few:
+        return predictive_loss(refitted(fold.train).model, fold.test)
+    found = select(refitted(fold.train).model, contest_of(few, contest.floors), level)
+    return predictive_loss(found.model, fold.test)
+
+
+def interval(part: Array, whole: Array) -> tuple[float, float]:
+    """95 % interval of ``sum(part) / sum(whole)`` by resampling the blocks."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(0, len(part), (_RESAMPLED, len(part)))
+    total = whole[drawn].sum(axis=1)
+    ratio = part[drawn].sum(axis=1) / np.where(total == 0.0, np.nan, total)
+    ratio = ratio[np.isfinite(ratio)]
+    if not len(ratio):
+        return -math.inf, math.inf
+    low, high = np.quantile(ratio, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def shrink_of(chosen: ChosenModel, found: Heldout, *, nested: bool) -> Shrink:
+    """The headline."""
+    samples = float(found.samples.sum())
+    gap = float(found.before.sum())
+    closed, ci = None, None
+    if chosen.model.members and gap > 0.0:
+        closed = float((found.before - found.after).sum()) / gap
+        ci = interval(found.before - found.after, found.before)
+    known = any(is_declared(view) for view in chosen.model.setting.views)
+    source = "declared_noise" if known else "fit_to_all_data"
+    if any(view.density is not None or math.isfinite(view.dof) for view in chosen.model.setting.views):
+        source = "nominal_log"
+    left = float(found.after.sum())
+    after = left / samples if abs(left) > _ROUNDING * gap else 0.0  # a floor that was lowered is met exactly
+    return Shrink(gap / samples, after, 0.0, source, closed, ci, nested, found.sequence, rms_of(chosen.model))
+
+
+def rms_of(model: Model) -> dict[str, tuple[float, float, str]]:
+    """By sensor: root mean square of the residual before and after, of one axis.
+
+    Each band counts with what lies in it, at the rate of the whole series.
+    """
+    energy: dict[str, list[float]] = {}
+    units: dict[str, str] = {}
+    for view, residual in zip(model.setting.views, model.residual, strict=True):
+        units[view.sensor.value] = view.any_trace.unit
+        entry = energy.setdefault(view.sensor.value, [0.0, 0.0, 0.0])
+        for k, series in enumerate((view.residual, residual)):
+            entry[k] += float((view.spectra(series) ** 2).sum()) / view.gain
+        entry[2] += 0.0 if view.first else 3.0 * view.whole.n
+    return {
+        sensor: (math.sqrt(before / count), math.sqrt(after / count), units[sensor])
+        for sensor, (before, after, count) in energy.items()
+    }
+
+
+@dataclass(frozen=True)
+class Dose:
+    """Whether the blocks, each for itself, agree on an effect's amplitudes: large doses say what small ones say.
+
+    `agrees` is None for effects on the noise and where fewer than two blocks show the effect. Where they disagree, the
+    stated errors are too small by `widening` (Birge's ratio): something that is not in the model moves the amplitudes.
+    """
+
+    agrees: bool | None = None
+    widening: float = 1.0
+
+
+def dose_of(chosen: ChosenModel, key: Key) -> Dose:
+    """What the blocks say of the effect `key`."""
+    model = chosen.model
+    term = next((t for t in model.terms if t.hypothesis.key == key), None)
+    if term is None:
+        return Dose()
+    total, count = 0.0, 0
+    for part in blocks_of(trusting(model), _BLOCKS):
+        block = with_weight(carried(model, part))
+        normal = normal_equations([jacobian(term, block.setting)], block.y, block.weight)
+        step, _, rank = solved(normal.gram, normal.right)
+        total += float(step @ normal.right)
+        count += rank
+    freedom = count - len(term.values)
+    if freedom < 1:
+        return Dose()
+    agrees = bool(chdtrc(freedom, total) > _DISAGREE)
+    return Dose(agrees, 1.0 if agrees else math.sqrt(total / freedom))

@@ -1,0 +1,179 @@
+"""A long series at a high rate as two: slow movement at a low rate, and the band above it.
+
+The cosine transform is cut at a bin. What lies below is a series of its own at a lower rate, with exactly the same
+coefficients; nothing is lost but the finest detail of covariates that are multiplied with each other. What the
+reference moves lies below; above are noise, vibration and tones, to which the other effects have nothing to say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import idct
+
+from mavcal.calib.gap.likelihood import fast_length, transform
+from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.problem import Trace
+
+Array = NDArray[np.float64]
+
+_LONG = 20_000
+"""Samples from which on a series is split."""
+_RATE_HZ = 50.0
+_SAMPLES = 12_000
+_LOWEST_HZ = 20.0
+"""The rate of the lower band: this, but for very long series no more than so many samples, and never below."""
+_QUIET = 0.1
+"""Part of the noise above the lower band that the reference may have there; with more the band is made wider."""
+_HOLES = 0.1
+"""Part of the samples that may be lost to averages over a hole."""
+_SERIES = ("measured", "ideal", "force", "rate", "spin", "field", "place", "motors", "rotor_hz")
+_SCALARS = ("temperature", "current", "throttle")
+
+
+def resampled(series: Array, m: int) -> Array:
+    """`series` (p, n, ...) at a lower rate: the first `m` coefficients along its second axis."""
+    cut = np.moveaxis(transform(np.moveaxis(series, 1, -1))[..., :m], -1, 1)
+    lower: Array = idct(cut, type=2, norm="ortho", axis=1) * np.sqrt(m / series.shape[1])
+    return lower
+
+
+def joined(lower: Array, upper: Array) -> Array:
+    """Both bands as one series (n, 3): `lower` (m, 3) at its rate, and what `upper` (n, 3) has above it."""
+    bins = np.ascontiguousarray(transform(upper.T).T)
+    bins[: len(lower)] = transform(lower.T).T * np.sqrt(len(upper) / len(lower))
+    return np.asarray(idct(bins, type=2, norm="ortho", axis=0))
+
+
+def split(views: Iterable[View]) -> tuple[View, ...]:
+    """Every long series in two bands, the lower one first."""
+    slow: dict[tuple[int, int], Trace] = {}
+    return tuple(band for view in views for band in _bands(view, slow))
+
+
+def _bands(view: View, slow: dict[tuple[int, int], Trace]) -> tuple[View, ...]:
+    if len(view.keep) >= _LONG:
+        view = _shorter(view, slow)
+    whole = len(view.keep)
+    fs = view.fs
+    duration = whole / fs
+    rate = max(_LOWEST_HZ, min(_RATE_HZ, _SAMPLES / duration))
+    while whole >= _LONG and rate < 0.5 * fs:
+        m = fast_length(round(whole * rate / fs))
+        if _still(view, m / whole):
+            return _split(view, m, slow)
+        rate *= 2.0
+    return (view,)
+
+
+def _shorter(view: View, slow: dict[tuple[int, int], Trace]) -> View:
+    """Without the last few samples: a length that transforms fast."""
+    n = fast_length(len(view.keep))
+    keep = view.keep[:n]
+    rows = int(keep.sum())
+    if rows == view.n:
+        return view
+    traces = {}
+    for i, trace in view.traces.items():
+        key = id(trace), 0
+        if key not in slow:
+            slow[key] = _with(trace, {f.name: _first(getattr(trace, f.name), trace, n) for f in fields(trace)})
+        traces[i] = slow[key]
+    density = None if view.density is None else _cut(view.density, rows)
+    return replace(view, traces=traces, residual=view.residual[:rows], keep=keep, density=density)
+
+
+def _first(value: object, trace: Trace, n: int) -> object:
+    return value[:n] if isinstance(value, np.ndarray) and len(value) == len(trace.t) else value
+
+
+def _with(trace: Trace, changes: Mapping[str, Any]) -> Trace:
+    return replace(trace, **changes)
+
+
+def _still(view: View, share: float) -> bool:
+    """Whether the reference hardly moves above that share of the band."""
+    for trace in view.traces.values():
+        if trace.against is not None:
+            continue
+        for c in range(3):
+            left = transform(np.ascontiguousarray(view.residual[:, c]))
+            ideal = transform(np.ascontiguousarray(trace.ideal[view.keep][:, c]))
+            above = slice(round(share * view.n), None)
+            if float((ideal[above] ** 2).mean()) > _QUIET * float((left[above] ** 2).mean()):
+                return False
+    return True
+
+
+def _split(view: View, m: int, slow: dict[tuple[int, int], Trace]) -> tuple[View, ...]:
+    whole = len(view.keep)
+    starts = (np.arange(m) * whole) // m
+    keep = np.logical_and.reduceat(view.keep, starts)
+    if keep.mean() < (1.0 - _HOLES) * view.keep.mean():
+        return (view,)
+    traces = {}
+    for i, trace in view.traces.items():
+        key = id(trace), m
+        if key not in slow:
+            slow[key] = _slower(trace, m)
+        traces[i] = slow[key]
+    gain = m / whole
+    first = round(view.n * gain)
+    residual = np.zeros((whole, 3))
+    residual[view.keep] = view.residual
+    if not view.keep.all():
+        rows = np.flatnonzero(view.keep)
+        residual = np.column_stack([np.interp(np.arange(whole), rows, column[rows]) for column in residual.T])
+    lower = replace(
+        view,
+        traces=traces,
+        residual=np.ascontiguousarray(resampled(residual[None], m)[0][keep]),
+        keep=keep,
+        variance=None if view.variance is None else gain * view.variance,
+        density=None if view.density is None else gain * _cut(view.density[:first], int(keep.sum())),
+        fine=view,
+        gain=gain,
+    )
+    bins = transform(np.ascontiguousarray(view.residual.T))
+    bins[:, :first] = 0.0
+    above = np.ascontiguousarray(np.asarray(idct(bins, type=2, norm="ortho")).T)
+    density = None if view.density is None else view.density[first:]
+    return lower, replace(view, residual=above, density=density, first=first)
+
+
+def _cut(density: Array, m: int) -> Array:
+    old, new = np.linspace(0.0, 1.0, len(density)), np.linspace(0.0, 1.0, m)
+    return density if len(density) == m else np.column_stack([np.interp(new, old, d) for d in density.T])
+
+
+def _slower(trace: Trace, m: int) -> Trace:
+    """A trace at a lower rate."""
+    n = len(trace.t)
+    centre = (np.arange(m) + 0.5) * n / m - 0.5
+    starts = (np.arange(m) * n) // m
+    made: dict[str, Array] = {}
+    for name in _SERIES:
+        values = getattr(trace, name)
+        if values is not None:
+            made[name] = np.ascontiguousarray(resampled(np.asarray(values, dtype=np.float64)[None], m)[0])
+    for name in _SCALARS:
+        values = getattr(trace, name)
+        if values is not None:
+            made[name] = resampled(np.asarray(values, dtype=np.float64)[None], m)[0]
+    if trace.attitude is not None:
+        made["attitude"] = trace.attitude[np.clip(np.rint(centre).astype(np.intp), 0, n - 1)]
+    t, observed = np.interp(centre, np.arange(n), trace.t), np.logical_and.reduceat(trace.observed, starts)
+    return _with(trace, {**made, "t": t, "observed": observed})
+
+
+def assembled(views: Sequence[View], power: Sequence[Array], v: int, c: int) -> Array:
+    """Power (n,) of axis `c` of series `v` on the bins of the whole series; the upper band follows the lower one."""
+    view = views[v]
+    if view.fine is None:
+        return power[3 * v + c]
+    upper = power[3 * (v + 1) + c]
+    return np.concatenate([_cut(power[3 * v + c][:, None], view.fine.n - len(upper))[:, 0] / view.gain, upper])

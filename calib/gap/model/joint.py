@@ -1,0 +1,491 @@
+"""A model of the gap: effects on the mean and on the noise, fitted together.
+
+Everything is linear at a point: the columns of linear effects, and the derivatives of the others by their shape and
+(rotations) by their parameters. Gauss-Newton steps over all of them at once reach the joint maximum.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.likelihood import AxisNoise, FrequencyBins, bins_of
+from mavcal.calib.gap.model.hypotheses import (
+    Binning,
+    Hypothesis,
+    HypothesisColumns,
+    Part,
+    add_block,
+    columns_of,
+    summed,
+)
+from mavcal.calib.gap.model.normal_equations import solved, weighted_gram
+from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.remembered import remembered
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_LONGEST = 40_000
+"""Samples beyond which the mean is fitted to averages of consecutive samples."""
+_WORTH_A_STEP = 1e-3
+"""Twice the log-likelihood that a step must promise to be tried, and gain for another to follow."""
+_STEPS = 8
+"""Gauss-Newton steps of one fit."""
+_SHORTENED = 4
+"""Lengths that are tried of a step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """The series and how they are transformed."""
+
+    views: tuple[View, ...]
+    frames: tuple[Binning, ...]
+    bins: tuple[FrequencyBins, ...]
+
+    @property
+    def axes(self) -> int:
+        """Axes over all series; axis ``3 v + c`` is axis c of series v."""
+        return 3 * len(self.views)
+
+    @property
+    def samples(self) -> int:
+        """Numbers over all axes."""
+        return 3 * sum(view.count for view in self.views)
+
+
+def setting_of(views: tuple[View, ...]) -> Setting:
+    """Frames and bins of the series."""
+    return Setting(views, tuple(frame_of(view, _LONGEST) for view in views), tuple(bins_of(v.count) for v in views))
+
+
+def frame_of(view: View, longest: int) -> Binning:
+    """At most about `longest` averages; an upper band stays as it is."""
+    return Binning(1 if view.first else max(1, view.n // longest), view.n, view.first)
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """An effect on the mean that is in the model: amplitudes `beta` (p,), shape `theta` (NaN without one)."""
+
+    hypothesis: Hypothesis
+    beta: Array
+    theta: float
+
+    @property
+    def effect(self) -> MeanEffect:
+        """The effect as the catalogue has it."""
+        assert isinstance(self.hypothesis.effect, MeanEffect)
+        return self.hypothesis.effect
+
+    @property
+    def values(self) -> Array:
+        """Everything that is estimated: the amplitudes unless they are fixed, then the shape."""
+        free = self.beta[: 0 if self.effect.fixed else None]
+        return free if self.effect.shape is None else np.append(free, self.theta)
+
+    def moved(self, step: Array, limits: tuple[float, float]) -> Term:
+        """The term after a step of its `values`."""
+        new = self.values + step
+        if self.effect.shape is None:
+            return replace(self, beta=new)
+        theta = float(np.clip(new[-1], *limits))
+        return replace(self, theta=theta, beta=self.beta if self.effect.fixed else new[:-1])
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseTerm:
+    """An effect on the noise that is in the model; its densities are named after it."""
+
+    hypothesis: Hypothesis
+    theta: float
+
+    def name(self, j: int) -> str:
+        """Name of its j-th density."""
+        effect_id, instances = self.hypothesis.key
+        return f"{effect_id}{list(instances)}#{j}"
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Terms, what they leave over, and the noise.
+
+    `residual` by series (n, 3); `noise` by axis; `y` and `weight` by axis in the bins of the mean (decimated).
+    """
+
+    setting: Setting
+    terms: tuple[Term, ...]
+    noise_terms: tuple[NoiseTerm, ...]
+    noise: tuple[AxisNoise, ...]
+    residual: tuple[Array, ...]
+    y: tuple[Array, ...]
+    weight: tuple[Array, ...]
+    ridge: Ridge | None = None
+
+    @property
+    def members(self) -> tuple[Term | NoiseTerm, ...]:
+        """Every effect in it."""
+        return (*self.terms, *self.noise_terms)
+
+    def periodogram(self, axis: int) -> Array:
+        """Sums of squares of the full transform of the residual in merged bins."""
+        v, c = divmod(axis, 3)
+        return self.setting.bins[v].total(self.setting.views[v].spectra(self.residual[v])[c] ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Ridge:
+    """An error of the reference's attitude that wanders: a random process with a known prior.
+
+    Parameters
+    ----------
+    columns
+        Of its amplitudes, transformed: three axes of `modes` cosines each.
+    precision
+        Inverse prior variances of the amplitudes.
+    value
+        What they are now, rad.
+    span
+        First and last time, between which the cosines make half turns, s.
+    """
+
+    columns: HypothesisColumns
+    precision: Array
+    value: Array
+    span: tuple[float, float]
+
+    def rotation(self, t: Array) -> Array:
+        """The error at times `t` (n,), rotation vectors (n, 3) in rad."""
+        by_axis = self.value.reshape(3, -1)
+        return cosines(t, self.span, by_axis.shape[1]).T @ by_axis.T
+
+    def predicted(self, view: View) -> Array:
+        """Change of the mean of a series, (n, 3)."""
+        by_axis = self.value.reshape(3, -1)
+        turn = by_axis @ _waves(view, self.span, by_axis.shape[1])
+        x, y, z = _turned(view)
+        return np.stack([turn[1] * z - turn[2] * y, turn[2] * x - turn[0] * z, turn[0] * y - turn[1] * x], axis=1)
+
+
+@remembered(6)
+def _waves(view: View, span: tuple[float, float], modes: int) -> Array:
+    """The cosines at the times of a series; kept, since only their amplitudes change from step to step."""
+    return cosines(view.t, span, modes)
+
+
+@remembered(6)
+def _turned(view: View) -> Array:
+    """What an error of the attitude turns: the ideal reading of a series, (3, n)."""
+    ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+    return np.ascontiguousarray(ideal.T)
+
+
+def cosines(t: Array, span: tuple[float, float], modes: int) -> Array:
+    """``cos(pi m s)``, (modes, n), where s runs from 0 to 1 over `span`."""
+    s = (t - span[0]) / (span[1] - span[0])
+    return np.asarray(np.cos(np.pi * np.arange(modes)[:, None] * s[None, :]))
+
+
+def starting_model(setting: Setting, noise: tuple[AxisNoise, ...], ridge: Ridge | None = None) -> Model:
+    """No effect at all."""
+    residual = tuple(view.residual for view in setting.views)
+    model = Model(setting, (), (), noise, residual, (), (), ridge)
+    return with_noise(with_residual(model), noise)
+
+
+def with_residual(model: Model) -> Model:
+    """The same with its residual computed again from its terms."""
+    setting = model.setting
+    residual: list[Array] = []
+    y: list[Array] = []
+    for v, view in enumerate(setting.views):
+        own = tuple(term for term in model.terms if term.hypothesis.touches(view))
+        seen = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
+        left, bins = _left(view, setting.frames[v], own, model.ridge if seen else None)
+        residual.append(left)
+        y += bins
+    return replace(model, residual=tuple(residual), y=tuple(y))
+
+
+@remembered(64)
+def _left(view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, tuple[Array, ...]]:
+    """What terms and ridge leave of a series, and its bins by axis; kept, since most terms stay when one changes."""
+    left = view.residual
+    for term in terms:
+        left = left - predicted(term, view)
+    if ridge is not None:
+        left = left - ridge.predicted(view)
+    if frame.factor == 1 and frame.size == view.n:  # the noise is fitted to the same transform
+        return left, tuple(view.spectra(left))
+    return left, tuple(frame.bins(np.ascontiguousarray(left.T)))
+
+
+def with_noise(model: Model, noise: tuple[AxisNoise, ...]) -> Model:
+    """The same with another noise."""
+    old = model.noise if model.weight else (None,) * len(noise)
+    weight = [
+        model.weight[a] if old[a] is noise[a] else 1.0 / model.setting.frames[a // 3].power(noise[a].power)
+        for a in range(model.setting.axes)
+    ]
+    return replace(model, noise=noise, weight=tuple(weight))
+
+
+@remembered(64)
+def predicted(term: Term, view: View) -> Array:
+    """Change of the mean by `term` in `view`, shape (n, 3); the last ones asked for are kept."""
+    effect = term.effect
+    if effect.exact is not None:
+        exact = effect.exact
+        beta = term.beta
+        return _exactly(exact, term.hypothesis, beta, view)
+    if effect.signals is not None:
+        signals = _drawn(effect.signals, term.hypothesis, term.theta, view)
+        return np.asarray(signals.T @ term.beta.reshape(len(signals), 3))
+    columns = _drawn(effect.columns, term.hypothesis, term.theta, view)
+    return np.asarray(np.tensordot(term.beta, columns, axes=1))
+
+
+@remembered(32)
+def _drawn(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
+    """Columns or signals of a hypothesis in `view`; kept, since amplitudes change far more often than shapes."""
+    return summed(columns, hypothesis, theta, view)
+
+
+def _exactly(exact: Callable[[Trace, Array], Array], hypothesis: Hypothesis, beta: Array, view: View) -> Array:
+    rows = [
+        weight * exact(view.traces[i], beta)[view.keep]
+        for i, weight in view.weights.items()
+        if i in hypothesis.instances
+    ]
+    return np.asarray(np.add.reduce(rows))
+
+
+def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
+    """Range of the grid of its shape."""
+    shape = term.effect.shape
+    if shape is None:
+        return (-np.inf, np.inf)
+    view = next((view for view in setting.views if term.hypothesis.touches(view)), None)
+    if view is None:  # nothing of it is in this part of the recording
+        return (-np.inf, np.inf)
+    grid = shape.grid(view.whole.any_trace)
+    return float(grid[0]), float(grid[-1])
+
+
+@remembered(40)
+def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
+    """Columns of everything that `term` estimates, at its present values; the last ones asked for are kept."""
+    effect = term.effect
+    if effect.shape is None and effect.exact is None:
+        found = _columns(term.hypothesis, term.theta, setting)
+        return (
+            found if found.p else HypothesisColumns(len(term.values), {})
+        )  # a block in which its sensor has no samples
+    count = len(term.values)
+    limits = limits_of(term, setting)
+    linear = effect.exact is None and not effect.fixed
+    parts: dict[int, Part] = {}
+    for v, view in enumerate(setting.views):
+        if not term.hypothesis.touches(view):
+            continue
+        block = [_derivative(term, view, j, limits) for j in range(count - 1 if linear else 0, count)]
+        add_block(parts, v, np.asarray(block), setting.frames[v])
+    if not linear:
+        return HypothesisColumns(count, parts)
+    own = _columns(term.hypothesis, term.theta, setting).parts
+    return HypothesisColumns(
+        count, {a: _with_last(own.get(a), parts.get(a), count - 1) for a in sorted({*own, *parts})}
+    )
+
+
+@remembered(40)
+def _columns(hypothesis: Hypothesis, theta: float, setting: Setting) -> HypothesisColumns:
+    """Columns of an effect at a shape; kept, since they stay when only its amplitudes change."""
+    return columns_of(hypothesis, theta, setting.views, setting.frames)
+
+
+def _with_last(own: Part | None, last: Part | None, row: int) -> Part:
+    """The columns of an axis, and the one of number `row` behind them."""
+    found = [own] if own is not None else []
+    if last is not None:
+        found.append(Part(last.index + row, last.X))
+    return Part(np.concatenate([p.index for p in found]), np.concatenate([p.X for p in found]))
+
+
+def _derivative(term: Term, view: View, j: int, limits: tuple[float, float]) -> Array:
+    """Derivative of the prediction by value j, central."""
+    is_shape = term.effect.shape is not None and j == len(term.values) - 1
+    span = limits[1] - limits[0] if is_shape else 1.0
+    size = max(1e-4 * span, 1e-3 * abs(term.values[j])) if is_shape else 1e-5
+    step = np.zeros(len(term.values))
+    step[j] = size
+    up, down = term.moved(step, limits), term.moved(-step, limits)
+    width = up.values[j] - down.values[j]
+    if width == 0.0:  # beyond an end of the range that this series allows
+        return np.zeros((view.n, 3))
+    return np.asarray((predicted(up, view) - predicted(down, view)) / width)
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations over stacked hypotheses: Gram matrix, right side, and where each begins."""
+
+    gram: Array
+    right: Array
+    slices: tuple[slice, ...]
+
+
+def normal_equations(
+    blocks: Sequence[HypothesisColumns], y: Sequence[Array], weight: Sequence[Array], ridge: Ridge | None = None
+) -> Normal:
+    """``X' W X`` and ``X' W y`` over all axes; the ridge's columns, if any, come last with their prior precision."""
+    everything = [*blocks, ridge.columns] if ridge else list(blocks)
+    slices = slices_of(everything)
+    total = slices[-1].stop if slices else 0
+    gram, right = np.zeros((total, total)), np.zeros(total)
+    for axis in range(len(y)):
+        index, X = stacked(blocks, slices[: len(blocks)], axis)
+        weighted = X * weight[axis] if len(index) else X
+        if len(index):
+            gram[index[:, None], index] += weighted @ X.T
+            right[index] += weighted @ y[axis]
+        if ridge and axis in ridge.columns.parts:
+            wave = ridge.columns.parts[axis]
+            rows = wave.index + slices[-1].start
+            gram[rows[:, None], rows] += weighted_gram(wave, weight[axis])
+            right[rows] += wave.X @ (weight[axis] * y[axis])
+            if len(index):
+                cross = weighted @ wave.X.T
+                gram[index[:, None], rows] += cross
+                gram[rows[:, None], index] += cross.T
+    if ridge:
+        rows = np.arange(slices[-1].start, total)
+        gram[rows, rows] += ridge.precision
+        right[rows] -= ridge.precision * ridge.value
+    return Normal(gram, right, tuple(slices))
+
+
+def slices_of(blocks: Sequence[HypothesisColumns]) -> list[slice]:
+    """Where the columns of each block lie when they are stacked."""
+    ends = np.cumsum([0, *(b.p for b in blocks)])
+    return [slice(int(i), int(j)) for i, j in itertools.pairwise(ends)]
+
+
+def stacked(blocks: Sequence[HypothesisColumns], slices: Sequence[slice], axis: int) -> tuple[NDArray[np.intp], Array]:
+    """Indices and columns of all `blocks` on one axis."""
+    found = [(b.parts[axis], s.start) for b, s in zip(blocks, slices, strict=True) if axis in b.parts]
+    if not found:
+        return np.zeros(0, np.intp), np.zeros((0, 0))
+    return np.concatenate([part.index + start for part, start in found]), np.concatenate([part.X for part, _ in found])
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """The joint covariance of everything estimated in the mean, and where each term lies."""
+
+    covariance: Array
+    slices: tuple[slice, ...]
+    normal: Normal
+
+
+def refined(model: Model) -> tuple[Model, Joint]:
+    """The joint maximum over everything in the mean, at the present noise; moments stay where they were found."""
+    return _refined(model, tuple(range(len(model.terms))))
+
+
+def refined_on(model: Model, sensors: Collection[Sensor]) -> Model:
+    """The same over the terms of some sensors, and of all that have a term in common with them."""
+    near = coupled(model, sensors)
+    members = (i for i, t in enumerate(model.terms) if t.effect.shared or t.effect.sensor in near)
+    return _refined(model, tuple(members))[0]
+
+
+def coupled(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
+    """`sensors`, and all others if a term or an error of the reference ties sensors together."""
+    tied = model.ridge is not None or any(t.effect.shared for t in model.terms)
+    return frozenset(view.sensor for view in model.setting.views) if tied else frozenset(sensors)
+
+
+def _refined(model: Model, members: tuple[int, ...]) -> tuple[Model, Joint]:
+    joint = Joint(np.zeros((0, 0)), (), Normal(np.zeros((0, 0)), np.zeros(0), ()))
+    if not members and model.ridge is None:
+        return model, joint
+    own = [model.terms[i].effect for i in members]
+    linear = all((e.shape is None or e.shape.still) and e.exact is None for e in own)
+    for _ in range(1 if linear else _STEPS):
+        blocks = [jacobian(model.terms[i], model.setting) for i in members]
+        normal = normal_equations(blocks, model.y, model.weight, model.ridge)
+        joint = Joint(solved(normal.gram, normal.right)[1], normal.slices[: len(blocks)], normal)
+        terms, rows = [model.terms[i] for i in members], dict(zip(members, joint.slices, strict=True))
+        step = _step_of(terms, joint)
+        if float(step @ normal.right) < _WORTH_A_STEP:
+            break
+        model, gained = _stepped(model, step, rows)
+        if gained < _WORTH_A_STEP:  # far from its best shape the tangent leads nowhere, and amplitudes still lead there
+            model, gained = _stepped(model, _step_of(terms, joint, hold=True), rows)
+        if gained < _WORTH_A_STEP:
+            break
+    return model, joint
+
+
+def _step_of(terms: Sequence[Term], joint: Joint, *, hold: bool = False) -> Array:
+    """The Gauss-Newton step; shapes that stay where they were found have no part in it, with `hold` no shape has."""
+    normal = joint.normal
+    rows = zip(terms, joint.slices, strict=True)
+    still = {s.stop - 1 for term, s in rows if term.effect.shape is not None and (hold or term.effect.shape.still)}
+    if not still:
+        return np.asarray(joint.covariance @ normal.right)
+    free = np.array([i for i in range(len(normal.right)) if i not in still], np.intp)
+    step = np.zeros(len(normal.right))
+    step[free] = solved(normal.gram[free[:, None], free], normal.right[free])[0]
+    return step
+
+
+def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Model, float]:
+    """The model after the step, shortened until it is no worse; and what was gained in twice the log-likelihood."""
+    parts = _misfits(model)
+    level = _summed(parts, model)
+    for _ in range(_SHORTENED):
+        moved = list(model.terms)
+        for i, own in rows.items():
+            if step[own].any():
+                moved[i] = moved[i].moved(step[own], limits_of(moved[i], model.setting))
+        ridge = model.ridge
+        if ridge is not None:
+            ridge = replace(ridge, value=ridge.value + step[len(step) - len(ridge.value) :])
+        trial = with_residual(replace(model, terms=tuple(moved), ridge=ridge))
+        new = _summed(_misfits(trial, (model, parts)), trial)
+        if new < level:
+            return trial, level - new
+        step = 0.3 * step
+    return model, 0.0
+
+
+def misfit(model: Model) -> float:
+    """Weighted sum of squares of what is left, and of the random process against its prior."""
+    return _summed(_misfits(model), model)
+
+
+def _misfits(model: Model, before: tuple[Model, Sequence[float]] | None = None) -> list[float]:
+    """Weighted sums of squares by axis; those of `before` where neither its bins nor its weights have changed."""
+    found = []
+    for axis, (w, y) in enumerate(zip(model.weight, model.y, strict=True)):
+        if before is not None and before[0].y[axis] is y and before[0].weight[axis] is w:
+            found.append(before[1][axis])
+        else:
+            found.append(float(w @ y**2))
+    return found
+
+
+def _summed(parts: Sequence[float], model: Model) -> float:
+    total = sum(parts)
+    if model.ridge is not None:
+        total += float(model.ridge.precision @ model.ridge.value**2)
+    return total

@@ -1,0 +1,166 @@
+"""Which reference a recording is compared with, and what its nominal companions are compared with."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.reference.align import (
+    CLOSED,
+    SAME,
+    aligned,
+    aligned_in_any_frame,
+    moving_apart,
+    one_clock,
+    same_digits,
+)
+from mavcal.calib.gap.reference.calibrated import TRIADS
+from mavcal.calib.gap.reference.channels import comparable, sensors_of
+from mavcal.calib.gap.reference.checks import check_times
+from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.gap.reference.notices import not_learned, notices, why_no_reference
+from mavcal.calib.gap.reference.posed import Array, Cutoffs, PoseTrajectory, driven, earth_field_of, pose_of
+from mavcal.calib.gap.reference.re_estimated import re_estimated
+from mavcal.calib.gap.reference.recorded import recorded, simulated, true_attitude
+from mavcal.calib.recording import Recording, Sensor
+
+DOUBTFUL_DEG = 0.5
+"""Standard deviation of a reference's attitude from which it is warned of."""
+
+
+@dataclass(frozen=True, eq=False)
+class BestReferences:
+    """The reference of the real recording, and nominal recordings, each with its own; None where it has none."""
+
+    ideal: Ideal
+    nominal: tuple[tuple[Recording, Ideal | None], ...]
+
+
+def best_references(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> BestReferences | None:
+    """The best reference that the recordings offer (GAP 3.5b); None: there is none but other instances.
+
+    Raises
+    ------
+    InvalidInputError
+        If time is not in seconds, or there is a simulator's recording that is no reference, and no other.
+    """
+    check_times((real, *nominal, *(() if sim is None else (sim,))))
+    chosen = _best(real, sim, nominal)
+    if chosen is not None:
+        said = (*notices(real, sim, nominal, chosen.ideal), *_not_learned(chosen))
+        warned = dataclasses.replace(chosen.ideal, warnings=(*chosen.ideal.warnings, *said))
+        return BestReferences(warned, tuple((n, _useful(its)) for n, its in chosen.nominal))
+    if sim is not None and sim is not real and not any(len(comparable(real, s)) > 1 for s in TRIADS):
+        raise InvalidInputError(why_no_reference(real, sim))
+    return None
+
+
+def _best(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> BestReferences | None:
+    clean = [*nominal, *(() if sim is None else (sim,))]
+    ideal = recorded(real)
+    if ideal is not None:
+        return BestReferences(_completed(ideal, real), tuple((n, _of_nominal(n, real, ideal)) for n in clean))
+    if sim is not None and (ideal := of_same_trajectory(real, sim)) is not None:
+        return BestReferences(
+            ideal, tuple((n, recorded(n) or (ideal if n is sim and ideal.noise else None)) for n in clean)
+        )
+    logged = real.identity.autopilot is not None  # of a vehicle: a simulator's truth is there too slow for a gyroscope
+    truth = all(true_attitude(r) is not None for r in (real, *clean))
+    if logged and (ideal := re_estimated(real, with_truth=truth)) is not None:
+        others = ((n, ideal if n is real else re_estimated(n, with_truth=truth)) for n in clean)
+        return BestReferences(_doubted(ideal), tuple(others))
+    if (pose := pose_of(real)) is not None:
+        poses = [(n, pose_of(n)) for n in clean]
+        if any(p is not None and p.cutoffs != pose.cutoffs for _, p in poses):
+            common = functools.reduce(Cutoffs.lower, (p.cutoffs for _, p in poses if p is not None), pose.cutoffs)
+            pose, poses = pose_of(real, common) or pose, [(n, pose_of(n, common)) for n in clean]
+        earth = earth_of([(n, p) for n, p in poses if p is not None] or [(real, pose)])
+        made = tuple((n, None if p is None else driven(p, earth)) for n, p in poses)
+        return BestReferences(driven(pose, earth), made)
+    if not logged and (ideal := re_estimated(real)) is not None:
+        return BestReferences(_doubted(ideal), tuple((n, re_estimated(n)) for n in clean))
+    return None
+
+
+def _useful(ideal: Ideal | None) -> Ideal | None:
+    return None if ideal is None or ideal.info.useless else ideal
+
+
+def _not_learned(chosen: BestReferences) -> tuple[str, ...]:
+    poor = (its.info for _, its in chosen.nominal if its is not None and its.info.useless)
+    return tuple(dict.fromkeys(map(not_learned, poor)))
+
+
+def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
+    """What `sim` says of the trajectory of `real`, on the clock of `real`; None if it flew another one.
+
+    A log of a simulated autopilot closes the loop through its own sensors: it counts only if it moves as one.
+    """
+    ideal = recorded(sim) or simulated(sim)
+    if ideal is None or same_digits(real, sim):
+        return None
+    shift = aligned(real, sim)
+    table = sim.identity.autopilot is None
+    if table and (shift is None or shift.correlation < SAME):
+        shift = aligned_in_any_frame(real, sim) or shift
+    if one_clock(real, sim) and (
+        not moving_apart(real, sim) if table else shift is not None and shift.near(0.0, CLOSED)
+    ):
+        return ideal
+    if shift is None or shift.correlation < (SAME if table else CLOSED):
+        return None
+    said = f"the simulator's clock was set {shift.lag:+.4f} s: a delay common to all sensors cannot be told from it"
+    return dataclasses.replace(ideal.shifted(shift.lag), warnings=(*ideal.warnings, said))
+
+
+def flew_another(real: Recording, sim: Recording) -> bool:
+    """Whether a simulated vehicle's log is of another flight: each is compared with an ideal sensor of its own."""
+    table = sim.identity.autopilot is None or real.identity.autopilot is None
+    return not table and recorded(real) is None and of_same_trajectory(real, sim) is None
+
+
+def posed(real: Recording, nominal: Sequence[Recording]) -> Recording | None:
+    """The first of the `nominal` recordings with a pose, where `real` is compared with one as well."""
+    if real.identity.autopilot is not None or recorded(real) is not None or true_attitude(real) is None:
+        return None
+    return next((n for n in nominal if recorded(n) is None and true_attitude(n) is not None), None)
+
+
+def earth_of(posed: Sequence[tuple[Recording, PoseTrajectory]]) -> Array | None:
+    """The field that the magnetometers of the first of `posed` saw that has any."""
+    for recording, pose in posed:
+        if magnetometers := [c for c in sensors_of(recording) if c.sensor == Sensor.MAG]:
+            return earth_field_of(magnetometers, pose)
+    return None
+
+
+def _doubted(ideal: Ideal) -> Ideal:
+    """With a warning, if the attitude of the reference is so poor that it imitates an effect."""
+    if ideal.info.att_sigma_deg < DOUBTFUL_DEG or ideal.info.useless:  # that ends the diagnosis
+        return ideal
+    said = (
+        f"the re-estimated attitude is known to {ideal.info.att_sigma_deg:.1f} deg only: an accelerometer bias below "
+        f"{0.34 * ideal.info.att_sigma_deg:.2f} m/s2 and an offset of the compass cannot be told from a tilt; turn the "
+        "vehicle through all headings"
+    )
+    return dataclasses.replace(ideal, warnings=(*ideal.warnings, said))
+
+
+def _completed(ideal: Ideal, real: Recording) -> Ideal:
+    """With a pose, what an ideal sensor read is also known where it was not recorded."""
+    sensors = {c.sensor for c in sensors_of(real)} - set(ideal.readings)
+    pose = pose_of(real) if sensors else None
+    if pose is None:
+        return ideal
+    other = driven(pose, earth_of([(real, pose)]))
+    added = {sensor: signal for sensor, signal in other.readings.items() if sensor in sensors}
+    return dataclasses.replace(ideal, readings={**ideal.readings, **added}) if added else ideal
+
+
+def _of_nominal(nominal: Recording, real: Recording, ideal: Ideal) -> Ideal | None:
+    """What a nominal recording itself says, or the real one's reference if both are of one run."""
+    own = recorded(nominal)
+    return own if own is not None else (ideal if one_clock(real, nominal) else None)

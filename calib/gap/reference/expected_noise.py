@@ -1,0 +1,194 @@
+"""Noise that a recording is expected to have because it has more motor power or moves more than the nominal ones.
+
+Motors: ArduPilot's SITL shakes the vehicle by a random force in proportion to the throttle (``Aircraft::add_noise``).
+Its inertial units sample that at their own moments, so the power of their difference goes with the square of the
+throttle, and is zero on the ground. Another flight with more throttle has more of it, and that is no gap.
+
+Movement: a pose errs by a share of the movement. Stamps that jitter, markers that give way on the vehicle and a body
+that bends leave a residual in proportion to how much moves at a frequency, with no fixed phase: 2 ms of jitter are 6 %
+of a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise, which has none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from mavcal.calib.gap.likelihood import fit_amplitudes
+from mavcal.calib.gap.problem import ReferenceInfo, Trace
+from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, on, pooled, with_more
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_CHANCE = 1e-4
+"""Chance of steady noise that seems to follow the motors."""
+_FEWEST = 64  # samples that say something of noise
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MotorNoise:
+    """Noise of the difference of two instances: variance (3,) at motor power one, and its mean power in the flight."""
+
+    variance: Array
+    power: float
+
+
+def motor_power(trace: Trace) -> Array | None:
+    """Square of the mean motor output or, where there is none, of the throttle, (N,); None without either."""
+    if trace.motors is not None:
+        return np.asarray((np.maximum(trace.motors, 0.0) ** 2).mean(axis=1))
+    return None if trace.throttle is None else np.asarray(np.maximum(trace.throttle, 0.0) ** 2)
+
+
+def motor_noise_of(nominal: Sequence[Trace]) -> dict[Sensor, MotorNoise]:
+    """By sensor what differences of instances in `nominal` recordings show; without those that show nothing."""
+    found: dict[Sensor, list[MotorNoise]] = {}
+    for trace in nominal:
+        if trace.against is not None and (one := _driven(trace)) is not None:
+            found.setdefault(trace.sensor, []).append(one)
+    return {
+        sensor: MotorNoise(np.mean([d.variance for d in each], axis=0), float(np.mean([d.power for d in each])))
+        for sensor, each in found.items()
+    }
+
+
+def _driven(trace: Trace) -> MotorNoise | None:
+    power = motor_power(trace)
+    rows = trace.observed
+    if power is None or rows.sum() < _FEWEST or not power[rows].any():
+        return None
+    mean = float(power[rows].mean())
+    residual = trace.residual[rows]
+    return MotorNoise(np.array([_variance(column, power[rows] / mean) / mean for column in residual.T]), mean)
+
+
+def _variance(residual: Array, power: Array) -> float:
+    """Part of the variance of `residual` (N,) that goes with `power` (N,) of mean one; 0 if none does."""
+    squares = (residual - np.median(residual)) ** 2
+    unit = float(squares.mean())
+    if unit == 0.0:
+        return 0.0
+    none, ones = np.zeros(len(squares)), np.ones(len(squares))
+    steady = fit_amplitudes(squares / unit, ones, none, [ones])
+    both = fit_amplitudes(squares / unit, ones, none, [ones, power])
+    follows = chdtrc(1, max(steady.deviance - both.deviance, 0.0)) < _CHANCE
+    return unit * float(both.amplitudes[1]) if follows else 0.0
+
+
+def with_motor_noise(trace: Trace, found: Mapping[Sensor, MotorNoise]) -> Trace:
+    """`trace` with the noise expected that more power of its motors than in the nominal recordings makes."""
+    driven, power = found.get(trace.sensor), motor_power(trace)
+    if driven is None or power is None:
+        return trace
+    instances = 2.0 if trace.against is None else 1.0  # of a difference, two sensors have a half each
+    more = driven.variance / instances * max(float(power[trace.observed].mean()) - driven.power, 0.0)
+    return with_more(trace, more) if more.any() else trace
+
+
+_ABOUT = 0.3
+"""Part of a frequency within which a line of a rotor, whose speed differs, is less than half of what there is."""
+_REST_S, _LOUDER = 2.0, 2.0
+"""Seconds with the motors off that tell of noise, and the times by which it must exceed what is expected."""
+_BODY_HZ = 10.0
+"""Up to which a vehicle moves as a whole: attitude controllers end there, rotors begin beyond."""
+
+
+def movement_of(traces: Sequence[Trace]) -> dict[Sensor, ResidualSpectrum]:
+    """By sensor, the mean spectrum of what ideal sensors read in `traces`, those that are too short left out."""
+    found: dict[Sensor, list[ResidualSpectrum]] = {}
+    for trace in traces:
+        if (spectrum := _movement(trace)) is not None:
+            found.setdefault(trace.sensor, []).append(spectrum)
+    return {sensor: pooled(spectra) for sensor, spectra in found.items()}
+
+
+def _movement(trace: Trace) -> ResidualSpectrum | None:
+    everywhere = np.ones(len(trace.t), dtype=bool)  # no holes: their edges would be movement
+    return learned(dataclasses.replace(trace, measured=trace.ideal, ideal=0.0 * trace.ideal, observed=everywhere))
+
+
+def with_movement_noise(trace: Trace, usual: Mapping[Sensor, ResidualSpectrum]) -> Trace:
+    """`trace` with the noise expected that it has for moving more than the `usual` of the nominal recordings.
+
+    Of movement and noise together the noise was a share, of at most all: more movement has that share of it. A calmer
+    recording is not expected to be quieter.
+    """
+    if trace.against is not None or trace.sensor not in usual or (trace.psd is None and trace.sigma is None):
+        return trace
+    own = _movement(trace)
+    if own is None:
+        return trace
+    before = usual[trace.sensor]
+    hz = np.unique(np.concatenate([own.hz, before.hz[before.hz < 0.5 * trace.fs], _hz_of(trace)]))
+    psd = _psd_of(trace, hz)
+    was, now = (on(spectrum, hz, trace.fs, trace.low_pass_hz) for spectrum in (before, own))
+    louder = psd * (1.0 + np.maximum(now - was, 0.0) / (was + psd))
+    return dataclasses.replace(trace, psd=louder, psd_hz=hz, own_psd=_own_on(trace, hz))
+
+
+def with_heave_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
+    """A single unit's `trace` with as much noise expected as there is, where its reference does not follow a body.
+
+    From the reference's bandwidth to where bodies are too heavy to follow, what a single unit feels is how its vehicle
+    moves in gusts: no other flight moves the same. Faster, it is how the vehicle shakes, unless it is as loud at rest;
+    lines of rotors stand out of that.
+    """
+    bandwidth = {Sensor.ACCEL: reference.bandwidth_hz, Sensor.GYRO: reference.turns_hz}.get(trace.sensor, math.inf)
+    if trace.against is not None or trace.psd is None or math.isinf(bandwidth):
+        return trace
+    own = learned(trace)
+    if own is None:
+        return trace
+    hz = np.unique(np.concatenate([_hz_of(trace), own.hz]))
+    psd, felt = _psd_of(trace, hz), on(own, hz, trace.fs, trace.low_pass_hz)
+    heaves, shakes = (hz > bandwidth) & (hz < _BODY_HZ), hz > max(bandwidth, _BODY_HZ)
+    psd[heaves] = np.maximum(psd[heaves], felt[heaves])
+    if not _loud_at_rest(trace, hz, psd):
+        between_lines = np.exp(_median_about(hz, np.log(felt)))
+        psd[shakes] = np.maximum(psd[shakes], between_lines[shakes])
+    return dataclasses.replace(trace, psd=psd, psd_hz=hz, own_psd=_own_on(trace, hz))
+
+
+def _loud_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
+    """Whether fast noise is more than expected while the motors are off; without such a time, it is of the flight."""
+    power = motor_power(trace)
+    if power is None:
+        return False
+    still = trace.observed & (power <= 0.0)
+    pairs = still[1:] & still[:-1]
+    if pairs.sum() < _REST_S * trace.fs:
+        return False
+    steps = (np.diff(trace.residual, axis=0)[pairs] ** 2).mean(axis=0)
+    omega = 2.0 * np.pi * np.minimum(hz / trace.fs, 0.5)
+    # of steps: each frequency by four times the square of the sine of half of it, over all of them evenly
+    expected = np.trapezoid(psd * (4.0 * np.sin(0.5 * omega) ** 2)[:, None], hz, axis=0) / (0.5 * trace.fs)
+    return bool((steps > _LOUDER * expected).any())
+
+
+def _median_about(hz: Array, values: Array) -> Array:
+    """Medians of `values` (K, 3) over frequencies within a part of each: what lies between lines."""
+    low, high = np.searchsorted(hz, hz * (1.0 - _ABOUT)), np.searchsorted(hz, hz * (1.0 + _ABOUT))
+    return np.array([np.median(values[a : max(b, a + 1)], axis=0) for a, b in zip(low, high, strict=True)])
+
+
+def _hz_of(trace: Trace) -> Array:
+    return np.zeros(0) if trace.psd_hz is None else trace.psd_hz
+
+
+def _psd_of(trace: Trace, hz: Array) -> Array:
+    if trace.psd is None:
+        assert trace.sigma is not None
+        return np.tile(trace.sigma**2, (len(hz), 1))
+    return np.column_stack([np.interp(hz, _hz_of(trace), column) for column in trace.psd.T])
+
+
+def _own_on(trace: Trace, hz: Array) -> Array | None:
+    if trace.own_psd is None:
+        return None
+    return np.column_stack([np.interp(hz, _hz_of(trace), column) for column in trace.own_psd.T])

@@ -1,0 +1,309 @@
+"""An ideal sensor driven by a trajectory that was re-estimated from the recording itself (GAP 3.5b).
+
+The attitude in a log was built from the sensors under test and hides their errors; here it only starts the search.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.spatial.transform import Rotation
+
+from mavcal.calib.earth import earth_field
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.reference.calibrated import filter_delay, filter_in_force
+from mavcal.calib.gap.reference.channels import sensors_of
+from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
+from mavcal.calib.gap.reference.recorded import continuous, true_attitude
+from mavcal.calib.gap.reference.signals import Signal, linear, slow
+from mavcal.calib.gap.reference.strapdown import STEPS, Between, Increments
+from mavcal.calib.gap.reference.trajectory import (
+    EARTH,
+    GYRO,
+    ITERATIONS,
+    LATE_GPS,
+    WALK,
+    Aiding,
+    TrajectoryState,
+    smooth,
+    start_at,
+)
+from mavcal.calib.recording import Channel, Recording, Sensor
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.1
+"""From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S."""
+_STRAIN = 8.0
+_AROUND = 10
+"""Standard deviations from which on an interval is not believed, and intervals on either side."""
+_FOLLOWED_HZ = 0.2 / STEP_S
+"""Up to which a spline through the velocities of the nodes follows an acceleration: a fifth is lost there."""
+_TURNS_HZ = 0.25 * STEPS / STEP_S
+"""Up to which turns between the steps are followed: four steps a period."""
+_TRIALS = 3  # iterations after which the inertial units can be compared
+_FEWEST_GPS = 20  # velocities, for a trajectory
+_SHORTEST_S = 10.0  # for a trajectory
+_LONGEST_S = 1800.0  # for a trajectory
+_MOVES = 0.5  # standard deviation of the current, A, from which a motor's field can be told from an offset
+_DEFAULT_YEAR = 2025.0  # of the Earth's field, where a recording has no date
+_MODEL_SD, _GUESS_SD = 1.0, 20.0  # of the Earth's field, uT
+_CLOSE = 200.0  # twice the log-likelihood by which one unit may fit worse than another: an offset costs some sixty
+_LATE_S, _MOSTLY = 0.002, 0.5  # a delay between gyroscopes, and the part of their difference that it may leave
+_MEAN_S = 0.1  # over which their readings are averaged before
+_WARMER = 40.0  # twice the log-likelihood by which biases that follow the temperature must fit better
+_GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3  # of a magnetometer's mean gain, where that field is known and where it is not
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedTrajectory:
+    """A trajectory, and the instances that it was made with.
+
+    `late` are the seconds by which the firmware's own filters delayed gyroscope and accelerometer: the trajectory is
+    free of them, and what an ideal sensor behind the same filters read has them again.
+    """
+
+    state: TrajectoryState
+    imu: Increments
+    instance: int
+    mag_instance: int | None
+    true: bool
+    late: tuple[float, float] = (0.0, 0.0)
+
+
+def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | None:
+    """Ideal sensors along the smoothed trajectory of `recording`; `with_truth`: a simulator's attitude is in it.
+
+    None without GPS velocity, a gyroscope and an accelerometer over the same ten seconds. Of several inertial units,
+    and of several magnetometers, the one is taken with which everything agrees best.
+    """
+    found = best_trajectory(recording, with_truth=with_truth)
+    return None if found is None else _driven(found)
+
+
+def best_trajectory(recording: Recording, *, with_truth: bool = False) -> SmoothedTrajectory | None:
+    """The smoothed trajectory with the inertial unit and the magnetometer that fit best; None if there is none."""
+    channels = sensors_of(recording)
+    velocity = next((s for c in recording.find(Sensor.VELOCITY) if (s := Signal.of(c)) is not None), None)
+    gyros, accels, mags = (
+        {c.instance: c for c in channels if c.sensor == s} for s in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG)
+    )
+    units = sorted(set(gyros) & set(accels))
+    if velocity is None or len(velocity.t) < _FEWEST_GPS or not units:
+        return None
+    start, end = _span([gyros[units[0]], accels[units[0]]], velocity)
+    if not _SHORTEST_S <= end - start <= _LONGEST_S:
+        return None
+    t: Array = start + STEP_S * np.arange(int((end - start) / STEP_S) + 1, dtype=np.float64)
+    compass = mags.get(_typical(mags)) if mags else None
+    aiding = _aiding(recording, velocity, compass, t)
+    truth = true_attitude(recording) if with_truth else None
+    if truth is not None:
+        seen = truth.known(truth.t) & (truth.t >= t[0]) & (truth.t <= t[-1])
+        aiding = dataclasses.replace(aiding, truth_t=truth.t[seen], truth=rotation(truth.values[seen]))
+    guess = _first_guess(recording, gyros[units[0]], accels[units[0]], aiding, t)
+    made = []
+    for unit in units:
+        gyro, accel = Signal.of(gyros[unit]), Signal.of(accels[unit])
+        if gyro is not None and accel is not None:
+            late = tuple(filter_delay(filter_in_force(c, recording)) for c in (gyros[unit], accels[unit]))
+            warmth = slow(recording.find(Sensor.TEMPERATURE, unit), t)
+            temperature = None if warmth is None else warmth[:, 0]
+            imu = Increments.of(gyro.shifted(-late[0]), accel.shifted(-late[1]), t, temperature)
+            state = smooth(imu, aiding, start_at(t, guess, aiding), _TRIALS if len(units) > 1 else ITERATIONS)
+            mag = compass.instance if compass else None
+            made.append(SmoothedTrajectory(state, imu, unit, mag, truth is not None, (late[0], late[1])))
+    best = min(made, key=lambda s: s.state.cost, default=None)
+    if best is None:
+        return None
+    close = [m for m in made if m.state.cost < best.state.cost + _CLOSE]
+    return _refined(_first_to_tell(best, close, gyros), aiding)
+
+
+def _first_to_tell(
+    best: SmoothedTrajectory, close: Sequence[SmoothedTrajectory], gyros: Mapping[int, Channel]
+) -> SmoothedTrajectory:
+    """Among units that fit about as well, the one whose gyroscope is not late: no sensor reads the future."""
+    for other in close:
+        first, second = (Signal.of(gyros[m.instance]) for m in (other, best))
+        if first is None or second is None or other is best:
+            continue
+        width = max(1, round(_MEAN_S / float(np.median(np.diff(second.t)))))
+        ahead, behind = (uniform_filter1d(w, width, axis=0) for w in (first.at(second.t), second.values))
+        apart, slope = behind - ahead, np.gradient(ahead, second.t, axis=0)
+        apart = apart - apart.mean(axis=0)
+        late = -float((apart * slope).sum()) / max(float((slope**2).sum()), 1e-300)
+        left = float(((apart + late * slope) ** 2).sum()) / max(float((apart**2).sum()), 1e-300)
+        if late > _LATE_S and left < _MOSTLY:
+            return other
+    return best
+
+
+def _refined(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTrajectory:
+    """With scales and axes that may differ, and biases that follow the temperature where that says much more.
+
+    As it was if they were turned to explain something else, like a crash.
+    """
+    state = smooth(found.imu, aiding, found.state)
+    free = smooth(found.imu, aiding, state, matrices=True)
+    best = free if free.plausible else state
+    if found.imu.warm.any():
+        warm = smooth(found.imu, aiding, state, matrices=True, drifts=True)
+        if warm.plausible and warm.cost < best.cost - _WARMER:
+            best = warm
+    return dataclasses.replace(found, state=best)
+
+
+def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:
+    starts = [float(c.t[0]) for c in channels] + [float(velocity.t[0]) - 1.0]
+    ends = [float(c.t[-1]) for c in channels] + [float(velocity.t[-1]) + 1.0]
+    return max(starts), min(ends)
+
+
+def _typical(mags: dict[int, Channel]) -> int:
+    """The instance that is nearest to all others; of two, the first."""
+
+    def apart(i: int) -> float:
+        signal = Signal.of(mags[i])
+        if signal is None:
+            return np.inf
+        return sum(float(np.mean(np.abs(signal.at(m.t) - m.values))) for j, m in mags.items() if j != i)
+
+    return min(sorted(mags), key=apart)
+
+
+def _aiding(recording: Recording, velocity: Signal, compass: Channel | None, t: Array) -> Aiding:
+    seen = (velocity.t >= t[0] + 0.3) & (velocity.t <= t[-1])
+    field = None if compass is None else Signal.of(compass)
+    if field is None:
+        none = np.zeros((0, 3))
+        return Aiding(
+            velocity.t[seen], velocity.values[seen], none[:, 0], none, none[:, 0], np.array([20.0, 0.0, 40.0])
+        )
+    inside = (field.t >= t[0]) & (field.t <= t[-1])
+    amperes = slow(recording.find(Sensor.CURRENT), field.t[inside])
+    current = np.zeros(int(inside.sum())) if amperes is None or amperes.std() < _MOVES else amperes[:, 0]
+    earth, sd, gain = _earth(recording, field)
+    return Aiding(
+        velocity.t[seen], velocity.values[seen], field.t[inside], field.values[inside], current, earth, sd, gain
+    )
+
+
+def _earth(recording: Recording, field: Signal) -> tuple[Array, float, float]:
+    """The field of the World Magnetic Model where the recording was made, how well it is known, uT, and the gain by it.
+
+    Without a position: one of the size that was measured, north and down as in middle latitudes.
+    """
+    place = next((c for c in recording.find(Sensor.POSITION) if len(c)), None)
+    if place is not None:
+        latitude, longitude, altitude = np.median(place.values, axis=0)
+        try:
+            known = earth_field(float(latitude), float(longitude), float(altitude), _year(recording))
+            return known.north_east_down, _MODEL_SD, _GAIN_SD
+        except InvalidInputError:
+            pass
+    return np.array([0.45, 0.0, 0.9]) * float(np.median(np.linalg.norm(field.values, axis=1))), _GUESS_SD, _GAIN_DEFINED
+
+
+def _year(recording: Recording) -> float:
+    said = next((e.text for e in recording.events if e.kind == "utc"), "")
+    try:
+        return float(said[:4]) + (float(said[5:7]) - 0.5) / 12.0
+    except ValueError:
+        return _DEFAULT_YEAR
+
+
+def _first_guess(recording: Recording, gyro: Channel, accel: Channel, aiding: Aiding, t: Array) -> Rotation:
+    """Where the search starts: the estimator's attitude, else levelled at the start and turned by the gyroscope."""
+    estimate = next((s for c in recording.find(Sensor.ATTITUDE) if (s := Signal.of(c)) is not None), None)
+    if estimate is not None and estimate.t[0] < t[0] + 2.0 and estimate.t[-1] > t[-1] - 2.0:
+        return rotation(linear(estimate.t, continuous(estimate.values), t))
+    rates, forces = Signal.of(gyro), Signal.of(accel)
+    assert rates is not None
+    assert forces is not None
+    imu = Increments.of(rates, forces, t)
+    zero = np.zeros((len(t) - 1, 3))
+    turns = imu.between(zero, zero).turn
+    attitude = _levelled(accel, aiding, t[0])
+    found = [attitude]
+    for k in range(len(turns)):
+        attitude = attitude * turns[k]
+        found.append(attitude)
+    return Rotation.concatenate(found)
+
+
+def _levelled(accel: Channel, aiding: Aiding, start: float) -> Rotation:
+    """From the first second: gravity is down; the magnetometer, if there is one, points along the Earth's field."""
+    early = accel.values[accel.t <= start + 1.0].mean(axis=0)
+    body, world = [early / np.linalg.norm(early)], [np.array([0.0, 0.0, -1.0])]
+    if len(aiding.mag_t):
+        field = aiding.mag[:10].mean(axis=0)
+        east_b, east_n = np.cross(field, body[0]), np.cross(aiding.earth, world[0])
+        body.append(east_b / np.linalg.norm(east_b))
+        world.append(east_n / np.linalg.norm(east_n))
+    turn, _ = Rotation.align_vectors(np.array(world), np.array(body), weights=np.array([np.inf, 1.0][: len(body)]))
+    return turn
+
+
+def _driven(found: SmoothedTrajectory) -> Ideal:
+    state, imu = found.state, found.imu
+    between = state.between(imu)
+    slip = (state.attitude[1:].inv() * state.attitude[:-1] * between.turn).inv().as_rotvec()
+    steps = []
+    for j, within in enumerate(between.within):
+        steps.append(state.attitude[:-1] * within * Rotation.from_rotvec(slip * (j / STEPS)))
+    fine_t = imu.t[0] + imu.dt / STEPS * np.arange(len(slip) * STEPS)
+    q = np.stack([s.as_quat() for s in steps], axis=1).reshape(-1, 4)[:, [3, 0, 1, 2]]
+    rate = (between.rate + slip[:, None, :] / imu.dt).reshape(-1, 3)
+    held = np.repeat(~_strained(found, between), STEPS)
+    attitude = Signal(fine_t, continuous(q))
+    if not held.any():  # nowhere do trajectory and inertial unit agree: the attitude is known nowhere
+        return Ideal(dataclasses.replace(_info(found), att_sigma_deg=np.inf), {}, attitude)
+    down = CubicSpline(imu.t, state.velocity, axis=0)(fine_t, 1) - GRAVITY_NED
+    body_from_ned = rotation(q).inv()
+    readings = {
+        Sensor.ACCEL: Signal(fine_t[held] + found.late[1], body_from_ned.apply(down)[held]),
+        Sensor.GYRO: Signal(fine_t[held] + 0.5 * imu.dt / STEPS + found.late[0], rate[held]),
+    }
+    if found.mag_instance is not None:
+        readings[Sensor.MAG] = Signal(fine_t[held], body_from_ned.apply(np.tile(state.earth, (len(fine_t), 1)))[held])
+    return Ideal(_info(found), readings, attitude)
+
+
+def _strained(found: SmoothedTrajectory, between: Between) -> NDArray[np.bool_]:
+    """Intervals about which the trajectory and the inertial unit contradict each other: a crash, a clipped sensor."""
+    state, imu = found.state, found.imu
+    here, there = state.attitude[:-1], state.attitude[1:]
+    turned = (there.inv() * here * between.turn).as_rotvec()
+    moved = state.velocity[:-1] + here.apply(between.velocity) + GRAVITY_NED * imu.dt - state.velocity[1:]
+    sd = np.sqrt(WALK[[0, 3]] ** 2 * imu.dt + imu.sampling**2)
+    off = np.maximum(np.abs(turned).max(axis=1) / sd[0], np.abs(moved).max(axis=1) / sd[1])
+    return np.asarray(maximum_filter1d(off, 2 * _AROUND + 1) > _STRAIN)
+
+
+def _info(found: SmoothedTrajectory) -> ReferenceInfo:
+    sources = (
+        "GPS velocity and the inertial unit"
+        if found.mag_instance is None
+        else "GPS velocity, inertial unit and compass"
+    )
+    if found.true:
+        text = "The attitude in a simulator's log, and the velocities between."
+        known_deg = float(np.degrees(found.state.att_sd))
+        return ReferenceInfo(ReferenceKind.SIM, known_deg, 10.0, text, _FOLLOWED_HZ, _TURNS_HZ)
+    text = (
+        f"A trajectory re-estimated from {sources} with their errors inside (inertial unit {found.instance + 1}"
+        + ("" if found.mag_instance is None else f", compass {found.mag_instance + 1}")
+        + f"; GPS {found.state.constants[LATE_GPS]:.2f} s late); the log's own attitude is not used as truth."
+    )
+    att_sd = float(np.degrees(found.state.att_sd))
+    gyro_sd, field_sd = (tuple(map(float, found.state.constants_sd[part])) for part in (GYRO, EARTH))
+    return ReferenceInfo(ReferenceKind.ESTIMATOR, att_sd, 10.0, text, _FOLLOWED_HZ, _TURNS_HZ, gyro_sd, field_sd)

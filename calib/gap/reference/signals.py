@@ -1,0 +1,223 @@
+"""Signals over time: values between samples, uniform grids from time stamps, derivatives below a cut-off.
+
+Time stamps jitter, repeat and have holes. Derivatives of a recorded pose are taken up to the frequency where its own
+noise takes over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct, idct
+from scipy.interpolate import CubicSpline
+
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Channel
+
+Array = NDArray[np.float64]
+
+_HOLE = 3.5  # median steps between two samples beyond which nothing is known between them
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Smooth values over time: samples `t` (N,), increasing, `values` (N, k)."""
+
+    t: Array
+    values: Array
+
+    @classmethod
+    def of(cls, channel: Channel) -> Signal | None:
+        """The finite samples of `channel`; None if there are fewer than four."""
+        good = np.isfinite(channel.values).all(axis=1) & np.isfinite(channel.t)
+        t, values = channel.t[good], channel.values[good]
+        fresh = np.concatenate([[True], np.diff(t) > 0.0]) if len(t) else np.zeros(0, dtype=bool)
+        return cls(t[fresh], values[fresh]) if fresh.sum() >= 4 else None
+
+    def shifted(self, by: float) -> Signal:
+        """The same, `by` seconds later."""
+        return Signal(self.t + by, self.values)
+
+    def at(self, t: Array) -> Array:
+        """Values at `t`, cubic between the samples and exact at them; held at the ends, linear across holes."""
+        if len(t) == len(self.t) and np.array_equal(t, self.t):
+            return self.values
+        inside = np.clip(t, self.t[0], self.t[-1])
+        smooth = np.asarray(CubicSpline(self.t, self.values, axis=0)(inside), dtype=np.float64)
+        hole = self._in_hole(inside)
+        if hole.any():
+            smooth[hole] = linear(self.t, self.values, inside[hole])
+        return smooth
+
+    def known(self, t: Array) -> NDArray[np.bool_]:
+        """Whether each of `t` lies between two samples that are near to each other."""
+        step = float(np.median(np.diff(self.t)))
+        inside = (t >= self.t[0] - 0.5 * step) & (t <= self.t[-1] + 0.5 * step)
+        return np.asarray(inside & ~self._in_hole(t))
+
+    def rate_of_change(self) -> Signal:
+        """Central differences."""
+        return Signal(self.t, np.gradient(self.values, self.t, axis=0))
+
+    def _in_hole(self, t: Array) -> NDArray[np.bool_]:
+        differences = np.diff(self.t)
+        after = np.clip(np.searchsorted(self.t, t, side="right"), 1, len(self.t) - 1)
+        at_sample = self.t[after - 1] == t
+        return np.asarray((differences[after - 1] > _HOLE * np.median(differences)) & ~at_sample)
+
+
+def linear(t: Array, values: Array, wanted: Array) -> Array:
+    """Columns of `values` (N, k) at `t` (N,), straight between the samples and held at the ends."""
+    return np.column_stack([np.interp(wanted, t, column) for column in values.T])
+
+
+def slow(channels: Iterable[Channel], wanted: Array) -> Array | None:
+    """The first of `channels` that has samples, at the times `wanted`; None if none has.
+
+    For what changes slowly: temperature, current, throttle. Held at the ends.
+    """
+    for channel in channels:
+        good = np.isfinite(channel.values).all(axis=1) & np.isfinite(channel.t)
+        if good.sum() >= 2:
+            return linear(channel.t[good], channel.values[good], wanted)
+    return None
+
+
+LONGEST_HOLE_S = 30.0
+"""A recording with a longer hole is two; its longest part is taken."""
+_STEP = 1.8  # times the median: longer differences are holes, not jitter
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A uniform grid and which sample of a channel lies at which of its points.
+
+    `t` (N,) is uniform; sample `sample[i]` of the channel, taken at `stamps[i]`, belongs to point `point[i]`.
+    """
+
+    t: Array
+    point: NDArray[np.intp]
+    sample: NDArray[np.intp]
+    stamps: Array
+    repeated: int
+    cut: bool
+
+    @property
+    def observed(self) -> NDArray[np.bool_]:
+        """Which points have a sample, shape (N,)."""
+        seen = np.zeros(len(self.t), dtype=bool)
+        seen[self.point] = True
+        return seen
+
+
+def grid_of(channel: Channel) -> Grid:
+    """The grid nearest to the time stamps of `channel`, over its longest part without a long hole.
+
+    Stamps of whole milliseconds, or that jitter by less than half a step, are kept apart; samples with the same stamp
+    count once. Samples that are not finite are holes.
+
+    Raises
+    ------
+    InvalidInputError
+        If there are fewer than four samples at different times.
+    """
+    good = np.flatnonzero(np.isfinite(channel.values).all(axis=1) & np.isfinite(channel.t))
+    t = channel.t[good]
+    fresh = np.concatenate([[True], np.diff(t) > 0.0]) if len(t) else np.zeros(0, dtype=bool)
+    repeated = int(len(t) - fresh.sum())
+    good, t = good[fresh], t[fresh]
+    if len(t) < 4:
+        raise InvalidInputError(f"{channel.sensor} of {channel.source}: {len(t)} samples are no time series")
+    first, last = _longest_part(t)
+    cut = last - first < len(t)
+    good, t = good[first:last], t[first:last]
+    dt, start, number = _steps(t)
+    points, index = np.unique(number, return_index=True)
+    grid = start + dt * np.arange(points[-1] + 1)
+    return Grid(grid, points, good[index], t[index], repeated + len(number) - len(points), cut)
+
+
+def _longest_part(t: Array) -> tuple[int, int]:
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(t) > LONGEST_HOLE_S) + 1, [len(t)]])
+    best = int(np.argmax(np.diff(edges)))
+    return int(edges[best]), int(edges[best + 1])
+
+
+def _steps(t: Array) -> tuple[float, float, NDArray[np.intp]]:
+    """Step, start and number of every stamp on the line that fits them best."""
+    if len(t) < 2:
+        return 1.0, float(t[0]), np.zeros(len(t), dtype=np.intp)
+    differences = np.diff(t)
+    short = differences[differences < _STEP * np.median(differences)]
+    dt, start = float(short.mean()), float(t[0])
+    number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(differences / dt), 1.0))])
+    for _ in range(3):
+        centred = number - number.mean()
+        dt = float(centred @ (t - t.mean()) / (centred @ centred))
+        start = float(t.mean() - dt * number.mean())
+        if np.abs(t - start - dt * number).max() < 0.5 * dt:
+            break
+        number = np.rint((t - start) / dt)
+    number = np.rint(number - number[0])
+    start = float(np.mean(t - dt * number))
+    return dt, start, number.astype(np.intp)
+
+
+_OPEN = 0.9  # cut-offs beyond this share of the Nyquist frequency are none
+_LOWEST_HZ = 1.0  # of a cut-off
+_STEEP = 8
+"""Steepness of the filter's edge: half an octave below its cut-off it takes away 4 %, an octave below 0.3 %.
+
+A Gaussian (2) takes 16 % there, and every sensor would look louder than its reference.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class LowPassedSignal:
+    """Values (N, k) and their first two derivatives on a uniform grid `t`; `cutoff_hz` is None if nothing was smoothed.
+
+    `noise` (k,) is the standard deviation of what was left out.
+    """
+
+    t: Array
+    values: Array
+    first: Array
+    second: Array
+    cutoff_hz: float | None
+    noise: Array
+
+
+def low_passed(signal: Signal, cutoff_hz: float | None = None) -> LowPassedSignal:
+    """Low-passed at `cutoff_hz`; None: as it is.
+
+    The filter has no phase, is flat up to its edge and at half amplitude at the cut-off.
+    """
+    step = float(np.median(np.diff(signal.t)))
+    t = signal.t[0] + step * np.arange(int(np.floor((signal.t[-1] - signal.t[0]) / step + 1e-6)) + 1)
+    values = signal.at(t)
+    noise = np.zeros(values.shape[1])
+    if cutoff_hz is not None:
+        line = values[0] + (values[-1] - values[0]) * ((t - t[0]) / max(t[-1] - t[0], step))[:, None]
+        spectrum = dct(values - line, axis=0, norm="ortho")
+        hz = np.arange(len(t)) / (2.0 * step * len(t))
+        kept = spectrum * np.exp2(-((hz / cutoff_hz) ** _STEEP))[:, None]
+        noise = np.sqrt(((spectrum - kept) ** 2).sum(axis=0) / len(t))
+        values = line + idct(kept, axis=0, norm="ortho")
+    spline = CubicSpline(t, values, axis=0)
+    return LowPassedSignal(t, values, spline(t, 1), spline(t, 2), cutoff_hz, noise)
+
+
+def bandwidth(t: Array, derived: Array, measured: Array) -> float | None:
+    """Frequency up to which `derived` (N, 3), uniform in `t`, tells of `measured` (N, 3) more than noise; None: all.
+
+    A band of it helps where ``|m - d|^2 < |m|^2``: the cut-off is where the sum of what is gained is largest. What the
+    sensor adds of its own raises both sides alike.
+    """
+    d, m = (dct(x - x.mean(axis=0), axis=0, norm="ortho") for x in (derived, measured))
+    gained = np.cumsum((2.0 * m * d - d**2).sum(axis=1))
+    hz = np.arange(len(t)) / (2.0 * (t[1] - t[0]) * len(t))
+    best = float(hz[int(np.argmax(gained))])
+    return None if best > _OPEN * hz[-1] else max(best, _LOWEST_HZ)

@@ -1,0 +1,155 @@
+"""A simulator's readings as a reference: the movement in them without their noise, and their own mean error.
+
+Noise in the reference is an error in the regressors: it makes every column smaller than it is and is, with the other
+sign, in the difference too, so that a filter or a delay that takes some of it away seems to explain the difference
+(Fuller, Measurement Error Models, 1987). Against the best estimate of the movement that is not so: what a Wiener
+filter leaves out is uncorrelated with what it lets through (regression calibration; Carroll et al., Measurement Error
+in Nonlinear Models, 2006). The price is known: at a frequency that the filter passes by ``g``, noise of power ``s^2``
+leaves ``g s^2`` in the reference.
+
+What a simulated flight reads beside its own ideal is part of the simulator, and no gap.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct, idct
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.special import chdtri
+
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, on
+from mavcal.calib.gap.reference.signals import Signal, grid_of, linear
+from mavcal.calib.recording import Channel, Sensor
+
+Array = NDArray[np.float64]
+
+_LOWEST = 1 / 8
+"""Share of the Nyquist frequency above which the noise is sought: below is where vehicles move."""
+_BLOCKS = 16  # of the coefficients above that, at most
+_FEWEST = 128  # coefficients in a block
+_ALIKE = 3  # blocks, and
+_MOST = 0.5  # share of all, that must agree on the floor: what falls with frequency is movement, or filtered noise
+_BY_CHANCE = 4.0  # standard deviations by which blocks of one floor may differ
+_SURE = 3.0  # and by which a band must be above it to hold movement
+_STEP = 1.08  # ratio of the edges of bands
+_NARROWEST = 8  # coefficients in a band
+_LINES = (1, 3, 9, 27)
+"""Widths of what stands out of a band, coefficients: lines, and lines that drift."""
+_RARE = 0.1  # of them that a recording of noise alone has, by width
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Denoised:
+    """The movement in some readings, and the noise (variance of one sample) that a sensor like it shows beside it."""
+
+    signal: Signal
+    noise: ResidualSpectrum
+
+
+def denoised(channel: Channel) -> Denoised | None:
+    """The readings of `channel` without their white noise; None if they have none that can be told from movement."""
+    grid = grid_of(channel)
+    n = len(grid.t)
+    values = linear(grid.stamps, channel.values[grid.sample], grid.t)
+    values[grid.point] = channel.values[grid.sample]
+    spectrum = dct(values, axis=0, norm="ortho")
+    power = spectrum[1:] ** 2 / grid.observed.mean()
+    floors = [_floor(column) for column in power.T]
+    if any(floor is None for floor in floors):
+        return None
+    floor = np.array(floors, dtype=np.float64)
+    edges = _edges(n)
+    count = np.diff(edges).astype(np.float64)
+    mean = np.add.reduceat(power, edges[:-1] - 1, axis=0) / count[:, None]
+    seen = mean > floor * (1.0 + _SURE * np.sqrt(2.0 / count))[:, None]
+    gain = np.repeat(np.where(seen, 1.0 - floor / np.maximum(mean, floor), 0.0), np.diff(edges), axis=0)
+    gain = np.maximum(gain, _lines(power / floor))
+    kept = np.vstack([np.ones((1, 3)), gain])
+    gain = np.add.reduceat(gain, edges[:-1] - 1, axis=0) / count[:, None]
+    smooth = idct(spectrum * kept, axis=0, norm="ortho")[grid.point]
+    fs = (n - 1) / float(grid.t[-1] - grid.t[0])
+    hz = np.sqrt(edges[:-1] * (edges[1:] - 1.0)) * fs / (2.0 * n)
+    return Denoised(Signal(grid.stamps, smooth), ResidualSpectrum(hz, floor * (1.0 + gain), count, fs, smooth=True))
+
+
+def _lines(ratio: Array) -> Array:
+    """Gains (n - 1, 3) where a few neighbours of power `ratio` over the floor stand out: a frame that swings."""
+    gain = np.zeros_like(ratio)
+    for width in _LINES:
+        mean = uniform_filter1d(ratio, width, axis=0, mode="nearest")
+        together = np.broadcast_to(mean.mean(axis=1, keepdims=True), mean.shape)
+        for power, dof in ((mean, width), (together, 3 * width)):
+            limit = float(chdtri(dof, _RARE / len(ratio))) / dof
+            found = maximum_filter1d(np.where(power > limit, power, 0.0), width, axis=0)
+            gain = np.maximum(gain, np.where(found > 0.0, 1.0 - 1.0 / np.maximum(found, 1.0), 0.0))
+    return gain
+
+
+def with_error(own: ResidualSpectrum, noise: ResidualSpectrum) -> ResidualSpectrum:
+    """The noise `own` of a sensor, learned elsewhere, with the error of the reference that is in `noise`."""
+    error = dataclasses.replace(noise, psd=np.maximum(_error(noise), 1e-9 * noise.psd))
+    return dataclasses.replace(own, psd=own.psd + on(error, own.hz, own.fs, own.low_pass_hz))
+
+
+def error_sd(noise: ResidualSpectrum) -> float:
+    """Standard deviation of the noise that is left in the reference, of the axis that has most."""
+    return float(np.sqrt((noise.dof @ _error(noise) / noise.dof.sum()).max()))
+
+
+def _error(noise: ResidualSpectrum) -> Array:
+    """Power of the noise that is left in the reference: the filter is closed in some band, and there is none of it."""
+    return np.asarray(noise.psd - noise.psd.min(axis=0))
+
+
+def _floor(power: Array) -> float | None:
+    """White noise in coefficients (n - 1,): the mean of the lowest blocks that agree with each other."""
+    high = power[int(_LOWEST * len(power)) :]
+    blocks = np.array_split(high, max(1, min(_BLOCKS, len(high) // _FEWEST)))
+    means = np.sort([block.mean() for block in blocks])
+    if not means[0] > 0.0:
+        return None
+    alike = means < means[0] * (1.0 + 2.0 * _BY_CHANCE * math.sqrt(2.0 / len(blocks[0])))
+    return float(means[alike].mean()) if alike.sum() >= max(_ALIKE, _MOST * len(blocks)) else None
+
+
+def _edges(n: int) -> NDArray[np.intp]:
+    """First coefficients of bands of some equal ratio, from 1 to `n`."""
+    edges = [1]
+    while edges[-1] < n:
+        edges.append(max(edges[-1] + _NARROWEST, round(_STEP * edges[-1])))
+    kept = [e for e in edges if e <= n - _NARROWEST]
+    return np.array([*kept, n] if kept else [1, n], dtype=np.intp)
+
+
+_SURE_OF_MEAN = 5.0  # standard errors from which a mean counts
+
+
+def deviations(single: Sequence[Trace]) -> dict[tuple[Sensor, int], Array]:
+    """Mean (3,) of the simulator's residuals by sensor and instance; axes on which it could be chance are zero.
+
+    The firmware's own calibration makes one: a simulated sensor without errors reads off by what it corrects.
+    """
+    found: dict[tuple[Sensor, int], Array] = {}
+    for trace in single:
+        noise = learned(trace)
+        if noise is None:
+            continue
+        mean = trace.residual[trace.observed].mean(axis=0)
+        error = np.sqrt(noise.psd[0] / trace.observed.sum())
+        found[trace.sensor, trace.instances[0]] = np.where(np.abs(mean) > _SURE_OF_MEAN * error, mean, 0.0)
+    return found
+
+
+def simulated_ideal(trace: Trace, found: Mapping[tuple[Sensor, int], Array]) -> Trace:
+    """`trace` against what the simulator's sensor would have read; its first instance stands for one that it lacks."""
+    offset = found.get((trace.sensor, trace.instances[0]), found.get((trace.sensor, 0)))
+    if offset is None or trace.against is not None or not offset.any():
+        return trace
+    measured = np.where(trace.observed[:, None], trace.measured, trace.measured + offset)
+    return dataclasses.replace(trace, ideal=trace.ideal + offset, measured=measured)

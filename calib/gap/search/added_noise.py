@@ -1,0 +1,181 @@
+"""Whether louder noise is an effect: more than flights differ by, of the instances named, and in its own right."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.model.hypotheses import Hypothesis
+from mavcal.calib.gap.model.joint import Model, NoiseTerm
+from mavcal.calib.gap.model.noise_fit import densities_of
+from mavcal.calib.gap.model.views import View
+
+Array = NDArray[np.float64]
+
+_FLIGHTS_DIFFER = 1.0
+"""Part of the learned noise that has to be added to it somewhere."""
+_OF_LINE = 0.05
+"""Part of a line's power below which noise and other lines beside it are its own unsteadiness."""
+_NEAR_HZ = 2.0
+"""Distance from a line's frequency within which its power is looked at."""
+_INVOLVED = 0.2
+"""Part of the largest excess of an instance that another one must show to be part of it."""
+LINES = ("_vibration", "_aliasing")
+"""Ends of the ids of what rotors shake."""
+
+
+@dataclass(frozen=True, eq=False)
+class AddedNoise:
+    """Noise of a hypothesis: `amplitudes` (p, 3) of its densities at the shape `theta`."""
+
+    hypothesis: Hypothesis
+    theta: float
+    amplitudes: Array
+
+    def power(self, model: Model, v: int) -> Array:
+        """Added to the bins of series `v`, (3, n)."""
+        return self.amplitudes.T @ densities_of(self.hypothesis, model.setting.views[v], self.theta)
+
+
+def _touched(hypothesis: Hypothesis, model: Model) -> list[int]:
+    return [v for v, view in enumerate(model.setting.views) if hypothesis.touches(view)]
+
+
+def stands_out(added: AddedNoise, model: Model) -> bool:
+    """Whether added noise is more than two flights of one vehicle differ by.
+
+    A spectrum that was learned from another recording is the mean over its rest and its flight; how much of either
+    there was is no effect. On noise that is declared anything counts.
+    """
+    touched = _touched(added.hypothesis, model)
+    if any(model.setting.views[v].density is None for v in touched):
+        return True
+    for v in touched:
+        base = np.array([model.noise[3 * v + c].power for c in range(3)])
+        if float((added.power(model, v) / base).max()) > _FLIGHTS_DIFFER:
+            return True
+    return False
+
+
+def unsteady_line(term: NoiseTerm, model: Model) -> bool:
+    """Whether broad noise of a model is no more than the unsteadiness of a line beside it."""
+    if term.hypothesis.effect.id.endswith(LINES):
+        return False
+    return _power_of(term, term.hypothesis, model) <= _OF_LINE * line_power(term.hypothesis, model)
+
+
+def drift_beside_lines(added: AddedNoise, model: Model) -> bool:
+    """Whether noise that wanders is more than the unsteadiness of the lines of a model, whose skirts reach low bins."""
+    if not added.hypothesis.effect.drifts:
+        return True
+    power = sum(float(added.power(model, v).sum()) for v in _touched(added.hypothesis, model))
+    return power > _OF_LINE * line_power(added.hypothesis, model)
+
+
+def tone_beside_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:
+    """The same of a tone with amplitudes `beta`."""
+    if not hypothesis.effect.tonal:
+        return True
+    samples = sum(model.setting.views[v].whole.n for v in _touched(hypothesis, model) if not _upper(model, v))
+    return 0.5 * float(beta @ beta) * samples > _OF_LINE * line_power(hypothesis, model)
+
+
+def _upper(model: Model, v: int) -> bool:
+    return bool(model.setting.views[v].first)
+
+
+def line_power(hypothesis: Hypothesis, model: Model) -> float:
+    """Power of the lines of a model on the sensor of `hypothesis`, summed over bins and axes."""
+    return sum(
+        _power_of(term, hypothesis, model)
+        for term in model.noise_terms
+        if term.hypothesis.effect.sensor is hypothesis.effect.sensor and term.hypothesis.effect.id.endswith(LINES)
+    )
+
+
+def _power_of(term: NoiseTerm, hypothesis: Hypothesis, model: Model) -> float:
+    names = [term.name(j) for j in range(len(term.hypothesis.effect.parameters) // 3)]
+    seen = [n for a, n in enumerate(model.noise) if hypothesis.touches(model.setting.views[a // 3])]
+    return sum(n.amplitudes[k] * float(n.densities[k].sum()) for n in seen for k in names if k in n.amplitudes)
+
+
+def whose(added: AddedNoise, model: Model) -> bool:
+    """Whether the instances of a hypothesis are those that show the noise.
+
+    Sums and differences of instances have the same spectra whichever of them is loud; their own do not.
+    """
+    excess = _excess(added, model)
+    if not excess:
+        return True
+    largest = max(excess.values())
+    if largest <= 0.0:
+        return True
+    return {i for i, e in excess.items() if e > _INVOLVED * largest} == set(added.hypothesis.instances)
+
+
+def _excess(added: AddedNoise, model: Model) -> Mapping[int, float]:
+    """By instance: power above the noise, weighted as the added noise is seen; empty where series are of one each."""
+    found: dict[int, float] = {}
+    for v in _touched(added.hypothesis, model):
+        view = model.setting.views[v]
+        if len(view.weights) < 2:
+            continue
+        group = [
+            u
+            for u, other in enumerate(model.setting.views)
+            if other.sensor is view.sensor and other.first == view.first and other.count == view.count
+        ]
+        weights = {i: [model.setting.views[u].weights.get(i, 0.0) for u in group] for i in view.weights}
+        rows = np.array(list(weights.values()))
+        if np.abs(rows @ rows.T - np.eye(len(rows))).max() > 1e-6:
+            return {}  # not orthonormal: no way back to single instances
+        shape = _about(added, model, v)
+        spectra = [model.setting.views[u].spectra(model.residual[u]) for u in group]
+        power = np.array([[model.noise[3 * u + c].power for c in range(3)] for u in group])
+        for i, row in weights.items():
+            own = np.add.reduce([w * y for w, y in zip(row, spectra, strict=True)])
+            base = np.add.reduce([w * w * p for w, p in zip(row, power, strict=True)])
+            found[i] = found.get(i, 0.0) + float((shape / base**2 * (own**2 - base)).sum())
+    return found
+
+
+def _about(added: AddedNoise, model: Model, v: int) -> Array:
+    """Where added noise is looked for, (3, n): of a line all about it, since units with clocks of their own have it at
+    frequencies of their own.
+    """
+    power = added.power(model, v)
+    if not added.hypothesis.effect.id.endswith(LINES):
+        return power
+    view = model.setting.views[v]
+    near = _near(view, int(np.argmax(power.sum(axis=0))))
+    return np.where(near, power.max(axis=1, keepdims=True), 0.0)
+
+
+def _near(view: View, peak: int) -> NDArray[np.bool_]:
+    """The bins beside the one of a line's largest density."""
+    return np.asarray(np.abs(view.omega - view.omega[peak]) < _NEAR_HZ * 2.0 * np.pi / view.whole.fs)
+
+
+def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
+    """Squared amplitudes (3,) of a line from the power at its frequency alone, and their standard errors.
+
+    The likelihood is of all bins: where a strong line is unsteady its skirts outweigh it.
+    """
+    total, size, scatter = np.zeros(3), np.zeros(3), np.zeros(3)
+    for v in _touched(term.hypothesis, model):
+        view = model.setting.views[v]
+        density = densities_of(term.hypothesis, view, term.theta)[0]
+        near = _near(view, int(np.argmax(density)))
+        spectra = view.spectra(model.residual[v])
+        for c in range(3):
+            noise = model.noise[3 * v + c]
+            rest = noise.power - noise.amplitudes.get(term.name(0), 0.0) * density
+            total[c] += float((spectra[c] ** 2 - rest)[near].sum())
+            size[c] += float(density[near].sum())
+            # A normal y has var y^2 = 2 s^4 = 2/3 E y^4.
+            scatter[c] += float((spectra[c] ** 4)[near].sum()) * 2.0 / 3.0
+    size = np.maximum(size, np.finfo(float).tiny)
+    return np.maximum(total / size, 0.0), np.sqrt(scatter) / size

@@ -1,0 +1,64 @@
+"""Transformed columns that are asked for again and again, by every contest on one setting."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, columns_of
+from mavcal.calib.gap.model.joint import Setting
+
+_Key = tuple[str, tuple[int, ...], float]
+
+_PASSING = 0.25
+"""Part of the budget for shapes that were picked for a residual: beside the next one they are others."""
+
+
+class ColumnCache:
+    """Transformed columns of hypotheses on one setting, as many as fit into `budget` numbers.
+
+    Those on a fixed grid stay, since every step of a selection asks for all of them; of the others the last ones do.
+    """
+
+    def __init__(self, budget: int) -> None:
+        self._lasting: dict[_Key, HypothesisColumns] = {}
+        self._passing: OrderedDict[_Key, HypothesisColumns] = OrderedDict()
+        self._most_passing = int(_PASSING * budget)
+        self._left = budget - self._most_passing
+        self._left_passing = self._most_passing
+
+    def of(self, hypothesis: Hypothesis, theta: float, setting: Setting) -> HypothesisColumns:
+        """Those of `hypothesis` at the shape `theta`."""
+        key = (*hypothesis.key, theta)
+        known = self._lasting.get(key)
+        if known is None and (known := self._passing.get(key)) is not None:
+            self._passing.move_to_end(key)
+        if known is not None:
+            return known
+        made = columns_of(hypothesis, theta, setting.views, setting.frames)
+        size = numbers_of(made)
+        if _is_picked(hypothesis):
+            if size <= self._most_passing:
+                self._keep_passing(key, made, size)
+        elif size <= self._left:
+            self._lasting[key] = made
+            self._left -= size
+        return made
+
+    def _keep_passing(self, key: _Key, made: HypothesisColumns, size: int) -> None:
+        self._passing[key] = made
+        self._left_passing -= size
+        while self._left_passing < 0:
+            _, gone = self._passing.popitem(last=False)
+            self._left_passing += numbers_of(gone)
+
+
+def _is_picked(hypothesis: Hypothesis) -> bool:
+    """Whether its shapes are picked for a residual, out of many."""
+    effect = hypothesis.effect
+    return isinstance(effect, MeanEffect) and effect.shape is not None and effect.shape.screen is not None
+
+
+def numbers_of(columns: HypothesisColumns) -> int:
+    """Numbers that columns hold; axes may share an array."""
+    return sum({id(part.X): part.X.size for part in columns.parts.values()}.values())

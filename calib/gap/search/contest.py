@@ -1,0 +1,395 @@
+"""How much each hypothesis would gain beside what the model already has.
+
+Groups of columns gain by their Schur complement in the weighted Gram matrix; effects on the noise by their deviance.
+The chance of so large a gain without the effect is corrected for the grid that was searched: the number of values tried
+multiplies the tail probability (GAP 3.2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import chdtrc
+from scipy.stats import binom
+
+from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
+from mavcal.calib.gap.model.bands import joined
+from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, columns_of
+from mavcal.calib.gap.model.joint import (
+    Model,
+    Term,
+    misfit,
+    refined,
+    with_residual,
+)
+from mavcal.calib.gap.model.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.progress import GapPace
+from mavcal.calib.gap.remembered import remembered
+from mavcal.calib.gap.search.added_noise import AddedNoise, drift_beside_lines, stands_out, tone_beside_lines, whose
+from mavcal.calib.gap.search.column_cache import ColumnCache
+from mavcal.calib.gap.search.evidence import (
+    price_of_fixed,
+    price_of_kind,
+    price_of_noise,
+    price_of_numbers,
+    price_of_repetition,
+    price_of_search,
+)
+from mavcal.calib.gap.search.filtered_noise import filter_evidence, shaped
+from mavcal.calib.gap.search.projection import Beside, Gain
+from mavcal.calib.gap.search.thresholds import Thresholds
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_WORTH = 8.0
+"""Gain of the best value on the grid from which on the shape is refined between its neighbours."""
+_CURVED = 300.0
+"""Gain from which on an effect that is not linear in its amplitudes is fitted as it is."""
+_STEPS = 10
+_STEPS_FIXED = 25
+"""Evaluations in the search for a shape; more where all rests on it."""
+_FOLLOWS = 6.0
+"""Gain on an axis from which on it is asked whether the noise follows its envelope."""
+_SIDES = 2
+"""Price of an effect whose shape alone is estimated: it vanishes at zero, so it was searched to either side only."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContestScore:
+    """What a hypothesis would gain.
+
+    `gain` is twice the gain of log-likelihood, `p` the chance of so much without it, corrected for the grid; `delta`
+    the gain less its price (:mod:`calib.gap.search.evidence`); `beta` the amplitudes beside the model as it is.
+    """
+
+    hypothesis: Hypothesis
+    theta: float
+    gain: float
+    df: int
+    grid: int
+    p: float
+    delta: float
+    beta: Array
+    sure: bool = True
+    """Whether the shape is the best one, and not only the best on a grid."""
+
+    @property
+    def price(self) -> float:
+        """What its degrees of freedom and the search cost, in twice the log-likelihood."""
+        return self.gain - self.delta
+
+
+def tail(gain: float, df: int, grid: int) -> float:
+    """Chance that the best of `grid` values gains so much without an effect."""
+    return 1.0 if df == 0 or gain <= 0.0 else min(1.0, grid * float(chdtrc(df, gain)))
+
+
+def one_sided_tail(gain: float, df: int, grid: int) -> float:
+    """The same for `df` amplitudes that cannot be negative: each is zero half of the time (chi-bar squared)."""
+    if gain <= 0.0:
+        return 1.0
+    weights = binom.pmf(np.arange(1, df + 1), df, 0.5)
+    return min(1.0, grid * float(weights @ chdtrc(np.arange(1, df + 1), gain)))
+
+
+def refinable(score: ContestScore) -> bool:
+    """Whether another fit of its shape, or without linearisation, could gain more."""
+    effect = score.hypothesis.effect
+    return isinstance(effect, MeanEffect) and (
+        (effect.shape is not None and score.gain > _WORTH) or (effect.exact is not None and score.gain > _CURVED)
+    )
+
+
+class Contest:
+    """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory.
+
+    `pace` says when the search for effects has to end.
+    """
+
+    def __init__(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        budget: int = 40_000_000,
+        floors: Thresholds | None = None,
+        kept: ColumnCache | None = None,
+        pace: GapPace | None = None,
+    ) -> None:
+        self.hypotheses = tuple(hypotheses)
+        self.floors = floors or Thresholds()
+        self.pace = pace or GapPace()
+        self._kept = ColumnCache(budget) if kept is None else kept
+
+    def among(self, hypotheses: Sequence[Hypothesis]) -> Contest:
+        """A contest of other hypotheses on the same setting, which shares the columns that were made."""
+        return Contest(hypotheses, floors=self.floors, kept=self._kept, pace=self.pace)
+
+    def without_floors(self) -> Contest:
+        """The same in which any gain may join that is significant."""
+        return Contest(self.hypotheses, kept=self._kept)
+
+    def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> HypothesisColumns:
+        """Transformed columns of `hypothesis`, kept."""
+        return self._kept.of(hypothesis, theta, model.setting)
+
+    def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> ContestScore:
+        """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
+        if isinstance(hypothesis.effect, NoiseEffect):
+            return noise_score(hypothesis, beside.model)
+        found = self._mean_score(hypothesis, beside, refine=refine)
+        return found if refine else replace(found, sure=not refinable(found))
+
+    def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[ContestScore]:
+        """Scores of several on their grids; those that are not `sure` are to be asked for alone before they count.
+
+        A free amplitude gains more at its best shape than on the grid, and no less than an effect that is nothing but a
+        shape: both are close, and most are never looked at again.
+        """
+        return [self.score(h, beside, refine=False) for h in hypotheses]
+
+    def assured(self, scores: Sequence[ContestScore], beside: Beside, least: float) -> list[ContestScore]:
+        """The same, with every one whose `delta` may be above `least` at its best shape."""
+        return [s if s.sure or s.delta < least else self.score(s.hypothesis, beside) for s in scores]
+
+    def _mean_score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool) -> ContestScore:
+        effect = hypothesis.effect
+        assert isinstance(effect, MeanEffect)
+        if effect.shape is None:
+            found = beside.gain(self.columns(hypothesis, math.nan, beside.model))
+            if refine and effect.exact is not None and found.gain > _CURVED:
+                gain, beta = exactly(hypothesis, found.beta, beside)
+                found = replace(found, gain=gain, beta=beta, evidence=gain - found.price)
+            return priced(hypothesis, math.nan, found, 1)
+        trace, view = widest(hypothesis, beside.model)
+        setting = beside.model.setting
+        own = trace if effect.shape.screen is not None else setting.views[view].whole.any_trace
+        grid = np.asarray(effect.shape.grid(own))
+        tried = grid
+        if effect.shape.screen is not None:
+            tried = effect.shape.screen(trace, unexplained(beside.model, view, trace))
+        if effect.fixed:
+            return self._fixed_score(hypothesis, tried, beside, refine=refine)
+        gains = beside.free_gains([self.columns(hypothesis, float(theta), beside.model) for theta in tried])
+        if not gains:
+            return priced(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
+        best = int(np.argmax(gains))
+        theta = float(tried[best])
+        if refine and gains[best] > _WORTH:
+            theta = self._refined(hypothesis, theta, grid, beside)
+        found = beside.gain(self.columns(hypothesis, theta, beside.model))
+        score = priced(hypothesis, theta, found, len(grid))
+        return score if tone_beside_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
+
+    def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> ContestScore:
+        """Score of an effect that is only a shape; without `refine` what a free amplitude gains, which is no less."""
+        columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
+        gains = beside.free_and_fixed_gains(columns)
+        free, best = float(gains[:, 0].max()), int(np.argmax(gains[:, 1]))
+        if not refine and free > _WORTH:
+            return fixed_score(hypothesis, float(grid[0]), free)
+        if free <= _WORTH:
+            return fixed_score(hypothesis, float(grid[best]), float(gains[best, 1]))
+        theta = self._refined(hypothesis, float(grid[best]), grid, beside)
+        gain = self._fixed_gain(hypothesis, theta, beside)
+        return fixed_score(hypothesis, theta, gain + filter_evidence(hypothesis, theta, beside.model))
+
+    def _fixed_gain(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> float:
+        columns = columns_of(hypothesis, theta, beside.model.setting.views, beside.model.setting.frames)
+        return beside.fixed_gain(columns)
+
+    def _refined(self, hypothesis: Hypothesis, theta: float, grid: Array, beside: Beside) -> float:
+        """The best shape between the neighbours of `theta` on the grid."""
+        i = int(np.argmin(np.abs(grid - theta)))
+        low, high = float(grid[max(i - 1, 0)]), float(grid[min(i + 1, len(grid) - 1)])
+        effect = hypothesis.effect
+        assert isinstance(effect, MeanEffect)
+
+        def loss(value: float) -> float:
+            columns = columns_of(hypothesis, value, beside.model.setting.views, beside.model.setting.frames)
+            return -(beside.fixed_gain(columns) if effect.fixed else beside.free_gains([columns])[0])
+
+        if high <= low:
+            return theta
+        options = {"maxiter": _STEPS_FIXED if effect.fixed else _STEPS, "xatol": 1e-6 * (high - low)}
+        found = minimize_scalar(loss, bounds=(low, high), method="bounded", options=options)
+        return float(found.x) if found.fun < loss(theta) else theta
+
+
+def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float, Array]:
+    """Gain and amplitudes of an effect beside a model, without linearisation."""
+    bare = beside.model
+    kept = tuple(t for i, t in enumerate(bare.terms) if i not in beside.omit)
+    terms = (*kept, Term(hypothesis, beta, math.nan))
+    model, _ = refined(with_residual(replace(bare, terms=terms)))
+    return beside.misfit_alone - misfit(model), model.terms[-1].beta
+
+
+def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> ContestScore:
+    """A score of an effect on the mean with free amplitudes."""
+    hidden = hypothesis.effect.hidden if found.df else 0
+    price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
+    price += price_of_kind(hypothesis.effect.id) + hypothesis.handicap
+    price += price_of_repetition(hypothesis.again) if hypothesis.effect.jumps else 0.0
+    price += 0.0 if hypothesis.effect.nameless else price_of_numbers(found.idle)
+    p = tail(found.gain, found.df + hidden, grid)
+    return ContestScore(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
+
+
+def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> ContestScore:
+    """A score of an effect on the mean that has nothing but a shape."""
+    delta = gain - price_of_fixed(gain) - hypothesis.handicap
+    return ContestScore(hypothesis, theta, gain, 1, _SIDES, tail(gain, 1, _SIDES), delta, np.ones(1))
+
+
+def noise_score(hypothesis: Hypothesis, model: Model) -> ContestScore:
+    """What an effect on the noise would gain, its amplitudes and those of the model fitted together."""
+    effect = hypothesis.effect
+    assert isinstance(effect, NoiseEffect)
+    thetas, grid = [math.nan], 1
+    if effect.shape is not None:
+        trace, view = widest(hypothesis, model)
+        tried, screen = effect.shape.grid(trace), effect.shape.screen
+        grid = len(tried)
+        thetas = [
+            float(theta) for theta in (tried if screen is None else screen(trace, unexplained(model, view, trace)))
+        ]
+    fits = noise_fits(model, effect.sensor)
+    scores = [_noise_gain(hypothesis, theta, model, fits) for theta in thetas]
+    best = max(range(len(thetas)), key=lambda i: scores[i][0])
+    gain, values, price = scores[best]
+    gain = max(gain - shaped(model, effect.sensor), 0.0)
+    df = len(effect.parameters)
+    added = AddedNoise(hypothesis, thetas[best], values)
+    own = whose(added, model) if hypothesis.loud is None else hypothesis.loud
+    believed = gain > 0.0 and stands_out(added, model) and drift_beside_lines(added, model) and own
+    p = one_sided_tail(gain, df, grid) if believed else 1.0
+    price += price_of_search(grid, gain) + price_of_kind(effect.id) + hypothesis.handicap
+    return ContestScore(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
+
+
+@remembered(6)
+def noise_fits(model: Model, sensor: Sensor) -> tuple[AxisFit, ...]:
+    """The fits of the three axes of a sensor."""
+    return tuple(axis_fit(model, axes_of(model.setting, sensor, c)) for c in range(3))
+
+
+@remembered(32)
+def alone(fit: AxisFit) -> float:
+    """``-2 log L`` of an axis without anything new."""
+    return fit.fitted()[1]
+
+
+def _noise_gain(
+    hypothesis: Hypothesis, theta: float, model: Model, fits: Sequence[AxisFit]
+) -> tuple[float, Array, float]:
+    """Gain, amplitudes and price."""
+    by_view = {
+        v: densities_of(hypothesis, view, theta)
+        for v, view in enumerate(model.setting.views)
+        if hypothesis.touches(view)
+    }
+    effect = hypothesis.effect
+    assert isinstance(effect, NoiseEffect)
+    gain, values, known = 0.0, [], []
+    for fit in fits:
+        rows = extra_rows(model, fit, by_view)
+        if not fit.promising(rows):
+            values.append(np.zeros(len(rows)))
+            known.append(fit.known_of(rows))
+            continue
+        without = alone(fit)
+        amplitudes, level, information = fit.fitted(rows)
+        known.append(_marginal(information)[len(fit.names) :])
+        gain += max(without - level, 0.0)
+        added = amplitudes[len(fit.names) :]
+        values.append(added)
+        if effect.variance is not None and without - level > _FOLLOWS:
+            for a in fit.axes:
+                if a // 3 in by_view:
+                    view = model.setting.views[a // 3]
+                    instance = max(
+                        (i for i in view.weights if i in hypothesis.instances), key=lambda i: view.weights[i]
+                    )
+                    envelope = effect.variance(view.traces[instance])
+                    gain += modulation(model, a, envelope, added @ by_view[a // 3])
+    by_density = zip(np.array(values).T, np.array(known).T, strict=True)
+    return gain, np.array(values).T, sum(price_of_noise(a, i) for a, i in by_density)
+
+
+def _marginal(information: Array) -> Array:
+    """Information of each amplitude when all others are unknown as well."""
+    variance = np.diag(np.linalg.pinv(information, rcond=1e-12, hermitian=True))
+    return np.asarray(1.0 / np.maximum(variance, np.finfo(float).tiny))
+
+
+def modulation(model: Model, axis: int, envelope: Array, density: Array) -> float:
+    """Twice the log-likelihood by which added noise that follows `envelope` (N,), of mean one, beats a steady one.
+
+    In the bins where the added `density` (n,) is a good part of all power, the residual's power should follow the
+    envelope as far as that part goes.
+    """
+    v, c = divmod(axis, 3)
+    power = model.noise[axis].power + density
+    part = density / power
+    band = part > max(0.5 * float(part.max()), 1e-3)
+    view = model.setting.views[v]
+    series = view.whitened(np.where(band, view.spectra(model.residual[v])[c] / np.sqrt(power), 0.0))
+    width = float(band.sum()) / view.n
+    added = float(part[band].mean()) if band.any() else 0.0
+    if added == 0.0:
+        return 0.0
+    expected = np.maximum((1.0 - added) + added * envelope[view.keep], 1e-3)
+    expected /= expected.mean()
+    squares = series**2
+    squares /= max(float(squares.mean()), 1e-300)
+    return width * float((squares * (1.0 - 1.0 / expected) - np.log(expected)).sum())
+
+
+def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
+    """The trace, and the index of the series, that show most of it: of several alike the one with most left over.
+
+    What is sought may have been in one block only. Of two bands the lower one stands for both.
+    """
+    found = [
+        (abs(weight), v, i)
+        for v, view in enumerate(model.setting.views)
+        if hypothesis.touches(view)
+        for i, weight in view.weights.items()
+        if i in hypothesis.instances and not (view.first and hypothesis.touches(model.setting.views[v - 1]))
+    ]
+    most = max(weight for weight, _, _ in found)
+    alike = [(v, i) for weight, v, i in found if weight == most]
+    v, i = alike[0] if len(alike) == 1 else max(alike, key=lambda one: _loudness(model, one[0]))
+    view = model.setting.views[v]
+    whole = hypothesis.fast or isinstance(hypothesis.effect, NoiseEffect)
+    return (view.whole if whole else view).traces[i], v
+
+
+def _loudness(model: Model, v: int) -> float:
+    """What a series has left over for its noise, in both bands."""
+    views = model.setting.views
+    bands = [v, v + 1] if v + 1 < len(views) and views[v + 1].first else [v]
+    return max(float((model.weight[a] * model.y[a] ** 2).mean()) for b in bands for a in range(3 * b, 3 * b + 3))
+
+
+@remembered(8)
+def unexplained(model: Model, v: int, trace: Trace) -> Array:
+    """The residual of a series on the whole grid of `trace`, zero where it is not kept; of both bands at its rate."""
+    view, left = model.setting.views[v], model.residual[v]
+    full = np.zeros((len(trace.t), 3))
+    if view.fine is None or len(trace.t) == len(view.keep):
+        full[view.keep] = left
+        return full
+    views = model.setting.views
+    upper = model.residual[v + 1] if v + 1 < len(views) and views[v + 1].first else None
+    lower, rest = np.zeros((len(view.keep), 3)), np.zeros_like(full)
+    lower[view.keep] = left
+    if upper is not None:
+        rest[view.fine.keep] = upper
+    return joined(lower, rest)

@@ -1,0 +1,212 @@
+"""What an effect is worth beside its price: the marginal likelihood of its amplitudes under a prior of their own size.
+
+A penalty of ``log N`` an amplitude asks the same of a direction that the movement excites and of one that it does not,
+and more of a long recording than of a short one. Here the amplitudes of one unit share a prior ``N(0, s^2)``, and s is
+the size that explains the data best (empirical Bayes; Clyde & George 2000): an amplitude that is seen well costs about
+the logarithm of its own evidence, one that is not seen costs nothing.
+
+Amplitudes need not be alike in size, and two other priors are tried as well, each for what a choice among them costs:
+that they are alike in what they make of the readings (Zellner 1986), as those of a curve are whose orders take each
+other back; and that there is only one, as of a fault on a single axis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.effects.base import DRIFTS
+from mavcal.calib.gap.effects.reference_attitude import REFERENCE
+from mavcal.calib.gap.effects.shape_ids import family_of, is_part, is_shape
+from mavcal.calib.gap.effects.temperature import THERMAL
+from mavcal.calib.gap.model.normal_equations import eigh
+
+Array = NDArray[np.float64]
+
+_SIZES = np.geomspace(1.0, 1e8, 33)
+"""Prior variances that are tried, in units of the best-seen direction's error."""
+_FINE = 100
+"""Values of a grid from which on its search is paid value by value: moments, frequencies."""
+_LAST = 16.0
+"""Price of what fits anything of its kind: a named cause that fits nearly as well is believed first."""
+_SHAPES = {
+    "simplest": 4.0,
+    "driven": 8.0,
+    "own": 12.0,
+    "linear": 14.0,
+    "approach": 16.0,
+    "product": 16.0,
+    "line": 16.0,
+    "periodic": 20.0,
+    "time": 32.0,
+}
+"""Price of a shape by its family: the fewer things it could stand for, the less. The frequency of what is periodic was
+sought as well."""
+_ONE_OF_MANY = 3.5
+"""Added to it for a part of a shape: the one of many that fits best."""
+_BY_WARMTH = 3.0
+"""Price of blaming temperature: what is there at every temperature that was seen, or began at a moment, is simpler."""
+_ONE_MORE = 10.0
+"""Price of one more jump on a sensor that jumps already."""
+_DOUBT = 8.0
+"""Price of blaming the reference for what a sensor may have done."""
+_NUMBER = 0.5
+"""Price of an amplitude that the data do not tell."""
+_SEEN = 1e-9
+"""Part of the largest information below which a direction is seen by rounding only."""
+_OTHER_PRIOR = 2.0 * math.log(2.0)
+"""Price of a prior that is not the first one."""
+_COARSE = 4.0
+"""What the search over a coarse grid counts as."""
+
+
+def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
+    """Twice the log marginal likelihood ratio of amplitudes against none, at the best size of the prior.
+
+    Parameters
+    ----------
+    gram, right : shape (p, p), (p,)
+        Normal equations beside everything else in the model.
+    groups : shape (p,)
+        Amplitudes of one unit have the same number; between groups sizes are relative to their mean information.
+    """
+    return weighed(gram, right, groups)[0]
+
+
+def weighed(gram: Array, right: Array, groups: NDArray[np.intp]) -> tuple[float, float]:
+    """The :func:`evidence`, and of how many amplitudes the data tell at that size of the prior: from 0 to p."""
+    seen = _Directions.of(gram, right, groups)
+    size, worth = seen.alike_in_size()
+    told = float((size * seen.values / (1.0 + size * seen.values)).sum())
+    return max(worth, seen.alike_in_readings(), _only_one(gram, right)), told
+
+
+def prior_sd(gram: Array, right: Array, groups: NDArray[np.intp]) -> Array:
+    """Standard deviations (p,) of the prior at its best size; zero where the data would rather have no amplitudes."""
+    seen = _Directions.of(gram, right, groups)
+    size, worth = seen.alike_in_size()
+    return seen.scale * math.sqrt(size) if worth > 0.0 else np.zeros(len(gram))
+
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Amplitudes in units of `scale` (p,): information `values` (p,) along independent directions, in rising order, and
+    the `square` (p,) of the right side there.
+    """
+
+    scale: Array
+    values: Array
+    square: Array
+
+    @classmethod
+    def of(cls, gram: Array, right: Array, groups: NDArray[np.intp]) -> _Directions:
+        scale = _scale(gram, groups)
+        values, vectors = eigh(gram * np.outer(scale, scale))
+        return cls(scale, np.maximum(values, 0.0), (vectors.T @ (right * scale)) ** 2)  # below zero by rounding only
+
+    def alike_in_size(self) -> tuple[float, float]:
+        """The variance of the amplitudes that explains the data best, and twice the log evidence there."""
+        if not self.values.any():
+            return 0.0, 0.0
+        sizes = _SIZES[:, None] / self.values[-1]
+        told = sizes * self.values
+        worth = (self.square * sizes / (1.0 + told) - np.log1p(told)).sum(axis=1)
+        best = int(worth.argmax())
+        return float(sizes[best, 0]), float(worth[best])
+
+    def alike_in_readings(self) -> float:
+        """Evidence where every direction that is seen moves the readings by as much."""
+        if not self.values.any():
+            return -math.inf
+        seen = self.values > _SEEN * self.values[-1]
+        return _at_best_size(float((self.square[seen] / self.values[seen]).sum()), int(seen.sum())) - _OTHER_PRIOR
+
+
+def _only_one(gram: Array, right: Array) -> float:
+    """Evidence where one amplitude is all there is: it was sought among all."""
+    information = np.diag(gram)
+    seen = information > 0.0
+    if not seen.any():
+        return -math.inf
+    return _at_best_size(float((right[seen] ** 2 / information[seen]).max()), 1) - _price_of_one(len(right))
+
+
+def _price_of_one(count: int) -> float:
+    """Price of the claim that one amplitude of so many is all there is."""
+    return 2.0 * math.log(2.0 * count)
+
+
+def _at_best_size(gain: float, rank: int) -> float:
+    """Twice the log evidence ``g - r - r log(g / r)`` of r directions that gain g together, alike in what they gain."""
+    return gain - rank - rank * math.log(gain / rank) if gain > rank else -math.inf
+
+
+def _scale(gram: Array, groups: NDArray[np.intp]) -> Array:
+    """One over the root of the mean information of each amplitude's group; zero where there is none."""
+    information = np.diag(gram)
+    scale = np.ones(len(gram))
+    for g in np.unique(groups):
+        own = groups == g
+        mean = float(information[own].mean())
+        scale[own] = 1.0 / math.sqrt(mean) if mean > 0.0 else 0.0
+    return scale
+
+
+def price_of_numbers(idle: float) -> float:
+    """Price of amplitudes that the data do not tell: of causes that explain the same the one with fewer is believed.
+
+    Beside the evidence, in which a direction that the movement does not excite costs nothing: at rest the nine numbers
+    of a sensitivity to force are an offset of three.
+    """
+    return _NUMBER * idle
+
+
+def price_of_fixed(gain: float) -> float:
+    """Price of the shape of an effect that has nothing else, to either side."""
+    return math.log1p(max(gain, 0.0)) + 2.0 * math.log(2.0)
+
+
+def price_of_search(grid: int, gain: float) -> float:
+    """Price of a shape that was sought over `grid` values; none for one value.
+
+    No more values can be told apart than the evidence has to offer: a jump of evidence g is known to N/g samples.
+    """
+    if grid <= 1:
+        return 0.0
+    return 2.0 * math.log(min(grid, max(gain, _COARSE)) if grid > _FINE else _COARSE)
+
+
+def price_of_noise(amplitudes: Array, information: Array) -> float:
+    """Price of amplitudes (p,) of noise, in twice the log-likelihood, under a prior of their own size.
+
+    `information`: of each beside all others. A sensor's axes are alike, and one on which such noise is excluded costs;
+    or it is on one axis alone, and what the others gain is given up.
+    """
+    square = np.maximum(amplitudes, 0.0) ** 2
+    if not len(square):
+        return 0.0
+    alike = float(np.log1p(square.mean() * information).sum())
+    lost = float((square * information).sum()) - square * information
+    alone = np.log1p(square * information) + lost + _price_of_one(len(square))
+    return min(alike, float(alone.min()))
+
+
+def price_of_repetition(again: int) -> float:
+    """Price of one more event of a kind that is there `again` times already: enough of them make any drift a stair."""
+    return _ONE_MORE if again else 0.0
+
+
+def price_of_kind(effect_id: str) -> float:
+    """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything. What
+    seems to go with temperature is often there at every temperature that was seen.
+    """
+    if is_shape(effect_id):
+        return _SHAPES[family_of(effect_id)] + _ONE_OF_MANY * is_part(effect_id)
+    if effect_id == REFERENCE:
+        return _DOUBT
+    if effect_id.endswith(THERMAL):
+        return _BY_WARMTH
+    return _LAST if effect_id.endswith(DRIFTS) else 0.0

@@ -1,0 +1,74 @@
+"""What the noise says of a filter: a sensor's own filter passes its noise as it passes the movement (GAP 3.1).
+
+Over the little band in which vehicles move, a filter is a delay; beyond it the noise tells them apart. Rounding comes
+after the filter and is not shaped. Only the form counts, not the level: a quieter sensor is no filter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.model.hypotheses import Hypothesis
+from mavcal.calib.gap.model.joint import Model
+from mavcal.calib.gap.model.noise_fit import is_declared
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_ABOVE = 0.25
+"""Share of the Nyquist frequency below which what is left may be movement."""
+_LEAST = 1e-6
+"""Part of the noise that any filter leaves: digits."""
+_TINY = 1e-300
+"""In place of no power at all."""
+
+
+def shaped(model: Model, sensor: Sensor) -> float:
+    """Twice the log-likelihood of what the filters of a model have done to the noise of a sensor.
+
+    The model's noise does not have that form: an effect on the noise gains as much by imitating it.
+    """
+    own = [t for t in model.terms if t.effect.sensor is sensor]
+    return sum(max(filter_evidence(t.hypothesis, t.theta, model), 0.0) for t in own)
+
+
+def filter_evidence(hypothesis: Hypothesis, theta: float, model: Model) -> float:
+    """Twice the log-likelihood that is gained if the noise went through a filter as well; 0 where none is declared.
+
+    In the likeliest of the ways in which it may have done so. Noise that was learned from this recording alone has the
+    filter in it already, and differences of instances have the noise of both.
+    """
+    effect = hypothesis.effect
+    if not isinstance(effect, MeanEffect) or effect.noise_gain is None:
+        return 0.0
+    pieces: dict[tuple[str, int], list[Array]] = {}
+    for v, view in enumerate(model.setting.views):
+        if view.sensor is not effect.sensor or tuple(view.weights) != hypothesis.instances or not is_declared(view):
+            continue
+        gains = np.maximum(effect.noise_gain(view.whole.any_trace, view.omega, theta), _LEAST)
+        for c in range(3):
+            pieces.setdefault((view.label, c), []).append(_compared(model, v, c, gains))
+    told = [_told(np.sum(parts, axis=0)) for parts in pieces.values()]
+    return float(np.sum(told, axis=0).max()) if told else 0.0
+
+
+def _compared(model: Model, v: int, c: int, gains: Array) -> Array:
+    """Axis `c` of series `v` beside filters (R, K): numbers, log ratios, and misfit without and with, (R, 4)."""
+    view, bins = model.setting.views[v], model.setting.bins[v]
+    fast = bins.mean(view.omega) > _ABOVE * np.pi
+    power = model.noise[3 * v + c].power
+    rounding = view.gain * view.whole.any_trace.quantum**2 / 12.0
+    filtered = np.maximum(power - rounding, 0.0) * gains + np.minimum(rounding, power)
+    plain, shaped = bins.mean(power)[fast], bins.mean(filtered)[:, fast]
+    squares, count = model.periodogram(3 * v + c)[fast], bins.counts[fast]
+    rows = np.ones(len(gains))
+    logs, after = np.log(plain / shaped) @ count, (squares / shaped).sum(axis=1)
+    return np.stack([count.sum() * rows, logs, (squares / plain).sum() * rows, after], axis=1)
+
+
+def _told(compared: Array) -> Array:
+    """Twice the log-likelihood ratio (R,), the level of the noise being free on either side."""
+    count, logs, before, after = compared.T
+    return np.where(count > 0.0, logs + count * np.log(np.maximum(before, _TINY) / np.maximum(after, _TINY)), 0.0)

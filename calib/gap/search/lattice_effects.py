@@ -1,0 +1,79 @@
+"""What the samples of a problem themselves show, trace by trace: effects of the lattice, and rows that say no more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcal.calib.gap.effects.base import CatalogueEffect, LatticeEffect, LatticeEvidence
+from mavcal.calib.gap.problem import GapProblem, Trace
+from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, ParameterEstimate
+from mavcal.calib.gap.search.nominal_check import nominal_has_samples
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """What the samples themselves show, by index of the trace where it matters to the rest."""
+
+    effects: tuple[EffectEstimate, ...]
+    masks: Mapping[int, LatticeEvidence]
+    variance: Mapping[int, float]
+
+
+def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Lattice:
+    """Lattice effects of every trace."""
+    found: list[EffectEstimate] = []
+    masks: dict[int, LatticeEvidence] = {}
+    variance: dict[int, float] = {}
+    lattices = [effect for effect in effects if isinstance(effect, LatticeEffect)]
+    for i, trace in _each_instance(problem.traces):
+        for effect in lattices:
+            evidence = effect.detect(trace) if effect.sensor is trace.sensor else None
+            if evidence is None or nominal_has_samples(effect, evidence, problem.nominal):
+                continue
+            if evidence.two_delta_loglik < problem.floor.lasting.get(trace.sensor, 0.0):
+                continue  # two recordings differ by as much
+            found.append(_from_lattice(effect, trace.instances, evidence))
+            if evidence.masked.any():
+                masks[i] = evidence if i not in masks else _both(masks[i], evidence)
+            if effect.id.endswith("_quantisation"):
+                variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
+    return Lattice(tuple(found), masks, variance)
+
+
+def shown_by(lattice: Lattice, effect: EffectEstimate) -> bool:
+    """Whether an effect is what the samples show already: themselves, or because coarse levels have one at zero."""
+    alike = {effect.id, effect.id.replace("_dead_band", "_quantisation")}
+    return any(e.id in alike and set(effect.instances) <= set(e.instances) for e in lattice.effects)
+
+
+def _each_instance(traces: Sequence[Trace]) -> Iterator[tuple[int, Trace]]:
+    """Index and trace of every instance: against the reference or, where it has none, against another instance."""
+    single = {(t.sensor, i) for t in traces if t.against is None for i in t.instances}
+    for index, trace in enumerate(traces):
+        if trace.against is None:
+            yield index, trace
+            continue
+        swapped = replace(
+            trace, measured=trace.ideal, ideal=trace.measured, instances=(trace.against,), against=trace.instances[0]
+        )
+        for one in (trace, swapped):
+            if (one.sensor, one.instances[0]) not in single:
+                single.add((one.sensor, one.instances[0]))
+                yield index, one
+
+
+def _both(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
+    masked = one.masked | other.masked
+    return LatticeEvidence(one.values, one.se, one.two_delta_loglik, masked, one.text)
+
+
+def _from_lattice(effect: LatticeEffect, instances: tuple[int, ...], evidence: LatticeEvidence) -> EffectEstimate:
+    params = tuple(
+        ParameterEstimate(p.name, value, se, (value - 1.96 * se, value + 1.96 * se), p.unit)
+        for p, value, se in zip(effect.parameters, evidence.values, evidence.se, strict=True)
+    )
+    sure = EffectEvidence(evidence.two_delta_loglik, len(params), 0.0, 0.999, 0.0)
+    return EffectEstimate(effect.id, effect.sensor, tuple(i + FIRST for i in instances), params, sure)

@@ -1,0 +1,489 @@
+"""Forward-backward selection: the best hypothesis that is significant and worth its price joins, until none is.
+
+After every step all parameters are fitted together, the noise again, and what has become superfluous leaves again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.model.hypotheses import Hypothesis, Key
+from mavcal.calib.gap.model.joint import (
+    Joint,
+    Model,
+    NoiseTerm,
+    Term,
+    coupled,
+    jacobian,
+    normal_equations,
+    refined,
+    refined_on,
+    with_noise,
+    with_residual,
+)
+from mavcal.calib.gap.model.noise_fit import FittedNoise, is_declared, refitted, starting_noise, with_term, without_term
+from mavcal.calib.gap.model.normal_equations import solved
+from mavcal.calib.gap.search.added_noise import unsteady_line
+from mavcal.calib.gap.search.contest import Contest, ContestScore
+from mavcal.calib.gap.search.projection import Beside, existing
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_MOST = 8
+"""Effects that join in a row, events beside."""
+_EVENTS = 3
+"""Events that may join after them."""
+_IN_ALL = 12
+"""Effects in a model, events beside: more is no explanation."""
+MATERIAL = 0.005
+"""Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""
+
+REAL = 0.01
+"""The same where the noise was learned from flights: small true structure is everywhere in them."""
+_SEEN = 0.3
+"""Part of that below which it does not join in the first place."""
+_FRONT = 3
+"""The best so many on their grids are fitted at their best shapes before one of them joins."""
+ONE_MORE = 6.0
+"""What each effect costs between models of unlike many, in twice a log-probability: four are less likely than one."""
+_LOUD = 0.1
+"""Gain a number from which on the noise that was fitted before hides what tells effects apart."""
+_RIVALS, _TRIED = 0.5, 6
+"""Part of the best one's worth from which on others are fitted in its place, and how many of them."""
+
+_SLOW = 4.0
+"""Power of the lowest bin over that of the highest from which on noise may have taken a slow effect for its own."""
+_FAR = 3e-5
+"""Part of the largest gain of all below which an effect on another sensor is a flaw of the reference."""
+
+Gains = Mapping[Key, tuple[float, int, int]]
+"""By effect: gain beside all others, degrees of freedom, size of the grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenModel:
+    """A fitted model, its covariance, the scores when each term joined, and the level of significance."""
+
+    model: Model
+    joint: Joint
+    noise: FittedNoise
+    scores: tuple[ContestScore, ...]
+    tests: int
+    first: tuple[ContestScore, ...]
+    """Scores of all hypotheses against no effect at all."""
+
+
+def largest_gain(chosen: ChosenModel, contest: Contest) -> float:
+    """Largest gain of the effects in a model, each beside all the others."""
+    return max((gain for gain, _, _ in last_gains(chosen.model, contest).values()), default=0.0)
+
+
+def fitted(model: Model) -> tuple[Model, Joint, FittedNoise]:
+    """Mean and noise of a model fitted in turn."""
+    model, _ = refined(model)
+    noise = refitted(model)
+    model, joint = refined(noise.model)
+    return model, joint, replace(noise, model=model)
+
+
+def fitted_about(model: Model, hypothesis: Hypothesis) -> Model:
+    """The same of the sensors that `hypothesis` touches, where it came or went: the others are not moved by it."""
+    own = {view.sensor for view in model.setting.views if hypothesis.touches(view)}
+    near = coupled(model, own)
+    noise = refitted(refined_on(model, near), sorted(near))
+    return refined_on(noise.model, near)
+
+
+def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
+    """The effects that the data show; noise that wanders comes last.
+
+    It can take the place of any slow effects on the mean, of two at once of which neither is better alone. It is
+    therefore left out at first, and may join beside them; only then it is asked whether it says more in their place.
+
+    Parameters
+    ----------
+    start
+        The model without an effect, its noise fitted.
+    contest
+        Everything that competes.
+    alpha
+        Chance that any of the tests fires without a gap.
+    """
+    candidates = contest.hypotheses
+    steady = [h for h in candidates if not h.effect.drifts]
+    tests = sum(not h.again for h in candidates)
+    level = alpha / max(tests, 1)
+    model, joint, noise = fitted(start)
+    first = tuple(_scored(model, contest, candidates, {}, None).values())
+    bare = ChosenModel(model, joint, noise, (), tests, first)
+    chosen = grown(bare, contest, level, steady)
+    if not contest.pace.ended:
+        chosen = grown(chosen, contest, level, candidates)
+    if _slow_is_left(chosen.model) and not contest.pace.ends():
+        quiet = _quiet(model)
+        scores = tuple(_scored(quiet, contest, steady, {}, None).values())
+        chosen = _better(chosen, grown(replace(bare, model=quiet, first=scores), contest, level, steady), contest)
+    if not (wanders(chosen) or _drift_leads(first, level)) or contest.pace.ends():
+        return chosen
+    return _better(chosen, grown(bare, contest, level, candidates), contest)
+
+
+def _slow_is_left(model: Model) -> bool:
+    """Whether noise that nobody declared is slow, and not by an error of a trajectory that was re-estimated."""
+    views = model.setting.views
+    if any(view.att_sd > 0.0 for view in views):
+        return False
+    powers = [n.power for a, n in enumerate(model.noise) if not is_declared(views[a // 3]) and not views[a // 3].first]
+    return any(power[0] > _SLOW * power[-1] for power in powers)
+
+
+def _quiet(model: Model) -> Model:
+    """The model with noise that nobody declared as if none of it were slow.
+
+    An offset lies in one number of its transform, and a slow effect in a few: noise that is fitted while they are in
+    it takes them for its own.
+    """
+    start = starting_noise(model.setting)
+    views = model.setting.views
+    return with_noise(model, tuple(n if is_declared(views[a // 3]) else start[a] for a, n in enumerate(model.noise)))
+
+
+def _better(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> ChosenModel:
+    """`other` where it says materially more: sensor by sensor, unless effects or the reference's error tie them."""
+    if any(t.effect.shared for c in (chosen, other) for t in c.model.terms) or chosen.model.ridge is not None:
+        worth = MATERIAL * largest_gain(chosen, contest)
+        return other if objective(other) < objective(chosen) - worth else chosen
+    skirts = {
+        t.hypothesis.effect.sensor
+        for t in other.model.noise_terms
+        if t.hypothesis.effect.drifts and unsteady_line(t, other.model)
+    }
+    gains, taken = last_gains(chosen.model, contest), set()
+    part = REAL if of_flights(chosen.model) else MATERIAL
+    for sensor in {view.sensor for view in chosen.model.setting.views} - skirts:
+        worth = part * max((g for k, (g, _, _) in gains.items() if k[0].startswith(f"{sensor}_")), default=0.0)
+        if _objective_of(other, sensor) < _objective_of(chosen, sensor) - worth:
+            taken.add(sensor)
+    return _joined(chosen, other, taken) if taken else chosen
+
+
+def _objective_of(chosen: ChosenModel, sensor: Sensor) -> float:
+    """The part of :func:`objective` that is of one sensor."""
+    deviance = sum(level for (own, _), level in chosen.noise.deviance.items() if own is sensor)
+    return deviance + price_of_all(s for s in chosen.scores if s.hypothesis.effect.sensor is sensor)
+
+
+def _joined(chosen: ChosenModel, other: ChosenModel, taken: Collection[Sensor]) -> ChosenModel:
+    """The effects of `other` on the sensors `taken`, those of `chosen` on the rest."""
+    kept = [s for s in chosen.scores if s.hypothesis.effect.sensor not in taken]
+    scores = (*kept, *(s for s in other.scores if s.hypothesis.effect.sensor in taken))
+    pair = (chosen.model, other.model)
+    views = chosen.model.setting.views
+    own = [pair[views[a // 3].sensor in taken] for a in range(chosen.model.setting.axes)]
+    mixed = replace(
+        chosen.model,
+        terms=tuple(t for m in pair for t in m.terms if _is_of(t, taken) is (m is other.model)),
+        noise_terms=tuple(t for m in pair for t in m.noise_terms if _is_of(t, taken) is (m is other.model)),
+        noise=tuple(m.noise[a] for a, m in enumerate(own)),
+        weight=tuple(m.weight[a] for a, m in enumerate(own)),
+    )
+    model, joint, fit = fitted(with_residual(mixed))
+    return ChosenModel(model, joint, fit, scores, chosen.tests, chosen.first)
+
+
+def _is_of(term: Term | NoiseTerm, sensors: Collection[Sensor]) -> bool:
+    return term.hypothesis.effect.sensor in sensors
+
+
+def _drift_leads(first: Sequence[ContestScore], level: float) -> bool:
+    """Whether noise that wanders is the best single effect on some sensor."""
+    best: dict[Sensor, ContestScore] = {}
+    for score in (s for s in first if s.p < level):
+        sensor = score.hypothesis.effect.sensor
+        if sensor not in best or score.delta > best[sensor].delta:
+            best[sensor] = score
+    return any(score.hypothesis.effect.drifts for score in best.values())
+
+
+def grown(
+    chosen: ChosenModel, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None
+) -> ChosenModel:
+    """A model with everything that is still significant beside it, at `level` a test."""
+    candidates = contest.hypotheses if candidates is None else candidates
+    model, joined, first = chosen.model, list(chosen.scores), chosen.first
+    gains: Gains = {}
+    if joined:  # what was exchanged may have made others superfluous
+        model, joined, gains = pruned(model, contest, joined, level)
+    known = {} if joined else {s.hypothesis.key: s for s in first}
+    scores = _scored(model, contest, candidates, known, None if joined else set())
+    for step in range(_MOST + _EVENTS):
+        full = step >= _MOST or _lasting(joined) >= _IN_ALL
+        still = {key: s for key, s in scores.items() if _happens(s)} if full else scores
+        best, trial = _best(still, level, gains, contest, model)
+        if best is None or contest.pace.ends():
+            break
+        contest.pace.advance()
+        trial = trial or fitted_about(with_score(model, best), best.hypothesis)
+        joined.append(best)
+        model, joined, gains = pruned(trial, contest, joined, level)
+        changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
+        scores = _scored(model, contest, candidates, scores, changed)
+    model, joined = _material(model, joined, gains)
+    model, joint, noise = fitted(model)
+    return ChosenModel(model, joint, noise, tuple(joined), chosen.tests, first)
+
+
+def _happens(score: ContestScore) -> bool:
+    """Whether it is an event: one that waits for room behind flaws of other sensors spoils their noise meanwhile."""
+    return score.hypothesis.effect.jumps
+
+
+def _lasting(joined: Sequence[ContestScore]) -> int:
+    return sum(not _happens(s) for s in joined)
+
+
+def with_score(model: Model, score: ContestScore) -> Model:
+    """The model with a hypothesis that was scored beside it."""
+    if isinstance(score.hypothesis.effect, NoiseEffect):
+        return with_term(model, NoiseTerm(score.hypothesis, score.theta))
+    term = Term(score.hypothesis, score.beta, score.theta)
+    return with_residual(replace(model, terms=(*model.terms, term)))
+
+
+def _scored(
+    model: Model,
+    contest: Contest,
+    candidates: Sequence[Hypothesis],
+    old: dict[Key, ContestScore],
+    changed: set[Sensor] | None,
+) -> dict[Key, ContestScore]:
+    """Scores of all candidates that are not in the model; those of sensors that did not change stay."""
+    taken = {t.hypothesis.key for t in model.terms} | {t.hypothesis.key for t in model.noise_terms}
+    beside = Beside(model)
+    scores, stale = {}, []
+    for hypothesis in candidates:
+        if hypothesis.key in taken or hypothesis.described_by(taken):
+            continue
+        if hypothesis.before is not None and hypothesis.before not in taken:
+            continue
+        moved = changed is None or hypothesis.effect.shared or hypothesis.effect.sensor in changed
+        known = old.get(hypothesis.key)
+        if moved or known is None:
+            stale.append(hypothesis)
+        else:
+            scores[hypothesis.key] = known
+    return {**scores, **{s.hypothesis.key: s for s in contest.scores(stale, beside)}}
+
+
+def _best(
+    scores: dict[Key, ContestScore], level: float, gains: Gains, contest: Contest, model: Model
+) -> tuple[ContestScore | None, Model | None]:
+    """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
+
+    Noise that wanders may have taken the place of a slow mean, and so may noise that nobody declared, which was fitted
+    while that was in it: what a mean gains beside them says little. With it the model
+    that it joins, if that was fitted.
+    """
+    wandering = any(t.hypothesis.effect.drifts for t in model.noise_terms)
+    undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}
+
+    def hidden(score: ContestScore) -> bool:
+        return not score.hypothesis.periodic and (wandering or score.hypothesis.effect.sensor in undeclared)
+
+    beside: Beside | None = None
+    while True:
+        good = [
+            s
+            for s in scores.values()
+            if s.p < level
+            and s.gain >= (0.0 if hidden(s) else _SEEN) * _least(s.hypothesis, model, gains)
+            and s.gain >= contest.floors.joining(s.hypothesis)
+        ]
+        if not good:
+            return None, None
+        ranked = sorted(good, key=lambda s: -s.delta)
+        front = ranked[:_FRONT]
+        unsure = next((s for s in front if not s.sure), None)
+        if unsure is None:
+            return _by_refit(ranked, model)
+        beside = beside or Beside(model)
+        scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)
+
+
+def _by_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[ContestScore, Model | None]:
+    """The best of scores in their order; of large ones, the one beside which the noise again says most.
+
+    A large gap is in the noise that is fitted before anything explains it: beside a bias of a hundred standard
+    deviations what else a misalignment explains counts for next to nothing.
+    """
+    best = ranked[0]
+    size = sum(3 * view.count for view in model.setting.views if best.hypothesis.touches(view))
+    if best.gain < _LOUD * size:
+        return best, None
+    rivals: dict[str, ContestScore] = {}
+    for score in ranked:
+        if score.delta > _RIVALS * best.delta and score.hypothesis.effect.sensor is best.hypothesis.effect.sensor:
+            rivals.setdefault(score.hypothesis.effect.id, score)
+    tried = list(rivals.values())[:_TRIED]
+    touched = {v.sensor for v in model.setting.views if any(s.hypothesis.touches(v) for s in tried)}
+    near = sorted(coupled(model, touched))
+    worth, least = None, math.inf
+    for score in tried:
+        trial = fitted_about(with_score(model, score), score.hypothesis)
+        level = sum(refitted(trial, near).deviance.values()) + score.price  # of -2 log L
+        if worth is None or level < least:
+            worth, least = (score, trial), level
+    assert worth is not None
+    return worth
+
+
+def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
+    """Gain below which an effect is a second order of the largest one on its sensor, or of one far larger elsewhere.
+
+    What shakes at some frequency has no second order that goes with temperature or turns: a mean is one of means.
+    """
+    of = {term.hypothesis.key: term.hypothesis.effect for term in model.members}
+    effect = hypothesis.effect
+    near = [
+        gains[k][0]
+        for k, e in of.items()
+        if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared) and _of_one_order(effect, e)
+    ]
+    far = max((gain for gain, _, _ in gains.values()), default=0.0)
+    part = REAL if of_flights(model) else MATERIAL
+    return max(part * max(near, default=0.0), _FAR * far)
+
+
+def _of_one_order(effect: CatalogueEffect, other: CatalogueEffect) -> bool:
+    """Whether an effect could be a second order of another: a mean could not of noise that does not wander."""
+    steady = isinstance(other, NoiseEffect) and not other.drifts
+    return not (steady and isinstance(effect, MeanEffect) and not effect.tonal)
+
+
+def of_flights(model: Model) -> bool:
+    """Whether a spectrum was learned from other recordings: small true structure is everywhere in them."""
+    return any(view.density is not None for view in model.setting.views)
+
+
+def pruned(
+    model: Model, contest: Contest, joined: list[ContestScore], level: float
+) -> tuple[Model, list[ContestScore], Gains]:
+    """Without the terms that no longer are significant beside the others (Wald on the mean, ratio on the noise)."""
+    while True:
+        gains = last_gains(model, contest)
+        chances = {key: min(1.0, grid * float(chdtrc(df, gain))) for key, (gain, df, grid) in gains.items()}
+        weak = [(key, p) for key, p in chances.items() if p > level]
+        if not weak or len(joined) < 2:
+            return model, joined, gains
+        key = max(weak, key=lambda pair: pair[1])[0]
+        gone = _member(model, key)
+        joined = [s for s in joined if s.hypothesis.key != key]
+        model = fitted_about(without(model, key), gone)
+
+
+def reduced(chosen: ChosenModel, keys: Collection[Key]) -> ChosenModel:
+    """The same without the effects of those keys, everything fitted again."""
+    model = chosen.model
+    for key in keys:
+        model = without(model, key)
+    model, joint, noise = fitted(model)
+    left = tuple(s for s in chosen.scores if s.hypothesis.key not in keys)
+    return replace(chosen, model=model, joint=joint, noise=noise, scores=left)
+
+
+def without(model: Model, key: Key) -> Model:
+    """The model without the term of that key."""
+    for term in model.noise_terms:
+        if term.hypothesis.key == key:
+            return without_term(model, term)
+    left = tuple(t for t in model.terms if t.hypothesis.key != key)
+    return with_residual(replace(model, terms=left))
+
+
+def last_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
+    """By term: what it gains beside all the others, its degrees of freedom, and the size of its grid."""
+    found = _mean_gains(model, contest)
+    full: dict[Sensor, float] = {}
+    for noise in model.noise_terms:
+        sensor = noise.hypothesis.effect.sensor
+        bare = refitted(without_term(model, noise), [sensor])
+        if sensor not in full:
+            full[sensor] = sum(refitted(model, [sensor]).deviance.values())
+        gain = sum(bare.deviance.values()) - full[sensor]
+        found[noise.hypothesis.key] = (max(gain, 0.0), len(noise.hypothesis.effect.parameters), 1)
+    return found
+
+
+def _mean_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
+    """Gains of the terms on the mean, from one set of normal equations.
+
+    A term is given back to the residual and fitted by its own columns beside everything that the others estimate.
+    """
+    if not model.terms:
+        return {}
+    own = [contest.columns(term.hypothesis, term.theta, model) for term in model.terms]
+    others = [jacobian(term, model.setting) for term in model.terms]
+    normal = normal_equations([*own, *others], model.y, model.weight, model.ridge)
+    count, size = len(own), len(normal.right)
+    found = {}
+    for i, term in enumerate(model.terms):
+        mine = normal.slices[i]
+        start = normal.slices[count].start
+        beside = np.array([k for k in range(start, size) if not _within(k, normal.slices[count + i])], np.intp)
+        values = np.ones(1) if term.effect.fixed else term.beta
+        right = normal.right + normal.gram[:, mine] @ values
+        cross = normal.gram[mine][:, beside]
+        held, covariance, _ = solved(normal.gram[beside[:, None], beside], right[beside])
+        gram = normal.gram[mine, mine] - cross @ covariance @ cross.T
+        left = right[mine] - cross @ held
+        if term.effect.fixed:
+            found[term.hypothesis.key] = (max(float(2.0 * left[0] - gram[0, 0]), 0.0), 1, 1)
+        else:
+            basis = existing(gram, np.diag(normal.gram)[mine])
+            found[term.hypothesis.key] = (float(((basis.T @ left) ** 2).sum()), basis.shape[1], 1)
+    return found
+
+
+def _within(k: int, rows: slice) -> bool:
+    return bool(rows.start <= k < rows.stop)
+
+
+def restored(model: Model, i: int) -> Model:
+    """The model with what term `i` explains given back to the residual; the term stays listed."""
+    others = replace(model, terms=tuple(t for j, t in enumerate(model.terms) if j != i))
+    back = with_residual(others)
+    return replace(model, residual=back.residual, y=back.y)
+
+
+def _material(model: Model, joined: list[ContestScore], gains: Gains) -> tuple[Model, list[ContestScore]]:
+    small = [k for k, (gain, _, _) in gains.items() if gain < _least(_member(model, k), model, gains)]
+    for key in small:
+        model = without(model, key)
+    return model, [s for s in joined if s.hypothesis.key not in small]
+
+
+def _member(model: Model, key: Key) -> Hypothesis:
+    return next(term.hypothesis for term in model.members if term.hypothesis.key == key)
+
+
+def objective(chosen: ChosenModel) -> float:
+    """``-2 log L`` with the price of every effect, and of there being one more: smaller is better."""
+    return sum(chosen.noise.deviance.values()) + price_of_all(chosen.scores)
+
+
+def price_of_all(scores: Iterable[ContestScore]) -> float:
+    """Price of some effects together."""
+    return sum(s.price + ONE_MORE for s in scores)
+
+
+def wanders(chosen: ChosenModel) -> bool:
+    """Whether noise that wanders is in the model."""
+    return any(t.hypothesis.effect.drifts for t in chosen.model.noise_terms)

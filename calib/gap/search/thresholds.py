@@ -1,0 +1,59 @@
+"""What an effect must gain to be a gap, where two recordings differ anyway."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
+from mavcal.calib.gap.model.hypotheses import Hypothesis, Key
+from mavcal.calib.gap.problem import Floor, GapProblem
+from mavcal.calib.recording import Sensor
+
+_LEVELS = ("_bias", "_hard_iron", "_motor_current", "_vibration_rectification", "_thermal_lag")
+"""Ends of the ids of what shifts the level of a reading, as temperature does, and what happens once."""
+SMALL = 0.03
+"""Evidence a number below which two flights differ anyway: a re-estimated ideal sensor is not surer of itself."""
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Twice the log-likelihoods of a :class:`calib.gap.problem.Floor`, and by hypothesis what flaws leave open there.
+
+    `own`: what a hypothesis would gain if a part of the flaws were still there
+    (:mod:`calib.gap.companion.nuisance_gain`).
+    """
+
+    floor: Floor = field(default_factory=Floor)
+    own: Mapping[Key, float] = field(default_factory=dict)
+
+    def joining(self, hypothesis: Hypothesis) -> float:
+        """Gain below which a hypothesis stays out of the model."""
+        effect = hypothesis.effect
+        if isinstance(effect, NoiseEffect):
+            return self.floor.noise.get(effect.sensor, 0.0)
+        if _shifts(effect):
+            return self.floor.level.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
+        return self.floor.joins.get(effect.sensor, 0.0)
+
+    def telling(self, hypothesis: Hypothesis) -> float:
+        """Gain below which a hypothesis in the model is no gap; noise that wanders has taken its part of a shift."""
+        effect = hypothesis.effect
+        if isinstance(effect, NoiseEffect):
+            return self.floor.loud.get(effect.sensor, 0.0)
+        if _shifts(effect):
+            return min(self.floor.level.get(effect.sensor, 0.0), self.floor.joins.get(effect.sensor, 0.0))
+        return self.floor.lasting.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
+
+    def lasting(self, sensor: Sensor) -> float:
+        """Below which what is left over on a sensor is no gap."""
+        return self.floor.lasting.get(sensor, 0.0)
+
+
+def accepted_difference(problem: GapProblem, each: float) -> dict[Sensor, float]:
+    """Twice the log-likelihood by sensor that two recordings differ by anyway, `each` for a number."""
+    return {s: each * sum(3 * len(t.t) for t in problem.traces if t.sensor is s) for s in Sensor}
+
+
+def _shifts(effect: CatalogueEffect) -> bool:
+    return effect.jumps or effect.id.endswith(_LEVELS) or "_temp_" in effect.id

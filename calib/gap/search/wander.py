@@ -1,0 +1,300 @@
+"""The reference's attitude as a slow process that the accelerometer and the magnetometer see alike (GAP 3.5).
+
+A Gauss-Markov prior makes it cheap: two numbers, its size and its time, are chosen by the marginal likelihood; its
+cosines cost what they take from the prior, not an amplitude each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from mavcal.calib.gap.effects.affine import rotation_columns
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.effects.reference_attitude import REFERENCE
+from mavcal.calib.gap.likelihood import AxisNoise
+from mavcal.calib.gap.model.hypotheses import Binning, Hypothesis, HypothesisColumns, Part, add_block
+from mavcal.calib.gap.model.joint import (
+    Model,
+    Ridge,
+    Setting,
+    cosines,
+    frame_of,
+    misfit,
+    normal_equations,
+    refined,
+    starting_model,
+)
+from mavcal.calib.gap.model.noise_fit import refitted
+from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.schema import ParameterEstimate
+from mavcal.calib.gap.search.contest import Contest, tail
+from mavcal.calib.gap.search.evidence import price_of_kind
+from mavcal.calib.gap.search.selection import (
+    MATERIAL,
+    ONE_MORE,
+    ChosenModel,
+    largest_gain,
+    objective,
+    price_of_all,
+    select,
+    without,
+)
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_MODES = 100
+"""Cosines over the recording that an error of attitude about one axis is made of."""
+_SCREENED = 4000
+"""Samples of a series in the search for size and time."""
+_SIZES_DEG = np.geomspace(0.0025, 3.0, 11)
+_TIMES_S = (2.0, 6.0, 20.0, 60.0)
+"""Rms and correlation time of the error that are tried."""
+_MARGIN = 2.0
+"""Penalised evidence by which a model with such an error must beat the one without."""
+_SLACK = 12.0
+"""What other effects may add to that once they are chosen beside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class WanderFit:
+    """A model with a wandering reference, on averages over some samples, and the contest on these.
+
+    `gain` says how much better it is; `size_deg` and `time_s` are of the process, `noise` is with what it has above its
+    last cosine.
+    """
+
+    chosen: ChosenModel
+    contest: Contest
+    gain: float
+    size_deg: float
+    time_s: float
+    noise: tuple[AxisNoise, ...]
+
+
+def sees(view: View) -> bool:
+    """Whether a series sees an error of the reference's attitude."""
+    return view.reference_error and view.sensor is not Sensor.GYRO and not view.first
+
+
+def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float) -> WanderFit | None:
+    """The better model in which the reference's attitude wanders, None if there is none."""
+    setting = start.setting
+    if not any(map(sees, setting.views)) or contest.pace.ends():
+        return None
+    process, worth = _instead(chosen)
+    gain, size, time = process.gain, process.size_deg, process.time_s
+    price = 2.0 * math.log(len(_SIZES_DEG) * len(_TIMES_S)) + price_of_kind(REFERENCE) + ONE_MORE
+    if worth < price + _MARGIN - _SLACK:
+        return None
+    least = max((contest.floors.lasting(v.sensor) for v in setting.views if sees(v)), default=0.0)
+    if gain < max(MATERIAL * largest_gain(chosen, contest), least):
+        return None
+    if tail(gain, 2, len(_SIZES_DEG) * len(_TIMES_S)) * (chosen.tests + 1) > alpha:
+        return None
+    frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
+    setting = replace(setting, frames=frames)
+    # A bias that wanders cannot be told from a reference that does.
+    told = [h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.drifts and _seen_by(h))]
+    contest = Contest(told, floors=contest.floors, pace=contest.pace)
+    columns = wander_columns(setting, frames)
+    ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
+    noise = with_tail(setting, start.noise, size, time)
+    found = select(starting_model(setting, noise, ridge), contest, alpha)
+    better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
+    return WanderFit(found, contest, better, size, time, noise) if better > _MARGIN else None
+
+
+def _instead(chosen: ChosenModel) -> tuple[_ProcessFit, float]:
+    """The best process, and by how much a model with it is better, its own price apart: at least, infinite if unknown.
+
+    It stands for all drifts that could be its own, and of every effect that it explains better. What drifts
+    have beyond its last cosine is counted only later (:func:`with_tail`).
+    """
+    bare, scores = chosen.model, {s.hypothesis.key: s for s in chosen.scores}
+    drifts = [t.hypothesis.key for t in bare.noise_terms if t.hypothesis.effect.drifts and _seen_by(t.hypothesis)]
+    for key in drifts:
+        bare = without(bare, key)
+        scores.pop(key)
+    bare = refitted(refined(bare)[0]).model
+    process = _Process.about(bare)
+    best = process.best(bare)
+    worth = math.inf if drifts else best.gain
+    for score in sorted(scores.values(), key=lambda s: s.gain):
+        if _may_stand_for_it(score.hypothesis, bare.setting):
+            other = refined(without(bare, score.hypothesis.key))[0]
+            found = process.best(other)
+            better = found.gain - best.gain + price_of_all([score]) - (misfit(other) - misfit(bare))
+            if better > 0.0:
+                bare, best, worth = other, found, worth + better
+    return best, worth
+
+
+def _may_stand_for_it(hypothesis: Hypothesis, setting: Setting) -> bool:
+    effect = hypothesis.effect
+    steady = isinstance(effect, MeanEffect) and not effect.tonal
+    return steady and any(hypothesis.touches(view) for view in setting.views if sees(view))
+
+
+def _seen_by(hypothesis: Hypothesis) -> bool:
+    return hypothesis.effect.sensor is not Sensor.GYRO
+
+
+@dataclass(frozen=True, order=True)
+class _ProcessFit:
+    """Twice the gain of marginal log-likelihood of a process, its rms (deg) and its time (s)."""
+
+    gain: float
+    size_deg: float
+    time_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Process:
+    """What is the same of all models with one noise: columns, their weights by axis, and what each prior makes of them.
+
+    `priors`: size and time, roots (p,) of the prior variances, and :func:`halved` with them.
+    """
+
+    frames: tuple[Binning, ...]
+    columns: HypothesisColumns
+    weight: tuple[Array, ...]
+    priors: tuple[tuple[float, float, Array, tuple[Array, float]], ...]
+
+    @classmethod
+    def about(cls, model: Model) -> _Process:
+        setting = model.setting
+        frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
+        columns = wander_columns(setting, frames)
+        weight = tuple(1.0 / frames[a // 3].power(model.noise[a].power) for a in range(setting.axes))
+        normal = normal_equations([columns], [np.zeros_like(w) for w in weight], weight)
+        priors = []
+        for size, time in _priors():
+            root = np.sqrt(_prior(setting, size, time))
+            priors.append((size, time, root, halved(np.eye(columns.p) + root[:, None] * normal.gram * root)))
+        return cls(frames, columns, weight, tuple(priors))
+
+    def best(self, model: Model) -> _ProcessFit:
+        """The best size and time of the process beside a model of that noise."""
+        right = np.zeros(self.columns.p)
+        for axis, part in self.columns.parts.items():
+            v, c = divmod(axis, 3)
+            (y,) = self.frames[v].bins(np.ascontiguousarray(model.residual[v][:, c][None]))
+            right[part.index] += part.X @ (self.weight[axis] * y)
+        return max(_ProcessFit(marginal(half, root * right), size, time) for size, time, root, half in self.priors)
+
+
+def halved(inner: Array) -> tuple[Array, float]:
+    """H (p, p) with ``H' H = A^-1`` and ``log det A`` of a matrix A that is one plus squares.
+
+    Beside next to no noise these squares are so large that rounding makes some of them negative.
+    """
+    try:
+        factor = np.linalg.cholesky(inner)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(inner)
+        values = np.maximum(values, 1.0)
+        return vectors.T / np.sqrt(values)[:, None], float(np.log(values).sum())
+    half = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
+    return half, 2.0 * float(np.log(np.diag(factor)).sum())
+
+
+def marginal(half: tuple[Array, float], right: Array) -> float:
+    """``r' A^-1 r - log det A``, of a matrix that was :func:`halved`."""
+    scaled = half[0] @ right
+    return float(scaled @ scaled) - half[1]
+
+
+def with_tail(setting: Setting, noise: Sequence[AxisNoise], size_deg: float, time_s: float) -> tuple[AxisNoise, ...]:
+    """The noise with what the process has above the last of its cosines, as far as a sensor sees it on average."""
+    first, last = span_of(setting)
+    changed = list(noise)
+    for v, view in enumerate(setting.views):
+        if not sees(view):
+            continue
+        omega = view.omega * view.whole.fs
+        density = 2.0 * math.radians(size_deg) ** 2 * time_s / (1.0 + (omega * time_s) ** 2)
+        power = np.where(omega > np.pi * _MODES / (last - first), density * view.fs, 0.0)
+        ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+        square = (ideal**2).mean(axis=0)
+        for c in range(3):
+            own = changed[3 * v + c]
+            changed[3 * v + c] = replace(own, base=own.base + power * float(square.sum() - square[c]))
+    return tuple(changed)
+
+
+def _priors() -> Iterator[tuple[float, float]]:
+    for size in _SIZES_DEG:
+        for time in _TIMES_S:
+            yield float(size), time
+
+
+def _prior(setting: Setting, size_deg: float, time_s: float) -> Array:
+    """Variances of the amplitudes of the cosines of a Gauss-Markov process, the same on three axes."""
+    first, last = span_of(setting)
+    omega = np.pi * np.arange(_MODES) / (last - first)
+    density = 2.0 * math.radians(size_deg) ** 2 * time_s / (1.0 + (omega * time_s) ** 2)
+    variance = density * 2.0 / (last - first)
+    variance[0] *= 0.5
+    return np.tile(variance, 3)
+
+
+def span_of(setting: Setting) -> tuple[float, float]:
+    """First and last time of all series."""
+    return min(float(v.t[0]) for v in setting.views), max(float(v.t[-1]) for v in setting.views)
+
+
+def wander_columns(setting: Setting, frames: Sequence[Binning]) -> HypothesisColumns:
+    """Columns of the amplitudes, axis by axis, over every series that sees the reference's attitude."""
+    span = span_of(setting)
+    parts: dict[int, Part] = {}
+    for v, view in enumerate(setting.views):
+        if not sees(view):
+            continue
+        turn = np.add.reduce([w * rotation_columns(view.traces[i], math.nan) for i, w in view.weights.items()])
+        turn, t = _averaged(turn[:, view.keep], frames[v].factor), _averaged(view.t[None, :, None], frames[v].factor)
+        t = t[0, :, 0]
+        waves = cosines(t, span, _MODES)
+        block = turn[:, None] * waves[None, :, :, None]
+        add_block(parts, v, block.reshape(3 * _MODES, len(t), 3), Binning(1, len(t)))
+    return HypothesisColumns(3 * _MODES, parts)
+
+
+def _averaged(values: Array, factor: int) -> Array:
+    """Means of `values` (p, n, k) over `factor` samples, over which the cosines hardly change."""
+    if factor == 1:
+        return values
+    whole = values.shape[1] // factor * factor
+    return np.asarray(values[:, :whole].reshape(len(values), -1, factor, values.shape[2]).mean(axis=2))
+
+
+def process_cost(model: Model) -> float:
+    """What the process adds to ``-2 log L``: its distance from the prior, and its volume (Laplace)."""
+    assert model.ridge is not None
+    ridge = model.ridge
+    normal = normal_equations((), model.y, model.weight, ridge)
+    volume = float(np.linalg.slogdet(normal.gram)[1]) - float(np.log(ridge.precision).sum())
+    return float(ridge.precision @ ridge.value**2) + volume
+
+
+def rms_rotation(model: Model) -> tuple[ParameterEstimate, ...]:
+    """Root mean square of the error about each axis, rad."""
+    assert model.ridge is not None
+    normal = normal_equations((), model.y, model.weight, model.ridge)
+    covariance = np.linalg.inv(normal.gram)
+    turn = model.ridge.rotation(np.linspace(*model.ridge.span, 400))
+    waves = cosines(np.linspace(*model.ridge.span, 400), model.ridge.span, _MODES)
+    made = []
+    for axis in range(3):
+        own = covariance[axis * _MODES : (axis + 1) * _MODES, axis * _MODES : (axis + 1) * _MODES]
+        noise = float(np.einsum("mn,mk,kn->n", waves, own, waves).mean())
+        size = math.sqrt(float((turn[:, axis] ** 2).mean()))
+        se = math.sqrt(noise / max(1, _MODES // 4))
+        made.append(ParameterEstimate(f"rotation.{'xyz'[axis]}", size, se, (size - 1.96 * se, size + 1.96 * se), "rad"))
+    return tuple(made)

@@ -1,0 +1,51 @@
+"""Effects of a model as a report has them: parameters, evidence, rivals, and the gates that they passed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavcal.calib.gap.effects.reference_attitude import REFERENCE
+from mavcal.calib.gap.heldout.shrink import dose_of
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
+from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, Gates
+from mavcal.calib.gap.search.selection import ChosenModel
+from mavcal.calib.gap.search.wander import WanderFit, rms_rotation, sees
+from mavcal.calib.gap.telling.estimates import estimates_of
+from mavcal.calib.gap.telling.probabilities import calibrated_probability
+from mavcal.calib.gap.worth.attribution import TEMPERATURE, Attribution
+from mavcal.calib.recording import Sensor
+
+
+def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:
+    """An effect of the catalogue; `passed`: whether held-out blocks confirm it, None where they say nothing."""
+    term, dose = _term(chosen.model, found), dose_of(chosen, found.key)
+    p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
+    probability = calibrated_probability(found.probability, found.gain, beside_unknown=beside_unknown)
+    return EffectEstimate(
+        term.hypothesis.effect.id,
+        term.hypothesis.effect.sensor,
+        tuple(i + FIRST for i in found.key[1]),
+        estimates_of(chosen, term, dose.widening),
+        EffectEvidence(found.gain, found.df, min(1.0, p * chosen.tests), probability, found.share),
+        found.rivals,
+        Gates(passed, None, dose.agrees),
+    )
+
+
+def wandering_reference(wander: WanderFit, attributions: tuple[Attribution, ...]) -> EffectEstimate:
+    """The reference's own error as an effect: its size on each axis."""
+    model = wander.chosen.model
+    instances = sorted({i + FIRST for view in model.setting.views if sees(view) for i in view.weights})
+    others = sum(a.gain for a in attributions)
+    sure = EffectEvidence(
+        wander.gain,
+        2,
+        float(np.exp(-0.5 * min(wander.gain, 1400.0))),
+        float(1.0 / (1.0 + np.exp(-0.5 * min(wander.gain, 1400.0) / TEMPERATURE))),
+        wander.gain / (wander.gain + others),
+    )
+    return EffectEstimate(REFERENCE, Sensor.ACCEL, tuple(instances), rms_rotation(model), sure)
+
+
+def _term(model: Model, found: Attribution) -> Term | NoiseTerm:
+    return next(t for t in model.members if t.hypothesis.key == found.key)

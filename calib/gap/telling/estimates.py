@@ -1,0 +1,88 @@
+"""Parameters of the effects of a model, in the names and units of the catalogue."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.effects.base import EffectParameter
+from mavcal.calib.gap.model.joint import NoiseTerm, Term
+from mavcal.calib.gap.model.noise_fit import NoiseEstimate
+from mavcal.calib.gap.schema import ParameterEstimate
+from mavcal.calib.gap.search.added_noise import LINES, line_amplitudes
+from mavcal.calib.gap.search.selection import ChosenModel
+from mavcal.calib.gap.unknown.transitions import levels_apart, moment_of
+from mavcal.calib.gap.worth.attitude_error import variance_of_tilt
+
+Array = NDArray[np.float64]
+
+_Z = 1.959964
+"""Standard errors from an estimate to either end of its 95 % interval."""
+_FREE = 1e-4
+"""Part of a parameter in directions that the data do not show, from which on its error is not finite."""
+
+
+_SIGNIFICANT = 3.0
+"""Standard errors of a step beyond which it does not fit the levels beside it."""
+
+
+def estimates_of(chosen: ChosenModel, term: Term | NoiseTerm, widening: float = 1.0) -> tuple[ParameterEstimate, ...]:
+    """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise,
+    and what the reference's attitude leaves open (:mod:`calib.gap.worth.attitude_error`).
+
+    A step between levels that do not fit it is no surer than they differ, and its moment no surer than the samples
+    beside it lie apart.
+    """
+    if isinstance(term, NoiseTerm):
+        found = chosen.noise.estimates[term.hypothesis.key]
+        if term.hypothesis.effect.id.endswith(LINES):
+            values, se = line_amplitudes(term, chosen.model)
+            found = NoiseEstimate(values[None], se[None])
+        return _of_noise(term, found)
+    i = chosen.model.terms.index(term)
+    rows = chosen.joint.slices[i]
+    variance = np.diag(chosen.joint.covariance)[rows].copy()
+    variance[_unseen(chosen.joint.normal.gram)[rows]] = math.inf
+    effect = term.effect
+    names = effect.parameters if effect.shape is None else (*effect.parameters, effect.shape.parameter)
+    se = np.hypot(widening * np.sqrt(variance), np.sqrt(variance_of_tilt(chosen.model, chosen.joint)[rows]))
+    values = term.values.copy()
+    if effect.jumps:
+        apart = levels_apart(chosen.model, term)
+        se[:3] = np.where(apart > _SIGNIFICANT * se[:3], np.hypot(se[:3], apart), se[:3])
+        if effect.shape is not None and effect.shape.still:
+            values[-1], between = moment_of(chosen.model, term)
+            se[-1] = math.hypot(se[-1], between)
+    return tuple(
+        _estimate(name, float(value), float(error)) for name, value, error in zip(names, values, se, strict=True)
+    )
+
+
+def _estimate(parameter: EffectParameter, value: float, se: float) -> ParameterEstimate:
+    return ParameterEstimate(parameter.name, value, se, (value - _Z * se, value + _Z * se), parameter.unit)
+
+
+def _of_noise(term: NoiseTerm, found: NoiseEstimate) -> tuple[ParameterEstimate, ...]:
+    effect = term.hypothesis.effect
+    made = []
+    for parameter, value, se in zip(effect.parameters, found.values.ravel(), found.se.ravel(), strict=True):
+        if not parameter.squared:
+            made.append(_estimate(parameter, float(value), float(se)))
+            continue
+        root = math.sqrt(max(float(value), 0.0))
+        low, high = (math.sqrt(max(float(value) + sign * _Z * float(se), 0.0)) for sign in (-1.0, 1.0))
+        made.append(ParameterEstimate(parameter.name, root, (high - low) / (2.0 * _Z), (low, high), parameter.unit))
+    if effect.shape is not None:
+        made.append(_estimate(effect.shape.parameter, term.theta, math.inf))
+    return tuple(made)
+
+
+def _unseen(gram: Array) -> NDArray[np.bool_]:
+    """Which parameters have a part in a direction that the Gram matrix does not see."""
+    scale = np.sqrt(np.diag(gram))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    hidden = vectors[:, values <= 1e-9 * max(len(values), 1)]
+    return np.asarray((hidden**2).sum(axis=1) > _FREE)

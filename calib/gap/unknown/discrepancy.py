@@ -1,0 +1,192 @@
+"""Whether whitened residuals are white noise, as bets: noise that is louder at times, waves of any form.
+
+A bet is an e-value: a likelihood averaged over what it bets on, in parts of the largest likelihood that a model without
+it reaches. Where that model is true its mean is at most one. It then exceeds ``1 / a`` with a chance of at most `a`,
+whatever was averaged over (Ville 1939; Wasserman, Ramdas & Balakrishnan 2020). Nothing has to be simulated, and
+the mean of bets is a bet.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
+from scipy.special import logsumexp
+
+from mavcal.calib.gap.model.joint import Model
+from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, coarse, varies
+
+Array = NDArray[np.float64]
+
+LOUDER, WAVES = "noise that is louder at times", "a wave that is no sine, of"
+"""What is said of the bets that win."""
+_CHANCE = 2e-3
+"""Chance of all bets together where nothing but white noise is left."""
+_AXES = ((0, 1, 2), (0,), (1,), (2,))
+"""That a bet is made on: all together, and each alone."""
+_RAISED = np.array([0.3, 0.8, 2.0, 6.0])
+"""Parts by which the variance is larger during a burst."""
+_LASTS = np.array([8.0, 30.0, 120.0, 500.0, 2000.0])
+"""Samples that a burst lasts in the mean."""
+_DUTY = np.array([0.02, 0.1, 0.3])
+"""Parts of the time for which it is louder."""
+_BLOCKS = 7000
+"""Averages that a series has at most where bursts are looked for."""
+_SINGLE = 4
+"""Samples of such an average up to which loud samples are looked for one by one, too."""
+_LONGEST = 20_000
+"""Averages that a series has at most where waves are looked for: faster ones of a long recording are lines."""
+_ROUNDS = 40
+"""Rounds of a fit of two variances."""
+_STARTS = ((0.02, 4.0), (0.2, 1.5))
+"""Parts of the samples and variances of the louder ones that it begins with, in turn."""
+_PERIODS = 4
+"""Of a wave that the recording has at least."""
+_PAD = 8
+"""Times the length to which a series is filled up: an overtone is k times nearer to its bin than to the next."""
+_OVERTONES = (1, 2, 4, 8, 16)
+"""Waves in a comb."""
+_SIZES = np.geomspace(1.0, 200.0, 8)
+"""Variances of a wave's amplitude, in those of the noise."""
+
+
+def bets_of(model: Model) -> tuple[Unexplained, ...]:
+    """Every bet on what a model leaves over, of each series whose noise is declared; their nats are logs."""
+    return tuple(bet for v in range(len(model.setting.views)) for bet in _bets(model, v))
+
+
+def won(bets: Sequence[Unexplained]) -> list[Unexplained]:
+    """Those that win among all that are made."""
+    needed = math.log(max(len(bets), 1) / _CHANCE)
+    return [bet for bet in bets if bet.nats > needed]
+
+
+def log_odds(bets: Sequence[Unexplained]) -> float | None:
+    """The log of all bets together, a bet as well; None: none is made."""
+    return _mean(np.array([bet.nats for bet in bets])) if bets else None
+
+
+def _bets(model: Model, v: int) -> Iterator[Unexplained]:
+    view = model.setting.views[v]
+    # The error of the reference is known only up to the last of its cosines.
+    turned = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
+    if turned or not _declared(view):
+        return
+    power = np.array([model.noise[3 * v + c].power for c in range(3)])
+    white = np.stack([view.whitened(axis) for axis in view.spectra(model.residual[v]) / np.sqrt(power)])
+    name = view.sensor.value
+    if not varies(model, view):
+        yield Unexplained(bursting(white), f"{LOUDER} on {name}", view.sensor)
+    nats, periods = comb(white)
+    yield Unexplained(nats, f"{WAVES} {periods * view.fs / view.n:.3g} Hz on {name}", view.sensor)
+
+
+def _declared(view: View) -> bool:
+    """Whether its noise is known to be white: what was learned from flights was averaged over all that was there."""
+    return view.density is None and view.variance is not None and not view.first and not coarse(view)
+
+
+def bursting(white: Array) -> float:
+    """Log of the bet that the variance of white series (p, n) goes to and fro between two values.
+
+    It is a Markov chain of two states, against samples that are louder or not in no order: heavy tails are no bursts.
+    """
+    width = -(-white.shape[1] // _BLOCKS)
+    count = white.shape[1] // width
+    square = white[:, : count * width] ** 2
+    energy = square.reshape(len(white), count, width).sum(axis=2)
+    each = [axes for axes in _AXES if max(axes) < len(white)]
+    chains = _chains(np.array([energy[list(axes)].sum(axis=0) for axes in each]), width * np.array([*map(len, each)]))
+    bets = []
+    for axes, chain in zip(each, chains, strict=True):
+        own = list(axes)
+        if chain > 0.0:  # else no more than a draw, whatever it is compared with
+            alone = _unordered(square[own].ravel(), 1) if width <= _SINGLE else 0.0
+            chain -= max(alone, _unordered(energy[own].sum(axis=0), width * len(own)))
+        bets.append(chain)
+    return _mean(np.array(bets))
+
+
+def _chains(energy: Array, freedom: NDArray[np.intp]) -> Array:
+    """Log-likelihood of Markov chains of two variances against unit variance, averaged over them, (k,).
+
+    `energy` (k, n): sums of `freedom` (k,) squares each. The first state has unit variance.
+    """
+    width = freedom.min()  # of an axis alone: samples of a block
+    louder, lasts, duty = (a.ravel() for a in np.meshgrid(_RAISED, _LASTS, _DUTY, indexing="ij"))
+    end = np.minimum(width / lasts, 1.0)
+    begin = np.minimum(end * duty / (1.0 - duty), 1.0)
+    calm, loud = (np.broadcast_to(p, (len(energy), len(end))).copy() for p in (1.0 - duty, duty))
+    level = -0.5 * freedom[:, None] * np.log1p(louder)
+    slope = 0.5 * louder / (1.0 + louder)
+    total = np.zeros_like(calm)
+    for now in energy.T:
+        ratio = level + slope * now[:, None]
+        top = np.maximum(ratio, 0.0)
+        calm, loud = calm * np.exp(-top), loud * np.exp(ratio - top)
+        both = calm + loud
+        total += np.log(both) + top
+        loud = loud / both
+        loud = loud * (1.0 - end) + (1.0 - loud) * begin
+        calm = 1.0 - loud
+    return np.asarray(logsumexp(total, axis=1) - math.log(total.shape[1]))
+
+
+def _unordered(energy: Array, freedom: int) -> float:
+    """The largest log-likelihood of sums (n,) of so many squares whose variance is one of two, against unit variance.
+
+    Either at each of them by itself, by rounds of expectation and maximisation.
+    """
+    best = 0.0
+    for part, variance in _STARTS:
+        v = np.array([1.0, variance])
+        for _ in range(_ROUNDS):
+            each = 0.5 * energy[:, None] * (1.0 - 1.0 / v) - 0.5 * freedom * np.log(v) + np.log([1.0 - part, part])
+            whole = np.logaddexp(each[:, 0], each[:, 1])
+            own = np.exp(each - whole[:, None])
+            weight = np.maximum(own.sum(axis=0), 1e-9)
+            v = np.maximum(own.T @ energy / (freedom * weight), 1e-9)
+            part = float(np.clip(weight[1] / len(energy), 1e-9, 1.0 - 1e-9))
+        best = max(best, float(whole.sum()))
+    return best
+
+
+def comb(white: Array) -> tuple[float, float]:
+    """Log of the bet that white series (p, n) have a wave of any form, and how many periods of the likeliest they have.
+
+    At each frequency a wave and its overtones are tried, of amplitudes that are alike under a prior of their own size
+    (periodograms that are summed over overtones: de Jager, Raubenheimer & Swanepoel 1989).
+    """
+    width = -(-white.shape[1] // _LONGEST)
+    n = white.shape[1] // width
+    white = white[:, : n * width].reshape(len(white), n, width).mean(axis=2)
+    level = np.maximum((white**2).mean(axis=1, keepdims=True), 1e-300)  # louder noise is no wave
+    power = 2.0 * np.abs(rfft(white, n=_PAD * n, axis=1)) ** 2 / (n * level)  # chi-square of two degrees of freedom
+    at = np.arange(_PAD * _PERIODS, power.shape[1] // 2)
+    if not len(at):
+        return -math.inf, 0.0
+    bets, best = [], (-math.inf, 0)
+    for axes in (axes for axes in _AXES if max(axes) < len(white)):
+        own = power[list(axes)].sum(axis=0)
+        gain, rank, done = np.zeros(len(at)), np.zeros(len(at)), 0
+        for most in _OVERTONES:
+            for k in range(done + 1, most + 1):
+                there = at[k * at < len(own) - 1]
+                gain[: len(there)] += own[k * there]
+                rank[: len(there)] += 2 * len(axes)
+            done = most
+            size = _SIZES[:, None]
+            worth = 0.5 * (gain * size / (1.0 + size) - rank * np.log1p(size))
+            bets.append(_mean(worth.ravel()))
+            j = int(worth.argmax()) % len(at)
+            best = max(best, (float(worth.max()), int(at[j])))
+    return _mean(np.array(bets)), best[1] / _PAD
+
+
+def _mean(bets: Array) -> float:
+    """The log of the mean of bets of which the logs are given."""
+    return float(logsumexp(bets) - math.log(len(bets)))

@@ -1,0 +1,192 @@
+"""What is left over beside a model: more power than the noise has, in bands, in lines, or for a while.
+
+A model that explains everything leaves white noise over, as strong at all times. Nothing is assumed of what it is.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+from scipy.ndimage import uniform_filter1d
+from scipy.special import chdtrc, fdtrc, ndtr
+
+from mavcal.calib.gap.model.joint import Model
+from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, coarse
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_LEFTOVER = 1e-7
+"""Chance, over all that is looked at, below which noise alone has no such power."""
+_MINUTES_DIFFER = 2.0
+"""Times a learned spectrum, up to which power may be that of other minutes."""
+_GROUPS = 24
+"""Bands of a series, of a constant ratio of frequencies."""
+_AROUND = 50
+"""Bins about a line that are its surroundings."""
+_WINDOWS = (64, 256, 1024)
+"""Samples of which short spectra are taken, in turn."""
+_LENGTHS = (32, 64, 128, 256, 512, 1024)
+"""Samples of which slow deviations are sought, in turn, every half a length."""
+_SLOW = 8
+"""Bins of such a window that are compared with its others."""
+_SLOWEST = 4
+"""Bins from the lowest on that are not looked at: a mean is fitted there."""
+
+
+@dataclass(frozen=True)
+class _Excess:
+    """More power than the noise has: worth `nats`, and `p` that chance makes one, over all that is looked at."""
+
+    sensor: Sensor
+    p: float
+    nats: float
+    text: str
+
+
+def excess_power(
+    model: Model, bandwidth_hz: float = math.inf, floor: Mapping[Sensor, float] | None = None
+) -> list[Unexplained]:
+    """By sensor, nats that it still shows above the noise, and where; what chance makes is not among them.
+
+    Above `bandwidth_hz` an accelerometer feels movement of which the reference does not know; a sensor that has less
+    than its `floor` left over shows the reference's flaws.
+    """
+    by_sensor: dict[Sensor, list[_Excess]] = {}
+    for v, view in enumerate(model.setting.views):
+        for one in _excesses(model, v, bandwidth_hz):
+            by_sensor.setdefault(view.sensor, []).append(one)
+    found = []
+    for sensor, excesses in by_sensor.items():
+        nats = sum(one.nats for one in excesses)
+        if 2.0 * nats > (floor or {}).get(sensor, 0.0):
+            found.append(Unexplained(nats, min(excesses, key=lambda one: (one.p, one.text)).text, sensor))
+    return found
+
+
+def _excesses(model: Model, v: int, bandwidth_hz: float) -> list[_Excess]:
+    """What noise alone does not explain: in bands of an axis, else in more of it, else for a while."""
+    # The error of the reference is known only up to the last of its cosines.
+    followed = model.ridge.columns.parts if model.ridge is not None else {}
+    axes = [c for c in range(3) if 3 * v + c not in followed]
+    if not axes:
+        return []
+    view = model.setting.views[v]
+    power = np.array([model.noise[3 * v + c].power for c in axes])
+    ratio = view.spectra(model.residual[v])[axes] ** 2 / power
+    tests = _GROUPS * model.setting.axes
+    edges = _edges(view, bandwidth_hz)
+    if len(edges) < 2:
+        return []
+    parts = {"xyz"[c]: ratio[j : j + 1] for j, c in enumerate(axes)}
+    for looked in (
+        (_band(view, own, (low, high), axis) for axis, own in parts.items() for low, high in itertools.pairwise(edges)),
+        (_band(view, ratio, band) for band in (*itertools.pairwise(edges), (edges[0], edges[-1]))),
+        (_line(view, ratio[:, : edges[-1]]),),
+        _passing(view, view.spectra(model.residual[v])[axes] / np.sqrt(power)),
+        _blips(view, view.spectra(model.residual[v])[axes] / np.sqrt(power)),
+    ):
+        found = [one for one in looked if one.p * tests < _LEFTOVER]
+        if found:
+            return found
+    return []
+
+
+def _edges(view: View, bandwidth_hz: float) -> list[int]:
+    """Bins at which bands of a series begin and end, as far as its reference knows of movement."""
+    known = bandwidth_hz if view.reference_error and view.sensor is Sensor.ACCEL else math.inf
+    edges = np.unique(np.geomspace(_SLOWEST, view.count, _GROUPS + 1).astype(np.intp))
+    return [int(k) for j, k in enumerate(edges) if j == 0 or (k + view.first) * _bin_hz(view) <= known]
+
+
+def _bin_hz(view: View) -> float:
+    return 0.5 * view.fs / view.n
+
+
+def _band(view: View, ratio: Array, band: tuple[int, int], axis: str = "") -> _Excess:
+    """Power of axes (p, count), in parts of their noise's, from one bin to another."""
+    low, high = band
+    count, square = ratio[:, low:high].size, float(ratio[:, low:high].sum())
+    if view.density is not None and square <= _MINUTES_DIFFER * count:
+        p = 1.0  # a learned spectrum is that of other minutes: twice as much is none of this recording's
+    elif math.isinf(view.dof):
+        p = float(chdtrc(count, square))
+    else:
+        p = float(fdtrc(count, view.dof * len(ratio), square / max(count, 1)))
+    start, end = ((k + view.first) * _bin_hz(view) for k in band)
+    on = f"{view.sensor.value}.{axis}" if axis else view.sensor.value
+    return _Excess(view.sensor, p, _nats(square, count), f"power from {start:.3g} to {end:.3g} Hz on {on}")
+
+
+def _nats(square: float, count: int) -> float:
+    """By which a variance of their own explains `count` squares of unit variance better."""
+    return 0.5 * (square - count - count * math.log(square / count)) if square > count > 0 else 0.0
+
+
+def _line(view: View, ratio: Array) -> _Excess:
+    """The bin of axes (p, count) that stands out most from those about it."""
+    level = 2 * _AROUND + 1
+    surroundings = uniform_filter1d(ratio.sum(axis=0), level, mode="nearest") - ratio.sum(axis=0) / level
+    least = 1.0 if view.density is None else _MINUTES_DIFFER
+    peak = ratio.sum(axis=0) / np.maximum(surroundings / len(ratio), least)
+    k = _SLOWEST + int(np.argmax(peak[_SLOWEST:]))
+    nats = max(_nats(float(peak[k]), len(ratio)) - math.log(len(peak)), 0.0)
+    text = f"a line at {(k + view.first) * _bin_hz(view):.4g} Hz on {view.sensor.value}"
+    return _Excess(view.sensor, float(chdtrc(len(ratio), peak[k])) * len(peak), nats, text)
+
+
+def _passing(view: View, white: Array) -> Iterator[_Excess]:
+    """Waves that last for some windows, of whitened spectra (p, count): short spectra that are less even than noise's.
+
+    Each cell of frequency and time has a chance; of noise, minus its logarithm is exponential, and the sum of squares
+    of n such numbers has the mean 2 n and the variance 20 n. A window is compared with its own power: louder noise is
+    no wave. What was learned from flights was averaged over what passed there.
+    """
+    if view.density is not None or view.variance is None or view.first or coarse(view):
+        return
+    series = np.stack([view.whitened(axis) for axis in white])
+    for width in _WINDOWS:
+        count = series.shape[1] // width
+        if count < 2:
+            return
+        short = dct(series[:, : count * width].reshape(len(series), count, width), type=2, norm="ortho", axis=2)
+        cell = (short[..., _SLOWEST:] ** 2).sum(axis=0)
+        cell *= len(series) / np.maximum(cell.mean(axis=1, keepdims=True), 1e-300)
+        rare = -np.log(np.maximum(chdtrc(len(series), cell), 1e-300))
+        beyond = (float((rare**2).sum()) - 2.0 * rare.size) / math.sqrt(20.0 * rare.size)
+        c, k = np.unravel_index(int(np.argmax(rare)), rare.shape)
+        hz, at = (k + _SLOWEST + 0.5) * 0.5 * view.fs / width, float(view.t[c * width])
+        text = f"waves that come and go on {view.sensor.value}, at {at:.0f} s of {hz:.3g} Hz"
+        yield _Excess(view.sensor, float(ndtr(-beyond)) * len(_WINDOWS), 0.5 * max(beyond, 0.0) ** 2, text)
+
+
+def _blips(view: View, white: Array) -> Iterator[_Excess]:
+    """What deviates slowly for a moment: windows of whitened spectra (p, count), their first bins louder than the rest.
+
+    A window is compared with its own noise, as in :func:`_passing`: what is louder at all frequencies is no deviation.
+    """
+    if view.density is not None or view.first or coarse(view):
+        return
+    series = np.stack([view.whitened(axis) for axis in white])
+    for width in _LENGTHS:
+        starts = range(0, series.shape[1] - width + 1, width // 2)
+        if len(starts) < 2:
+            return
+        windows = np.stack([series[:, k : k + width] for k in starts])
+        square = dct(windows, type=2, norm="ortho", axis=2) ** 2
+        slow, rest = square[..., :_SLOW].sum(axis=(1, 2)), square[..., _SLOW:].sum(axis=(1, 2))
+        low, high = len(series) * _SLOW, len(series) * (width - _SLOW)
+        ratio = (slow / low) / np.maximum(rest / high, 1e-300)
+        k = int(np.argmax(ratio))
+        p = float(fdtrc(low, high, ratio[k])) * len(starts) * len(_LENGTHS)
+        own = max(_nats(float(ratio[k]) * low, low) - math.log(len(starts) * len(_LENGTHS)), 0.0)
+        when = f"at {view.t[starts[k]]:.1f} s within {width / view.fs:.2g} s"
+        text = f"something that passes {when} on {view.sensor.value}"
+        yield _Excess(view.sensor, p, own, text)

@@ -1,0 +1,75 @@
+"""What a model says and nobody should: that a sensor shows nothing of its reference, and names nothing supports."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mavcal.calib.gap.effects.shape_ids import is_shape
+from mavcal.calib.gap.model.hypotheses import Key
+from mavcal.calib.gap.model.joint import Model, predicted
+from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.gap.reference.checks import MOVES
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
+from mavcal.calib.gap.unknown.verdict import UnnamedCause
+from mavcal.calib.gap.worth.attribution import Attribution
+from mavcal.calib.recording import Sensor
+
+_BELIEVED = 0.01
+"""Probability below which no effect is named where something without a name is the likelier."""
+_FOLLOWS = 0.3
+"""Part of the reference's movement that any sensor shows that is one of it."""
+_SIZES = ("accel_scale", "gyro_scale", "_soft_iron", "_earth_field")
+"""Ends of the ids of what makes a reference's movement smaller."""
+_LIVE = "a live sensor, and a reference of the same movement"
+
+
+def not_following(model: Model) -> frozenset[Sensor]:
+    """Sensors that, by the model, show next to nothing of their reference: no scale is minus one, no field turned off.
+
+    What scales and fields make of the reference's movement is compared with it, axis by axis.
+    """
+    found = set()
+    for view in model.setting.views:
+        terms = [t for t in model.terms if t.hypothesis.touches(view) and t.effect.id.endswith(_SIZES)]
+        if not terms or view.first or not view.reference_error or min(view.weights.values()) <= 0.0:
+            continue
+        ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+        moved = ideal - ideal.mean(axis=0)
+        square = (moved**2).sum(axis=0)
+        kept = square + np.add.reduce([(moved * predicted(term, view)).sum(axis=0) for term in terms])
+        moves = square > MOVES[view.sensor] ** 2 * len(moved)
+        if (kept[moves] < _FOLLOWS * square[moves]).any():
+            found.add(view.sensor)
+    return frozenset(found)
+
+
+def without_sensors(problem: GapProblem, sensors: Collection[Sensor]) -> GapProblem:
+    """`problem` without sensors that do not follow their references, which is said."""
+    said = [
+        (s.value, f"{s.value} does not follow its reference: of its movement next to nothing is in the readings", _LIVE)
+        for s in Sensor
+        if s in sensors
+    ]
+    return replace(
+        problem,
+        traces=tuple(t for t in problem.traces if t.sensor not in sensors),
+        warnings=(*problem.warnings, *(reason for _, reason, _ in said)),
+        not_testable=(*problem.not_testable, *said),
+    )
+
+
+def nameless(attributions: Iterable[Attribution], withdrawn: Sequence[Unexplained]) -> Iterable[UnnamedCause]:
+    """Effects whose place something else takes far better, which is no effect or did not last: they stand for that."""
+    by_sensor: dict[str, list[Key]] = {}
+    for a in attributions:
+        if is_shape(a.key[0]):
+            continue  # it has no name to begin with
+        if a.probability < _BELIEVED and (withdrawn or a.unknown_probability > a.probability):
+            by_sensor.setdefault(a.key[0].partition("_")[0], []).append(a.key)
+    return [
+        UnnamedCause(tuple(keys), f"a difference on {name} that no effect describes")
+        for name, keys in by_sensor.items()
+    ]

@@ -1,0 +1,163 @@
+"""What no effect of the catalogue explains, as competitors that pay for their freedom.
+
+The catalogue is tried first and alone. Shapes (:mod:`calib.gap.unknown.shapes`) are then compared with it in three
+places: beside its model, instead of all that it has on a sensor, and instead of each of its effects; the best of them
+join the contest. (What is said of them, and of all else that is unknown: :mod:`calib.gap.unknown.verdict`.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.model.hypotheses import Hypothesis
+from mavcal.calib.gap.model.joint import Model
+from mavcal.calib.gap.model.noise_fit import refitted
+from mavcal.calib.gap.search.contest import Contest, ContestScore, priced
+from mavcal.calib.gap.search.evidence import evidence, price_of_kind
+from mavcal.calib.gap.search.projection import Beside, Gain, existing
+from mavcal.calib.gap.search.selection import (
+    MATERIAL,
+    ONE_MORE,
+    ChosenModel,
+    fitted_about,
+    grown,
+    largest_gain,
+    objective,
+    price_of_all,
+    select,
+    without,
+)
+from mavcal.calib.gap.unknown.shapes import ShapeHypothesis, flexible, shapes_of
+
+Array = NDArray[np.float64]
+
+_MARGIN = 2.0
+"""Penalised evidence by which a model with shapes must beat the catalogue alone."""
+_SHORTLIST = 6
+"""Shapes in each place that stand in the contest."""
+_CONTAINED = 0.8
+"""Part of a shape's evidence from which on a simpler effect is what it goes about."""
+
+
+@dataclass(frozen=True, eq=False)
+class WithShapes:
+    """The better of the two models, and the contest that has the likeliest shapes among its rivals."""
+
+    chosen: ChosenModel
+    contest: Contest
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A shape where it would stand: what it displaces is worth `own` (penalised evidence) with `df` numbers."""
+
+    score: ContestScore
+    own: float = 0.0
+    df: int = 0
+
+    @property
+    def better(self) -> float:
+        """By how much the shape is."""
+        return self.score.delta - self.own
+
+    @property
+    def elaborate(self) -> bool:
+        """Whether it says no more than what it would displace, in more numbers: it may stand beside that alone."""
+        more = flexible(self.score.hypothesis) or self.score.df > self.df
+        return more and self.own > _CONTAINED * self.score.delta
+
+
+def explained(chosen: ChosenModel, contest: Contest, start: Model, alpha: float, named: Collection[str]) -> WithShapes:
+    """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals.
+
+    `named` are the ids of the catalogue, of effects that cannot be tested here as well.
+    """
+    if contest.pace.ends():
+        return WithShapes(chosen, contest)
+    periodic = [t for t in chosen.model.terms if t.hypothesis.periodic]
+    shapes = shapes_of(chosen.model.setting, periodic, named)
+    scorer = contest.among(())
+    tests = chosen.tests + sum(len(s.hypotheses) for s in shapes)
+    beside = [_Place(score) for score in _scored(shapes, scorer, Beside(chosen.model))]
+    instead = [*_instead_of_all(chosen, shapes, scorer, start), *_instead_of_each(chosen, shapes, scorer)]
+    worth = max(_MARGIN, _least(chosen, contest)) if chosen.model.members else 0.0
+    strong = any(p.score.p * tests < alpha and p.better > worth for p in (*beside, *instead))
+    likely = {p.score.hypothesis.key: p.score.hypothesis for p in _best((*beside, *instead)) if p.score.delta > 0.0}
+    elaborate = {p.score.hypothesis.key for p in instead if p.elaborate}
+    plain = [h for key, h in likely.items() if key not in elaborate]
+    rivals = contest.among((*contest.hypotheses, *plain))
+    if strong:
+        level = alpha * sum(not h.again for h in rivals.hypotheses) / tests
+        everything = contest.among((*contest.hypotheses, *likely.values()))
+        other = min((select(start, rivals, level), grown(chosen, everything, alpha / tests)), key=objective)
+        if objective(other) < objective(chosen) - worth:
+            return WithShapes(other, rivals)
+    return WithShapes(chosen, rivals)
+
+
+def _least(chosen: ChosenModel, contest: Contest) -> float:
+    """Part of the largest gain that is a second order of it; noise takes what is its own."""
+    return 0.0 if chosen.model.noise_terms else MATERIAL * largest_gain(chosen, contest)
+
+
+def _best(places: Sequence[_Place]) -> list[_Place]:
+    """The best few in each place."""
+    found = []
+    for own in dict.fromkeys(p.own for p in places):
+        found += sorted((p for p in places if p.own == own), key=lambda p: -p.score.delta)[:_SHORTLIST]
+    return found
+
+
+def _instead_of_all(
+    chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest, start: Model
+) -> list[_Place]:
+    """Shapes instead of all effects of a sensor."""
+    found = []
+    before = refitted(start).deviance
+    for sensor in {term.hypothesis.effect.sensor for term in chosen.model.members}:
+        own = [s for s in chosen.scores if s.hypothesis.effect.sensor is sensor]
+        gain = sum(before[key] - chosen.noise.deviance[key] for key in before if key[0] is sensor)
+        worth, df = gain - price_of_all(own) + ONE_MORE, sum(s.df for s in own)  # a shape is one of its own
+        touched = [s for s in shapes if s.whole.effect.sensor is sensor]
+        found += [_Place(score, worth, df) for score in _scored(touched, scorer, Beside(start))]
+    return found
+
+
+def _instead_of_each(chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest) -> list[_Place]:
+    """Shapes instead of each effect."""
+    found = []
+    level = sum(chosen.noise.deviance.values())
+    for term in chosen.model.members:
+        bare = refitted(fitted_about(without(chosen.model, term.hypothesis.key), term.hypothesis))
+        touched = [s for s in shapes if s.whole.effect.sensor is term.hypothesis.effect.sensor]
+        score = next((s for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), None)
+        price, df = (0.0, 0) if score is None else (score.price, score.df)
+        own = sum(bare.deviance.values()) - level - price
+        found += [_Place(score, own, df) for score in _scored(touched, scorer, Beside(bare.model))]
+    return found
+
+
+def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Beside) -> list[ContestScore]:
+    """Scores of all shapes and of their parts, whose columns are made once."""
+    found = []
+    for shape in shapes:
+        columns = contest.columns(shape.whole, math.nan, beside.model)
+        gram, right, energy = beside.projected(columns)
+        whole = _score(shape.whole, gram, right, energy)
+        found.append(whole)
+        for hypothesis, rows in shape.parts:
+            if whole.gain > price_of_kind(hypothesis.effect.id):  # no part gains more than the whole
+                found.append(_score(hypothesis, gram[rows[:, None], rows], right[rows], energy[rows]))
+    return found
+
+
+def _score(hypothesis: Hypothesis, gram: Array, right: Array, energy: Array) -> ContestScore:
+    basis = existing(gram, energy)
+    gain = basis.T @ right
+    worth = evidence(gram, right, np.zeros(len(right), np.intp))
+    return priced(hypothesis, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1)

@@ -1,0 +1,335 @@
+"""Shapes that no effect of the catalogue has: lines over covariates, products, other sensors, low orders of readings.
+
+They stand in the same contest as the catalogue and pay for their freedom. What has many amplitudes is offered in parts
+as well, by axis and by signal: one amplitude shows what eighteen would hide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.effects.base import EffectParameter, MeanEffect
+from mavcal.calib.gap.effects.shape_ids import family_of, shape_id
+from mavcal.calib.gap.model.hypotheses import Hypothesis
+from mavcal.calib.gap.model.joint import Setting, Term
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+_FLEXIBLE = ("line", "time")
+_KNOTS = 6
+_KNOTS_TIME = 20
+"""Knots of a broken line over a covariate, and of one over time."""
+_ENDS = 0.01
+"""Part of the samples beyond the last knots: an amplitude that rests on a few of them would explode elsewhere."""
+_TIES = 1e-3
+"""Distance of two knots, in parts of all knots' range, below which they are one."""
+_APPROACHES_S = (3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0)
+"""Time constants of an approach that begins with the recording."""
+_STILL = 0.1  # of the rms slope: slower changes have no direction
+_TRAVELS = (0.01, 0.03, 0.1, 0.3)
+"""Dead travels, in parts of the reading's range."""
+_POINTS = 20_000
+"""Samples from twice which on only some of a series are looked at for dead travel."""
+_HARMONICS = (2, 3, 4, 5)
+"""Overtones, in multiples of the frequency of a wave."""
+_HIGHEST = 0.4  # of the rate: beyond, two bands of one series meet
+_ON = tuple(np.arange(0.1, 0.95, 0.05).round(2).tolist())
+"""Parts of a period for which something may be switched on."""
+_OFFSET = 0.2
+"""Standard deviation of a signal, in parts of its size, below which it is nothing but an offset."""
+_MATRICES = {
+    (Sensor.ACCEL, "a"): {"accel_scale", "accel_misalignment"},
+    (Sensor.GYRO, "w"): {"gyro_scale", "gyro_misalignment"},
+    (Sensor.GYRO, "a"): {"gyro_g_sensitivity"},
+    (Sensor.MAG, "m"): {"mag_soft_iron", "mag_rotation"},
+}
+"""Effects that are every linear map of a vector to a sensor: one entry of it is theirs as well."""
+_OFFSETS = {Sensor.ACCEL: "accel_bias", Sensor.GYRO: "gyro_bias", Sensor.MAG: "mag_hard_iron"}
+_SCALES = {Sensor.ACCEL: "accel_scale", Sensor.GYRO: "gyro_scale", Sensor.MAG: "mag_soft_iron"}
+"""The simplest effects: where one has no name, it is a shape, or what is nearest would stand for it."""
+_AXES = "xyz"
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeHypothesis:
+    """A hypothesis of many amplitudes, and by the rows of its columns what is offered as a hypothesis of its own."""
+
+    whole: Hypothesis
+    parts: tuple[tuple[Hypothesis, Rows], ...] = ()
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """All that it offers."""
+        return self.whole, *(h for h, _ in self.parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Signals (q, N) that act on every axis alike, or with `each` signals (N, 3) of the axis itself.
+
+    `family` is what its price goes by (:func:`calib.gap.search.evidence.price_of_kind`); `names` of the single signals,
+    where they are offered alone.
+    """
+
+    family: str
+    text: str
+    signals: Array
+    names: tuple[str, ...] = ()
+    each: bool = False
+
+
+def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[str] = ()) -> tuple[ShapeHypothesis, ...]:
+    """Every shape that can be drawn, of every sensor and instance; of waves that `tones` found, their overtones.
+
+    What has a name among the effects `named` in every one of its parts is no shape.
+    """
+    found: dict[object, ShapeHypothesis] = {}
+    for view in setting.views:
+        for instance, trace in view.traces.items() if not view.first else ():
+            if instance not in view.weights:
+                continue
+            own = [t for t in tones if t.hypothesis.touches(view) and instance in t.hypothesis.instances]
+            for group in (*_groups(trace, named), *(g for tone in own for g in _periodic(trace, tone))):
+                shape = _shape(trace, group, instance)
+                found.setdefault(shape.whole.key, shape)
+    return tuple(found.values())
+
+
+def flexible(hypothesis: Hypothesis) -> bool:
+    """Whether it is a broken line, which bends about anything that its covariate drives."""
+    return family_of(hypothesis.effect.id) in _FLEXIBLE
+
+
+def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
+    yield from _lines(trace)
+    for group in (*_linear(trace, named), *_products(trace), *_driven(trace)):
+        swinging = [j for j, signal in enumerate(group.signals) if _swings(signal)]
+        if swinging:
+            names = tuple(group.names[j] for j in swinging) if group.names else ()
+            yield replace(group, signals=group.signals[swinging], names=names)
+    yield from _own(trace)
+    yield from _simplest(trace, named)
+
+
+def _shape(trace: Trace, group: _Group, instance: int) -> ShapeHypothesis:
+    def made(text: str, rows: Rows, *, part: bool = False) -> Hypothesis:
+        name = shape_id(group.family, text, part=part)
+        return Hypothesis(_effect(name, trace, text, group, rows), (instance,))
+
+    q = 1 if group.each else len(group.signals)
+    rows = np.arange(3 * q, dtype=np.intp)
+    text, on = group.text, trace.sensor.value
+    parts = [(made(f"{text} on {on}.{_AXES[c]}", rows[c::3], part=True), rows[c::3]) for c in range(3)]
+    for j, name in enumerate(group.names):
+        parts.append((made(f"{name} on {on}", rows[3 * j : 3 * j + 3], part=True), rows[3 * j : 3 * j + 3]))
+        for c in range(3):
+            one = rows[3 * j + c : 3 * j + c + 1]
+            parts.append((made(f"{name} on {on}.{_AXES[c]}", one, part=True), one))
+    return ShapeHypothesis(made(f"{text} on {on}", rows), tuple(parts))
+
+
+def _along(trace: Trace, own: Trace, drawn: Array) -> Array:
+    """A signal `drawn` at the times of `own` at those of `trace`: a difference of instances has rows of its own."""
+    return drawn if np.array_equal(trace.t, own.t) else np.interp(trace.t, own.t, drawn)
+
+
+def _effect(name: str, own: Trace, text: str, group: _Group, rows: Rows) -> MeanEffect:
+    """The columns `rows` of a group drawn along the trace `own`; column ``3 q + axis`` is signal q on that axis."""
+    sensor = own.sensor
+
+    def columns(trace: Trace, _theta: float) -> Array:
+        placed = np.zeros((len(rows), len(trace.t), 3))
+        for k, row in enumerate(rows):
+            signal, axis = divmod(int(row), 3)
+            drawn = group.signals[:, axis] if group.each else group.signals[signal]
+            placed[k, :, axis] = _along(trace, own, drawn)
+        return placed
+
+    def signals(trace: Trace, _theta: float) -> Array:
+        return np.array([_along(trace, own, drawn) for drawn in group.signals])
+
+    whole = not group.each and len(rows) == 3 * len(group.signals)
+    wish = "a recording in which the covariate varies by itself"
+    return MeanEffect(
+        name,
+        sensor,
+        (EffectParameter("amplitude", ""),),
+        text,
+        wish,
+        columns=columns,
+        signals=signals if whole else None,
+    )
+
+
+def _lines(trace: Trace) -> Iterator[_Group]:
+    """Broken lines over covariates."""
+    for name, values, knots in _covariates(trace):
+        signals = _hats(values, trace.observed, knots)
+        if signals is not None:
+            yield _Group("time" if name == "time" else "line", f"function of {name}", signals)
+
+
+def _covariates(trace: Trace) -> Iterator[tuple[str, Array, int]]:
+    for letter, vector in _vectors(trace):
+        yield from ((f"{letter}_{_AXES[c]}", vector[:, c], _KNOTS) for c in range(3))
+    for name, size in (("|a|", trace.force), ("|w|", trace.rate)):
+        if size is not None:
+            yield name, np.linalg.norm(size, axis=1), _KNOTS
+    yield "time", trace.t, _KNOTS_TIME
+    yield from ((name, scalar, _KNOTS) for name, scalar in _scalars(trace))
+
+
+def _vectors(trace: Trace) -> Iterator[tuple[str, Array]]:
+    for letter, vector in (("a", trace.force), ("w", trace.rate), ("dw", trace.spin), ("m", trace.field)):
+        if vector is not None:
+            yield letter, vector
+
+
+def _scalars(trace: Trace) -> Iterator[tuple[str, Array]]:
+    for name, scalar in (("temperature", trace.temperature), ("current", trace.current), ("throttle", trace.throttle)):
+        if scalar is not None:
+            yield name, scalar
+    if trace.rotor_hz is not None:
+        yield "rotor speed", trace.rotor_hz.mean(axis=1)
+    if trace.temperature is not None:
+        yield "the slope of temperature", np.gradient(trace.temperature, trace.t)
+
+
+def _hats(values: Array, observed: NDArray[np.bool_], knots: int) -> Array | None:
+    """Hat functions over quantiles of a covariate; None where it hardly varies."""
+    if not _varies(values, observed, 4 * knots):
+        return None
+    seen = values[observed]
+    at = np.unique(np.quantile(seen, np.linspace(_ENDS, 1.0 - _ENDS, knots)))
+    keep = np.concatenate([[True], np.diff(at) > _TIES * np.ptp(at)])
+    at = at[keep]
+    if len(at) < 3:
+        return None
+    clipped = np.clip(values, at[0], at[-1])
+    return np.array([np.interp(clipped, at, unit) for unit in np.eye(len(at))])
+
+
+def _varies(values: Array, observed: NDArray[np.bool_], least: int) -> bool:
+    seen = values[observed]
+    return len(seen) >= least and float(np.ptp(seen)) > 1e-9 * (abs(float(seen.mean())) + 1e-12)
+
+
+def _swings(values: Array) -> bool:
+    """Whether it differs from an offset."""
+    return float(values.std()) > _OFFSET * math.sqrt(float((values**2).mean()))
+
+
+def _linear(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
+    """What another sensor of the vehicle reads, or how fast this one's reading changes."""
+    for letter, vector in _vectors(trace):
+        own = _MATRICES.get((trace.sensor, letter))
+        if own is not None and own <= set(named):
+            continue
+        names = tuple(f"{letter}_{axis}" for axis in _AXES)
+        yield _Group("linear", f"linear in {letter}", np.ascontiguousarray(vector.T), names)
+    if trace.sensor is Sensor.MAG:
+        change = np.ascontiguousarray(np.gradient(trace.ideal, trace.t, axis=0).T)
+        yield _Group("linear", "change of the field", change, tuple(f"dm_{axis}" for axis in _AXES))
+
+
+def _products(trace: Trace) -> Iterator[_Group]:
+    """Products of two vectors, and of a scalar with the sensor's own ideal reading: axes that turn or stretch."""
+    vectors = dict(_vectors(trace))
+    for one, other in (("a", "a"), ("w", "w"), ("a", "w")):
+        if one in vectors and other in vectors:
+            which = [(i, j) for i in range(3) for j in range(i if one == other else 0, 3)]
+            signals = np.array([vectors[one][:, i] * vectors[other][:, j] for i, j in which])
+            names = tuple(f"{one}_{_AXES[i]} times {other}_{_AXES[j]}" for i, j in which)
+            yield _Group("product", f"products of {one} and {other}", signals, names)
+    own = {Sensor.ACCEL: "a", Sensor.GYRO: "w", Sensor.MAG: "m"}[trace.sensor]
+    for name, scalar in (*_scalars(trace), ("time", trace.t)):
+        signals = np.ascontiguousarray(((scalar - scalar.mean())[:, None] * trace.ideal).T)
+        names = tuple(f"{name} times {own}_{axis}" for axis in _AXES)
+        yield _Group("product", f"{name} times {own}", signals, names)
+
+
+def _driven(trace: Trace) -> Iterator[_Group]:
+    """One driver, to the first or second power; a battery, which sags with current and charge; an approach."""
+    if trace.current is not None:
+        charge = np.cumsum(trace.current) / trace.fs
+        yield _Group("driven", "current and charge", np.stack([trace.current, charge]), ("current", "charge"))
+    for name, scalar in _scalars(trace):
+        if name not in ("temperature", "current"):
+            yield _Group("driven", name, scalar[None])
+        if name not in ("temperature", "the slope of temperature"):
+            yield _Group("driven", f"square of {name}", (scalar**2)[None])
+    elapsed = trace.t - trace.t[0]
+    for time in _APPROACHES_S:
+        yield _Group("approach", f"approach with {time:g} s", np.exp(-elapsed / time)[None])
+
+
+def _own(trace: Trace) -> Iterator[_Group]:
+    """Shapes of each axis' own ideal reading: low orders, the direction of its change, and dead travels."""
+    x = trace.ideal
+    size = np.sqrt((x**2).mean(axis=0)) + 1e-300
+    slope = np.gradient(x, axis=0)
+    steady = _STILL * np.sqrt((slope**2).mean(axis=0)) + 1e-300
+    orders = [
+        ("square of the reading", (x / size) ** 2),
+        ("cube of the reading", (x / size) ** 3),
+        ("size of the reading", np.abs(x) / size),
+        ("direction of the reading's change", np.tanh(slope / steady)),
+        *(
+            (f"dead travel of {part:.1%} of the range", pointer)
+            for part, pointer in zip(_TRAVELS, _travels(x), strict=True)
+        ),
+    ]
+    for name, signal in orders:
+        swings = np.array([_swings(signal[:, c]) for c in range(3)])
+        if swings.any():
+            yield _Group("own", name, signal * swings, each=True)
+
+
+def _simplest(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
+    """An offset and a factor of each axis, where the catalogue does without."""
+    if _OFFSETS[trace.sensor] not in named:
+        yield _Group("simplest", "an offset", np.ones((1, len(trace.t))))
+    if _SCALES[trace.sensor] not in named:
+        x = trace.ideal
+        yield _Group("simplest", "in proportion to the reading", x / (np.sqrt((x**2).mean(axis=0)) + 1e-300), each=True)
+
+
+def _travels(x: Array) -> Array:
+    """Where pointers with play stand between the ends of their travels, -1..1, (travels, N, 3): the play operator.
+
+    Of a long series every few samples are looked at.
+    """
+    every = max(1, len(x) // _POINTS)
+    half = 0.5 * np.array(_TRAVELS)[:, None] * np.ptp(x, axis=0) + 1e-300
+    at = np.broadcast_to(x[0], half.shape)
+    pointers = []
+    for low, high in zip(x[::every, None, :] - half, x[::every, None, :] + half, strict=True):
+        at = np.minimum(np.maximum(at, low), high)
+        pointers.append(at)
+    found = (x[::every, None, :] - np.array(pointers)) / half
+    return np.repeat(found, every, axis=0)[: len(x)].transpose(1, 0, 2)
+
+
+def _periodic(trace: Trace, tone: Term) -> Iterator[_Group]:
+    """Shapes of a wave that was found: it is periodic and no sine, or it switches on and off."""
+    hz = tone.theta
+    phase = 2.0 * np.pi * hz * (trace.t - trace.t[0])
+    orders = [k for k in _HARMONICS if k * hz < _HIGHEST * trace.fs]
+    if orders:
+        signals = np.array([wave(k * phase) for k in orders for wave in (np.cos, np.sin)])
+        yield _Group("periodic", f"overtones of {hz:.3g} Hz", signals)
+    if 2.0 * hz < _HIGHEST * trace.fs:
+        waves, _, _ = np.linalg.svd(tone.beta.reshape(2, 3))
+        for end, side in (("high", 1.0), ("low", -1.0)):
+            wave = np.cos(phase - math.atan2(side * waves[1, 0], side * waves[0, 0]))  # of the axes together
+            for part in _ON:
+                on = np.asarray(wave > math.cos(math.pi * part), dtype=np.float64)
+                yield _Group("periodic", f"{hz:.3g} Hz, on for {part:.0%} about its {end}", on[None])

@@ -1,0 +1,185 @@
+"""Readings that switch to and fro between two levels: telegraph noise, known as popcorn or burst noise of electronics.
+
+Its spectrum is that of a drift that comes back, and a few of its jumps look like an effect that comes and goes. What
+tells it from both is that only two levels occur: each axis is a Markov chain of two states, seen through white noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.gap.likelihood import AxisNoise
+from mavcal.calib.gap.model.hypotheses import Key
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, predicted
+from mavcal.calib.gap.unknown.misattributed_noise import coarse
+from mavcal.calib.gap.worth.attribution import Attribution
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_WINDOWS = 700
+"""Averages that a series is looked at in: tenths of a second of a minute."""
+_FEWEST = 64
+"""Samples below which a series does not tell levels apart."""
+_BETTER = 19.0
+"""Twice the log-likelihood by which the chains must beat an effect: three walks in a hundred show as much."""
+_FLAT = 2.0
+"""Largest over least power, below half the rate of the averages, up to which their noise is white."""
+_JUMPS = 3.5
+"""Expected number of them from which on readings go to and fro: a step that ends has two."""
+_RARE, _OFTEN = 1e-4, 0.5
+"""Chances of a jump from one average to the next."""
+_STARTS = (0.02, 0.2)
+"""The chances that a fit begins with, in turn."""
+_ROUNDS, _SETTLED = 30, 0.05
+"""Rounds of a fit at most, and the log-likelihood that a further one must gain."""
+
+
+@dataclass(frozen=True, eq=False)
+class TelegraphNoise:
+    """Effects in whose place two levels are far likelier."""
+
+    keys: tuple[Key, ...]
+    text: str
+
+
+def telegraph_noise(model: Model, attributions: Sequence[Attribution]) -> tuple[TelegraphNoise, ...]:
+    """Effects of a model, alone or all of a sensor together, that stand for jumps to and fro."""
+    found: list[TelegraphNoise] = []
+    for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
+        places = [(term, a.key) for a in attributions if (term := _slow(model, a.key, sensor)) is not None]
+        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _better(model, [term])]
+        if not better and len(places) > 1 and _better(model, [term for term, _ in places]):
+            better = [tuple(key for _, key in places)]
+        text = f"jumps to and fro between two levels on {sensor.value}"
+        found += (TelegraphNoise(keys, text) for keys in better)
+    return tuple(found)
+
+
+def _turned(model: Model, v: int) -> bool:
+    """Whether the error of the reference is a part of the model there: any levels would be its own."""
+    return model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
+
+
+def _slow(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
+    """The term of a key if it acts on a sensor and is not noise of every frequency."""
+    term = next((t for t in model.members if t.hypothesis.key == key), None)
+    views = [view for view in model.setting.views if view.sensor is sensor]
+    if term is None or not any(term.hypothesis.touches(view) for view in views):
+        return None
+    return term if isinstance(term, Term) or term.hypothesis.effect.drifts else None
+
+
+def _better(model: Model, terms: Sequence[Term | NoiseTerm]) -> bool:
+    """Whether two levels on each axis are far likelier than `terms`, the others being as they are.
+
+    Over all series that the terms change: what a few levels take of one of them is no match for an effect that
+    explains them all.
+    """
+    own, chains, jumping = 0.0, 0.0, False
+    for v, view in enumerate(model.setting.views):
+        if not any(term.hypothesis.touches(view) for term in terms):
+            continue
+        series = model.residual[v] + sum(
+            predicted(t, view) for t in terms if isinstance(t, Term) and t.hypothesis.touches(view)
+        )
+        drifts = {t.name(0) for t in terms if isinstance(t, NoiseTerm)}
+        rest = np.array([_without(noise, drifts) for noise in model.noise[3 * v : 3 * v + 3]])
+        own += _worth(model, v, series, rest)
+        if view.first or view.count < _FEWEST or _turned(model, v) or coarse(view):
+            continue
+        gain, jumps = _chains(series, rest)
+        jumping = jumping or bool(((jumps > _JUMPS) & (gain > _BETTER)).any())
+        chains += float(gain.sum())
+    return jumping and chains > own + _BETTER
+
+
+def _worth(model: Model, v: int, series: Array, rest: Array) -> float:
+    """Twice the log-likelihood by which a model is better than a `series` (n, 3) under the noise `rest` (3, n)."""
+    view = model.setting.views[v]
+    full = np.array([noise.power for noise in model.noise[3 * v : 3 * v + 3]])
+    bare = np.log(rest) + view.spectra(series) ** 2 / rest
+    return float((bare - np.log(full) - view.spectra(model.residual[v]) ** 2 / full).sum())
+
+
+def _chains(series: Array, rest: Array) -> tuple[Array, Array]:
+    """:func:`two_levels` of a series (n, 3); nothing where the noise of its averages is not white."""
+    width = -(-len(series) // _WINDOWS)
+    count = len(series) // width
+    slow = rest[:, :count]
+    if (slow.max(axis=1) > _FLAT * slow.min(axis=1)).any():
+        return np.zeros(3), np.zeros(3)
+    means = series[: count * width].reshape(count, width, 3).mean(axis=1)
+    return two_levels(means, slow.max(axis=1) / width)  # no more than the spectrum grants the effects
+
+
+def _without(noise: AxisNoise, names: Collection[str]) -> Array:
+    """The power of noise without those of its densities that have one of `names`."""
+    own = [name for name in names if name in noise.densities]
+    return noise.power - sum((noise.amplitudes[name] * noise.densities[name] for name in own), 0.0)
+
+
+def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
+    """For each column of `x` (n, p), twice the log-likelihood ratio of a Markov chain of two levels against zero.
+
+    Beside it (p,) the expected number of jumps. `variance` (p,): of the white noise. Levels and chances of a jump are
+    estimated (Baum & Welch; Rabiner 1989, III).
+    """
+    middle, spread = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-300)
+    best, jumps = np.full(x.shape[1], -np.inf), np.zeros(x.shape[1])
+    for start in _STARTS:
+        levels = np.stack([middle - spread, middle + spread], axis=1)
+        jump = np.full((x.shape[1], 2), start)
+        before = np.full(x.shape[1], -np.inf)
+        for _ in range(_ROUNDS):
+            log_likelihood, levels, jump, expected = _round(x, variance, levels, jump)
+            if np.all(log_likelihood - before < _SETTLED):
+                break
+            before = log_likelihood
+        jumps = np.where(2.0 * log_likelihood > best, expected, jumps)
+        best = np.maximum(best, 2.0 * log_likelihood)
+    return best, jumps
+
+
+def _round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array, Array, Array, Array]:
+    """One round of Baum and Welch: the log-likelihood at `levels` and `jump` (p, 2), the next of both, the jumps."""
+    exponent = 0.5 * (x[..., None] ** 2 - (x[..., None] - levels) ** 2) / variance[:, None]
+    top = exponent.max(axis=2, keepdims=True)
+    emission = np.exp(exponent - top)
+    moves = np.stack([np.stack([1.0 - jump[:, 0], jump[:, 0]], -1), np.stack([jump[:, 1], 1.0 - jump[:, 1]], -1)], -2)
+    steps = moves * emission[:, :, None, :]
+    first = jump[:, ::-1] / jump.sum(axis=1, keepdims=True) * emission[0]
+    opened = steps.copy()
+    opened[0] = first[:, None, :] * np.array([[1.0], [0.0]])
+    forward, scale = _products(opened)
+    alpha = forward[:, :, 0, :]
+    log_likelihood = scale[-1] + np.log(alpha[-1].sum(axis=-1)) + top[:, :, 0].sum(axis=0)
+    beta = np.ones_like(alpha)
+    beta[:-1] = _products(np.swapaxes(steps[:0:-1], 2, 3))[0][::-1].sum(axis=2)
+    state = alpha * beta
+    state /= state.sum(axis=-1, keepdims=True)
+    pairs = alpha[:-1, :, :, None] * steps[1:] * beta[1:, :, None, :]
+    pairs /= pairs.sum(axis=(2, 3), keepdims=True)
+    levels = (state * x[..., None]).sum(axis=0) / np.maximum(state.sum(axis=0), 1e-9)
+    stays = np.maximum(state[:-1].sum(axis=0), 1e-9)
+    jumps = np.stack([pairs[:, :, 0, 1].sum(axis=0), pairs[:, :, 1, 0].sum(axis=0)], axis=1)
+    return log_likelihood, levels, np.clip(jumps / stays, _RARE, _OFTEN), jumps.sum(axis=1)
+
+
+def _products(steps: Array) -> tuple[Array, Array]:
+    """All products of matrices (n, p, 2, 2) from the first on, their largest entries one, and their log scales (n, p).
+
+    By doubling (Hillis & Steele 1986): log2(n) steps over whole arrays instead of n over small ones.
+    """
+    products, scale, reach = steps, np.zeros(steps.shape[:2]), 1
+    while reach < len(steps):
+        longer = products[:-reach] @ products[reach:]
+        size = longer.max(axis=(2, 3))
+        scale = np.concatenate([scale[:reach], scale[:-reach] + scale[reach:] + np.log(size)])
+        products = np.concatenate([products[:reach], longer / size[..., None, None]])
+        reach *= 2
+    return products, scale

@@ -1,0 +1,198 @@
+"""Events that take time: while a magnet is put on, a sensor reads neither what it did before nor what it does after.
+
+A step has no duration. Several of them in a row that stand for one event say that there is one, and so do readings
+beside a step that are not yet, or no longer, on the level that they keep afterwards, or had before; these samples are
+left out, and one step is the difference of the levels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from mavcal.calib.gap.effects.events import SLOW_S
+from mavcal.calib.gap.model.hypotheses import Key
+from mavcal.calib.gap.model.joint import Model, Term
+from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+ONE_EVENT_S = 2.0
+"""Jumps that follow each other within this time are one event."""
+_ONE_MOMENT = 1.5
+"""Samples within which jumps are one, of a size of its own on each instance."""
+_MARGIN_S = 0.3
+"""Before the first and after the last of them."""
+_WINDOW_S = 0.25
+"""Over which readings are averaged before they are compared with a level."""
+_LEVEL = 33
+"""Windows whose median is a level: some eight seconds."""
+_RAMP = 0.3
+"""Part of a ramp's samples from which on it is seen."""
+_FAR = 6.0
+"""Standard deviations of a window from which on it is off its level."""
+
+
+@dataclass(frozen=True)
+class JumpSpan:
+    """From `start` to `end`, s, the readings of a sensor say nothing; `nats` is what its jumps were worth."""
+
+    sensor: Sensor
+    start: float
+    end: float
+    nats: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """Said of one after which everything is as before."""
+        return f"a change that passes on {self.sensor.value} from {self.start:.1f} to {self.end:.1f} s"
+
+
+def events_of(model: Model, sensor: Sensor) -> list[list[Term]]:
+    """The jumps of a sensor in a model in the order of time, those of one event together."""
+    jumps = [t for t in model.terms if t.effect.jumps and t.effect.sensor is sensor]
+    events: list[list[Term]] = []
+    for term in sorted(jumps, key=lambda t: t.theta):
+        if events and term.theta - events[-1][-1].theta < ONE_EVENT_S:
+            events[-1].append(term)
+        else:
+            events.append([term])
+    return events
+
+
+def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple[JumpSpan, ...]:
+    """Events of a model that take several jumps, or one that is gradual, or beside which the levels are not reached.
+
+    `gains`: of its effects, twice the log-likelihood.
+    """
+    found = []
+    for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
+        for event in events_of(model, sensor):
+            start, end = event[0].theta, event[-1].theta
+            views = [v for v, view in enumerate(model.setting.views) if event[0].hypothesis.touches(view)]
+            reached = [unsettled(model.setting.views[v], model.residual[v], start, end) for v in views]
+            early, late = min(r[0] for r in reached), max(r[1] for r in reached)
+            slow = bool(event[0].effect.form) and any(_ramp_seen(event[0], model.setting.views[v]) for v in views)
+            apart = end - start > _ONE_MOMENT / max(model.setting.views[v].fs for v in views)
+            if apart or slow or early < start or late > end:
+                early, late = min(early, start - _beside(event[0])), max(late, end + _beside(event[-1]))
+                nats = 0.5 * sum((gains or {}).get(jump.hypothesis.key, 0.0) for jump in event)
+                found.append(JumpSpan(sensor, early, late, nats))
+    return tuple(found)
+
+
+def _ramp_seen(term: Term, view: View) -> bool:
+    """Whether a gradual event has samples of its own: one that lies in a hole is no more than two levels."""
+    during = (view.t > term.theta - 0.5 * SLOW_S) & (view.t < term.theta + 0.5 * SLOW_S)
+    return int(during.sum()) > _RAMP * SLOW_S * view.fs
+
+
+def passing(
+    left_out: Sequence[JumpSpan], model: Model, gains: Mapping[Key, float] | None = None
+) -> tuple[JumpSpan, ...]:
+    """Those after which the level is what it was before: what happened there is in no effect of the model.
+
+    Noise that wanders, and is worth more than the jumps were, is what they stood for.
+    """
+    jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.jumps]
+    drifts = {t.hypothesis.effect.sensor: t.hypothesis.key for t in model.noise_terms if t.hypothesis.effect.drifts}
+
+    def lasts(one: JumpSpan) -> bool:
+        return any(s is one.sensor and one.start - ONE_EVENT_S < at < one.end + ONE_EVENT_S for s, at in jumps)
+
+    def drifted(one: JumpSpan) -> bool:
+        return one.sensor in drifts and one.nats < 0.5 * (gains or {}).get(drifts[one.sensor], 0.0)
+
+    return tuple(one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one))
+
+
+def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:
+    """From when to when a series (n, 3) about an event is off the levels that it keeps before and after it.
+
+    Means over windows are compared with their median over the seconds on that side; how far they scatter about such
+    medians elsewhere says how much is off, whatever the noise. Gaps in the series end what is beside them.
+    """
+    width = max(1, round(_WINDOW_S * view.fs))
+    count = len(residual) // width
+    if view.first or count < 3 * _LEVEL:
+        return start, end
+    means = residual[: count * width].reshape(count, width, 3).mean(axis=1)
+    t = view.t[: count * width].reshape(count, width)
+    smooth = median_filter(means, size=(_LEVEL, 1), mode="nearest")
+    scatter = 1.4826 * np.median(np.abs(means - smooth), axis=0) + np.finfo(float).tiny
+    before = np.flatnonzero(t[:, -1] < start)[::-1]
+    after = np.flatnonzero(t[:, 0] > end)
+    first, last = _off(means[before], scatter), _off(means[after], scatter)
+    early = float(t[before[first - 1], 0]) - _MARGIN_S if first else start
+    late = float(t[after[last - 1], -1]) + _MARGIN_S if last else end
+    return early, late
+
+
+def _off(means: Array, scatter: Array) -> int:
+    """How many of `means` (m, 3), the nearest to an event first, come before two in a row that are on the level."""
+    if len(means) < _LEVEL:
+        return 0
+    level = np.median(means[:_LEVEL], axis=0)
+    on = np.asarray((np.abs(means[:_LEVEL] - level) < _FAR * scatter).all(axis=1))
+    calm = np.flatnonzero(on[:-1] & on[1:])
+    return int(calm[0]) if len(calm) else 0
+
+
+def levels_apart(model: Model, term: Term) -> Array:
+    """By how much (3,) the levels that a model leaves before and after a step differ: nothing, if its size is right.
+
+    Over some seconds beside it and over all the time to its neighbours, the larger of both.
+    """
+    seen = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view) and not view.first]
+    weights = [_weight(term, model.setting.views[v]) for v in seen]
+    v, weight = max(zip(seen, weights, strict=True), key=lambda pair: abs(pair[1]))
+    near = _ONE_MOMENT / model.setting.views[v].fs
+    others = (t.theta for event in events_of(model, term.effect.sensor) for t in event)
+    moments = [other for other in others if abs(other - term.theta) > near]
+    start = max((m for m in moments if m < term.theta), default=-np.inf)
+    end = min((m for m in moments if m > term.theta), default=np.inf)
+    t, residual = model.setting.views[v].t, model.residual[v]
+    apart = np.zeros(3)
+    for reach in (_LEVEL * _WINDOW_S, np.inf):
+        before = (t > max(start, term.theta - reach)) & (t < term.theta)
+        after = (t > term.theta) & (t < min(end, term.theta + reach))
+        if before.any() and after.any():
+            step = np.abs(residual[after].mean(axis=0) - residual[before].mean(axis=0))
+            apart = np.maximum(apart, step / abs(weight))
+    return apart
+
+
+def moment_of(model: Model, term: Term) -> tuple[float, float]:
+    """When a jump was, s, and its standard error: anywhere between the last sample before it and the first after it."""
+    spans = []
+    for view in {id(view.whole): view.whole for view in model.setting.views if term.hypothesis.touches(view)}.values():
+        k = int(np.clip(np.searchsorted(view.t, term.theta - 0.5 / view.fs), 1, len(view.t) - 1))
+        spans.append((float(view.t[k] - view.t[k - 1]), float(view.t[k])))
+    length, end = min(spans)
+    return end - 0.5 * length, length / np.sqrt(12.0)
+
+
+def _weight(term: Term, view: View) -> float:
+    """How much of what a term does to its instances a series shows."""
+    return sum(w for i, w in view.weights.items() if i in term.hypothesis.instances)
+
+
+def _beside(term: Term) -> float:
+    """Seconds on either side of its moment."""
+    return _MARGIN_S + (0.5 * SLOW_S if term.effect.form else 0.0)
+
+
+def without_transitions(problem: GapProblem, found: Sequence[JumpSpan]) -> GapProblem:
+    """`problem` with the samples of transitions left out."""
+    traces = list(problem.traces)
+    for one in found:
+        for i, trace in enumerate(traces):
+            if trace.sensor is one.sensor:
+                during = (trace.t > one.start) & (trace.t < one.end)
+                traces[i] = replace(trace, observed=trace.observed & ~during)
+    return replace(problem, traces=tuple(traces))

@@ -1,0 +1,181 @@
+"""What of a model is not of the catalogue, and what is left over beside it.
+
+Shapes, noise that is no sensor's own, jumps that are no single events, bands that nothing explains, and what held-out
+data took back. None of it is named as an effect: a wrong name looks right.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavcal.calib.gap.model.hypotheses import Key
+from mavcal.calib.gap.model.joint import Model, Term
+from mavcal.calib.gap.schema import HiddenDriver, Unknown
+from mavcal.calib.gap.unknown.bursts import bursts
+from mavcal.calib.gap.unknown.discrepancy import bets_of, log_odds, won
+from mavcal.calib.gap.unknown.excess_power import excess_power
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, misattributed_noise, unsteady
+from mavcal.calib.gap.unknown.telegraph_noise import telegraph_noise
+from mavcal.calib.gap.unknown.transitions import events_of, moment_of
+from mavcal.calib.gap.worth.attribution import Attribution
+from mavcal.calib.recording import Sensor
+
+_JUMPS = 3
+"""Jumps of one sensor from which on they are no single events."""
+NOT_LASTING = "a deviation that no effect describes throughout the recording"
+_MATERIAL = 0.03
+"""Share of the gap from which on something unknown is said."""
+_LEFT = 0.1
+"""The same of what is left over on one sensor: of a long recording no model explains the last hundredth."""
+_BEATING, _ALIKE = 20.0, 0.8
+"""Periods in a recording by which two waves differ at most, and how alike their directions are, that are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class UnnamedCause:
+    """Terms of a model that stand for something that has no name."""
+
+    keys: tuple[Key, ...]
+    text: str
+    driver: HiddenDriver | None = None
+
+
+def unnamed_causes_in(model: Model, attributions: Sequence[Attribution]) -> tuple[UnnamedCause, ...]:
+    """Every stranger among the terms of a model, and every effect in whose place one is likelier."""
+    shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.nameless]
+    levels = [UnnamedCause(found.keys, found.text) for found in telegraph_noise(model, attributions)]
+    taken = {key for two in levels for key in two.keys}
+    drifts = [
+        UnnamedCause((found.key,), found.text, found.driver)
+        for found in misattributed_noise(model)
+        if found.key not in taken
+    ]
+    known = taken | {h.key for h in shapes} | {key for drift in drifts for key in drift.keys}
+    doubted = [a for a in attributions if a.doubted and a.key not in known]
+    names = {t.hypothesis.key: t.hypothesis.effect.id for t in model.members}
+    return (
+        *(UnnamedCause((h.key,), h.effect.excited_by) for h in shapes),
+        *levels,
+        *drifts,
+        *(UnnamedCause((a.key,), f"{a.shape}, or {names[a.key]}") for a in doubted),
+        *_swarms(model),
+        *_beats(model),
+        *(UnnamedCause((key,), text) for key, text in bursts(model)),
+    )
+
+
+def _swarms(model: Model) -> list[UnnamedCause]:
+    """Jumps of one sensor that are too many to be events."""
+    found = []
+    for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
+        events = events_of(model, sensor)
+        own = [term for event in events for term in event]
+        if len(events) >= _JUMPS:
+            moments = tuple(dict.fromkeys(f"{moment_of(model, t)[0]:.1f} s" for t in own))
+            text = f"{len(moments)} jumps on {sensor.value}: {', '.join(moments)}"
+            found.append(UnnamedCause(tuple(t.hypothesis.key for t in own), text))
+    return found
+
+
+def _beats(model: Model) -> list[UnnamedCause]:
+    """Waves of one sensor so near each other that they are one, which comes and goes."""
+    found = []
+    waves = sorted((t for t in model.terms if t.effect.id.endswith("_tone")), key=lambda t: t.theta)
+    for sensor in dict.fromkeys(t.effect.sensor for t in waves):
+        own = [t for t in waves if t.effect.sensor is sensor]
+        edges = [0, *(k for k, pair in enumerate(itertools.pairwise(own), 1) if not _one_wave(model, *pair)), len(own)]
+        for group in (own[low:high] for low, high in itertools.pairwise(edges)):
+            if len(group) > 1:
+                ends = " to ".join(f"{t.theta:.3g}" for t in (group[0], group[-1]))
+                text = f"a wave of {ends} Hz on {sensor.value} that comes and goes"
+                found.append(UnnamedCause(tuple(t.hypothesis.key for t in group), text))
+    return found
+
+
+def _one_wave(model: Model, one: Term, other: Term) -> bool:
+    """Whether two waves of a sensor are alike, and as near as those of one that lasts a part of the recording."""
+    if one.hypothesis.instances != other.hypothesis.instances:
+        return False
+    seen = [v.t for v in model.setting.views if one.hypothesis.touches(v)]
+    length = max(float(t[-1]) for t in seen) - min(float(t[0]) for t in seen)
+    directions = [np.linalg.svd(t.beta.reshape(2, 3))[2][0] for t in (one, other)]
+    alike = abs(float(directions[0] @ directions[1]))
+    return (other.theta - one.theta) * length < _BEATING and alike > _ALIKE
+
+
+def unknown_of(
+    model: Model,
+    attributions: Sequence[Attribution],
+    strangers: Sequence[UnnamedCause],
+    unexplained: Sequence[Unexplained],
+    bandwidth_hz: float = math.inf,
+    floor: Mapping[Sensor, float] | None = None,
+) -> Unknown:
+    """What is not of the catalogue: strangers in the model, bands that are left over, and what did not last.
+
+    Each is compared with the gap of its own sensor: a large effect on another one hides nothing.
+
+    Parameters
+    ----------
+    model, attributions, strangers
+        The model, what its effects are worth, and which of them have no name.
+    unexplained
+        What is in no effect of the model.
+    bandwidth_hz
+        Up to which the reference knows how the vehicle moves.
+    floor
+        Twice the nats by sensor that the reference's own flaws make (:mod:`calib.gap.companion.simulated_baseline`).
+    """
+    worth = _Worth.of(model, attributions)
+    strange = worth.but({key for s in strangers for key in s.keys})
+    texts = [s.text for s in strangers]
+    share, part = worth.shares(strange)
+    left = [*excess_power(model, bandwidth_hz, floor or {}), *unsteady(model)]
+    told, bets = {one.sensor for one in left}, bets_of(model)
+    left += [one for one in won(bets) if one.sensor not in told]
+    for one in (*left, *unexplained):
+        whole, own = (one.nats / (other + one.nats) for other in (worth.whole, worth.on(one.sensor)))
+        if whole > _MATERIAL or own > _LEFT:
+            texts.append(one.text)
+            share += whole * (1.0 - share)
+            part = max(part, own)
+    driver = next((s.driver for s in strangers if s.driver is not None), None)
+    return Unknown(part > _MATERIAL, share, "; ".join(dict.fromkeys(texts)), driver, log_odds(bets))
+
+
+@dataclass(frozen=True)
+class _Worth:
+    """Nats of effects by key, and on which sensors each of them is seen."""
+
+    nats: Mapping[Key, float]
+    seen: Mapping[Key, frozenset[Sensor]]
+
+    @classmethod
+    def of(cls, model: Model, attributions: Sequence[Attribution]) -> _Worth:
+        gap = 0.5 * sum(a.gain for a in attributions)
+        views = model.setting.views
+        seen = {t.hypothesis.key: frozenset(v.sensor for v in views if t.hypothesis.touches(v)) for t in model.members}
+        return cls({a.key: a.share * gap for a in attributions}, seen)
+
+    @property
+    def whole(self) -> float:
+        """Worth of all effects."""
+        return sum(self.nats.values())
+
+    def on(self, sensor: Sensor) -> float:
+        """Worth of the effects that are seen on a sensor."""
+        return sum(n for key, n in self.nats.items() if sensor in self.seen[key])
+
+    def but(self, keys: Collection[Key]) -> _Worth:
+        """Worth of some of them alone."""
+        return _Worth({key: n for key, n in self.nats.items() if key in keys}, self.seen)
+
+    def shares(self, part: _Worth) -> tuple[float, float]:
+        """Which share of the whole a `part` of it is, and the largest that it is of what is seen on one sensor."""
+        each = [part.on(sensor) / max(self.on(sensor), 1e-300) for sensor in Sensor]
+        return part.whole / max(self.whole, 1e-300), max(each)

@@ -1,0 +1,127 @@
+"""What the error of a re-estimated trajectory makes of the amplitudes of effects, and which of them are no more.
+
+A tilt that stays reads like an accelerometer's bias and an offset of the compass, one that grows like a bias of the
+gyroscope; a gyroscope's matrix that was estimated inside the trajectory reads like axes of the sensor. The noise of the
+samples says nothing of it: a minute of them would state a bias to a part in a thousand of what the tilt leaves open.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from mavcal.calib.gap.effects.affine import rotation_columns
+from mavcal.calib.gap.effects.magnetic import earth_columns
+from mavcal.calib.gap.model.hypotheses import HypothesisColumns, Key, Part, add_block
+from mavcal.calib.gap.model.joint import Joint, Model, Setting, jacobian, normal_equations
+from mavcal.calib.gap.model.views import View
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_TILTS, _MATRIX, _FIELD = slice(0, 6), slice(6, 15), slice(15, 18)
+"""Columns of what can be wrong: rotations that stay and that grow, the gyroscope's matrix, the Earth's field."""
+_ERRORS = 18
+_RANK = 1e-9
+"""Part of the largest variance of amplitudes below which a direction of them was not fitted."""
+
+
+def variance_of_tilt(model: Model, joint: Joint) -> Array:
+    """What the trajectory's error adds to the variance of each number of `joint`, (p,)."""
+    return np.asarray((_moved(model, joint) ** 2).sum(axis=1))
+
+
+def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
+    """Effects on the mean that the trajectory's own error makes as large with a chance above `alpha`."""
+    moved = _moved(model, joint)
+    if not moved.any():
+        return frozenset()
+    found = set()
+    for term, rows in zip(model.terms, joint.slices, strict=False):
+        values = term.values
+        free = len(values) - (term.effect.shape is not None and not term.effect.fixed)
+        own = slice(rows.start, rows.start + free)
+        covariance = joint.covariance[own, own] + moved[own] @ moved[own].T
+        if moved[own].any() and _chance(values[:free], covariance) > alpha:
+            found.add(term.hypothesis.key)
+    return frozenset(found)
+
+
+def _chance(values: Array, covariance: Array) -> float:
+    """Chance of values (p,) at least as far from zero."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    variances, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    seen = variances > _RANK * variances[-1]
+    along = axes.T @ (values / scale)
+    return float(chdtrc(int(seen.sum()), float((along[seen] ** 2 / variances[seen]).sum())))
+
+
+def _moved(model: Model, joint: Joint) -> Array:
+    """What each error of the trajectory, of one standard deviation, makes of the numbers of `joint`, (p, errors).
+
+    The attitude is off by a rotation of standard deviation :attr:`View.att_sd` about each axis. Half of its variance is
+    constant, half grows evenly over the recording; :attr:`View.inside_sd` are those of what was estimated with it.
+    They move the amplitudes by ``C X' W R`` (first order), `R` being the readings' change with them. Nothing where the
+    error is itself in the model.
+    """
+    count = len(joint.covariance)
+    known = all(view.att_sd == 0.0 for view in model.setting.views if view.reference_error)
+    if known or model.ridge is not None or not count:
+        return np.zeros((count, 0))
+    blocks = [jacobian(term, model.setting) for term in model.terms]
+    gram = normal_equations([*blocks, _errors(model.setting)], model.y, model.weight).gram
+    return np.asarray(joint.covariance @ gram[:count, count:])
+
+
+def _errors(setting: Setting) -> HypothesisColumns:
+    """What readings change by each error of one standard deviation."""
+    times = [view.t for view in setting.views]
+    first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+    parts: dict[int, Part] = {}
+    for v, view in enumerate(setting.views):
+        if view.reference_error:
+            block = np.zeros((_ERRORS, view.n, 3))
+            block[_TILTS] = math.sqrt(0.5) * view.att_sd * _turned(view, first, last)
+            if view.inside_sd and view.sensor is Sensor.GYRO:
+                block[_MATRIX] = _by_matrix(view)
+            if view.inside_sd and view.sensor is Sensor.MAG:
+                block[_FIELD] = _by_field(view)
+            add_block(parts, v, block, setting.frames[v])
+    return HypothesisColumns(_ERRORS, parts)
+
+
+def _turned(view: View, first: float, last: float) -> Array:
+    """Columns (6, n, 3) of rotations of the reference about x, y, z that stay, and of ones that grow.
+
+    The growing ones are of unit variance between `first` and `last`.
+    """
+    root = math.sqrt(3.0)
+    if view.sensor is Sensor.GYRO:
+        weight = sum(view.weights.values())
+        rate = np.broadcast_to(np.eye(3)[:, None, :] * (2.0 * root / (last - first)), (3, view.n, 3))
+        return weight * np.concatenate([np.zeros((3, view.n, 3)), rate])
+    turn = np.add.reduce([w * rotation_columns(view.traces[i], math.nan) for i, w in view.weights.items()])
+    turn = turn[:, view.keep]
+    growing = root * (2.0 * (view.t - first) / (last - first) - 1.0)
+    return np.concatenate([turn, turn * growing[None, :, None]])
+
+
+def _by_matrix(view: View) -> Array:
+    """Columns (9, n, 3) of the elements of a gyroscope's matrix by rows."""
+    ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+    block = np.zeros((9, view.n, 3))
+    for k, sd in enumerate(view.inside_sd):
+        row, column = divmod(k, 3)
+        block[k, :, row] = sd * ideal[:, column]
+    return block
+
+
+def _by_field(view: View) -> Array:
+    """Columns (3, n, 3) of the Earth's field north, east, down; zero where the attitude is not known."""
+    if any(trace.attitude is None for trace in view.traces.values()):
+        return np.zeros((3, view.n, 3))
+    columns = np.add.reduce([w * earth_columns(view.traces[i], math.nan) for i, w in view.weights.items()])
+    return np.asarray(columns[:, view.keep] * np.array(view.inside_sd)[:, None, None])

@@ -1,0 +1,146 @@
+"""What a simulated flight shows against its own ideal is no gap of a real one that shows it as well."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import signal
+from scipy.spatial.transform import Rotation
+
+from mavcal.calib.gap.companion.simulated_baseline import Baseline, baseline_of, beside
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.problem import Floor
+from mavcal.calib.gap.schema import GapVerdict
+from mavcal.calib.gap.search.thresholds import SMALL
+from mavcal.calib.recording import Sensor
+from tests.unit.gap.synthetic import problem_of
+
+ALPHA = 0.005
+BIAS = np.array([0.2, -0.1, 0.15])
+SCALE = np.array([0.03, -0.02, 0.0])
+
+
+def shared(trace):
+    return BIAS + trace.ideal * SCALE
+
+
+def both(trace):
+    return shared(trace) + np.array([0.0, 0.3, 0.0])
+
+
+def flight(seed, gap=None):
+    return problem_of(np.random.default_rng(seed), (Sensor.ACCEL,), gap)
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Baseline:
+    return baseline_of(flight(1, shared), ALPHA)
+
+
+def test_the_simulated_flights_own_flaws_are_named_with_their_size(simulated):
+    found = {e.id: e for e in simulated.effects}
+    assert set(found) == {"accel_bias", "accel_scale"}
+    for name, truth in (("accel_bias", BIAS), ("accel_scale", SCALE)):
+        values, errors = (np.array([getattr(p, k) for p in found[name].params]) for k in ("value", "se"))
+        assert (np.abs(values - truth) < 4.0 * errors).all()
+    assert found["accel_bias"].instances == (1,)
+    assert simulated.gains[Sensor.ACCEL] > 1000.0
+
+
+def test_what_both_flights_show_is_no_gap(simulated):
+    report = diagnose(beside(flight(2, shared), simulated), nested=False)
+    assert report.verdict is GapVerdict.NO_GAP
+    assert report.effects == ()
+
+
+def test_what_only_the_real_flight_shows_is_found_in_its_own_size(simulated):
+    problem = dataclasses.replace(beside(flight(3, both), simulated), floor=Floor())
+    report = diagnose(problem, nested=False)
+    assert [e.id for e in report.effects] == ["accel_bias"]
+    values, errors = (np.array([getattr(p, k) for p in report.effects[0].params]) for k in ("value", "se"))
+    assert (np.abs(values - [0.0, 0.3, 0.0]) < 4.0 * errors + 0.02).all()
+
+
+def test_what_the_simulated_flight_shows_less_than_the_real_one_must_be_clear(simulated):
+    floor = beside(flight(2, shared), simulated).floor.lasting
+    numbers = flight(2).traces[0].ideal.size
+    assert np.expm1(floor[Sensor.ACCEL] / numbers) * numbers >= 0.1 * simulated.gains[Sensor.ACCEL]
+    clean = beside(flight(2), baseline_of(flight(1), ALPHA))
+    assert clean.floor.lasting[Sensor.ACCEL] == pytest.approx(0.03 * 3 * len(clean.traces[0].t))
+
+
+def turned(trace):
+    return Rotation.from_rotvec([0.05, -0.03, 0.02]).apply(trace.ideal) - trace.ideal
+
+
+def drifting(trace):
+    late = [np.interp(trace.t - 3e-3 * trace.t, trace.t, column) for column in trace.ideal.T]
+    return np.column_stack(late) - trace.ideal
+
+
+@pytest.mark.parametrize("gap", [turned, drifting])
+def test_what_all_sensors_share_in_both_flights_is_no_gap(gap):
+    first, second = (problem_of(np.random.default_rng(s), (Sensor.ACCEL, Sensor.MAG), gap) for s in (1, 2))
+    report = diagnose(beside(second, baseline_of(first, ALPHA)), nested=False)
+    assert report.effects == ()
+
+
+def test_a_simulated_flight_without_a_flaw_changes_nothing():
+    baseline = baseline_of(flight(4), ALPHA)
+    assert baseline.effects == ()
+    assert baseline.gains[Sensor.ACCEL] == 0.0
+    problem = flight(2, shared)
+    np.testing.assert_array_equal(beside(problem, baseline).traces[0].ideal, problem.traces[0].ideal)
+
+
+def late(trace):
+    return np.column_stack([np.interp(trace.t - 0.02, trace.t, column) for column in trace.ideal.T]) - trace.ideal
+
+
+def test_noise_that_was_learned_from_the_flight_does_not_hide_its_flaws():
+    clean = problem_of(np.random.default_rng(1), (Sensor.GYRO,), late)
+    spectrum = np.tile((clean.traces[0].residual ** 2).mean(axis=0), (2, 1))
+    learned = dataclasses.replace(
+        clean.traces[0], sigma=np.sqrt(spectrum[0]), sigma_dof=1e3, psd=spectrum, psd_hz=np.array([0.0, 25.0])
+    )
+    found = baseline_of(dataclasses.replace(clean, traces=(learned,)), ALPHA)
+    plain = baseline_of(clean, ALPHA)
+    assert [e.id for e in found.effects] == ["gyro_delay"]
+    assert found.gains[Sensor.GYRO] == pytest.approx(plain.gains[Sensor.GYRO], rel=0.1)
+
+
+@pytest.mark.parametrize("corner", [0.99, 0.9])
+def test_what_is_less_than_two_flights_differ_by_is_no_flaw(corner):
+    """Beside slow noise that nobody declared an effect may join for what that takes from it afterwards."""
+    rng = np.random.default_rng(101)
+
+    def slow(trace):
+        noise = signal.lfilter([1.0], [1.0, -corner], rng.normal(size=trace.ideal.shape), axis=0)
+        return 0.1 * noise / noise.std() + 0.01 * trace.ideal + np.array([0.08, 0.0, 0.0])
+
+    problem = problem_of(np.random.default_rng(1), (Sensor.ACCEL,), slow)
+    undeclared = dataclasses.replace(problem.traces[0], sigma=None, sigma_dof=np.inf, psd=None, psd_hz=None)
+    found = baseline_of(dataclasses.replace(problem, traces=(undeclared,)), ALPHA)
+    least = SMALL * undeclared.ideal.size
+    assert all(e.evidence.two_delta_loglik >= least for e in found.effects)
+    assert (found.effects == ()) is (found.changes[Sensor.ACCEL] == 0.0)
+
+
+def test_a_livelier_flight_must_show_more(simulated):
+    calm, lively = flight(2, shared), flight(2, shared)
+    trace = lively.traces[0]
+    fast = dataclasses.replace(trace, ideal=3.0 * trace.ideal, measured=3.0 * trace.measured)
+    lively = dataclasses.replace(lively, traces=(fast,))
+    assert (
+        beside(lively, simulated).floor.lasting[Sensor.ACCEL]
+        > 1.5 * beside(calm, simulated).floor.lasting[Sensor.ACCEL]
+    )
+
+
+def test_noise_is_learned_beside_the_flaws(simulated):
+    traces = flight(4, shared).traces
+    (left,) = simulated.in_ideal(traces)
+    assert np.sqrt((left.residual**2).mean()) == pytest.approx(0.05, rel=0.05)
+    assert np.sqrt((traces[0].residual ** 2).mean()) > 0.1
