@@ -1,10 +1,16 @@
-"""``scripts/house``: files, lines, arrows and circles of the packages, room by room, as the imports say."""
+"""``scripts/house [FOLDER]``: files, lines, arrows and circles of the packages, room by room, as the imports say.
+
+With a folder, such as ``calib/gap``: its rooms, the floors on which they stand, and the longest walk through its files.
+A room is a folder below it, or a module that lies beside folders. Its face (``__init__``) is a room as well.
+"""
 
 from __future__ import annotations
 
 import ast
+import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,6 +41,52 @@ def circles(graph: Graph) -> list[list[str]]:
     return sorted(sorted(group) for group in groups if len(group) > 1)
 
 
+def rooms_of(graph: Graph, folder: str) -> Graph:
+    """Each room of a folder (dotted name) with the rooms that its modules import.
+
+    >>> rooms_of({"p.a.x": frozenset(["p.a.y", "p.b"]), "p.a.y": frozenset(), "p.b": frozenset()}, "p")
+    {'a': frozenset({'b'}), 'b': frozenset()}
+    """
+    found: dict[str, frozenset[str]] = {}
+    for name, imported in graph.items():
+        own = _below(name, folder)
+        found[own] = found.get(own, frozenset()) | {_below(other, folder) for other in imported} - {own}
+    return found
+
+
+def longest(graph: Graph) -> int:
+    """Nodes of the longest chain of arrows.
+
+    Raises
+    ------
+    graphlib.CycleError
+        If there is a circle: a chain through it has no end.
+
+    >>> longest({"a": frozenset("b"), "b": frozenset("c"), "c": frozenset(), "d": frozenset("c")})
+    3
+    """
+    height: dict[str, int] = {}
+    for name in TopologicalSorter(graph).static_order():
+        height[name] = 1 + max((height[other] for other in graph[name]), default=0)
+    return max(height.values(), default=0)
+
+
+def folder_report(folder: str, modules: Mapping[str, str]) -> str:
+    """What one folder (dotted name) looks like: a line of figures, then a line a room."""
+    graph = arrows(modules)
+    rooms = rooms_of(graph, folder)
+    files = Counter(_below(name, folder) for name in modules)
+    figures = (
+        f"{folder}: {len(modules)} files, {len(rooms)} rooms, {longest(rooms)} floors, "
+        f"{sum(map(len, rooms.values()))} arrows between rooms, longest walk {longest(graph)} files"
+    )
+    order = TopologicalSorter(rooms).static_order()
+    lines = (
+        f"  {room:16} {files[room]:3} files, imports {', '.join(sorted(rooms[room])) or 'no other'}" for room in order
+    )
+    return "\n".join([figures, *lines])
+
+
 def report(package: str, modules: Mapping[str, str]) -> str:
     """What the package looks like, a line a room."""
     graph = arrows(modules)
@@ -53,10 +105,17 @@ def report(package: str, modules: Mapping[str, str]) -> str:
     return "\n".join([head, *rooms, *rings])
 
 
-def main() -> None:
-    """Print the packages one after the other."""
-    for package in PACKAGES:
+def main(folders: Sequence[str] = ()) -> None:
+    """Print the packages one after the other, or the folders that are asked for."""
+    for folder in folders:
+        print(folder_report(f"mavcal.{folder.strip('/').replace('/', '.')}", sources(folder)))
+    for package in () if folders else PACKAGES:
         print(report(package, sources(package)))
+
+
+def _below(name: str, folder: str) -> str:
+    """The room of a folder in which a module lies."""
+    return name.removeprefix(folder).lstrip(".").partition(".")[0] or "__init__"
 
 
 def _room(name: str) -> str:
@@ -98,4 +157,4 @@ def _reached(graph: Graph, start: str) -> frozenset[str]:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -44,6 +44,22 @@ LAYERS = (
 
 ROOMS = set().union(*LAYERS)
 
+GAP_LAYERS = (
+    {"schema", "likelihood"},
+    {"problem", "progress", "export"},
+    {"reference"},
+    {"effects"},
+    {"model"},
+    {"search"},
+    {"heldout", "worth"},
+    {"unknown"},
+    {"telling"},
+    {"companion"},
+    {"diagnose"},
+    {"verify"},
+)
+"""Rooms of ``calib/gap``, lowest first; a room imports the layers below its own, and no other room of its own layer."""
+
 PURE = {"numpy", "scipy", "pygeomag", "pyulog", "pymavlink", "fastcrc", "jinja2", "markupsafe", "cattrs", "matplotlib"}
 """Packages that ``calib`` may import besides the standard library's harmless part."""
 
@@ -109,6 +125,22 @@ def climbs(name: str, source: str) -> set[str]:
     own = name.split(".")[2]
     height = -1 if own == "__init__" else layer(own)
     return {i for i in imports(name, source) if (other := room(i)) is not None and layer(other) > height}
+
+
+def gap_room(name: str) -> str | None:
+    """The room of ``calib/gap`` that a dotted name lies in; None for its face or something else."""
+    parts = name.split(".")
+    return parts[3] if parts[:3] == ["mavcal", "calib", "gap"] and len(parts) > 3 else None
+
+
+def gap_climbs(name: str, source: str) -> set[str]:
+    """Imports of a module of ``calib/gap`` that lie in another room, and not below its own layer."""
+    heights = {one: i for i, rooms in enumerate(GAP_LAYERS) for one in rooms}
+    own = gap_room(name)
+    if own not in heights:
+        return set()
+    others = {i: gap_room(i) for i in imports(name, source) if gap_room(i) not in (None, own)}
+    return {i for i, other in others.items() if heights.get(str(other), len(GAP_LAYERS)) >= heights[own]}
 
 
 def impurities(name: str, source: str) -> set[str]:
@@ -179,6 +211,16 @@ def test_a_room_of_calib_imports_only_its_own_layer_and_below():
     assert offenders("calib", climbs) == {}
 
 
+def test_every_room_of_the_gap_has_a_layer():
+    found = {gap_room(name) for name in modules("calib/gap")} - {"__init__"}
+    assert found == set().union(*GAP_LAYERS)
+    assert sum(map(len, GAP_LAYERS)) == len(found)  # each has one layer
+
+
+def test_a_room_of_the_gap_imports_only_the_layers_below_its_own():
+    assert offenders("calib/gap", gap_climbs) == {}
+
+
 def test_calib_is_pure():
     assert not FORBIDDEN & (PURE | STANDARD)
     assert offenders("calib", impurities) == {}
@@ -216,6 +258,10 @@ def test_the_client_stands_alone():
         (climbs, "mavcal.calib.triad", "from mavcal.calib.report import to_json"),
         (climbs, "mavcal.calib.firmware.px4.parameters", "from ...logs import tlog"),
         (climbs, "mavcal.calib.__init__", "import mavcal.calib.errors"),
+        (gap_climbs, "mavcal.calib.gap.model.joint", "from mavcal.calib.gap.search.contest import Contest"),
+        (gap_climbs, "mavcal.calib.gap.reference.build", "from mavcal.calib.gap.effects import catalogue"),
+        (gap_climbs, "mavcal.calib.gap.heldout.gates", "from mavcal.calib.gap.worth.attribution import settled"),
+        (gap_climbs, "mavcal.calib.gap.diagnose", "from ..gap import verify"),
         (impurities, "mavcal.calib.accel.poses", "import time"),
         (impurities, "mavcal.calib.wire.frames", "from mavcal.service.errors import LinkError"),
         (impurities, "mavcal.calib.logs.tlog", "from pymavlink.mavutil import mavlink_connection"),

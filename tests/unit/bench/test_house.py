@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from bench.house import arrows, circles, report
+from graphlib import CycleError
+
+import pytest
+
+from bench.house import arrows, circles, folder_report, longest, report, rooms_of
 
 MODULES = {
     "mavcal.p.a": "from mavcal.p.b import x\nfrom typing import *\nif TYPE_CHECKING:\n    import mavcal.p.c\n",
@@ -33,3 +37,33 @@ def test_a_circle_of_three_is_one_circle():
 
 def test_the_report_counts_files_lines_arrows_and_circles():
     assert report("p", MODULES).splitlines()[0] == "p: 4 files, 6 lines, 3 arrows, 0 circles"
+
+
+FOLDER = {
+    "p": "from p.last import x\n",
+    "p.last": "from p.room.one import x\nfrom p.low import y\n",
+    "p.room": "",
+    "p.room.one": "from p.room.two import x\n",
+    "p.room.two": "from p.low import x\n",
+    "p.low": "import numpy\n",
+}
+
+
+def test_modules_of_a_folder_are_one_room_and_a_module_beside_it_is_another():
+    rooms = rooms_of(arrows(FOLDER), "p")
+    assert rooms == {"__init__": {"last"}, "last": {"room", "low"}, "room": {"low"}, "low": frozenset()}
+
+
+def test_floors_count_rooms_and_a_walk_counts_files():
+    line = folder_report("p", FOLDER).splitlines()[0]
+    assert line == "p: 6 files, 4 rooms, 4 floors, 4 arrows between rooms, longest walk 5 files"
+
+
+def test_rooms_are_listed_lowest_first():
+    listed = [line.split()[0] for line in folder_report("p", FOLDER).splitlines()[1:]]
+    assert listed == ["low", "room", "last", "__init__"]
+
+
+def test_a_circle_has_no_longest_walk():
+    with pytest.raises(CycleError):
+        longest({"a": frozenset("b"), "b": frozenset("a")})
