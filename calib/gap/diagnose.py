@@ -9,9 +9,8 @@ from functools import cached_property
 
 from mavcal.calib.gap.companion.level_shifts import with_level_shifts
 from mavcal.calib.gap.companion.nuisance_gain import above_nuisance
-from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.base import CatalogueEffect
-from mavcal.calib.gap.effects.parts import TRIADS
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.heldout.consistency import inconsistent_effects
 from mavcal.calib.gap.heldout.shrink import Heldout, held_out, nested_in, shrink_of
@@ -302,9 +301,10 @@ def _not_told(answer: _Answer) -> tuple[str, ...]:
 def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[LocatedGap, ...]:
     """Where the gap lies; beside flaws of the reference, which are everywhere, only on sensors that have one."""
     found = located(task.bare, alpha)
-    named = {effect.id.partition("_")[0] for effect in effects}
-    if unknown.flag or not task.problem.floor.lasting or not named <= set(TRIADS):
+    shared = any(by_id()[effect.id].shared for effect in effects)
+    if unknown.flag or not task.problem.floor.lasting or shared:
         return found
+    named = {effect.sensor.value for effect in effects}
     return tuple(one for one in found if one.channel.partition(".")[0] in named)
 
 

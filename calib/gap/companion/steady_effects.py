@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.model.joint import setting_of, starting_model
@@ -20,12 +21,6 @@ from mavcal.calib.gap.search.selection import ChosenModel, last_gains, reduced, 
 from mavcal.calib.gap.search.thresholds import Thresholds
 from mavcal.calib.gap.telling.estimates import estimates_of
 from mavcal.calib.recording import Sensor
-
-_CARRIED = (
-    *("_bias", "_scale", "_misalignment", "_rotation", "_lever_arm", "_delay", "_low_pass", "clock_drift"),
-    *("_hard_iron", "_soft_iron", "_earth_field", "reference_attitude"),
-)
-"""Ends of the ids of what another flight shows alike; what depends on temperature, current or an event is not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,4 +69,4 @@ def _indifferent(chosen: ChosenModel, contest: Contest) -> list[Key]:
 
 
 def _carried(effect: CatalogueEffect) -> bool:
-    return isinstance(effect, MeanEffect) and effect.id.endswith(_CARRIED) and "_temp" not in effect.id
+    return isinstance(effect, MeanEffect) and Trait.STEADY in effect.traits

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
 from mavcal.calib.gap.effects.parts import AXES, INERTIAL, TRIADS, TUMBLE, UNIT, axiswise, crossed, moves, per_axis
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -65,6 +66,7 @@ def _bias(sensor: Sensor) -> CatalogueEffect:
         columns=axiswise(constant),
         signals=constant,
         rivals=rivals[sensor],
+        traits=frozenset({Trait.STEADY, Trait.LEVEL}),
     )
 
 
@@ -87,6 +89,7 @@ def _matrix_part(
         columns=columns,
         rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
         exact=exact,
+        traits=frozenset({Trait.STEADY, Trait.SIZE} if kind == "scale" else {Trait.STEADY}),
     )
 
 

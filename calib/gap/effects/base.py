@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.shape_ids import is_shape
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
-
-DRIFTS = ("_random_walk", "_flicker")
-"""Ends of the ids of noise that can stand for any slow change of the mean."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +85,8 @@ class CatalogueEffect:
         It can happen more than once in a recording (a magnet put on and taken off, two tones).
     form
         Tells apart two descriptions of one effect that compete under the same id; empty for the only one.
+    traits
+        What kind of thing it is, for all that treats kinds alike.
     hidden
         Numbers that are fitted to the residual inside its columns: degrees of freedom that no parameter shows.
     """
@@ -103,6 +103,7 @@ class CatalogueEffect:
     repeatable: bool = False
     hidden: int = 0
     form: str = ""
+    traits: frozenset[Trait] = frozenset()
 
     @property
     def nameless(self) -> bool:
@@ -112,17 +113,17 @@ class CatalogueEffect:
     @property
     def jumps(self) -> bool:
         """Whether it is an event, in any form: an offset that comes at a moment, which is its shape."""
-        return self.id.endswith("_step")
+        return Trait.JUMPING in self.traits
 
     @property
     def tonal(self) -> bool:
         """Whether it is a wave of one frequency, which is its shape."""
-        return self.id.endswith("_tone")
+        return Trait.TONAL in self.traits
 
     @property
     def drifts(self) -> bool:
         """Whether it is noise that wanders."""
-        return self.id.endswith(DRIFTS)
+        return Trait.WANDERING in self.traits
 
 
 @dataclass(frozen=True, kw_only=True)

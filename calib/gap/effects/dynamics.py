@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
 from mavcal.calib.gap.effects.parts import AXES, TUMBLE, on_each_axis, per_axis, spread
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -74,5 +75,6 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         _turns_fast,
         columns=lever_columns,
         rivals=("accel_delay", "accel_low_pass"),
+        traits=frozenset({Trait.STEADY}),
     ),
 )

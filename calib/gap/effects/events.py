@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, per_axis
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -105,6 +106,7 @@ def _of(
         rivals=(f"{sensor}_random_walk", f"{sensor}_temp_linear"),
         repeatable=True,
         form=form,
+        traits=frozenset({Trait.JUMPING, Trait.LEVEL}),
     )
 
 

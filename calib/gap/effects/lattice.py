@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, LatticeEffect, LatticeEvidence
 from mavcal.calib.gap.effects.parts import AXES, TRIADS, UNIT
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.resolution import levels_of, noise_of
 from mavcal.calib.recording import Sensor
@@ -249,6 +250,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "raw samples in the log",
             detect=quantisation,
             rivals=(f"{sensor}_noise",),
+            traits=frozenset({Trait.COARSE}),
         ),
         LatticeEffect(
             f"{sensor}_saturation",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.affine import constant
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -149,6 +150,7 @@ def _motor_current(
         signals=signals,
         rivals=("mag_hard_iron", "mag_step"),
         form=form,
+        traits=frozenset({Trait.LEVEL}),
     )
 
 
@@ -170,6 +172,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         columns=axiswise(constant),
         signals=constant,
         rivals=("mag_soft_iron", "mag_motor_current", "mag_earth_field"),
+        traits=frozenset({Trait.STEADY, Trait.LEVEL}),
     ),
     MeanEffect(
         "mag_soft_iron",
@@ -180,6 +183,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         moves(Sensor.MAG),
         columns=soft_iron_columns,
         rivals=("mag_hard_iron", "mag_rotation", "mag_temp_scale"),
+        traits=frozenset({Trait.STEADY, Trait.SIZE}),
     ),
     _motor_current("~late", _PER_AMPERE, _CURRENTS, _no_current, late_current_signal, _LAG),
     _motor_current("~throttle", _FULL_THROTTLE, "throttle that varies", _no_throttle, throttle_signal, _EXPONENT),
@@ -193,6 +197,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         first_missing((_no_attitude, moves(Sensor.MAG))),
         columns=earth_columns,
         rivals=("mag_rotation", "mag_hard_iron", "mag_soft_iron"),
+        traits=frozenset({Trait.STEADY, Trait.SIZE}),
     ),
     MeanEffect(
         "mag_field_gradient",

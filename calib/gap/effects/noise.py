@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, per_axis
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.calibrated import filter_gain
 from mavcal.calib.recording import Sensor
@@ -64,6 +65,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "a minute at rest with the motors off, and one with them on",
             density=white,
             rivals=(f"{sensor}_rotor_noise", f"{sensor}_quantisation", f"{sensor}_flicker"),
+            traits=frozenset({Trait.BROADBAND}),
         ),
         NoiseEffect(
             f"{sensor}_flicker",
@@ -74,6 +76,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             _long,
             density=flicker,
             rivals=(f"{sensor}_random_walk", f"{sensor}_noise"),
+            traits=frozenset({Trait.WANDERING}),
         ),
         NoiseEffect(
             f"{sensor}_random_walk",
@@ -84,6 +87,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             _long,
             density=walk,
             rivals=(f"{sensor}_flicker", f"{sensor}_temp_linear", f"{sensor}_step", "reference_attitude"),
+            traits=frozenset({Trait.WANDERING}),
         ),
     )
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.affine import rotated, rotation_columns
 from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
 from mavcal.calib.gap.effects.parts import per_axis
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -38,6 +39,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         "a better reference; two instances of a sensor, whose difference is free of it",
         rivals=("accel_rotation", "mag_rotation", "accel_random_walk", "mag_random_walk", "accel_bias"),
         shared=True,
+        traits=frozenset({Trait.STEADY}),
         columns=direction_columns,
         exact=direction_turned,
     ),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.affine import scale_columns
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, moves, per_axis
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
@@ -22,8 +23,7 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}  # degC, for any statement
-THERMAL = tuple(f"_{kind}" for kind in _LEAST_SPAN)
-"""Ends of the ids of what goes with temperature."""
+_TRAITS = frozenset({Trait.THERMAL, Trait.LEVEL})
 _GOOD_SPAN = 15.0  # degC, for one that tells the rivals apart
 _BEYOND = 20.0  # degC by which the reference temperature may lie outside what was seen
 _REFERENCES = 13  # temperatures of the grid
@@ -174,6 +174,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             columns=axiswise(above),
             signals=above,
             rivals=ids("temp_poly", "thermal_lag", "random_walk", offset),
+            traits=_TRAITS,
         ),
         MeanEffect(
             f"{sensor}_temp_poly",
@@ -186,6 +187,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             columns=axiswise(powers),
             signals=powers,
             rivals=ids("temp_linear", "thermal_lag", "random_walk"),
+            traits=_TRAITS,
         ),
         MeanEffect(
             f"{sensor}_temp_scale",
@@ -197,6 +199,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             EffectShape(vanishes, references, best_references(_ideal, 1), _USUAL),
             columns=warm_scale_columns,
             rivals=ids(iron, "temp_linear"),
+            traits=_TRAITS,
         ),
         MeanEffect(
             f"{sensor}_thermal_lag",
@@ -209,6 +212,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             columns=axiswise(late),
             signals=late,
             rivals=ids("temp_linear", "temp_poly", "random_walk"),
+            traits=_TRAITS,
             hidden=1,
         ),
     )

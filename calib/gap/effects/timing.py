@@ -15,6 +15,7 @@ from scipy.interpolate import BSpline
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
@@ -202,6 +203,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             columns=delay_column,
             fixed=True,
             rivals=(f"{sensor}_low_pass", "clock_drift"),
+            traits=frozenset({Trait.STEADY}),
         ),
         MeanEffect(
             f"{sensor}_low_pass",
@@ -215,6 +217,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             fixed=True,
             noise_gain=low_pass_gain,
             rivals=(f"{sensor}_delay", f"{sensor}_noise"),
+            traits=frozenset({Trait.STEADY}),
         ),
     )
 
@@ -231,6 +234,7 @@ CLOCK_DRIFT = MeanEffect(
     columns=drift_column,
     fixed=True,
     rivals=tuple(f"{sensor}_delay" for sensor in TRIADS),
+    traits=frozenset({Trait.STEADY}),
 )
 
 EFFECTS: tuple[CatalogueEffect, ...] = (*(effect for sensor in TRIADS for effect in _of(sensor)), CLOCK_DRIFT)

@@ -8,6 +8,7 @@ from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, per_axis
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -63,6 +64,7 @@ def _of(sensor: Sensor) -> CatalogueEffect:
         columns=axiswise(wave),
         signals=wave,
         repeatable=True,
+        traits=frozenset({Trait.TONAL}),
         rivals=(f"{sensor}_vibration", f"{sensor}_aliasing") if sensor != Sensor.MAG else ("mag_step",),
     )
 

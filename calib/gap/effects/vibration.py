@@ -25,6 +25,7 @@ from mavcal.calib.gap.effects.base import (
 )
 from mavcal.calib.gap.effects.noise import white
 from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per_axis
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.calibrated import filter_gain
@@ -232,6 +233,7 @@ def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> Catalogu
         rivals=(f"{sensor}_tone", f"{sensor}_rotor_noise"),
         repeatable=True,
         form="~wave",
+        traits=frozenset({Trait.LINE}),
     )
 
 
@@ -286,6 +288,7 @@ def _line(
         density=line,
         variance=while_running,
         rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
+        traits=frozenset({Trait.LINE}),
     )
 
 
@@ -300,6 +303,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
         density=white,
         variance=with_speed,
         rivals=(f"{sensor}_noise", *((f"{sensor}_vibration",) if sensor in INERTIAL else ())),
+        traits=frozenset({Trait.BROADBAND}),
     )
     if sensor not in INERTIAL:
         return (noise,)
@@ -319,6 +323,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             columns=axiswise(rectified),
             signals=rectified,
             rivals=(f"{sensor}_bias", f"{sensor}_step"),
+            traits=frozenset({Trait.LEVEL}),
         ),
     )
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.likelihood import fast_length, transform
 from mavcal.calib.gap.model.bands import resampled
 from mavcal.calib.gap.model.views import View
@@ -159,7 +160,7 @@ def _handicap(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tup
 
 def _loud(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> bool | None:
     """A trajectory that is re-estimated turns with its own gyroscope, which shows none of its noise against it."""
-    if at_fault is None or effect.sensor is not Sensor.GYRO or not effect.id.endswith("_noise"):
+    if at_fault is None or effect.sensor is not Sensor.GYRO or Trait.BROADBAND not in effect.traits:
         return None
     return instances == at_fault
 

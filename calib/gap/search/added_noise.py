@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model, NoiseTerm
 from mavcal.calib.gap.model.noise_fit import densities_of
@@ -23,7 +24,6 @@ _NEAR_HZ = 2.0
 """Distance from a line's frequency within which its power is looked at."""
 _INVOLVED = 0.2
 """Part of the largest excess of an instance that another one must show to be part of it."""
-LINES = ("_vibration", "_aliasing")
 """Ends of the ids of what rotors shake."""
 
 
@@ -62,7 +62,7 @@ def stands_out(added: AddedNoise, model: Model) -> bool:
 
 def unsteady_line(term: NoiseTerm, model: Model) -> bool:
     """Whether broad noise of a model is no more than the unsteadiness of a line beside it."""
-    if term.hypothesis.effect.id.endswith(LINES):
+    if Trait.LINE in term.hypothesis.effect.traits:
         return False
     return _power_of(term, term.hypothesis, model) <= _OF_LINE * line_power(term.hypothesis, model)
 
@@ -92,7 +92,7 @@ def line_power(hypothesis: Hypothesis, model: Model) -> float:
     return sum(
         _power_of(term, hypothesis, model)
         for term in model.noise_terms
-        if term.hypothesis.effect.sensor is hypothesis.effect.sensor and term.hypothesis.effect.id.endswith(LINES)
+        if term.hypothesis.effect.sensor is hypothesis.effect.sensor and Trait.LINE in term.hypothesis.effect.traits
     )
 
 
@@ -147,7 +147,7 @@ def _about(added: AddedNoise, model: Model, v: int) -> Array:
     frequencies of their own.
     """
     power = added.power(model, v)
-    if not added.hypothesis.effect.id.endswith(LINES):
+    if Trait.LINE not in added.hypothesis.effect.traits:
         return power
     view = model.setting.views[v]
     near = _near(view, int(np.argmax(power.sum(axis=0))))

@@ -234,7 +234,7 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Cont
     """A score of an effect on the mean with free amplitudes."""
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
-    price += price_of_kind(hypothesis.effect.id) + hypothesis.handicap
+    price += price_of_kind(hypothesis.effect) + hypothesis.handicap
     price += price_of_repetition(hypothesis.again) if hypothesis.effect.jumps else 0.0
     price += 0.0 if hypothesis.effect.nameless else price_of_numbers(found.idle)
     p = tail(found.gain, found.df + hidden, grid)
@@ -269,7 +269,7 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> ContestScore:
     own = whose(added, model) if hypothesis.loud is None else hypothesis.loud
     believed = gain > 0.0 and stands_out(added, model) and drift_beside_lines(added, model) and own
     p = one_sided_tail(gain, df, grid) if believed else 1.0
-    price += price_of_search(grid, gain) + price_of_kind(effect.id) + hypothesis.handicap
+    price += price_of_search(grid, gain) + price_of_kind(effect) + hypothesis.handicap
     return ContestScore(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.base import DRIFTS
+from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
-from mavcal.calib.gap.effects.shape_ids import family_of, is_part, is_shape
-from mavcal.calib.gap.effects.temperature import THERMAL
+from mavcal.calib.gap.effects.shape_ids import family_of, is_part
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.normal_equations import eigh
 
 Array = NDArray[np.float64]
@@ -199,14 +199,14 @@ def price_of_repetition(again: int) -> float:
     return _ONE_MORE if again else 0.0
 
 
-def price_of_kind(effect_id: str) -> float:
+def price_of_kind(effect: CatalogueEffect) -> float:
     """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything. What
     seems to go with temperature is often there at every temperature that was seen.
     """
-    if is_shape(effect_id):
-        return _SHAPES[family_of(effect_id)] + _ONE_OF_MANY * is_part(effect_id)
-    if effect_id == REFERENCE:
+    if effect.nameless:
+        return _SHAPES[family_of(effect.id)] + _ONE_OF_MANY * is_part(effect.id)
+    if effect.id == REFERENCE:
         return _DOUBT
-    if effect_id.endswith(THERMAL):
+    if Trait.THERMAL in effect.traits:
         return _BY_WARMTH
-    return _LAST if effect_id.endswith(DRIFTS) else 0.0
+    return _LAST if effect.drifts else 0.0

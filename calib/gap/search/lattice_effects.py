@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, LatticeEffect, LatticeEvidence
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import GapProblem, Trace
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.search.nominal_check import nominal_has_samples
@@ -38,7 +39,7 @@ def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Latti
             found.append(_from_lattice(effect, trace.instances, evidence))
             if evidence.masked.any():
                 masks[i] = evidence if i not in masks else _both(masks[i], evidence)
-            if effect.id.endswith("_quantisation"):
+            if Trait.COARSE in effect.traits:
                 variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
     return Lattice(tuple(found), masks, variance)
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
+from mavcal.calib.gap.effects.base import NoiseEffect
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Hypothesis, Key
 from mavcal.calib.gap.problem import Floor, GapProblem
 from mavcal.calib.recording import Sensor
 
-_LEVELS = ("_bias", "_hard_iron", "_motor_current", "_vibration_rectification", "_thermal_lag")
-"""Ends of the ids of what shifts the level of a reading, as temperature does, and what happens once."""
 SMALL = 0.03
 """Evidence a number below which two flights differ anyway: a re-estimated ideal sensor is not surer of itself."""
 
@@ -32,7 +31,7 @@ class Thresholds:
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
             return self.floor.noise.get(effect.sensor, 0.0)
-        if _shifts(effect):
+        if Trait.LEVEL in effect.traits:
             return self.floor.level.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
         return self.floor.joins.get(effect.sensor, 0.0)
 
@@ -41,7 +40,7 @@ class Thresholds:
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
             return self.floor.loud.get(effect.sensor, 0.0)
-        if _shifts(effect):
+        if Trait.LEVEL in effect.traits:
             return min(self.floor.level.get(effect.sensor, 0.0), self.floor.joins.get(effect.sensor, 0.0))
         return self.floor.lasting.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
 
@@ -53,7 +52,3 @@ class Thresholds:
 def accepted_difference(problem: GapProblem, each: float) -> dict[Sensor, float]:
     """Twice the log-likelihood by sensor that two recordings differ by anyway, `each` for a number."""
     return {s: each * sum(3 * len(t.t) for t in problem.traces if t.sensor is s) for s in Sensor}
-
-
-def _shifts(effect: CatalogueEffect) -> bool:
-    return effect.jumps or effect.id.endswith(_LEVELS) or "_temp_" in effect.id

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.affine import rotation_columns
 from mavcal.calib.gap.effects.base import MeanEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
@@ -90,7 +91,7 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
         return None
     process, worth = _instead(chosen)
     gain, size, time = process.gain, process.size_deg, process.time_s
-    price = 2.0 * math.log(len(_SIZES_DEG) * len(_TIMES_S)) + price_of_kind(REFERENCE) + ONE_MORE
+    price = 2.0 * math.log(len(_SIZES_DEG) * len(_TIMES_S)) + price_of_kind(by_id()[REFERENCE]) + ONE_MORE
     if worth < price + _MARGIN - _SLACK:
         return None
     least = max((contest.floors.lasting(v.sensor) for v in setting.views if sees(v)), default=0.0)

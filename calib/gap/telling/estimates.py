@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import EffectParameter
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.joint import NoiseTerm, Term
 from mavcal.calib.gap.model.noise_fit import NoiseEstimate
 from mavcal.calib.gap.schema import ParameterEstimate
-from mavcal.calib.gap.search.added_noise import LINES, line_amplitudes
+from mavcal.calib.gap.search.added_noise import line_amplitudes
 from mavcal.calib.gap.search.selection import ChosenModel
 from mavcal.calib.gap.unknown.transitions import levels_apart, moment_of
 from mavcal.calib.gap.worth.attitude_error import variance_of_tilt
@@ -37,7 +38,7 @@ def estimates_of(chosen: ChosenModel, term: Term | NoiseTerm, widening: float = 
     """
     if isinstance(term, NoiseTerm):
         found = chosen.noise.estimates[term.hypothesis.key]
-        if term.hypothesis.effect.id.endswith(LINES):
+        if Trait.LINE in term.hypothesis.effect.traits:
             values, se = line_amplitudes(term, chosen.model)
             found = NoiseEstimate(values[None], se[None])
         return _of_noise(term, found)

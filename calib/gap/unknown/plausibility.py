@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcal.calib.gap.effects.shape_ids import is_shape
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, predicted
 from mavcal.calib.gap.problem import GapProblem
@@ -21,8 +22,6 @@ _BELIEVED = 0.01
 """Probability below which no effect is named where something without a name is the likelier."""
 _FOLLOWS = 0.3
 """Part of the reference's movement that any sensor shows that is one of it."""
-_SIZES = ("accel_scale", "gyro_scale", "_soft_iron", "_earth_field")
-"""Ends of the ids of what makes a reference's movement smaller."""
 _LIVE = "a live sensor, and a reference of the same movement"
 
 
@@ -33,7 +32,7 @@ def not_following(model: Model) -> frozenset[Sensor]:
     """
     found = set()
     for view in model.setting.views:
-        terms = [t for t in model.terms if t.hypothesis.touches(view) and t.effect.id.endswith(_SIZES)]
+        terms = [t for t in model.terms if t.hypothesis.touches(view) and Trait.SIZE in t.effect.traits]
         if not terms or view.first or not view.reference_error or min(view.weights.values()) <= 0.0:
             continue
         ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])

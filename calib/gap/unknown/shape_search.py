@@ -151,7 +151,7 @@ def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Beside)
         whole = _score(shape.whole, gram, right, energy)
         found.append(whole)
         for hypothesis, rows in shape.parts:
-            if whole.gain > price_of_kind(hypothesis.effect.id):  # no part gains more than the whole
+            if whole.gain > price_of_kind(hypothesis.effect):  # no part gains more than the whole
                 found.append(_score(hypothesis, gram[rows[:, None], rows], right[rows], energy[rows]))
     return found
 

@@ -85,7 +85,7 @@ def _swarms(model: Model) -> list[UnnamedCause]:
 def _beats(model: Model) -> list[UnnamedCause]:
     """Waves of one sensor so near each other that they are one, which comes and goes."""
     found = []
-    waves = sorted((t for t in model.terms if t.effect.id.endswith("_tone")), key=lambda t: t.theta)
+    waves = sorted((t for t in model.terms if t.effect.tonal), key=lambda t: t.theta)
     for sensor in dict.fromkeys(t.effect.sensor for t in waves):
         own = [t for t in waves if t.effect.sensor is sensor]
         edges = [0, *(k for k, pair in enumerate(itertools.pairwise(own), 1) if not _one_wave(model, *pair)), len(own)]

@@ -310,7 +310,7 @@ def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known:
     coarse = contest.scores([rival for rival in rivals if not isinstance(rival.effect, NoiseEffect)], beside)
     scores += contest.assured(coarse, beside, own_delta - _FAR)
     for score in scores:
-        near = own_delta - score.delta < _FAR + price_of_kind(score.hypothesis.effect.id)
+        near = own_delta - score.delta < _FAR + price_of_kind(score.hypothesis.effect)
         kappa = _imitated(contest, beside, own_columns, term, score, energy=energy, own_gain=own_gain) if near else 0.0
         found.append(Alternative(score, kappa))
     return Place(tuple(found), own_delta)
@@ -371,7 +371,7 @@ def _judged(own: Hypothesis, place: Place, freedom: int, second: float) -> tuple
             same.append(weight)  # the same name in another form
         else:
             (unknown if is_unknown else weights).append(weight)
-        near = max(_NEAR, min((1.0 - _SAME) * place.own, _FAR)) + price_of_kind(other.score.hypothesis.effect.id)
+        near = max(_NEAR, min((1.0 - _SAME) * place.own, _FAR)) + price_of_kind(other.score.hypothesis.effect)
         if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and delta < near:
             rivals.append(Rival(other.score.hypothesis.effect.id, other.kappa, delta, own.effect.fix))
     best: dict[str, Rival] = {}

@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.search.evidence import (
     evidence,
     price_of_fixed,
@@ -16,6 +18,7 @@ from mavcal.calib.gap.search.evidence import (
     price_of_search,
     weighed,
 )
+from mavcal.calib.recording import Sensor
 
 ONE = np.zeros(3, np.intp)
 
@@ -114,19 +117,27 @@ def test_an_axis_on_which_noise_is_excluded_costs_more_than_one_that_says_nothin
     assert excluded > silent + 1.0
 
 
+def shape(name: str) -> CatalogueEffect:
+    return CatalogueEffect(name, Sensor.GYRO, (), "", "")
+
+
 def test_what_fits_anything_is_believed_after_a_named_cause():
-    named = price_of_kind("accel_bias")
-    assert named == price_of_kind("accel_noise") == 0.0
-    assert 0.0 < price_of_kind("reference_attitude") < price_of_kind("gyro_random_walk")
-    warm = {price_of_kind(f"gyro_{kind}") for kind in ("temp_linear", "temp_poly", "temp_scale", "thermal_lag")}
+    named = price_of_kind(by_id()["accel_bias"])
+    assert named == price_of_kind(by_id()["accel_noise"]) == 0.0
+    assert 0.0 < price_of_kind(by_id()["reference_attitude"]) < price_of_kind(by_id()["gyro_random_walk"])
+    warm = {
+        price_of_kind(by_id()[f"gyro_{kind}"]) for kind in ("temp_linear", "temp_poly", "temp_scale", "thermal_lag")
+    }
     assert len(warm) == 1, "kinds of one cause are compared on equal terms"
-    assert 0.0 < warm.pop() < price_of_kind("reference_attitude")
-    driver, line, time = (price_of_kind(f"unknown:{family}:anything") for family in ("driven", "line", "time"))
-    assert 0.0 < driver < line == price_of_kind("gyro_flicker") < time
+    assert 0.0 < warm.pop() < price_of_kind(by_id()["reference_attitude"])
+    driver, line, time = (price_of_kind(shape(f"unknown:{family}:anything")) for family in ("driven", "line", "time"))
+    assert 0.0 < driver < line == price_of_kind(by_id()["gyro_flicker"]) < time
 
 
 def test_one_signal_of_many_that_were_looked_through_costs_more_than_all_of_them():
-    assert price_of_kind("unknown:one product:a_x times a_y on gyro.z") > price_of_kind("unknown:product:a on gyro")
+    assert price_of_kind(shape("unknown:one product:a_x times a_y on gyro.z")) > price_of_kind(
+        shape("unknown:product:a on gyro")
+    )
 
 
 def test_a_direction_that_is_hardly_below_nothing_by_rounding_is_none_of_those_told():
@@ -163,4 +174,4 @@ def test_noise_on_one_axis_costs_less_than_as_much_on_three():
 
 def test_the_second_event_of_a_sensor_costs_more_than_the_first():
     assert price_of_repetition(0) == 0.0
-    assert 0.0 < price_of_repetition(1) == price_of_repetition(2) < price_of_kind("gyro_random_walk")
+    assert 0.0 < price_of_repetition(1) == price_of_repetition(2) < price_of_kind(by_id()["gyro_random_walk"])

@@ -1,0 +1,20 @@
+"""What kind of thing an effect is: prices, the search and the report go by it, and never by parts of an id."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Trait(Enum):
+    """A property of an effect that is the same on every sensor."""
+
+    BROADBAND = "noise of no single frequency, whose power is that of the whole recording or follows the rotors"
+    WANDERING = "noise that wanders: it can stand for any slow change of the mean"
+    LINE = "a line in the spectrum that the motors make"
+    TONAL = "a wave of one frequency, which is its shape"
+    JUMPING = "an event: an offset that comes at a moment, which is its shape"
+    LEVEL = "it shifts the level of a reading, as temperature does, and what happens once"
+    THERMAL = "it goes with the temperature"
+    STEADY = "another recording of the same vehicle shows it alike: not temperature, current or an event"
+    SIZE = "it makes the reference's movement larger or smaller"
+    COARSE = "it rounds the samples to levels"

@@ -1,0 +1,56 @@
+"""Kinds of effects are told by their traits, and nowhere by parts of their ids."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.effects.base import NoiseEffect
+from mavcal.calib.gap.effects.traits import Trait
+
+GAP = Path(__file__).parents[4] / "calib" / "gap"
+
+
+def test_an_effect_has_the_same_traits_on_every_sensor() -> None:
+    traits = defaultdict(set)
+    for effect in catalogue():
+        traits[effect.id.removeprefix(f"{effect.sensor}_")].add(effect.traits)
+    assert {kind: found for kind, found in traits.items() if len(found) > 1} == {}
+
+
+@pytest.mark.parametrize(
+    ("trait", "implied"), [(Trait.JUMPING, Trait.LEVEL), (Trait.THERMAL, Trait.LEVEL), (Trait.SIZE, Trait.STEADY)]
+)
+def test_one_trait_implies_another(trait: Trait, implied: Trait) -> None:
+    having = [effect for effect in catalogue() if trait in effect.traits]
+    assert having
+    assert [effect.id for effect in having if implied not in effect.traits] == []
+
+
+@pytest.mark.parametrize("trait", [Trait.WANDERING, Trait.BROADBAND])
+def test_only_noise_wanders_or_is_broadband(trait: Trait) -> None:
+    having = [effect for effect in catalogue() if trait in effect.traits]
+    assert having
+    assert all(isinstance(effect, NoiseEffect) for effect in having)
+
+
+def test_what_happens_once_can_happen_again_and_has_its_moment_as_shape() -> None:
+    for effect in catalogue():
+        if effect.jumps:
+            assert effect.repeatable
+            assert effect.shape is not None
+            assert effect.shape.parameter.name == "time_s"
+
+
+def test_no_module_of_the_diagnosis_goes_by_parts_of_an_effects_id() -> None:
+    parts = re.compile(r"effect(?:_id|\.id)\.(?:endswith|startswith|partition|split)")
+    found = {
+        str(path.relative_to(GAP))
+        for path in GAP.rglob("*.py")
+        if parts.search(path.read_text(encoding="utf-8")) and path.name != "shape_ids.py"
+    }
+    assert found == set()
