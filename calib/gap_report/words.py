@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.schema import (
     REFERENCE_NEED,
@@ -15,38 +16,6 @@ from mavcal.calib.gap.schema import (
     Shrink,
 )
 
-_KINDS = {
-    "bias": "a constant offset",
-    "scale": "a wrong scale",
-    "misalignment": "axes that are not at right angles",
-    "rotation": "a sensor mounted at an angle",
-    "temp_linear": "an offset that follows the temperature",
-    "temp_poly": "an offset that follows the temperature along a curve",
-    "temp_scale": "a scale that follows the temperature",
-    "thermal_lag": "an offset that follows the temperature late",
-    "g_sensitivity": "a rate that follows the specific force",
-    "lever_arm": "a sensor away from the reference point",
-    "vibration": "vibration of the motors",
-    "vibration_rectification": "an offset caused by vibration",
-    "aliasing": "vibration beyond half the sampling rate, folded back",
-    "noise": "more white noise",
-    "random_walk": "an offset that wanders",
-    "flicker": "1/f noise",
-    "rotor_noise": "noise that follows the rotors",
-    "quantisation": "coarser steps",
-    "saturation": "a range that is too small",
-    "dead_band": "small values read as zero",
-    "step": "an offset that comes or goes at a moment",
-    "delay": "readings that are late",
-    "low_pass": "a slower filter",
-    "hold": "repeated samples",
-    "tone": "a steady tone",
-    "hard_iron": "magnetised iron on the vehicle",
-    "soft_iron": "iron that bends the field",
-    "motor_current": "the magnetic field of the motors' current",
-    "earth_field": "another field of the Earth than assumed",
-    "field_gradient": "a field that changes with the place",
-}
 _ENDLESS = 1e300
 _SENSORS = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
 _VERDICTS = {
@@ -107,12 +76,10 @@ def not_compared(report: GapReport) -> str:
 
 def effect_phrase(effect: EffectEstimate) -> str:
     """``a constant offset of accelerometer 1 (accel_bias)``."""
-    kind = effect.id.removeprefix(f"{effect.sensor.value}_")
-    if effect.id == "reference_attitude":
-        return "an error of the reference's attitude (reference_attitude)"
-    if effect.id == "clock_drift":
-        return "clocks that run at different speeds (clock_drift)"
-    return f"{_KINDS.get(kind, kind.replace('_', ' '))}, {sensor_name(effect)} ({effect.id})"
+    known = by_id().get(effect.id)
+    if known is None:  # of a report that another version wrote
+        return f"{effect.id.replace('_', ' ')}, {sensor_name(effect)} ({effect.id})"
+    return f"{known.plain}{'' if known.shared else f', {sensor_name(effect)}'} ({effect.id})"
 
 
 def held_out(effect: EffectEstimate) -> str:

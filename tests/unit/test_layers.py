@@ -45,6 +45,7 @@ LAYERS = (
 ROOMS = set().union(*LAYERS)
 
 GAP_LAYERS = (
+    {"remembered"},
     {"schema", "likelihood"},
     {"problem", "progress", "export"},
     {"reference"},

@@ -65,9 +65,17 @@ def _bias(sensor: Sensor) -> CatalogueEffect:
         f"{TUMBLE}; throttle 0-hover-0 twice at one attitude",
         columns=axiswise(constant),
         signals=constant,
+        plain="a constant offset",
         rivals=rivals[sensor],
         traits=frozenset({Trait.STEADY, Trait.LEVEL}),
     )
+
+
+_PLAIN = {
+    "scale": "a wrong scale",
+    "misalignment": "axes that are not at right angles",
+    "rotation": "a sensor mounted at an angle",
+}
 
 
 def _matrix_part(
@@ -89,6 +97,7 @@ def _matrix_part(
         columns=columns,
         rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
         exact=exact,
+        plain=_PLAIN[kind],
         traits=frozenset({Trait.STEADY, Trait.SIZE} if kind == "scale" else {Trait.STEADY}),
     )
 

@@ -85,6 +85,8 @@ class CatalogueEffect:
         It can happen more than once in a recording (a magnet put on and taken off, two tones).
     form
         Tells apart two descriptions of one effect that compete under the same id; empty for the only one.
+    plain
+        What it is in plain words, for who does not know the id.
     traits
         What kind of thing it is, for all that treats kinds alike.
     hidden
@@ -103,6 +105,7 @@ class CatalogueEffect:
     repeatable: bool = False
     hidden: int = 0
     form: str = ""
+    plain: str = ""
     traits: frozenset[Trait] = frozenset()
 
     @property

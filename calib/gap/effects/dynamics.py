@@ -64,6 +64,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         _force_moves,
         columns=_g_columns,
         signals=g_sensitivity_signals,
+        plain="a rate that follows the specific force",
         rivals=("gyro_bias", "gyro_vibration_rectification"),
     ),
     MeanEffect(
@@ -74,6 +75,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         "fast turns about two axes at different rates; a yaw jerk",
         _turns_fast,
         columns=lever_columns,
+        plain="a sensor away from the reference point",
         rivals=("accel_delay", "accel_low_pass"),
         traits=frozenset({Trait.STEADY}),
     ),

@@ -103,6 +103,7 @@ def _of(
         shape=EffectShape(EffectParameter("time_s", "s"), moments, screen, still=still),
         columns=axiswise(signal),
         signals=signal,
+        plain="an offset that comes or goes at a moment",
         rivals=(f"{sensor}_random_walk", f"{sensor}_temp_linear"),
         repeatable=True,
         form=form,

@@ -249,6 +249,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "any recording",
             "raw samples in the log",
             detect=quantisation,
+            plain="coarser steps",
             rivals=(f"{sensor}_noise",),
             traits=frozenset({Trait.COARSE}),
         ),
@@ -259,6 +260,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "readings up to the end of the range",
             "a larger range; less violent movement",
             detect=saturation,
+            plain="a range that is too small",
             rivals=(f"{sensor}_hold",),
         ),
         LatticeEffect(
@@ -268,6 +270,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "readings about zero",
             "raw samples in the log; slow movement through zero",
             detect=dead_band,
+            plain="small values read as zero",
             rivals=(f"{sensor}_quantisation",),
         ),
         LatticeEffect(
@@ -277,6 +280,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "movement, or noise above the levels",
             "log every sample once, with its own time stamp",
             detect=hold,
+            plain="repeated samples",
             rivals=(f"{sensor}_delay", f"{sensor}_saturation"),
         ),
     )

@@ -115,6 +115,7 @@ _KINDS = (
         "readings up to the end of the range",
         "a larger range; less violent movement",
         _reaches_far,
+        "a range that is too small",
     ),
     (
         "dead_band",
@@ -124,6 +125,7 @@ _KINDS = (
         "readings about zero",
         "slow movement through zero",
         _crosses_zero,
+        "small values read as zero",
     ),
 )
 
@@ -140,9 +142,10 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             EffectShape(replace(parameter, unit=UNIT[sensor]), grid),
             columns=column,
             fixed=True,
+            plain=plain,
             rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
         )
-        for name, parameter, grid, column, excites, manoeuvre, missing in _KINDS
+        for name, parameter, grid, column, excites, manoeuvre, missing, plain in _KINDS
     )
 
 

@@ -39,6 +39,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         "a better reference; two instances of a sensor, whose difference is free of it",
         rivals=("accel_rotation", "mag_rotation", "accel_random_walk", "mag_random_walk", "accel_bias"),
         shared=True,
+        plain="an error of the reference's attitude",
         traits=frozenset({Trait.STEADY}),
         columns=direction_columns,
         exact=direction_turned,

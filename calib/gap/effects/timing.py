@@ -202,6 +202,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             EffectShape(EffectParameter("delay_s", "s"), delays),
             columns=delay_column,
             fixed=True,
+            plain="readings that are late",
             rivals=(f"{sensor}_low_pass", "clock_drift"),
             traits=frozenset({Trait.STEADY}),
         ),
@@ -216,6 +217,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             columns=low_pass_column,
             fixed=True,
             noise_gain=low_pass_gain,
+            plain="a slower filter",
             rivals=(f"{sensor}_delay", f"{sensor}_noise"),
             traits=frozenset({Trait.STEADY}),
         ),
@@ -233,6 +235,7 @@ CLOCK_DRIFT = MeanEffect(
     shared=True,
     columns=drift_column,
     fixed=True,
+    plain="clocks that run at different speeds",
     rivals=tuple(f"{sensor}_delay" for sensor in TRIADS),
     traits=frozenset({Trait.STEADY}),
 )

@@ -65,6 +65,7 @@ def _of(sensor: Sensor) -> CatalogueEffect:
         signals=wave,
         repeatable=True,
         traits=frozenset({Trait.TONAL}),
+        plain="a steady tone",
         rivals=(f"{sensor}_vibration", f"{sensor}_aliasing") if sensor != Sensor.MAG else ("mag_step",),
     )
 

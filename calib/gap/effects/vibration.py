@@ -218,6 +218,12 @@ def _followed(grid: Callable[[Trace], Array]) -> Missing:
     return missing
 
 
+_PLAIN = {
+    "vibration": "vibration of the motors",
+    "aliasing": "vibration beyond half the sampling rate, folded back",
+}
+
+
 def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> CatalogueEffect:
     unit = UNIT[sensor]
     return MeanEffect(
@@ -233,6 +239,7 @@ def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> Catalogu
         rivals=(f"{sensor}_tone", f"{sensor}_rotor_noise"),
         repeatable=True,
         form="~wave",
+        plain=_PLAIN[kind],
         traits=frozenset({Trait.LINE}),
     )
 
@@ -288,6 +295,7 @@ def _line(
         density=line,
         variance=while_running,
         rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
+        plain=_PLAIN[kind],
         traits=frozenset({Trait.LINE}),
     )
 
@@ -302,6 +310,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
         _drive_varies,
         density=white,
         variance=with_speed,
+        plain="noise that follows the rotors",
         rivals=(f"{sensor}_noise", *((f"{sensor}_vibration",) if sensor in INERTIAL else ())),
         traits=frozenset({Trait.BROADBAND}),
     )
@@ -322,6 +331,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             _drive_varies,
             columns=axiswise(rectified),
             signals=rectified,
+            plain="an offset caused by vibration",
             rivals=(f"{sensor}_bias", f"{sensor}_step"),
             traits=frozenset({Trait.LEVEL}),
         ),

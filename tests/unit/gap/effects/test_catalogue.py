@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bench import effects
 from mavcal.calib.gap.effects import by_id, catalogue, forward_models, parameter_table
 from mavcal.calib.gap.effects.base import LatticeEffect, MeanEffect, NoiseEffect
 from mavcal.calib.recording import Sensor
 
 from .conftest import make
 
-PAGE = Path(__file__).parents[4] / "docs" / "gap-effects.md"
 BOTH = """
     rotation temp_linear temp_poly temp_scale thermal_lag noise random_walk flicker rotor_noise quantisation saturation
     dead_band step delay low_pass hold tone
@@ -64,6 +63,7 @@ def test_rivals_exist_and_every_effect_says_what_excites_it_and_what_helps():
         assert effect.rivals, effect.id
         assert effect.excited_by, effect.id
         assert effect.fix, effect.id
+        assert effect.plain, effect.id
 
 
 @pytest.mark.parametrize("effect", catalogue(), ids=lambda effect: effect.id)
@@ -120,7 +120,7 @@ def _check(effect, trace):
 def test_the_table_of_parameters_names_each_one_once_with_its_unit():
     for effect in catalogue():
         rows = parameter_table()[effect.id]
-        own = _own(effect)
+        own = effects.estimated(effect)
         assert set(own) <= set(rows)
         if effect.id not in LIMITS | LINES | LATE:
             assert list(rows) == own
@@ -140,33 +140,6 @@ def test_no_trace_changes():
         np.testing.assert_array_equal(getattr(trace, name), value)
 
 
-def _own(effect):
-    return [*effect.parameters, *([effect.shape.parameter] if effect.shape is not None else [])]
-
-
-def _name(effect):
-    forms = {
-        "~wave": "as a wave",
-        "~late": "with a lag",
-        "~slow": "that takes its time",
-        "~throttle": "by the throttle",
-    }
-    if effect.form:
-        return f"`{effect.id}` {forms[effect.form]}"
-    return f"`{effect.id}`" + (" before the noise" if effect.id in LIMITS and isinstance(effect, MeanEffect) else "")
-
-
-def _row(effect):
-    """Its line on the page."""
-    stems: dict[tuple[str, str], list[str]] = {}
-    for parameter in _own(effect):
-        stem, _, suffix = parameter.name.partition(".")
-        stems.setdefault((stem, parameter.unit), []).append(suffix)
-    cells = [f"`{stem}{'.{' + ','.join(s) + '}' if s != [''] else ''}` {unit}" for (stem, unit), s in stems.items()]
-    return f"| {_name(effect)} | {', '.join(cells)} | {effect.excited_by} | {', '.join(effect.rivals)} | {effect.fix} |"
-
-
 def test_the_page_lists_the_catalogue_as_it_is():
-    section = PAGE.read_text(encoding="utf-8").split("## The catalogue\n")[1].split("\n## ")[0]
-    rows = [line for line in section.splitlines() if line.startswith("| `")]
-    assert rows == [_row(effect) for effect in catalogue()]
+    page = effects.PAGE.read_text(encoding="utf-8")
+    assert effects.with_table(page) == page, "scripts/effects writes it"
