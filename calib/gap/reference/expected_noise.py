@@ -1,8 +1,8 @@
 """Noise that a recording is expected to have because it has more motor power or moves more than the nominal ones.
 
 Motors: ArduPilot's SITL shakes the vehicle by a random force in proportion to the throttle (``Aircraft::add_noise``).
-Its inertial units sample that at their own moments, so the power of their difference goes with the square of the
-throttle, and is zero on the ground. Another flight with more throttle has more of it, and that is no gap.
+Its inertial units sample that at their own moments. The power of their difference goes with the square of the throttle,
+and is zero on the ground. Another flight with more throttle has more of it, and that is no gap.
 
 Movement: a pose errs by a share of the movement. Stamps that jitter, markers that give way on the vehicle and a body
 that bends leave a residual in proportion to how much moves at a frequency, with no fixed phase: 2 ms of jitter are 6 %
