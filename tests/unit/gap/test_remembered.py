@@ -237,8 +237,8 @@ CONSTANT = {
     "gap.effects.by_id",
     "gap.effects.forward_models",
     "gap.effects.parameter_table",
-    "gap.inputs.diagnoser_sha256",
-    "gap.hypotheses._places",
+    "gap.telling.inputs.diagnoser_sha256",
+    "gap.model.hypotheses._places",
     "gap.likelihood.fast_length",
     "gap.likelihood.bins_of",
 }
