@@ -7,12 +7,12 @@ import re
 import numpy as np
 import pytest
 
+from bench.effects import PAGE
 from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.base import MeanEffect
 from mavcal.calib.recording import Sensor
 
 from .conftest import make
-from .test_catalogue import PAGE
 
 THETA = {
     "t_ref": 25.0,
