@@ -30,7 +30,7 @@ LINES = {f"{sensor}_{kind}" for sensor in ("accel", "gyro") for kind in ("vibrat
 def test_every_kind_of_the_schema_is_there_and_nothing_else():
     expected = {f"{sensor}_{kind}" for sensor in ("accel", "gyro") for kind in INERTIAL.split()}
     expected |= {f"mag_{kind}" for kind in MAGNETIC.split()}
-    expected |= {"accel_lever_arm", "gyro_g_sensitivity", "clock_drift", "reference_attitude"}
+    expected |= {"accel_lever_arm", "accel_nonlinearity", "gyro_g_sensitivity", "clock_drift", "reference_attitude"}
     assert set(by_id()) == expected
     assert Counter(e.id for e in catalogue()) == {
         name: 1 + (name in LIMITS | LINES | SLOW) + 2 * (name in LATE) for name in expected
