@@ -37,13 +37,13 @@ anything that is to be shown is not. `scripts/campaign faults --seed S --run N` 
 
 Every run is judged by the simulator alone, never by the service's word:
 
-* **verified**: the job succeeded, every parameter of the plan is stored with its new value, nothing else changed, and
-  the true residual error of every calibrated sensor, under the values that are in force, is within 4.5 times the
-  standard deviation that was asked for.
+* **verified**: the job succeeded, every parameter of the plan is stored with its new value, and nothing else changed.
+  Under the values in force, the true residual error of every calibrated sensor is within 4.5 times the standard
+  deviation that was asked for.
 * **as before**: every parameter is stored as it was before the accept. What a third party wrote stays, and is named by
   the job where it lies on a parameter of the plan.
-* **in doubt, list true**: every value that the job calls certain is stored, every other one is the old, the new or the
-  one heard, nothing outside the list changed, and the vehicle takes no new job. Where an operator then disarms the
+* **in doubt, list true**: every value that the job calls certain is stored. Every other one is the old, the new or the
+  one heard. Nothing outside the list changed, and the vehicle takes no new job. Where an operator then disarms the
   vehicle or mends the link, the job has to come out of its doubt by itself.
 * **FAILURE**: anything else, jobs that never end and PARAM_SETs to an armed vehicle among them.
 
@@ -51,13 +51,13 @@ Gyro offsets that the vehicle rewrites by itself (`INS_GYR_CAL`, `IMU_GYRO_CAL_E
 job has not written them.
 
 A fault on the wire counts as a strike if it was switched on with a PARAM_SET, or later, and hit at least one frame. The
-vehicle's clock runs 20 times faster than the wall's; 5 times where a bad wire costs wall time, because a frame that is
-held back by 20 times as much looks like a restarted clock, and a gyro may drift between the two windows of a check.
+vehicle's clock runs 20 times faster than the wall's, but 5 times faster where a bad wire costs wall time. At 20 times, a
+frame that is held back looks like a restarted clock, and a gyro may drift between the two windows of a check.
 "Accepted but not applied" is measured against the standard deviation of the stream check.
 
 In the SIGKILL runs the service is `mavcal serve` in a process of its own. It gets SIGKILL from outside when its
-journal, read through a connection that cannot write, reaches a chosen step, and is started again on the same data
-directory; the step that counts is the last one that lay in the journal when the process was dead.
+journal reaches a chosen step, and is started again on the same data directory. The journal is read through a connection
+that cannot write; the step that counts is the last one that lay in the journal when the process was dead.
 
 ## What was measured (seed {seed})
 

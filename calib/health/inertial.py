@@ -27,7 +27,7 @@ _LAID: Final = dataclasses.replace(RESTING, rate=3.0, accel_drift=0.04, gyro_dri
 """Motionless, whatever the gyroscope's offset is: a sensor 100 deg/s off must not hide that nothing moved."""
 _ENOUGH_HZ: Final = 100.0
 _MOSTLY: Final = 0.5
-"""Of the samples: a vehicle motionless for so much of a log lay on the ground, and an attitude is not needed."""
+"""Share of the samples: a vehicle motionless for so much of a log lay on the ground and needs no attitude."""
 _SPAN_S: Final = 5.0
 """Shortest span whose mean is compared."""
 _DRIFT_S: Final = 60.0

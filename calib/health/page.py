@@ -16,7 +16,7 @@ from mavcal.calib.health.report import HealthReport
 from mavcal.calib.recording import Recording
 
 _COLOURS = ("#c4483d", "#2f9455", "#3d7cc9")
-"""Of x, y and z, on white and on black."""
+"""Colours of x, y and z, on white and on black."""
 _WORDS = {HealthVerdict.CANNOT_SAY: "cannot say"}
 
 

@@ -29,7 +29,7 @@ class HealthReport:
 
     @property
     def verdict(self) -> HealthVerdict:
-        """Of the worst sensor."""
+        """That of the worst sensor."""
         return worst(s.verdict for s in self.sensors)
 
     @property

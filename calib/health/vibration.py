@@ -25,7 +25,7 @@ _LEAST: Final = 5
 _BLOW_S: Final = 5.0
 """Clips that lie within so many seconds, in a flight that is longer, are a blow."""
 _NEAR: Final = 0.9
-"""Of half the sampling rate: a line beyond it may be a faster one, folded back."""
+"""Share of half the sampling rate: a line beyond it may be a faster one, folded back."""
 _WIDE_HZ: Final = 200.0
 """Half a sampling rate beyond which the rotors of most vehicles do not turn, blades included."""
 _DAMP: Final = "Damp the mount, and balance the propellers."

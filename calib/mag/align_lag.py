@@ -66,7 +66,7 @@ def turning_of(at: Array, stream: TurningVertical, force: Array) -> Array | None
 def _difference(at: Array, down: Array, reach: int) -> tuple[Array, float]:
     """Central difference over `reach` samples to either side, zero at the ends, and the noise in its mean square.
 
-    The noise of the vertical shows in its third differences, of which a smooth turn leaves little.
+    The noise of the vertical shows in its third differences; a smooth turn adds little to them.
     """
     rate = np.zeros_like(down)
     span = at[2 * reach :] - at[: -2 * reach]

@@ -176,7 +176,7 @@ def _timing(
     prior_sd: float | None,
     worth: Array | None,
 ) -> _Timing:
-    """What is known of the blur, improved by one step from those of `before`, of which `shape` is the fit."""
+    """What is known of the blur, improved by one step from `before`; `shape` is the fit of `before`."""
     model = correction(shape.ellipsoid, None)
 
     samples = deblurred(kept, _adjusted(slow, before.state), model)

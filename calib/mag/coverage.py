@@ -58,7 +58,7 @@ class Coverage:
 
     @classmethod
     def of(cls, directions: ArrayLike) -> Coverage:
-        """Of `directions` (N, 3): corrected samples, of any length but 0."""
+        """Coverage of `directions` (N, 3): corrected samples, of any length but 0."""
         array = np.asarray(directions, dtype=np.float64)
         if array.ndim != 2 or array.shape[1] != 3:
             raise InvalidInputError(f"directions must have shape (N, 3), not {array.shape}")

@@ -20,14 +20,14 @@ from mavcal.calib.mag.shape_fit import Asked, shape_of
 Array = NDArray[np.float64]
 
 SOFT_IRON_SD = 0.05
-"""Of each relative term of the soft iron that a sphere leaves out: that of a clean vehicle."""
+"""Standard deviation of each relative term of the soft iron that a sphere leaves out: that of a clean vehicle."""
 _MANY = 20_000  # samples that are enough to say what soft iron would do
 _CHANGED = 2.0  # times the noise: residuals of a sphere, whose soft iron would have been found
 _FULL = 0.3  # of the directions of the field: with more it is no matter of coverage
 
 
 def sphere_instead(samples: Array, asked: Asked, error: NotConvergedError) -> ShapeFit:
-    """The sphere of `samples` (N, 3) of which the ellipsoid ended in `error`.
+    """The sphere of `samples` (N, 3), whose ellipsoid ended in `error`.
 
     Its covariance has what soft iron of 5 % would move it by. Its matrix is left open, and an offset that this leaves
     unknown along some axes.

@@ -101,7 +101,7 @@ class Moments:
 
     @classmethod
     def of(cls, cloud: Cloud) -> Moments:
-        """Of `cloud`, in its scaled coordinates: what comes out is about its centre and in units of its scale."""
+        """Moments of `cloud` in its scaled coordinates: the result is about its centre and in units of its scale."""
         gram, psi = np.zeros((10, 10)), np.empty((10, min(CHUNK, max(len(cloud), 1))))
         for start in range(0, len(cloud), CHUNK):
             rows = fill_monomials(cloud.rows(start), psi)

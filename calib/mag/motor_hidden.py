@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 BLOCK = 15.0
 """s that are hidden at a time."""
 STRETCHES = 3
-"""Parts of a flight, blocks that follow one another, each of which has to gain by the term."""
+"""Parts of a flight, blocks that follow one another; each part has to gain by the term."""
 SURE = 2.0
 """Standard deviations by which each of them has to."""
 _FEWEST_BLOCKS, _MOST_BLOCKS = 5, 10
@@ -41,7 +41,7 @@ class Hidden:
 
     @classmethod
     def of(cls, lengths: Array, block: NDArray[np.intp]) -> Hidden:
-        """Of all samples; a length far beyond the others counts as :data:`_CLIPPED` times their median."""
+        """From all samples; a length far beyond the others counts as :data:`_CLIPPED` times their median."""
         return cls(np.minimum(lengths, _CLIPPED * float(np.median(lengths))), block)
 
     @property

@@ -68,7 +68,7 @@ class Source:
     def stills(self, instance: int, *, held: bool) -> tuple[Still, ...]:
         """Labelled segments, else the still spans of the recording; none in a table without time.
 
-        Of a vehicle only those with the motors off: a good hover passes for still.
+        A vehicle's spans count only with the motors off: a good hover passes for still.
         """
         if self.recording.segments:
             return tuple(Still(s.start, s.end, None, None) for s in self.recording.segments)

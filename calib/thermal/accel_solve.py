@@ -154,7 +154,7 @@ def solve_poses(
 
 
 def _unlearnt(sd: Array, cross_sd: float | None) -> tuple[int, ...]:
-    """Cross terms of which the poses say less than half of what the prior does."""
+    """Cross terms on which the poses say less than half of what the prior does."""
     if cross_sd == 0.0:
         return (6, 7, 8)
     limit = _UNDETERMINED if cross_sd is None else 0.5 * cross_sd

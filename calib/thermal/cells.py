@@ -102,7 +102,7 @@ class DriftCells:
         return CellTable(rows[:, 0], rows[:, 1], rows[:, 2].astype(np.intp), rows[:, 3 : 3 + k], rows[:, 3 + k :])
 
     def bins(self) -> tuple[TemperatureBins | None, ...]:
-        """For every column how many samples of which cell lay in which bin; None where they do not count."""
+        """For every column, the number of samples of each cell in each bin; None where they do not count."""
         found: list[TemperatureBins | None] = []
         for column in range(self._k):
             self._gather(column)

@@ -35,7 +35,7 @@ _SPIKES_AMONG = 50  # rows below which an extreme is not told from a spike
 
 @dataclass(frozen=True, eq=False)
 class TemperatureBins:
-    """The bins of one axis: of which row of the data, middle and half width, and how many samples lay there."""
+    """The bins of one axis: row of the data, middle, half width, and number of samples."""
 
     rows: NDArray[np.intp]
     values: Array
@@ -333,7 +333,7 @@ class DriftCurve:
         return cls(shift @ coefficients, shift @ noise.covariances @ shift.T, drift, spread)
 
     def widened(self, change: Array) -> DriftCurve:
-        """With the covariance that a nuisance of which one sd changes the coefficients by `change` (p, 3) adds."""
+        """With the covariance of a nuisance added; one sd of it changes the coefficients by `change` (p, 3)."""
         return dataclasses.replace(self, covariances=self.covariances + np.einsum("pk,qk->kpq", change, change))
 
     def not_repeatable(self, noise: ColouredCovariance) -> NDArray[np.bool_]:
