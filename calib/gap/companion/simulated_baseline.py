@@ -89,7 +89,7 @@ def _flaws(problem: GapProblem, baseline: Baseline, livelier: Mapping[Sensor, fl
     there = baseline.changes.get(sensor, 0.0)
     if there == 0.0:
         return 0.0
-    part = max(_DIFFERENT * baseline.gains.get(sensor, 0.0), baseline.indifferent.get(sensor, 0.0))
+    part = max(_DIFFERENT * baseline.gains.get(sensor, 0.0), baseline.accepted_difference.get(sensor, 0.0))
     gain = max(1.0, livelier.get(sensor, 0.0) / there) * part
     numbers = max(3 * len(t.t) for t in problem.traces if t.sensor is sensor)
     return numbers * math.log1p(gain / numbers)
