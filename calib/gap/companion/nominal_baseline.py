@@ -9,7 +9,8 @@ from mavcal.calib.gap.companion.steady_effects import steady_effects
 from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
 from mavcal.calib.gap.problem import Floor, GapProblem, NuisanceEffect, Trace
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
-from mavcal.calib.gap.search.thresholds import SMALL, Thresholds, accepted_difference
+from mavcal.calib.gap.search import prices
+from mavcal.calib.gap.search.thresholds import Thresholds, accepted_difference
 from mavcal.calib.recording import Sensor
 
 _OF_ONE_RECORDING = ("clock_drift", "accel_bias", "gyro_bias")
@@ -19,7 +20,7 @@ on; a simulator's is always the same.
 _OPEN, _OPEN_BIAS = 1.0 / 3.0, 1.5
 """Part of a flaw by which two recordings against poses differ; of a bias all, and its estimate's own error."""
 _SMALL_LEVEL = 0.006
-"""Evidence a number, beside `SMALL`, of shifts of the level: they are a few numbers of a spectrum."""
+"""Evidence a number, beside `prices.FLIGHT_DIFFERENCE`, of level shifts: they are a few numbers of a spectrum."""
 _SMALL_JOINS = 0.003
 """The same of what is in the model, so that nothing else takes its place, and not told of."""
 _LOUD = 0.3
@@ -92,7 +93,7 @@ def beside_nominal(problem: GapProblem, flaws: NominalBaseline) -> GapProblem:
     changed, _ = with_effects(problem, flaws.effects, shared=True)
     floor = Floor(
         joins=accepted_difference(problem, _SMALL_JOINS),
-        lasting=accepted_difference(problem, SMALL),
+        lasting=accepted_difference(problem, prices.FLIGHT_DIFFERENCE),
         level=accepted_difference(problem, _SMALL_LEVEL),
         loud=accepted_difference(problem, _LOUD),
     )

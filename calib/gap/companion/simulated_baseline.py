@@ -14,7 +14,8 @@ from mavcal.calib.gap.companion.steady_effects import steady_effects
 from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
 from mavcal.calib.gap.problem import Floor, GapProblem, ReferenceInfo, Trace
 from mavcal.calib.gap.schema import EffectEstimate
-from mavcal.calib.gap.search.thresholds import SMALL, Thresholds, accepted_difference
+from mavcal.calib.gap.search import prices
+from mavcal.calib.gap.search.thresholds import Thresholds, accepted_difference
 from mavcal.calib.recording import Sensor
 
 _DIFFERENT = 0.1
@@ -44,7 +45,7 @@ def baseline_of(problem: GapProblem, alpha: float) -> Baseline:
     The noise that was learned from this flight has in it what is looked for: it is fitted again beside it.
     """
     problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
-    small = accepted_difference(problem, SMALL)
+    small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
     found = steady_effects(problem, alpha, Thresholds(Floor(small, small, small, small)))
     largest = {t.sensor: 0.0 for t in problem.traces}
     for one in found:
@@ -66,7 +67,7 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     """`problem` compared with a simulator that has what its own flight shows."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
     livelier = _changes(problem, changed)
-    small = accepted_difference(problem, SMALL)
+    small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
     floor = {s: max(small[s], _flaws(problem, baseline, livelier, s)) for s in small}
     reference = _of_both(problem.reference, baseline.reference)
     return replace(changed, floor=Floor(floor, floor, floor, floor), reference=reference)

@@ -13,17 +13,10 @@ from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model, NoiseTerm
 from mavcal.calib.gap.model.noise_fit import densities_of
 from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.search import prices
 
 Array = NDArray[np.float64]
 
-_FLIGHTS_DIFFER = 1.0
-"""Part of the learned noise that has to be added to it somewhere."""
-_OF_LINE = 0.05
-"""Part of a line's power below which noise and other lines beside it are its own unsteadiness."""
-_NEAR_HZ = 2.0
-"""Distance from a line's frequency within which its power is looked at."""
-_INVOLVED = 0.2
-"""Part of the largest excess of an instance that another one must show to be part of it."""
 """Ends of the ids of what rotors shake."""
 
 
@@ -55,7 +48,7 @@ def stands_out(added: AddedNoise, model: Model) -> bool:
         return True
     for v in touched:
         base = np.array([model.noise[3 * v + c].power for c in range(3)])
-        if float((added.power(model, v) / base).max()) > _FLIGHTS_DIFFER:
+        if float((added.power(model, v) / base).max()) > prices.FLIGHT_NOISE_RATIO:
             return True
     return False
 
@@ -64,7 +57,7 @@ def unsteady_line(term: NoiseTerm, model: Model) -> bool:
     """Whether broad noise of a model is no more than the unsteadiness of a line beside it."""
     if Trait.LINE in term.hypothesis.effect.traits:
         return False
-    return _power_of(term, term.hypothesis, model) <= _OF_LINE * line_power(term.hypothesis, model)
+    return _power_of(term, term.hypothesis, model) <= prices.LINE_UNSTEADINESS * line_power(term.hypothesis, model)
 
 
 def drift_beside_lines(added: AddedNoise, model: Model) -> bool:
@@ -72,7 +65,7 @@ def drift_beside_lines(added: AddedNoise, model: Model) -> bool:
     if not added.hypothesis.effect.drifts:
         return True
     power = sum(float(added.power(model, v).sum()) for v in _touched(added.hypothesis, model))
-    return power > _OF_LINE * line_power(added.hypothesis, model)
+    return power > prices.LINE_UNSTEADINESS * line_power(added.hypothesis, model)
 
 
 def tone_beside_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:
@@ -80,7 +73,7 @@ def tone_beside_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool
     if not hypothesis.effect.tonal:
         return True
     samples = sum(model.setting.views[v].whole.n for v in _touched(hypothesis, model) if not _upper(model, v))
-    return 0.5 * float(beta @ beta) * samples > _OF_LINE * line_power(hypothesis, model)
+    return 0.5 * float(beta @ beta) * samples > prices.LINE_UNSTEADINESS * line_power(hypothesis, model)
 
 
 def _upper(model: Model, v: int) -> bool:
@@ -113,7 +106,7 @@ def whose(added: AddedNoise, model: Model) -> bool:
     largest = max(excess.values())
     if largest <= 0.0:
         return True
-    return {i for i, e in excess.items() if e > _INVOLVED * largest} == set(added.hypothesis.instances)
+    return {i for i, e in excess.items() if e > prices.INSTANCE_SHARE * largest} == set(added.hypothesis.instances)
 
 
 def _excess(added: AddedNoise, model: Model) -> Mapping[int, float]:
@@ -156,7 +149,7 @@ def _about(added: AddedNoise, model: Model, v: int) -> Array:
 
 def _near(view: View, peak: int) -> NDArray[np.bool_]:
     """The bins beside the one of a line's largest density."""
-    return np.asarray(np.abs(view.omega - view.omega[peak]) < _NEAR_HZ * 2.0 * np.pi / view.whole.fs)
+    return np.asarray(np.abs(view.omega - view.omega[peak]) < prices.LINE_REACH_HZ * 2.0 * np.pi / view.whole.fs)
 
 
 def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:

@@ -31,6 +31,7 @@ from mavcal.calib.gap.model.noise_fit import AxisFit, axes_of, axis_fit, densiti
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import remembered
+from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.added_noise import AddedNoise, drift_beside_lines, stands_out, tone_beside_lines, whose
 from mavcal.calib.gap.search.column_cache import ColumnCache
 from mavcal.calib.gap.search.evidence import (
@@ -48,17 +49,9 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_WORTH = 8.0
-"""Gain of the best value on the grid from which on the shape is refined between its neighbours."""
-_CURVED = 300.0
-"""Gain from which on an effect that is not linear in its amplitudes is fitted as it is."""
 _STEPS = 10
 _STEPS_FIXED = 25
 """Evaluations in the search for a shape; more where all rests on it."""
-_FOLLOWS = 6.0
-"""Gain on an axis from which on it is asked whether the noise follows its envelope."""
-_SIDES = 2
-"""Price of an effect whose shape alone is estimated: it vanishes at zero, so it was searched to either side only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +96,8 @@ def refinable(score: ContestScore) -> bool:
     """Whether another fit of its shape, or without linearisation, could gain more."""
     effect = score.hypothesis.effect
     return isinstance(effect, MeanEffect) and (
-        (effect.shape is not None and score.gain > _WORTH) or (effect.exact is not None and score.gain > _CURVED)
+        (effect.shape is not None and score.gain > prices.REFINEMENT_GAIN)
+        or (effect.exact is not None and score.gain > prices.EXACT_FIT_GAIN)
     )
 
 
@@ -162,7 +156,7 @@ class Contest:
         assert isinstance(effect, MeanEffect)
         if effect.shape is None:
             found = beside.gain(self.columns(hypothesis, math.nan, beside.model))
-            if refine and effect.exact is not None and found.gain > _CURVED:
+            if refine and effect.exact is not None and found.gain > prices.EXACT_FIT_GAIN:
                 gain, beta = exactly(hypothesis, found.beta, beside)
                 found = replace(found, gain=gain, beta=beta, evidence=gain - found.price)
             return priced(hypothesis, math.nan, found, 1)
@@ -180,7 +174,7 @@ class Contest:
             return priced(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
         best = int(np.argmax(gains))
         theta = float(tried[best])
-        if refine and gains[best] > _WORTH:
+        if refine and gains[best] > prices.REFINEMENT_GAIN:
             theta = self._refined(hypothesis, theta, grid, beside)
         found = beside.gain(self.columns(hypothesis, theta, beside.model))
         score = priced(hypothesis, theta, found, len(grid))
@@ -191,9 +185,9 @@ class Contest:
         columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
         gains = beside.free_and_fixed_gains(columns)
         free, best = float(gains[:, 0].max()), int(np.argmax(gains[:, 1]))
-        if not refine and free > _WORTH:
+        if not refine and free > prices.REFINEMENT_GAIN:
             return fixed_score(hypothesis, float(grid[0]), free)
-        if free <= _WORTH:
+        if free <= prices.REFINEMENT_GAIN:
             return fixed_score(hypothesis, float(grid[best]), float(gains[best, 1]))
         theta = self._refined(hypothesis, float(grid[best]), grid, beside)
         gain = self._fixed_gain(hypothesis, theta, beside)
@@ -244,7 +238,9 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Cont
 def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> ContestScore:
     """A score of an effect on the mean that has nothing but a shape."""
     delta = gain - price_of_fixed(gain) - hypothesis.handicap
-    return ContestScore(hypothesis, theta, gain, 1, _SIDES, tail(gain, 1, _SIDES), delta, np.ones(1))
+    return ContestScore(
+        hypothesis, theta, gain, 1, prices.FIXED_SHAPE_SIDES, tail(gain, 1, prices.FIXED_SHAPE_SIDES), delta, np.ones(1)
+    )
 
 
 def noise_score(hypothesis: Hypothesis, model: Model) -> ContestScore:
@@ -309,7 +305,7 @@ def _noise_gain(
         gain += max(without - level, 0.0)
         added = amplitudes[len(fit.names) :]
         values.append(added)
-        if effect.variance is not None and without - level > _FOLLOWS:
+        if effect.variance is not None and without - level > prices.ENVELOPE_GAIN:
             for a in fit.axes:
                 if a // 3 in by_view:
                     view = model.setting.views[a // 3]

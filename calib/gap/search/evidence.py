@@ -23,44 +23,12 @@ from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.effects.shape_ids import family_of, is_part
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.normal_equations import eigh
+from mavcal.calib.gap.search import prices
 
 Array = NDArray[np.float64]
 
-_SIZES = np.geomspace(1.0, 1e8, 33)
-"""Prior variances that are tried, in units of the best-seen direction's error."""
-_FINE = 100
-"""Values of a grid from which on its search is paid value by value: moments, frequencies."""
-_LAST = 16.0
-"""Price of what fits anything of its kind: a named cause that fits nearly as well is believed first."""
-_SHAPES = {
-    "simplest": 4.0,
-    "driven": 8.0,
-    "own": 12.0,
-    "linear": 14.0,
-    "approach": 16.0,
-    "product": 16.0,
-    "line": 16.0,
-    "periodic": 20.0,
-    "time": 32.0,
-}
-"""Price of a shape by its family: the fewer things it could stand for, the less. The frequency of what is periodic was
-sought as well."""
-_ONE_OF_MANY = 3.5
-"""Added to it for a part of a shape: the one of many that fits best."""
-_BY_WARMTH = 3.0
-"""Price of blaming temperature: what is there at every temperature that was seen, or began at a moment, is simpler."""
-_ONE_MORE = 10.0
-"""Price of one more jump on a sensor that jumps already."""
-_DOUBT = 8.0
-"""Price of blaming the reference for what a sensor may have done."""
-_NUMBER = 0.5
-"""Price of an amplitude that the data do not tell."""
 _SEEN = 1e-9
 """Part of the largest information below which a direction is seen by rounding only."""
-_OTHER_PRIOR = 2.0 * math.log(2.0)
-"""Price of a prior that is not the first one."""
-_COARSE = 4.0
-"""What the search over a coarse grid counts as."""
 
 
 def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
@@ -111,7 +79,7 @@ class _Directions:
         """The variance of the amplitudes that explains the data best, and twice the log evidence there."""
         if not self.values.any():
             return 0.0, 0.0
-        sizes = _SIZES[:, None] / self.values[-1]
+        sizes = prices.PRIOR_VARIANCES[:, None] / self.values[-1]
         told = sizes * self.values
         worth = (self.square * sizes / (1.0 + told) - np.log1p(told)).sum(axis=1)
         best = int(worth.argmax())
@@ -122,7 +90,10 @@ class _Directions:
         if not self.values.any():
             return -math.inf
         seen = self.values > _SEEN * self.values[-1]
-        return _at_best_size(float((self.square[seen] / self.values[seen]).sum()), int(seen.sum())) - _OTHER_PRIOR
+        return (
+            _at_best_size(float((self.square[seen] / self.values[seen]).sum()), int(seen.sum()))
+            - prices.SECOND_PRIOR_PRICE
+        )
 
 
 def _only_one(gram: Array, right: Array) -> float:
@@ -161,7 +132,7 @@ def price_of_numbers(idle: float) -> float:
     Beside the evidence, in which a direction that the movement does not excite costs nothing: at rest the nine numbers
     of a sensitivity to force are an offset of three.
     """
-    return _NUMBER * idle
+    return prices.IDLE_AMPLITUDE_PRICE * idle
 
 
 def price_of_fixed(gain: float) -> float:
@@ -176,7 +147,7 @@ def price_of_search(grid: int, gain: float) -> float:
     """
     if grid <= 1:
         return 0.0
-    return 2.0 * math.log(min(grid, max(gain, _COARSE)) if grid > _FINE else _COARSE)
+    return 2.0 * math.log(min(grid, max(gain, prices.COARSE_GRID)) if grid > prices.FINE_GRID else prices.COARSE_GRID)
 
 
 def price_of_noise(amplitudes: Array, information: Array) -> float:
@@ -196,7 +167,7 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
 
 def price_of_repetition(again: int) -> float:
     """Price of one more event of a kind that is there `again` times already: enough of them make any drift a stair."""
-    return _ONE_MORE if again else 0.0
+    return prices.REPEATED_JUMP_PRICE if again else 0.0
 
 
 def price_of_kind(effect: CatalogueEffect) -> float:
@@ -204,9 +175,9 @@ def price_of_kind(effect: CatalogueEffect) -> float:
     seems to go with temperature is often there at every temperature that was seen.
     """
     if effect.nameless:
-        return _SHAPES[family_of(effect.id)] + _ONE_OF_MANY * is_part(effect.id)
+        return prices.SHAPE_PRICES[family_of(effect.id)] + prices.SHAPE_PART_PRICE * is_part(effect.id)
     if effect.id == REFERENCE:
-        return _DOUBT
+        return prices.REFERENCE_PRICE
     if Trait.THERMAL in effect.traits:
-        return _BY_WARMTH
-    return _LAST if effect.drifts else 0.0
+        return prices.THERMAL_PRICE
+    return prices.DRIFT_PRICE if effect.drifts else 0.0

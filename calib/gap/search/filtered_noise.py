@@ -13,12 +13,11 @@ from mavcal.calib.gap.effects.base import MeanEffect
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.noise_fit import is_declared
+from mavcal.calib.gap.search import prices
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_ABOVE = 0.25
-"""Share of the Nyquist frequency below which what is left may be movement."""
 _LEAST = 1e-6
 """Part of the noise that any filter leaves: digits."""
 _TINY = 1e-300
@@ -57,7 +56,7 @@ def filter_evidence(hypothesis: Hypothesis, theta: float, model: Model) -> float
 def _compared(model: Model, v: int, c: int, gains: Array) -> Array:
     """Axis `c` of series `v` beside filters (R, K): numbers, log ratios, and misfit without and with, (R, 4)."""
     view, bins = model.setting.views[v], model.setting.bins[v]
-    fast = bins.mean(view.omega) > _ABOVE * np.pi
+    fast = bins.mean(view.omega) > prices.FILTER_BAND_SHARE * np.pi
     power = model.noise[3 * v + c].power
     rounding = view.gain * view.whole.any_trace.quantum**2 / 12.0
     filtered = np.maximum(power - rounding, 0.0) * gains + np.minimum(rounding, power)

@@ -10,17 +10,9 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.base import LatticeEffect, LatticeEvidence
 from mavcal.calib.gap.model.joint import Term
 from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.search import prices
 
 Array = NDArray[np.float64]
-
-_ALIKE = 0.25
-"""Relative difference of what the samples of two recordings of one sensor show."""
-_AS_LARGE = 0.3
-"""Part of a tone's amplitude from which on a nominal recording has it as well."""
-_STANDS_OUT = 12.0
-"""Energy of a line over that of its neighbours."""
-_NEIGHBOURS = 40
-"""Frequencies on either side, the nearest two apart, that a line is compared with."""
 
 
 def nominal_has_samples(effect: LatticeEffect, evidence: LatticeEvidence, nominal: Iterable[Trace]) -> bool:
@@ -29,7 +21,7 @@ def nominal_has_samples(effect: LatticeEffect, evidence: LatticeEvidence, nomina
         other = effect.detect(trace) if trace.sensor is effect.sensor else None
         if other is not None and len(other.values) == len(evidence.values):
             mine, its = np.array(evidence.values), np.array(other.values)
-            if (np.abs(mine - its) <= _ALIKE * np.maximum(np.abs(mine), np.abs(its))).all():
+            if (np.abs(mine - its) <= prices.SAMPLE_DIFFERENCE * np.maximum(np.abs(mine), np.abs(its))).all():
                 return True
     return False
 
@@ -45,8 +37,8 @@ def nominal_has_tone(term: Term, nominal: Iterable[Trace]) -> bool:
     return any(
         trace.sensor is term.hypothesis.effect.sensor
         and term.theta < 0.5 * trace.fs
-        and _amplitude(trace, term.theta) > _AS_LARGE * size
-        and _line(trace, term.theta) > _STANDS_OUT
+        and _amplitude(trace, term.theta) > prices.NOMINAL_TONE_SHARE * size
+        and _line(trace, term.theta) > prices.LINE_TO_NEIGHBOURS
         for trace in nominal
     )
 
@@ -59,7 +51,11 @@ def _amplitude(trace: Trace, hz: float) -> float:
 def _line(trace: Trace, hz: float) -> float:
     """Energy at `hz` over the median about it."""
     step = trace.fs / len(trace.t)
-    near = [_amplitude(trace, hz + k * step) for k in range(-_NEIGHBOURS, _NEIGHBOURS + 1) if abs(k) > 2]
+    near = [
+        _amplitude(trace, hz + k * step)
+        for k in range(-prices.LINE_NEIGHBOURS, prices.LINE_NEIGHBOURS + 1)
+        if abs(k) > 2
+    ]
     return float((_amplitude(trace, hz) / max(np.median(near), 1e-300)) ** 2)
 
 

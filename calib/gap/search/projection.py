@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.model.hypotheses import HypothesisColumns, Part
 from mavcal.calib.gap.model.joint import Model, Normal, Ridge, jacobian, misfit, normal_equations, refined, stacked
 from mavcal.calib.gap.model.normal_equations import eigh, solved
+from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.evidence import weighed
 
 Array = NDArray[np.float64]
-
-_LEFT = 1e-6
-"""Part of its energy that a column must keep beside the model's others to count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,5 +146,5 @@ def existing(gram: Array, energy: Array) -> Array:
     inverse = np.zeros_like(scale)
     inverse[used] = 1.0 / scale[used]
     values, vectors = eigh(gram * np.outer(inverse, inverse))
-    good = values > _LEFT
+    good = values > prices.INDEPENDENT_ENERGY
     return np.asarray(inverse[:, None] * vectors[:, good] / np.sqrt(values[good]))

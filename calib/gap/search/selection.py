@@ -30,6 +30,7 @@ from mavcal.calib.gap.model.joint import (
 )
 from mavcal.calib.gap.model.noise_fit import FittedNoise, is_declared, refitted, starting_noise, with_term, without_term
 from mavcal.calib.gap.model.normal_equations import solved
+from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.added_noise import unsteady_line
 from mavcal.calib.gap.search.contest import Contest, ContestScore
 from mavcal.calib.gap.search.projection import Beside, existing
@@ -37,32 +38,6 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_MOST = 8
-"""Effects that join in a row, events beside."""
-_EVENTS = 3
-"""Events that may join after them."""
-_IN_ALL = 12
-"""Effects in a model, events beside: more is no explanation."""
-MATERIAL = 0.005
-"""Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""
-
-REAL = 0.01
-"""The same where the noise was learned from flights: small true structure is everywhere in them."""
-_SEEN = 0.3
-"""Part of that below which it does not join in the first place."""
-_FRONT = 3
-"""The best so many on their grids are fitted at their best shapes before one of them joins."""
-ONE_MORE = 6.0
-"""What each effect costs between models of unlike many, in twice a log-probability: four are less likely than one."""
-_LOUD = 0.1
-"""Gain a number from which on the noise that was fitted before hides what tells effects apart."""
-_RIVALS, _TRIED = 0.5, 6
-"""Part of the best one's worth from which on others are fitted in its place, and how many of them."""
-
-_SLOW = 4.0
-"""Power of the lowest bin over that of the highest from which on noise may have taken a slow effect for its own."""
-_FAR = 3e-5
-"""Part of the largest gain of all below which an effect on another sensor is a flaw of the reference."""
 
 Gains = Mapping[Key, tuple[float, int, int]]
 """By effect: gain beside all others, degrees of freedom, size of the grid."""
@@ -142,7 +117,7 @@ def _slow_is_left(model: Model) -> bool:
     if any(view.att_sd > 0.0 for view in views):
         return False
     powers = [n.power for a, n in enumerate(model.noise) if not is_declared(views[a // 3]) and not views[a // 3].first]
-    return any(power[0] > _SLOW * power[-1] for power in powers)
+    return any(power[0] > prices.SLOW_POWER_RATIO * power[-1] for power in powers)
 
 
 def _quiet(model: Model) -> Model:
@@ -159,7 +134,7 @@ def _quiet(model: Model) -> Model:
 def _better(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> ChosenModel:
     """`other` where it says materially more: sensor by sensor, unless effects or the reference's error tie them."""
     if any(t.effect.shared for c in (chosen, other) for t in c.model.terms) or chosen.model.ridge is not None:
-        worth = MATERIAL * largest_gain(chosen, contest)
+        worth = prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest)
         return other if objective(other) < objective(chosen) - worth else chosen
     skirts = {
         t.hypothesis.effect.sensor
@@ -167,7 +142,7 @@ def _better(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> Chosen
         if t.hypothesis.effect.drifts and unsteady_line(t, other.model)
     }
     gains, taken = last_gains(chosen.model, contest), set()
-    part = REAL if of_flights(chosen.model) else MATERIAL
+    part = prices.FLIGHT_SECOND_ORDER_SHARE if of_flights(chosen.model) else prices.SECOND_ORDER_SHARE
     for sensor in {view.sensor for view in chosen.model.setting.views} - skirts:
         worth = part * max((g for k, (g, _, _) in gains.items() if k[0].startswith(f"{sensor}_")), default=0.0)
         if _objective_of(other, sensor) < _objective_of(chosen, sensor) - worth:
@@ -224,8 +199,8 @@ def grown(
         model, joined, gains = pruned(model, contest, joined, level)
     known = {} if joined else {s.hypothesis.key: s for s in first}
     scores = _scored(model, contest, candidates, known, None if joined else set())
-    for step in range(_MOST + _EVENTS):
-        full = step >= _MOST or _lasting(joined) >= _IN_ALL
+    for step in range(prices.MOST_IN_A_ROW + prices.MOST_EVENTS):
+        full = step >= prices.MOST_IN_A_ROW or _lasting(joined) >= prices.MOST_EFFECTS
         still = {key: s for key, s in scores.items() if _happens(s)} if full else scores
         best, trial = _best(still, level, gains, contest, model)
         if best is None or contest.pace.ends():
@@ -304,13 +279,13 @@ def _best(
             s
             for s in scores.values()
             if s.p < level
-            and s.gain >= (0.0 if hidden(s) else _SEEN) * _least(s.hypothesis, model, gains)
+            and s.gain >= (0.0 if hidden(s) else prices.ENTRY_SHARE) * _least(s.hypothesis, model, gains)
             and s.gain >= contest.floors.joining(s.hypothesis)
         ]
         if not good:
             return None, None
         ranked = sorted(good, key=lambda s: -s.delta)
-        front = ranked[:_FRONT]
+        front = ranked[: prices.CANDIDATES_FITTED]
         unsure = next((s for s in front if not s.sure), None)
         if unsure is None:
             return _by_refit(ranked, model)
@@ -326,13 +301,16 @@ def _by_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[ContestScor
     """
     best = ranked[0]
     size = sum(3 * view.count for view in model.setting.views if best.hypothesis.touches(view))
-    if best.gain < _LOUD * size:
+    if best.gain < prices.HIDING_GAIN * size:
         return best, None
     rivals: dict[str, ContestScore] = {}
     for score in ranked:
-        if score.delta > _RIVALS * best.delta and score.hypothesis.effect.sensor is best.hypothesis.effect.sensor:
+        if (
+            score.delta > prices.RIVAL_SHARE * best.delta
+            and score.hypothesis.effect.sensor is best.hypothesis.effect.sensor
+        ):
             rivals.setdefault(score.hypothesis.effect.id, score)
-    tried = list(rivals.values())[:_TRIED]
+    tried = list(rivals.values())[: prices.RIVALS_TRIED]
     touched = {v.sensor for v in model.setting.views if any(s.hypothesis.touches(v) for s in tried)}
     near = sorted(coupled(model, touched))
     worth, least = None, math.inf
@@ -358,8 +336,8 @@ def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
         if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared) and _of_one_order(effect, e)
     ]
     far = max((gain for gain, _, _ in gains.values()), default=0.0)
-    part = REAL if of_flights(model) else MATERIAL
-    return max(part * max(near, default=0.0), _FAR * far)
+    part = prices.FLIGHT_SECOND_ORDER_SHARE if of_flights(model) else prices.SECOND_ORDER_SHARE
+    return max(part * max(near, default=0.0), prices.OTHER_SENSOR_SHARE * far)
 
 
 def _of_one_order(effect: CatalogueEffect, other: CatalogueEffect) -> bool:
@@ -481,7 +459,7 @@ def objective(chosen: ChosenModel) -> float:
 
 def price_of_all(scores: Iterable[ContestScore]) -> float:
     """Price of some effects together."""
-    return sum(s.price + ONE_MORE for s in scores)
+    return sum(s.price + prices.EFFECT_COUNT_PRICE for s in scores)
 
 
 def wanders(chosen: ChosenModel) -> bool:

@@ -11,9 +11,6 @@ from mavcal.calib.gap.model.hypotheses import Hypothesis, Key
 from mavcal.calib.gap.problem import Floor, GapProblem
 from mavcal.calib.recording import Sensor
 
-SMALL = 0.03
-"""Evidence a number below which two flights differ anyway: a re-estimated ideal sensor is not surer of itself."""
-
 
 @dataclass(frozen=True)
 class Thresholds:

@@ -34,11 +34,10 @@ from mavcal.calib.gap.model.joint import (
 from mavcal.calib.gap.model.noise_fit import refitted
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.schema import ParameterEstimate
+from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, tail
 from mavcal.calib.gap.search.evidence import price_of_kind
 from mavcal.calib.gap.search.selection import (
-    MATERIAL,
-    ONE_MORE,
     ChosenModel,
     largest_gain,
     objective,
@@ -54,13 +53,6 @@ _MODES = 100
 """Cosines over the recording that an error of attitude about one axis is made of."""
 _SCREENED = 4000
 """Samples of a series in the search for size and time."""
-_SIZES_DEG = np.geomspace(0.0025, 3.0, 11)
-_TIMES_S = (2.0, 6.0, 20.0, 60.0)
-"""Rms and correlation time of the error that are tried."""
-_MARGIN = 2.0
-"""Penalised evidence by which a model with such an error must beat the one without."""
-_SLACK = 12.0
-"""What other effects may add to that once they are chosen beside it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +83,17 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
         return None
     process, worth = _instead(chosen)
     gain, size, time = process.gain, process.size_deg, process.time_s
-    price = 2.0 * math.log(len(_SIZES_DEG) * len(_TIMES_S)) + price_of_kind(by_id()[REFERENCE]) + ONE_MORE
-    if worth < price + _MARGIN - _SLACK:
+    price = (
+        2.0 * math.log(len(prices.WANDER_SIZES_DEG) * len(prices.WANDER_TIMES_S))
+        + price_of_kind(by_id()[REFERENCE])
+        + prices.EFFECT_COUNT_PRICE
+    )
+    if worth < price + prices.WANDER_MARGIN - prices.WANDER_SLACK:
         return None
     least = max((contest.floors.lasting(v.sensor) for v in setting.views if sees(v)), default=0.0)
-    if gain < max(MATERIAL * largest_gain(chosen, contest), least):
+    if gain < max(prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest), least):
         return None
-    if tail(gain, 2, len(_SIZES_DEG) * len(_TIMES_S)) * (chosen.tests + 1) > alpha:
+    if tail(gain, 2, len(prices.WANDER_SIZES_DEG) * len(prices.WANDER_TIMES_S)) * (chosen.tests + 1) > alpha:
         return None
     frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
@@ -109,7 +105,7 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
     noise = with_tail(setting, start.noise, size, time)
     found = select(starting_model(setting, noise, ridge), contest, alpha)
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
-    return WanderFit(found, contest, better, size, time, noise) if better > _MARGIN else None
+    return WanderFit(found, contest, better, size, time, noise) if better > prices.WANDER_MARGIN else None
 
 
 def _instead(chosen: ChosenModel) -> tuple[_ProcessFit, float]:
@@ -231,8 +227,8 @@ def with_tail(setting: Setting, noise: Sequence[AxisNoise], size_deg: float, tim
 
 
 def _priors() -> Iterator[tuple[float, float]]:
-    for size in _SIZES_DEG:
-        for time in _TIMES_S:
+    for size in prices.WANDER_SIZES_DEG:
+        for time in prices.WANDER_TIMES_S:
             yield float(size), time
 
 

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.noise_fit import refitted
+from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore, priced
 from mavcal.calib.gap.search.evidence import evidence, price_of_kind
 from mavcal.calib.gap.search.projection import Beside, Gain, existing
 from mavcal.calib.gap.search.selection import (
-    MATERIAL,
-    ONE_MORE,
     ChosenModel,
     fitted_about,
     grown,
@@ -102,7 +101,7 @@ def explained(chosen: ChosenModel, contest: Contest, start: Model, alpha: float,
 
 def _least(chosen: ChosenModel, contest: Contest) -> float:
     """Part of the largest gain that is a second order of it; noise takes what is its own."""
-    return 0.0 if chosen.model.noise_terms else MATERIAL * largest_gain(chosen, contest)
+    return 0.0 if chosen.model.noise_terms else prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest)
 
 
 def _best(places: Sequence[_Place]) -> list[_Place]:
@@ -122,7 +121,10 @@ def _instead_of_all(
     for sensor in {term.hypothesis.effect.sensor for term in chosen.model.members}:
         own = [s for s in chosen.scores if s.hypothesis.effect.sensor is sensor]
         gain = sum(before[key] - chosen.noise.deviance[key] for key in before if key[0] is sensor)
-        worth, df = gain - price_of_all(own) + ONE_MORE, sum(s.df for s in own)  # a shape is one of its own
+        worth, df = (
+            gain - price_of_all(own) + prices.EFFECT_COUNT_PRICE,
+            sum(s.df for s in own),
+        )  # a shape is one of its own
         touched = [s for s in shapes if s.whole.effect.sensor is sensor]
         found += [_Place(score, worth, df) for score in _scored(touched, scorer, Beside(start))]
     return found

@@ -18,13 +18,12 @@ from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, Key
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, misfit, refined
 from mavcal.calib.gap.model.noise_fit import refitted, without_term
 from mavcal.calib.gap.schema import Rival
+from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore, exactly, fixed_score, noise_score, priced
 from mavcal.calib.gap.search.evidence import price_of_kind
 from mavcal.calib.gap.search.filtered_noise import filter_evidence
 from mavcal.calib.gap.search.projection import Beside, existing
 from mavcal.calib.gap.search.selection import (
-    MATERIAL,
-    REAL,
     ChosenModel,
     fitted,
     grown,
@@ -230,13 +229,13 @@ def _exchanges(
         for score in (other.score for other in place.others):
             gain = -_behind(place.own, score, _freedom_of(chosen, key), second)
             if score.p < level and score.gain >= contest.floors.joining(score.hypothesis) and gain > _CLEARLY:
-                found.append((gain, max(second, MATERIAL * place.own), key, score))
+                found.append((gain, max(second, prices.SECOND_ORDER_SHARE * place.own), key, score))
     return [exchange[1:] for exchange in sorted(found, key=lambda exchange: -exchange[0])]
 
 
 def second_order(chosen: ChosenModel, own: float) -> float:
     """What of an effect's evidence is a second order of it; nothing but beside noise learned from flights."""
-    return REAL * max(own, 0.0) if of_flights(chosen.model) else 0.0
+    return prices.FLIGHT_SECOND_ORDER_SHARE * max(own, 0.0) if of_flights(chosen.model) else 0.0
 
 
 def _freedom_of(chosen: ChosenModel, key: Key) -> int:

@@ -13,7 +13,7 @@ from mavcal.calib.gap.companion.simulated_baseline import Baseline, baseline_of,
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.problem import Floor
 from mavcal.calib.gap.schema import GapVerdict
-from mavcal.calib.gap.search.thresholds import SMALL
+from mavcal.calib.gap.search import prices
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -123,7 +123,7 @@ def test_what_is_less_than_two_flights_differ_by_is_no_flaw(corner):
     problem = problem_of(np.random.default_rng(1), (Sensor.ACCEL,), slow)
     undeclared = dataclasses.replace(problem.traces[0], sigma=None, sigma_dof=np.inf, psd=None, psd_hz=None)
     found = baseline_of(dataclasses.replace(problem, traces=(undeclared,)), ALPHA)
-    least = SMALL * undeclared.ideal.size
+    least = prices.FLIGHT_DIFFERENCE * undeclared.ideal.size
     assert all(e.evidence.two_delta_loglik >= least for e in found.effects)
     assert (found.effects == ()) is (found.changes[Sensor.ACCEL] == 0.0)
 

@@ -12,10 +12,10 @@ from mavcal.calib.gap.diagnose import _task_of
 from mavcal.calib.gap.effects import catalogue, forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm
+from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore
 from mavcal.calib.gap.search.projection import Beside
 from mavcal.calib.gap.search.selection import (
-    REAL,
     _better,
     _joined,
     _least,
@@ -36,7 +36,7 @@ def scored(delta, df):
 
 
 def test_of_causes_that_differ_by_a_second_order_the_one_with_fewer_numbers_is_believed():
-    own, second = 1e6, REAL * 1e6
+    own, second = 1e6, prices.FLIGHT_SECOND_ORDER_SHARE * 1e6
     assert _behind(own, scored(own + 0.9 * second, 9), 3, second) > 0.0
     assert _behind(own, scored(own + 1.1 * second, 9), 3, second) < 0.0
     assert _behind(own, scored(own - 0.05 * second, 3), 9, second) < 0.0

@@ -1,0 +1,253 @@
+"""The table of prices: priors, penalties and thresholds of the search, with meaning, unit and source.
+
+A deviance is twice a log-likelihood. Modules use a price as ``prices.NAME``, so a bench can change it in one place.
+Numbers that guard rounding or bound an iteration stay beside their code.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+# Priors of amplitudes
+
+PRIOR_VARIANCES = np.geomspace(1.0, 1e8, 33)
+"""Prior variances of amplitudes that are tried.
+
+Unit: variance of the error of the best-seen direction. Source: empirical Bayes (Clyde & George 2000); range and
+steps chosen in development, seeds not recorded.
+"""
+SECOND_PRIOR_PRICE = 2.0 * math.log(2.0)
+"""Price of a prior that is not the first one.
+
+Unit: deviance. Source: choice of one in two; decision 10.
+"""
+IDLE_AMPLITUDE_PRICE = 0.5
+"""Price of an amplitude that the data do not tell.
+
+Unit: deviance an amplitude. Source: chosen in development, seeds not recorded.
+"""
+# Prices of searches
+
+FINE_GRID = 100
+"""Grid size above which a search is paid value by value: moments, frequencies.
+
+Unit: values. Source: chosen in development, seeds not recorded.
+"""
+COARSE_GRID = 4.0
+"""What the search over a coarse grid counts as.
+
+Unit: values. Source: chosen in development, seeds not recorded.
+"""
+FIXED_SHAPE_SIDES = 2
+"""Grid size of an effect whose shape alone is estimated.
+
+Unit: values. Source: an effect that vanishes at zero is searched to either side.
+"""
+# Prices of kinds of effects
+
+DRIFT_PRICE = 16.0
+"""Price of noise that drifts: it fits any slow change, so a named cause that fits nearly as well is believed first.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+SHAPE_PRICES = {
+    "simplest": 4.0,
+    "driven": 8.0,
+    "own": 12.0,
+    "linear": 14.0,
+    "approach": 16.0,
+    "product": 16.0,
+    "line": 16.0,
+    "periodic": 20.0,
+    "time": 32.0,
+}
+"""Price of a shape by its family: the fewer things it could stand for, the less. A periodic shape pays for its
+frequency too.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+SHAPE_PART_PRICE = 3.5
+"""Added for a part of a shape: the one of many that fits best.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+THERMAL_PRICE = 3.0
+"""Price of blaming temperature: what is there at every temperature that was seen, or began at a moment, is simpler.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+REPEATED_JUMP_PRICE = 10.0
+"""Price of one more jump on a sensor that jumps already.
+
+Unit: deviance a jump. Source: decision 11 (T6, development seeds 90600-90639).
+"""
+REFERENCE_PRICE = 8.0
+"""Price of blaming the reference for what a sensor may have done.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+EFFECT_COUNT_PRICE = 6.0
+"""Price of each effect between models with different numbers of effects: four are less likely than one.
+
+Unit: deviance an effect. Source: decision 11; value chosen in development, seeds not recorded.
+"""
+# Thresholds of the selection
+
+SECOND_ORDER_SHARE = 0.005
+"""Share below which an effect is a second order of the large ones.
+
+Unit: share of the largest gain. Source: GAP, pitfalls; value chosen in development, seeds not recorded.
+"""
+FLIGHT_SECOND_ORDER_SHARE = 0.01
+"""The same where the noise was learned from flights: small true structure is everywhere in them.
+
+Unit: share of the largest gain. Source: chosen in development, seeds not recorded.
+"""
+ENTRY_SHARE = 0.3
+"""Share below which an effect does not join in the first place.
+
+Unit: share of that least gain. Source: chosen in development, seeds not recorded.
+"""
+OTHER_SENSOR_SHARE = 3e-5
+"""Share below which an effect on another sensor is a flaw of the reference.
+
+Unit: share of the largest gain of all. Source: chosen in development, seeds not recorded.
+"""
+HIDING_GAIN = 0.1
+"""Gain above which the noise that was fitted before hides what tells effects apart.
+
+Unit: deviance a number. Source: chosen in development, seeds not recorded.
+"""
+SLOW_POWER_RATIO = 4.0
+"""Power of the lowest bin over the highest, above which noise may have taken a slow effect for its own.
+
+Unit: ratio of powers. Source: chosen in development, seeds not recorded.
+"""
+RIVAL_SHARE = 0.5
+"""Share above which other candidates are fitted in its place.
+
+Unit: share of the best one's worth. Source: chosen in development, seeds not recorded.
+"""
+RIVALS_TRIED = 6
+"""How many of them at most.
+
+Unit: candidates. Source: chosen in development, seeds not recorded.
+"""
+CANDIDATES_FITTED = 3
+"""The best so many on their grids are fitted at their best shapes before one of them joins.
+
+Unit: candidates. Source: chosen in development, seeds not recorded.
+"""
+MOST_IN_A_ROW = 8
+"""Effects that join in a row, events beside.
+
+Unit: effects. Source: chosen in development, seeds not recorded.
+"""
+MOST_EVENTS = 3
+"""Events that may join after them.
+
+Unit: events. Source: chosen in development, seeds not recorded.
+"""
+MOST_EFFECTS = 12
+"""Effects in a model, events beside: more is no explanation.
+
+Unit: effects. Source: chosen in development, seeds not recorded.
+"""
+FLIGHT_DIFFERENCE = 0.03
+"""Evidence below which two flights differ anyway: a re-estimated ideal sensor is not surer of itself.
+
+Unit: deviance a number. Source: chosen in development, seeds not recorded.
+"""
+# Thresholds of the contest
+
+REFINEMENT_GAIN = 8.0
+"""Gain of the best value on the grid above which the shape is refined between its neighbours.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+EXACT_FIT_GAIN = 300.0
+"""Gain above which an effect that is not linear in its amplitudes is fitted as it is.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+ENVELOPE_GAIN = 6.0
+"""Gain on an axis above which the noise is asked whether it follows its envelope.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+INDEPENDENT_ENERGY = 1e-6
+"""What a column must keep beside the model's others to count.
+
+Unit: share of a column's energy. Source: chosen in development, seeds not recorded.
+"""
+# Thresholds of noise and lines
+
+FLIGHT_NOISE_RATIO = 1.0
+"""Part of the learned noise that has to be added to it somewhere.
+
+Unit: ratio of powers. Source: chosen in development, seeds not recorded.
+"""
+LINE_UNSTEADINESS = 0.05
+"""Share below which noise and other lines beside a line are its own unsteadiness.
+
+Unit: share of a line's power. Source: chosen in development, seeds not recorded.
+"""
+LINE_REACH_HZ = 2.0
+"""Distance from a line's frequency within which its power is looked at.
+
+Unit: Hz. Source: chosen in development, seeds not recorded.
+"""
+INSTANCE_SHARE = 0.2
+"""Share of an instance's excess that another one must show to be part of the effect.
+
+Unit: share of the largest excess. Source: chosen in development, seeds not recorded.
+"""
+FILTER_BAND_SHARE = 0.25
+"""Share below which what is left may be movement.
+
+Unit: share of the Nyquist frequency. Source: chosen in development, seeds not recorded.
+"""
+SAMPLE_DIFFERENCE = 0.25
+"""Difference up to which the samples of two recordings of one sensor show the same.
+
+Unit: relative difference. Source: chosen in development, seeds not recorded.
+"""
+NOMINAL_TONE_SHARE = 0.3
+"""Share above which a nominal recording has the tone as well.
+
+Unit: share of a tone's amplitude. Source: chosen in development, seeds not recorded.
+"""
+LINE_TO_NEIGHBOURS = 12.0
+"""Energy of a line over that of its neighbours.
+
+Unit: ratio of energies. Source: chosen in development, seeds not recorded.
+"""
+LINE_NEIGHBOURS = 40
+"""Frequencies on either side, the nearest two apart, that a line is compared with.
+
+Unit: frequencies. Source: chosen in development, seeds not recorded.
+"""
+# The wandering attitude of the reference
+
+WANDER_SIZES_DEG = np.geomspace(0.0025, 3.0, 11)
+"""Root mean squares of the attitude error that are tried.
+
+Unit: deg. Source: chosen in development, seeds not recorded.
+"""
+WANDER_TIMES_S = (2.0, 6.0, 20.0, 60.0)
+"""Correlation times of the attitude error that are tried.
+
+Unit: s. Source: chosen in development, seeds not recorded.
+"""
+WANDER_MARGIN = 2.0
+"""Penalised evidence by which a model with such an error must beat the one without.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+WANDER_SLACK = 12.0
+"""What other effects may add to that once they are chosen beside it.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
