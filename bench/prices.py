@@ -140,10 +140,10 @@ def page(table: str, cases: int, right: int) -> str:
     """``docs/prices.md``."""
     return f"""# What the prices of the search do
 
-Every prior, penalty and threshold of the search stands in `calib/gap/search/prices.py` with its meaning, unit and source.
-`python -m bench.prices --cases {cases} --page` changes one at a time by 30 % either way and diagnoses {cases}
-development cases. They are single effects, mixtures, unknown errors and nulls in turn, seeds from {FIRST_SEED}. With the
-prices as they are, {right} of {cases} answers name the true effects and no others.
+Every prior, penalty and threshold of the search stands in `calib/gap/search/prices.py`, with its meaning, unit and
+source. `python -m bench.prices --cases {cases} --page` changes one at a time by 30 % either way and diagnoses {cases}
+development cases. They are single effects, mixtures, unknown errors and nulls in turn, seeds from {FIRST_SEED}. With
+the prices as they are, {right} of {cases} answers name the true effects and no others.
 
 A cell says how many answers change (verdict, or an effect with its instances). In brackets: how many more are right.
 
