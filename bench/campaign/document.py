@@ -51,8 +51,8 @@ Gyro offsets that the vehicle rewrites by itself (`INS_GYR_CAL`, `IMU_GYRO_CAL_E
 job has not written them.
 
 A fault on the wire counts as a strike if it was switched on with a PARAM_SET, or later, and hit at least one frame. The
-vehicle's clock runs 20 times faster than the wall's, but 5 times faster where a bad wire costs wall time. At 20 times, a
-frame that is held back looks like a restarted clock, and a gyro may drift between the two windows of a check.
+vehicle's clock runs 20 times faster than the wall's, but 5 times faster where a bad wire costs wall time. At 20 times,
+a frame that is held back looks like a restarted clock, and a gyro may drift between the two windows of a check.
 "Accepted but not applied" is measured against the standard deviation of the stream check.
 
 In the SIGKILL runs the service is `mavcal serve` in a process of its own. It gets SIGKILL from outside when its
