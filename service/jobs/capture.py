@@ -136,6 +136,8 @@ class Capture:
             await asyncio.sleep(BATCH_S)
             steps = self._answered(digest)
             frames, self._frames = self._frames, []
+            if self._disk is not None:  # first: a capture that is done already may lack what it rests on
+                raise self._disk
             if frames:
                 steps += await asyncio.to_thread(digest.feed, frames)
             self._told(steps)
@@ -145,8 +147,6 @@ class Capture:
                 self.handle.warn(warning)
             if isinstance(outcome, Done):
                 return outcome
-            if self._disk is not None:
-                raise self._disk
             watch.look(digest)
             if isinstance(outcome, GaveUp):
                 raise CaptureEnded(outcome.cause, remedy=outcome.remedy)

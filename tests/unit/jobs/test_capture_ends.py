@@ -49,10 +49,17 @@ async def ended(capture: Capture, verdict: Done | GaveUp | None) -> Done:
     return await capture._until_done(digest, watch)
 
 
-async def test_a_procedure_that_is_done_ends_the_capture_whatever_else_is_wrong(capture: Capture) -> None:
-    capture._take((), DiskFull())
+async def test_a_procedure_that_is_done_ends_the_capture(capture: Capture) -> None:
+    capture._take((), None)
     done = Done((), "enough")
     assert await ended(capture, done) is done
+
+
+async def test_a_procedure_that_is_done_at_once_does_not_hide_that_its_recording_has_a_hole(capture: Capture) -> None:
+    """The fit reads the parameters in force from the recording: a plan without them would be about another vehicle."""
+    capture._take((), DiskFull())
+    with pytest.raises(DiskFull):
+        await ended(capture, Done((), "enough"))
 
 
 async def test_a_procedure_that_gives_up_says_why_and_what_helps(capture: Capture) -> None:
