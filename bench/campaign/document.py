@@ -13,10 +13,10 @@ from bench.campaign.starved import StarvedReport, starved_table
 from bench.campaign.tables import cli_table, criteria_table, fault_tables, kill_table
 
 CROSSED_METHOD = """\
-`scripts/campaign crossed` draws one fault of the network, one of the service and its machine, and one of the vehicle,
-and lets each loose while the job captures, writes or checks. All 512 cells come once in each block of 512 runs. Jobs
-are gyro, level, accel and mag; the vehicle's clock runs 20 times faster than the wall's, 10 times where frames are out
-of order.
+`scripts/campaign crossed` draws one fault of the network, one of the service and its machine, and one of the vehicle.
+Each is let loose while the job captures, writes or checks. All 512 cells come once in each block of 512 runs. Jobs are
+gyro, level, accel and mag; the vehicle's clock runs 20 times faster than the wall's, 10 times where frames are out of
+order.
 
 A service that dies is a forked process that gets SIGKILL at a named instant of the job engine. A loss of power leaves
 what had been brought onto the disk, and of the rest a piece of random length. A full disk refuses one kind of write, a

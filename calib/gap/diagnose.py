@@ -37,7 +37,7 @@ from mavcal.calib.gap.search.lattice_effects import Lattice, lattice_of, shown_b
 from mavcal.calib.gap.search.nominal_check import nominal_has_tone
 from mavcal.calib.gap.search.power import powers_of
 from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
-from mavcal.calib.gap.search.thresholds import Thresholds
+from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.search.wander import WanderFit, wandering
 from mavcal.calib.gap.telling.effect_report import effect_of, wandering_reference
 from mavcal.calib.gap.telling.inputs import inputs_of
@@ -189,7 +189,7 @@ def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: Ga
     hypotheses, missing = hypotheses_of(effects, views, problem.worse)
     start = starting_model(setting, starting_noise(setting))
     bare = refitted(start).model
-    contest = above_nuisance(Contest(hypotheses, floors=Thresholds(problem.floor), pace=pace), start, problem.flaws)
+    contest = above_nuisance(Contest(hypotheses, floors=GainThresholds(problem.floor), pace=pace), start, problem.flaws)
     return _Task(problem, lattice, bare, contest, missing)
 
 

@@ -10,7 +10,7 @@ from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
 from mavcal.calib.gap.problem import Floor, GapProblem, NuisanceEffect, Trace
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.thresholds import Thresholds, accepted_difference
+from mavcal.calib.gap.search.thresholds import GainThresholds, accepted_difference
 from mavcal.calib.recording import Sensor
 
 _OF_ONE_RECORDING = ("clock_drift", "accel_bias", "gyro_bias")
@@ -58,7 +58,7 @@ def nominal_baseline_of(
     flaws, before = NominalBaseline(()), 0.0
     for _ in range(_ROUNDS):
         problem = learned(flaws.in_ideal)
-        found = steady_effects(problem, alpha, Thresholds(), _OF_ONE_RECORDING)
+        found = steady_effects(problem, alpha, GainThresholds(), _OF_ONE_RECORDING)
         gain = sum(one.gain for one in found)
         flaws = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
         if abs(gain - before) <= _SETTLED * before:

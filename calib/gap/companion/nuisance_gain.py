@@ -18,7 +18,7 @@ from mavcal.calib.gap.model.joint import Model, Term, with_residual
 from mavcal.calib.gap.problem import NuisanceEffect
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.projection import Beside
-from mavcal.calib.gap.search.thresholds import Thresholds
+from mavcal.calib.gap.search.thresholds import GainThresholds
 
 
 def above_nuisance(contest: Contest, bare: Model, flaws: tuple[NuisanceEffect, ...]) -> Contest:
@@ -27,7 +27,7 @@ def above_nuisance(contest: Contest, bare: Model, flaws: tuple[NuisanceEffect, .
     Its noise is the declared one: fitted to a gap it would be the louder, and what flaws gain the less.
     """
     own = _gains(contest, bare, flaws) if flaws else {}
-    return Contest(contest.hypotheses, floors=Thresholds(contest.floors.floor, own), pace=contest.pace)
+    return Contest(contest.hypotheses, floors=GainThresholds(contest.floors.floor, own), pace=contest.pace)
 
 
 def _gains(contest: Contest, bare: Model, flaws: tuple[NuisanceEffect, ...]) -> Mapping[Key, float]:

@@ -15,7 +15,7 @@ from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
 from mavcal.calib.gap.problem import Floor, GapProblem, ReferenceInfo, Trace
 from mavcal.calib.gap.schema import EffectEstimate
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.thresholds import Thresholds, accepted_difference
+from mavcal.calib.gap.search.thresholds import GainThresholds, accepted_difference
 from mavcal.calib.recording import Sensor
 
 _DIFFERENT = 0.1
@@ -46,7 +46,7 @@ def baseline_of(problem: GapProblem, alpha: float) -> Baseline:
     """
     problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
-    found = steady_effects(problem, alpha, Thresholds(Floor(small, small, small, small)))
+    found = steady_effects(problem, alpha, GainThresholds(Floor(small, small, small, small)))
     largest = {t.sensor: 0.0 for t in problem.traces}
     for one in found:
         for sensor in one.sensors:

@@ -18,7 +18,7 @@ from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.selection import ChosenModel, last_gains, reduced, select
-from mavcal.calib.gap.search.thresholds import Thresholds
+from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.telling.estimates import estimates_of
 from mavcal.calib.recording import Sensor
 
@@ -34,7 +34,7 @@ class SteadyEffect:
 
 @one_diagnosis()
 def steady_effects(
-    problem: GapProblem, alpha: float, floors: Thresholds, without: Sequence[str] = ()
+    problem: GapProblem, alpha: float, floors: GainThresholds, without: Sequence[str] = ()
 ) -> list[SteadyEffect]:
     """Steady effects on the mean that are significant beside each other, and above what recordings differ by anyway."""
     views = split(views_of(problem, {}, {}))

@@ -27,7 +27,7 @@ from mavcal.calib.gap.model.views import View, between
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.selection import fitted_about, without
-from mavcal.calib.gap.search.thresholds import Thresholds
+from mavcal.calib.gap.search.thresholds import GainThresholds
 
 Array = NDArray[np.float64]
 
@@ -188,6 +188,6 @@ def with_weight(model: Model) -> Model:
     return replace(model, weight=weight)
 
 
-def contest_of(hypotheses: Sequence[Hypothesis], floors: Thresholds) -> Contest:
+def contest_of(hypotheses: Sequence[Hypothesis], floors: GainThresholds) -> Contest:
     """A contest of its own: every fold has other columns, and only as many are kept as one selection asks for."""
     return Contest(hypotheses, budget=16_000_000, floors=floors)

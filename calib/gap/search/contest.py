@@ -44,7 +44,7 @@ from mavcal.calib.gap.search.evidence import (
 )
 from mavcal.calib.gap.search.filtered_noise import filter_evidence, shaped
 from mavcal.calib.gap.search.projection import Beside, Gain
-from mavcal.calib.gap.search.thresholds import Thresholds
+from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -111,12 +111,12 @@ class Contest:
         self,
         hypotheses: Sequence[Hypothesis],
         budget: int = 40_000_000,
-        floors: Thresholds | None = None,
+        floors: GainThresholds | None = None,
         kept: ColumnCache | None = None,
         pace: GapPace | None = None,
     ) -> None:
         self.hypotheses = tuple(hypotheses)
-        self.floors = floors or Thresholds()
+        self.floors = floors or GainThresholds()
         self.pace = pace or GapPace()
         self._kept = ColumnCache(budget) if kept is None else kept
 

@@ -13,7 +13,7 @@ from mavcal.calib.recording import Sensor
 
 
 @dataclass(frozen=True)
-class Thresholds:
+class GainThresholds:
     """Twice the log-likelihoods of a :class:`calib.gap.problem.Floor`, and by hypothesis what flaws leave open there.
 
     `own`: what a hypothesis would gain if a part of the flaws were still there

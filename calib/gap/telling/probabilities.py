@@ -34,9 +34,9 @@ def calibrated_probability(among_rivals: float, gain: float, *, beside_unknown: 
 
     Examples
     --------
-    >>> round(believed(1.0, 2000.0, beside_unknown=False), 2)
+    >>> round(calibrated_probability(1.0, 2000.0, beside_unknown=False), 2)
     0.99
-    >>> round(believed(1.0, 50.0, beside_unknown=False), 2)
+    >>> round(calibrated_probability(1.0, 50.0, beside_unknown=False), 2)
     0.93
     """
     power = min(max(math.log10(max(gain, 1.0)), _LEAST), _MOST)

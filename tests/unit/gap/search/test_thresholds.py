@@ -7,7 +7,7 @@ import pytest
 from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.problem import Floor
-from mavcal.calib.gap.search.thresholds import Thresholds
+from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.recording import Sensor
 
 ACCEL = Sensor.ACCEL
@@ -32,13 +32,13 @@ def of(name):
     ],
 )
 def test_each_kind_has_its_own(name, joining, telling):
-    floors = Thresholds(FLOOR)
+    floors = GainThresholds(FLOOR)
     assert floors.joining(of(name)) == joining
     assert floors.telling(of(name)) == telling
 
 
 def test_what_flaws_leave_open_comes_on_top():
-    floors = Thresholds(FLOOR, {of("accel_scale").key: 100.0, of("accel_bias").key: 50.0})
+    floors = GainThresholds(FLOOR, {of("accel_scale").key: 100.0, of("accel_bias").key: 50.0})
     assert floors.telling(of("accel_scale")) == 130.0
     assert floors.joining(of("accel_scale")) == 3.0
     assert floors.joining(of("accel_bias")) == 56.0
@@ -46,7 +46,7 @@ def test_what_flaws_leave_open_comes_on_top():
 
 
 def test_without_a_floor_everything_joins_and_is_told():
-    floors = Thresholds()
+    floors = GainThresholds()
     for effect_id in by_id():
         if not any(effect_id.endswith(e) for e in ("_quantisation", "_hold")):
             assert floors.joining(of(effect_id)) == floors.telling(of(effect_id)) == 0.0
