@@ -29,9 +29,13 @@ from .jobs_bench import SPEED, eventually, stored, zero_gyro_offsets
 ROOT = Path(__file__).resolve().parents[2]
 
 
+CONFIG = {"thermal": False, "parameters": {"INS_GYR_CAL": 0.0, "INS_GYROFFS_X": 0.05}}
+"""Off by far, and not mended by a calibration at boot: there is something to write whenever a job begins."""
+
+
 @pytest.fixture
 def sim() -> Iterator[SimulatedVehicle]:
-    with SimulatedVehicle("ardupilot", speed=SPEED, seed=12, config={"thermal": False}) as vehicle:
+    with SimulatedVehicle("ardupilot", speed=SPEED, seed=12, config=CONFIG) as vehicle:
         vehicle.call("still")
         yield vehicle
 
@@ -39,8 +43,8 @@ def sim() -> Iterator[SimulatedVehicle]:
 @pytest.fixture
 def two_links() -> Iterator[SimulatedVehicle]:
     """A vehicle that two instances hear at the same time."""
-    links, config = ["udpin", "udpin"], {"thermal": False}
-    with SimulatedVehicle("ardupilot", link=links, speed=SPEED, seed=12, config=config) as vehicle:
+    links = ["udpin", "udpin"]
+    with SimulatedVehicle("ardupilot", link=links, speed=SPEED, seed=12, config=CONFIG) as vehicle:
         vehicle.call("still")
         yield vehicle
 

@@ -61,7 +61,8 @@ def test_each_sign_comes_when_what_it_means_happens(desk, tmp_path):
         assert turned == sorted(turned), turned  # tiles turn green, and none back
         before = heard(desk, "vibration")[0]["done"]  # the vehicle lies level already: that face may be done first
         assert before in (0, 1)
-        assert 9 <= len(finished) + before <= 10, turned  # one a pose
+        # One a pose; where the first vibration comes late, the first face has sounded and is counted in `before` too.
+        assert 9 - before <= len(finished) <= 10, turned
         spoken = heard(desk, "speech")
         assert spoken
         for sign in spoken[:-1]:
