@@ -161,9 +161,9 @@ class JobHandle:
         """What the journal says, with the steps that the store still has to take."""
         owed = tuple(self._owed_steps)  # first: what is saved meanwhile is then in both, and never in neither
         rows = self.store.journal(self.id)
-        kept = {(row.at, row.step) for row in rows}
-        late = (JournalRow(0, self.id, at, step.value, data) for at, step, data in owed if (at, step) not in kept)
-        return fold((*rows, *late))
+        kept = {(row.at, row.step, row.data.get("name")) for row in rows}
+        late = [JournalRow(0, self.id, at, step.value, data) for at, step, data in owed]
+        return fold((*rows, *(row for row in late if (row.at, row.step, row.data.get("name")) not in kept)))
 
     def _tell(self, kind: str, data: Json) -> None:
         at = self._wall()

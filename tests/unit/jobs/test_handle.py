@@ -136,6 +136,22 @@ async def test_an_undo_that_the_disk_refused_already_makes_the_value_uncertain()
     store.close()
 
 
+async def test_two_undos_of_one_instant_both_count_though_the_disk_has_taken_one() -> None:
+    store = Refusing(None)
+    handle = JobHandle(
+        Job("j1", "v", "gyro", {}, JobState.ROLLING_BACK, 0.0, 0.0), store, lambda _: None, wall=lambda: 7.0
+    )
+    handle.change("state", {})
+    for name in ("A", "B"):
+        await handle.record(JournalStep.SEND, name=name, old=1.0, new=2.0, kind="real32", session=False)
+        await handle.record(JournalStep.ECHO, name=name, value=2.0)
+    await handle.record_anyway(JournalStep.UNDO, name="A")
+    store.refuses = True
+    await handle.record_anyway(JournalStep.UNDO, name="B")
+    assert [one.certain for one in as_heard(handle.written(), {})] == [False, False]
+    store.close()
+
+
 async def test_what_the_disk_refused_last_is_saved_without_another_change(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(handle_module, "RETRY_S", 0.01)
     store = Refusing(None)
