@@ -86,9 +86,9 @@ class CatalogueEffect:
     form
         Tells apart two descriptions of one effect that compete under the same id; empty for the only one.
     plain
-        What it is in plain words, for who does not know the id.
+        A phrase in plain words, for readers who do not know the id.
     traits
-        What kind of thing it is, for all that treats kinds alike.
+        Properties by which the search, the prices and the report treat it.
     hidden
         Numbers that are fitted to the residual inside its columns: degrees of freedom that no parameter shows.
     """

@@ -1,4 +1,4 @@
-"""What kind of thing an effect is: prices, the search and the report go by it, and never by parts of an id."""
+"""Traits of effects. Prices, the search and the report depend on these traits, never on parts of an id."""
 
 from __future__ import annotations
 
