@@ -131,7 +131,8 @@ async def test_a_job_begins_meanwhile_goes_its_way_and_leaves_the_rates_as_they_
         owed = next(row.data["intervals"] for row in journal if row.step == "streams")
         assert {int(key): interval for key, interval in owed.items()}.items() <= before.items()
         assert done["results"]
-        await api.delete(f"/jobs/{job['id']}", 200)
+        if done["state"] == "review":  # the vehicle's own calibration at boot may leave nothing to write
+            await api.delete(f"/jobs/{job['id']}", 200)
         await until_state(stream, "granted")
         assert await hz(vehicle, message) > 100.0
         await stream.aclose()
