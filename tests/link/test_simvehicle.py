@@ -16,6 +16,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle import ControlError, SimulatedVehicle, StartError, free_udp_port
+from mavcal.service.simvehicle.server import MAX_STEP_S
 from mavcal.service.simvehicle.wire import Packer, Received, Splitter, split_datagram
 from tests.patience import scaled
 
@@ -127,11 +128,17 @@ def test_it_starts_quickly_and_prints_one_line() -> None:
 
 def test_the_clock_runs_at_the_asked_speed(ardupilot: SimulatedVehicle) -> None:
     ardupilot.call("speed", value=20)
-    before, wall = ardupilot.state()["time"], time.monotonic()
-    time.sleep(0.5)
-    passed = (ardupilot.state()["time"] - before) / (time.monotonic() - wall)
-    # Never ahead of the asked speed; behind it only where the machine is too busy.
-    assert 10 < passed < 22
+    fastest = 0.0
+    for _ in range(10):
+        began, before = time.monotonic(), ardupilot.state()["time"]
+        time.sleep(0.5)
+        passed = ardupilot.state()["time"] - before
+        wall = time.monotonic() - began
+        assert passed <= 20 * (wall + MAX_STEP_S), "never ahead of the asked speed, but for one step"
+        fastest = max(fastest, passed / wall)
+        if fastest > 10:
+            return
+    raise AssertionError(f"behind the asked speed in every half second: {fastest}")  # a busy machine has better ones
 
 
 def test_every_verb_of_motion_and_surroundings_acts(ardupilot: SimulatedVehicle) -> None:
@@ -213,7 +220,7 @@ def test_tcp_serves_one_client_at_a_time_and_drops_it_at_a_reboot() -> None:
             second.command(246, 1)
             assert second.expect("COMMAND_ACK").result == 0
             with pytest.raises(ConnectionResetError):
-                second.collect(2.0)
+                second.collect(scaled(PATIENCE_S))
         with Station(vehicle.url) as third:
             third.expect("HEARTBEAT")
             assert vehicle.state()["boots"] == 1
