@@ -59,7 +59,7 @@ def first_shown(panel: Panel) -> object:
 
 
 def test_a_gyro_by_keyboard_alone(desk, tmp_path):
-    with service(tmp_path, "--connect", sim(config=KEPT)) as url:
+    with service(tmp_path, "--connect", sim(speed=4, config=KEPT)) as url:
         desk.open(url)
         desk.calibrate("Gyro").focus()
         desk.page.keyboard.press("Enter")
