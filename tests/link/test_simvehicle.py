@@ -119,11 +119,14 @@ def test_every_link_carries_requests_and_answers(autopilot: str, link: str) -> N
 
 
 def test_it_starts_quickly_and_prints_one_line() -> None:
-    begin = time.monotonic()
-    with SimulatedVehicle("px4", seed=9) as vehicle:
-        assert vehicle.seed == 9
-        assert vehicle.url.startswith("udpin:127.0.0.1:")
-        assert time.monotonic() - begin < 3.0
+    took: list[float] = []
+    while not took or (took[-1] >= scaled(1.5) and len(took) < 3):  # a machine that stands still spoils one start
+        begin = time.monotonic()
+        with SimulatedVehicle("px4", seed=9) as vehicle:
+            assert vehicle.seed == 9
+            assert vehicle.url.startswith("udpin:127.0.0.1:")
+            took.append(time.monotonic() - begin)
+    assert took[-1] < scaled(1.5), took
 
 
 def test_the_clock_runs_at_the_asked_speed(ardupilot: SimulatedVehicle) -> None:
