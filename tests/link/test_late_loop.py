@@ -74,7 +74,7 @@ async def test_nothing_is_sent_to_a_vehicle_that_armed_while_the_loop_was_late(
     sim: SimulatedVehicle, vehicle: Vehicle
 ) -> None:
     sim.call("arm")
-    time.sleep(1.5)  # noqa: ASYNC251 - the loop is to be late; the reader hears its heartbeat meanwhile
+    sim.wait(3.0)  # the loop is to be late; the reader hears its heartbeat meanwhile
     with pytest.raises(VehicleArmed) as refused:
         await vehicle.parameters.set(NAME, 0.1, ParamType.REAL32)
     assert refused.value.sent == 0
@@ -88,12 +88,12 @@ async def test_what_came_and_went_while_the_loop_was_late_stops_a_write(
     guard = WriteGuard(VehicleAdapter(vehicle), 0.05)
     if what == "arm":
         sim.call("arm")
-        time.sleep(2.0)  # noqa: ASYNC251
+        sim.wait(4.0)
         sim.call("disarm")
     else:
         sim.call("fault", kind="silence", duration_s=2.0 * LATE_S)
-        time.sleep(LATE_S)  # noqa: ASYNC251
-    time.sleep(4.0)  # noqa: ASYNC251 - disarmed and heard for more than 2 s again
+        sim.wait(2.0 * LATE_S)
+    sim.wait(8.0)  # disarmed and heard for more than 2 s again, at twice the speed
     with pytest.raises(WriteStopped, match=said):
         await guard.run(asyncio.Event().wait)
 

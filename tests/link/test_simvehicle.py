@@ -16,6 +16,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle import ControlError, SimulatedVehicle, StartError, free_udp_port
+from mavcal.service.simvehicle.server import MAX_STEP_S
 from mavcal.service.simvehicle.wire import Packer, Received, Splitter, split_datagram
 from tests.patience import scaled
 
@@ -118,20 +119,29 @@ def test_every_link_carries_requests_and_answers(autopilot: str, link: str) -> N
 
 
 def test_it_starts_quickly_and_prints_one_line() -> None:
-    begin = time.monotonic()
-    with SimulatedVehicle("px4", seed=9) as vehicle:
-        assert vehicle.seed == 9
-        assert vehicle.url.startswith("udpin:127.0.0.1:")
-        assert time.monotonic() - begin < 3.0
+    took: list[float] = []
+    while not took or (took[-1] >= scaled(1.5) and len(took) < 3):  # a machine that stands still spoils one start
+        begin = time.monotonic()
+        with SimulatedVehicle("px4", seed=9) as vehicle:
+            assert vehicle.seed == 9
+            assert vehicle.url.startswith("udpin:127.0.0.1:")
+            took.append(time.monotonic() - begin)
+    assert took[-1] < scaled(1.5), took
 
 
 def test_the_clock_runs_at_the_asked_speed(ardupilot: SimulatedVehicle) -> None:
     ardupilot.call("speed", value=20)
-    before, wall = ardupilot.state()["time"], time.monotonic()
-    time.sleep(0.5)
-    passed = (ardupilot.state()["time"] - before) / (time.monotonic() - wall)
-    # Never ahead of the asked speed; behind it only where the machine is too busy.
-    assert 10 < passed < 22
+    fastest = 0.0
+    for _ in range(10):
+        began, before = time.monotonic(), ardupilot.state()["time"]
+        time.sleep(0.5)
+        passed = ardupilot.state()["time"] - before
+        wall = time.monotonic() - began
+        assert passed <= 20 * (wall + MAX_STEP_S), "never ahead of the asked speed, but for one step"
+        fastest = max(fastest, passed / wall)
+        if fastest > 10:
+            return
+    raise AssertionError(f"behind the asked speed in every half second: {fastest}")  # a busy machine has better ones
 
 
 def test_every_verb_of_motion_and_surroundings_acts(ardupilot: SimulatedVehicle) -> None:
@@ -213,7 +223,7 @@ def test_tcp_serves_one_client_at_a_time_and_drops_it_at_a_reboot() -> None:
             second.command(246, 1)
             assert second.expect("COMMAND_ACK").result == 0
             with pytest.raises(ConnectionResetError):
-                second.collect(2.0)
+                second.collect(scaled(PATIENCE_S))
         with Station(vehicle.url) as third:
             third.expect("HEARTBEAT")
             assert vehicle.state()["boots"] == 1

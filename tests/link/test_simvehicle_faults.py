@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.simvehicle import ControlError
+from mavcal.service.simvehicle import ControlError, impairment
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.links import SimEndpoint
 from mavcal.service.simvehicle.server import SimServer, make_vehicle
 from mavcal.service.simvehicle.wire import Packer, Received, split_datagram
+from tests.clock import ManualClock
 
 TICK_S = 0.005
 RAW_IMU, HIGHRES = 27, 105
@@ -124,28 +125,40 @@ def test_duplication_repeats_frames(rig: Build) -> None:
     assert len(stamps) - len(set(stamps)) == pytest.approx(400, abs=60)
 
 
-def test_reordering_swaps_frames_and_loses_none(rig: Build) -> None:
-    import time
+@pytest.fixture
+def wall(monkeypatch: pytest.MonkeyPatch) -> ManualClock:
+    """The wall's clock, by which frames are held back; it stands still until it is told to go on."""
+    clock = ManualClock()
+    monkeypatch.setattr(impairment.time, "monotonic", clock)
+    return clock
 
+
+def test_reordering_swaps_frames_and_loses_none(rig: Build, wall: ManualClock) -> None:
     r = rig()
     r.fault("reordering", p=0.2, direction="out")
-    stamps = [m.time_usec for m in streamed(r, 1.0)]
-    time.sleep(0.06)
+    r.stream(RAW_IMU, 5000)
+    r.run(0.05)
+    wall.advance(0.06)
+    r.run(TICK_S)
+    r.take()
+    for _ in range(20):
+        r.run(0.05)
+        wall.advance(0.05)
+    stamps = [m.time_usec for m in r.take("RAW_IMU")]
+    wall.advance(0.06)
     r.run(TICK_S)
     stamps += [m.time_usec for m in r.take("RAW_IMU")]
     assert len(stamps) == pytest.approx(200, abs=3)
     assert stamps != sorted(stamps)
 
 
-def test_delay_holds_frames_back(rig: Build) -> None:
-    import time
-
+def test_delay_holds_frames_back(rig: Build, wall: ManualClock) -> None:
     r = rig()
     r.fault("delay", delay_s=0.05, direction="out")
     r.stream(RAW_IMU, 5000)
     r.run(0.03)
     assert r.take() == []
-    time.sleep(0.06)
+    wall.advance(0.06)
     r.run(TICK_S)
     assert r.take("RAW_IMU")
 

@@ -107,7 +107,7 @@ async def test_px4_with_its_integers_hash_and_unlisted_names(ground: Ground) -> 
         for value in (-8388000, -1, 0):
             echo = await vehicle.parameters.set("CAL_ACC3_ID", value, ParamType.INT32)
             assert echo.parameter.bits == struct.pack("<i", value)
-        report = await request_streams(vehicle, {26: 50.0, 27: 50.0}, measure_s=0.6)
+        report = await request_streams(vehicle, {26: 50.0, 27: 50.0}, measure_s=scaled(0.6))
         assert report.rates[26].measured_hz == pytest.approx(50.0, rel=0.1)
         assert report.rates[27].result == 4
         assert report.missing == (27,)
@@ -117,17 +117,24 @@ async def test_px4_with_its_integers_hash_and_unlisted_names(ground: Ground) -> 
 async def test_streams_are_measured_in_vehicle_time_and_restored(ground: Ground) -> None:
     with simulated() as sim:
         vehicle = await ground.vehicle(sim.url)
-        report = await request_streams(vehicle, {27: 50.0, 116: 50.0}, measure_s=0.6)
-        assert report.rates[116].measured_hz == pytest.approx(50.0, rel=0.1)
-        assert report.rates[116].wall_hz == pytest.approx(250.0, rel=0.3)
+        asked, at_five_times = {27: 50.0, 116: 50.0}, pytest.approx(250.0, rel=0.3)
+        report = again = await request_streams(vehicle, asked, measure_s=0.6)
+        for _ in range(9):  # the vehicle is slower whenever the machine is too busy
+            if again.rates[116].wall_hz == at_five_times:
+                break
+            again = await request_streams(vehicle, asked, measure_s=0.6, before=report.previous)
+        assert again.rates[116].wall_hz == at_five_times
+        assert again.rates[116].measured_hz == pytest.approx(50.0, rel=0.1)
         heard: list[int] = []
         forget = vehicle.subscribe(frozenset({116}), lambda frames, _batch: heard.append(len(frames)))
         await ground.until(lambda: sum(heard) > 20)
         assert await report.restore() == ()
-        await asyncio.sleep(0.1)
-        count = sum(heard)
-        await asyncio.sleep(0.2)
-        assert sum(heard) == count
+        quiet = 0
+        async with asyncio.timeout(scaled(10)):
+            while quiet < 10:  # for 0.2 s: what was on its way may come late
+                count = sum(heard)
+                await asyncio.sleep(0.02)
+                quiet = quiet + 1 if sum(heard) == count else 0
         forget()
 
 
@@ -197,7 +204,7 @@ async def test_two_vehicles_with_one_system_id_are_never_written_to(ground: Grou
 async def test_a_vehicle_that_falls_silent_is_told_and_comes_back(ground: Ground) -> None:
     with simulated(speed=1.0) as sim:
         vehicle = await ground.vehicle(sim.url)
-        await sim.acall("fault", kind="silence", duration_s=3.6)
+        await sim.acall("fault", kind="silence", duration_s=8.0)  # 3 s are silence, and a late loop has to see them
         await ground.until(lambda: VehicleEventKind.SILENT in ground.kinds())
         assert any("no heartbeat" in reason for reason in vehicle.writable().reasons)
         await ground.until(lambda: VehicleEventKind.HEARD_AGAIN in ground.kinds())
@@ -219,7 +226,7 @@ async def test_a_simulated_link_lives_and_ends_with_its_vehicle(ground: Ground) 
     await link.close()
     assert link.state is LinkState.CLOSED
     with suppress(ConnectionResetError):
-        assert await asyncio.wait_for(reader.read(), 5) == b""
+        assert await asyncio.wait_for(reader.read(), scaled(5)) == b""
     writer.close()
     with pytest.raises(EndpointError, match="did not start"):
         await ground.link("sim:ardupilot?script=no_such_script")
@@ -240,12 +247,11 @@ async def test_a_recorded_subscription_hears_exactly_what_the_recording_holds_fr
                 ids, lambda frames, _batch, heard=heard: heard.extend(frame.raw for frame in frames)
             )
             time.sleep(0.05)  # noqa: ASYNC251 - as above
-            await asyncio.sleep(0.1)
+            await ground.until(lambda heard=heard: len(heard) > 50)
             forget()
             always()
             data = vehicle.link.tlog.path.read_bytes()[place:]
             recorded = [frame.raw for _, frame in wire.iter_tlog(data) if frame.message_id in ids]
-            assert len(heard) > 50
             assert recorded[: len(heard)] == heard
 
 

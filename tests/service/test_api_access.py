@@ -19,6 +19,7 @@ from mavcal.service.jobs.codec import row_from_job
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
+from tests.patience import scaled
 
 from .api_bench import api, served, settings_in
 from .test_api import bearer, keys
@@ -53,7 +54,7 @@ async def test_the_body_is_not_read_before_the_key_is_checked(tmp_path: Path) ->
                 reader, writer = await asyncio.open_connection("127.0.0.1", port)
                 head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nContent-Length: {2**30}\r\n{key}\r\n"
                 writer.write(head.encode())
-                async with asyncio.timeout(20):
+                async with asyncio.timeout(scaled(20)):
                     answer = await reader.read()  # to the end: nothing was sent of the body, and the service hangs up
                 assert answer.startswith(b"HTTP/1.1 401"), answer
                 writer.close()
@@ -66,7 +67,7 @@ async def test_a_key_that_may_not_upload_is_refused_before_its_body_is_read(tmp_
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         head = f"POST /api/v1/recordings?name=a.csv HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
         writer.write(f"{head}Content-Length: {2**30}\r\nAuthorization: Bearer read\r\n\r\n".encode())
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(scaled(20)):
             assert (await reader.read()).startswith(b"HTTP/1.1 403")
         writer.close()
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tests.patience import scaled
+
 from .api_bench import api, served
 from .test_api_recordings import kept, sphere_csv, upload
 
@@ -46,7 +48,7 @@ async def reading(folder: Path, count: int) -> list[int]:
     def at_it() -> list[int]:
         return [int(p.read_text()) for p in folder.rglob("*.pid") if p.read_text()]
 
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(scaled(60)):
         while len(found := at_it()) < count:  # noqa: ASYNC110 - another process says it
             await asyncio.sleep(0.02)
     return found
@@ -85,10 +87,10 @@ async def test_the_reader_ends_when_the_client_goes_away(hanging):
         (pid,) = await reading(hanging, 1)
         asked.cancel()  # which closes the connection
         await asyncio.gather(asked, return_exceptions=True)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(scaled(20)):
             while pid in children_of(os.getpid()):  # noqa: ASYNC110 - the kernel tells nobody
                 await asyncio.sleep(0.05)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(scaled(20)):
             while list((hanging / "recordings").glob("*.csv")):  # noqa: ASYNC110
                 await asyncio.sleep(0.05)
         assert a.service.recordings.all() == ()

@@ -28,6 +28,8 @@ from .api_bench import api
 from .jobs_bench import stored, zero_gyro_offsets
 
 LINK = "udpin:127.0.0.1:0"
+LONG = 1_500_000
+"""Rows of the last log: its fit takes so long that the campaign is not over when it is seen that some are made."""
 
 
 def write_rest(path: Path, seed: int, rows: int = 60_000) -> Path:
@@ -63,7 +65,8 @@ def ended(service: ServiceProcess, job_id: str) -> JobModel:
 @pytest.mark.long
 def test_fits_that_were_made_are_not_made_again(tmp_path: Path) -> None:
     data = tmp_path / "data"
-    asyncio.run(uploaded(data, [write_rest(tmp_path / f"rest{n}.npz", n) for n in range(8)]))
+    paths = [write_rest(tmp_path / f"rest{n}.npz", n) for n in range(7)]
+    asyncio.run(uploaded(data, [*paths, write_rest(tmp_path / "rest7.npz", 7, LONG)]))
     first = ServiceProcess(data, LINK)
     try:
         job_id = first.client.start_fit_campaign(recordings="all", method="allan", at_once=2).id
@@ -159,8 +162,9 @@ def run(*words: str | Path) -> tuple[int, dict[str, Any]]:
 def test_a_command_that_was_stopped_is_resumed(tmp_path: Path, executor: str, how: signal.Signals) -> None:
     folder, data = tmp_path / "logs", tmp_path / "data"
     folder.mkdir()
-    for n in range(10):
+    for n in range(9):
         write_rest(folder / f"rest{n}.npz", n)
+    write_rest(folder / "rest9.npz", 9, LONG)
     words = command("fit", "allan", folder, "--data-dir", data, "--executor", executor)
     with subprocess.Popen(words, stderr=subprocess.PIPE, env=ending_with_us(), text=True) as process:
         assert process.stderr is not None

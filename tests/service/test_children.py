@@ -16,6 +16,7 @@ import pytest
 from mavcal.calib.errors import FirmwareError
 from mavcal.service.children import Children, Limits
 from mavcal.service.errors import ChildEnded, ChildrenBusy
+from tests.patience import scaled
 
 TASKS = "tests.service.child_tasks"
 PLENTY = Limits(2**30, 60.0, 60.0)
@@ -43,14 +44,14 @@ async def pid_in(path: Path) -> int:
     def read() -> str:
         return path.read_text() if path.exists() else ""
 
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(scaled(60)):
         while not (said := read()):  # noqa: ASYNC110 - another process says it
             await asyncio.sleep(0.02)
     return int(said)
 
 
 async def gone(pid: int) -> None:
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(scaled(30)):
         while alive(pid):  # noqa: ASYNC110 - the kernel tells nobody
             await asyncio.sleep(0.02)
 

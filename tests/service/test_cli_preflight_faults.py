@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from mavcal.service.simvehicle import SimulatedVehicle
+from tests.patience import scaled
 
 from .test_cli_preflight import preflight
 from .test_preflight import FAULTS, looked_at, remember, reset, vehicle
@@ -20,7 +21,7 @@ def found(sim: SimulatedVehicle, folder: Path) -> tuple[int, dict[str, Any]]:
     done = preflight(sim.url, folder, "--json")
     told: dict[str, Any] = json.loads(done.stdout)
     assert "checks" in told, (told, done.stderr)
-    assert told["seconds"] < 10.0
+    assert told["seconds"] < scaled(10.0)
     assert all(check["evidence"] for check in told["checks"]), told
     return done.returncode, told
 

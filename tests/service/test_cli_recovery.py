@@ -16,12 +16,13 @@ import pytest
 from mavcal.calib.firmware.values import shown
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.simvehicle import SimulatedVehicle
+from tests.patience import scaled
 
 pytestmark = pytest.mark.timeout(300)
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 120.0
-"""For a machine that is busy with other things; a run takes a few seconds."""
+"""Of an idle machine; a run takes a few seconds."""
 
 
 def vehicle(autopilot: str, parameters: dict[str, float], seed: int = 5) -> SimulatedVehicle:
@@ -59,14 +60,14 @@ class Command:
     def killed(self, point: At, occurrence: int, *arguments: str) -> str:
         command = ["-m", "bench.campaign.cli_process", point.value, str(occurrence), *arguments, *self._place]
         done = subprocess.run(
-            [sys.executable, *command], cwd=ROOT, timeout=LIMIT_S, capture_output=True, text=True, check=False
+            [sys.executable, *command], cwd=ROOT, timeout=scaled(LIMIT_S), capture_output=True, text=True, check=False
         )
         assert done.returncode == -signal.SIGKILL, f"it was not killed at {point}: {done.stderr[-2000:]}"
         return done.stderr
 
     def ran(self, *arguments: str) -> tuple[int, dict[str, Any], str]:
         command = [sys.executable, "-m", "mavcal", *arguments, *self._place, "--json"]
-        done = subprocess.run(command, cwd=ROOT, timeout=LIMIT_S, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, cwd=ROOT, timeout=scaled(LIMIT_S), capture_output=True, text=True, check=False)
         assert "Traceback" not in done.stderr, done.stderr
         return done.returncode, json.loads(done.stdout), done.stderr
 
@@ -80,7 +81,7 @@ class Running:
 
     def __init__(self, command: list[str], stdin: int | None) -> None:
         self._process = subprocess.Popen(command, cwd=ROOT, stdin=stdin, stderr=subprocess.PIPE, text=True)
-        self._limit = threading.Timer(LIMIT_S, self._process.kill)
+        self._limit = threading.Timer(scaled(LIMIT_S), self._process.kill)
         self._limit.start()
         self.said = ""
 

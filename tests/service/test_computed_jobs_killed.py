@@ -33,8 +33,8 @@ async def uploaded(folder: Path, path: Path) -> str:
         return str(made["id"])
 
 
-def write_rest(path: Path, rows: int = 400_000) -> Path:
-    """A gyroscope at rest for so long that its Allan variance takes a second."""
+def write_rest(path: Path, rows: int = 1_500_000) -> Path:
+    """A gyroscope at rest for so long that its Allan variance takes seconds: somebody late still sees it computed."""
     rng = np.random.default_rng(5)
     columns = [np.arange(rows) / 100.0, *(0.01 * rng.standard_normal((3, rows)))]
     np.savez(path, t=columns[0], gyro=np.column_stack(columns[1:]))

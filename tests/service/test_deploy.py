@@ -18,7 +18,7 @@ import pytest
 
 from mavcal.service.api.security import digest
 from mavcal.service.settings import Settings, settings_table
-from tests.patience import patience
+from tests.patience import patience, scaled
 
 from .deployed import (
     DEPLOY,
@@ -155,7 +155,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installe
 
 
 def healthy(running: Running) -> bool:
-    return httpx.get(f"{running.url}/healthz").json() == {"status": "ok"}
+    return httpx.get(f"{running.url}/healthz", timeout=scaled(20)).json() == {"status": "ok"}
 
 
 def test_what_is_installed_starts_as_the_unit_says_and_ends_at_sigterm(installed: Installed) -> None:
@@ -292,7 +292,7 @@ def test_the_image_serves_whom_its_keys_name_and_tells_its_health(container: dic
     with started(entry_point(), container | {"MAVCAL_API_KEYS": keys}, tmp_path) as running:
         asked = {**container, "MAVCAL_PORT": running.url.rpartition(":")[2]}
         assert subprocess.run([sys.executable, *check], env=asked, check=False).returncode == 0
-        assert httpx.get(f"{running.url}/api/v1/jobs").status_code == 401
+        assert httpx.get(f"{running.url}/api/v1/jobs", timeout=scaled(20)).status_code == 401
         assert running.ended(seconds_of(unit()["TimeoutStopSec"][0])) == 0
     quiet = subprocess.run([sys.executable, *check], env=asked, capture_output=True, check=False)
     assert quiet.returncode != 0

@@ -345,6 +345,7 @@ async def by_stream(a: Api, boat: Json, plane: Json, ours: Json, theirs: Json) -
     events = await a.events("/events", 6, last_event_id=0)
     assert events
     headers = {"Authorization": "Bearer boats", "Last-Event-ID": "0"}
+    here, elsewhere = (boat["id"], ours["id"], boat["link"]), (plane["id"], theirs["id"], plane["link"])
     text = ""
 
     async def read() -> None:
@@ -354,11 +355,16 @@ async def by_stream(a: Api, boat: Json, plane: Json, ours: Json, theirs: Json) -
             async for line in response.aiter_lines():
                 text += line
 
-    with suppress(TimeoutError):
-        await asyncio.wait_for(read(), scaled(2))
-    for here, elsewhere in ((boat["id"], plane["id"]), (ours["id"], theirs["id"]), (boat["link"], plane["link"])):
-        assert f'"{here}"' in text
-        assert f'"{elsewhere}"' not in text
+    reading = asyncio.create_task(read())
+    async with asyncio.timeout(scaled(20)):
+        while not all(f'"{name}"' in text for name in here):
+            assert not reading.done()
+            await asyncio.sleep(0.05)
+    await asyncio.sleep(1.0)  # what else there is to hear
+    reading.cancel()
+    with suppress(asyncio.CancelledError):
+        await reading
+    assert not [name for name in elsewhere if f'"{name}"' in text]
     ticket = (await a.post("/tickets", expect=201, **key("boats")))["ticket"]
     response = await a.client.get(
         f"/api/v1/vehicles/{plane['id']}/stream?ticket={ticket}", headers={"Authorization": ""}

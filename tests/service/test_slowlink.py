@@ -26,10 +26,10 @@ async def test_a_gyro_job_on_a_slow_wire_is_done_in_time_and_says_what_it_does(a
 
 @pytest.mark.long
 async def test_the_start_and_the_restart_of_a_vehicle_have_phases_of_their_own() -> None:
-    run = await timed(WIRES[0], "px4", speed=4.0)
+    run = await timed(WIRES[0], "px4", speed=2.0)  # a job that begins late finds less of the start to wait for
     phases = dict(run.phases)
     assert run.state == JobState.SUCCEEDED, run.outcome
-    assert phases["waiting for its start"] > 1.0  # 10 s of its own clock
+    assert phases["waiting for its start"] > 1.0  # of 5: 10 s of its own clock
     assert phases["restart"] > 0.5
     assert any(text.startswith("waiting for the vehicle to restart") for text in run.told)
     assert any(text.startswith("waiting until the vehicle has saved") for text in run.told)

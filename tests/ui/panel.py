@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 from playwright.sync_api import Browser, Locator, Page, Playwright, expect
 
-from tests.patience import scaled
+from tests.patience import patience, scaled
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
@@ -68,6 +68,7 @@ class Panel:
     def __init__(self, browser: Browser, size: dict[str, int] = DESK) -> None:
         self.context = browser.new_context(viewport=size)  # type: ignore[arg-type]
         self.context.set_default_timeout(1000 * scaled(20))
+        expect.set_options(timeout=1000 * scaled(20))
         self.page: Page = self.context.new_page()
         self.complaints: list[str] = []
         self.asked: list[str] = []
@@ -119,7 +120,7 @@ class Panel:
 
 def until(happens: Callable[[], bool], seconds: float, what: str) -> None:
     """Ask until it is so."""
-    end = time.monotonic() + scaled(seconds)
+    limit = patience(seconds)
     while not happens():
-        assert time.monotonic() < end, what
+        assert not limit.over, what
         time.sleep(0.1)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from playwright.sync_api import expect
 
 from mavcal.service.simvehicle import free_udp_port
 from tests.service.gap_tables import write_table
@@ -27,13 +28,38 @@ WATCH_STATES = """() => {
 pytestmark = pytest.mark.timeout(600)
 
 
-def prompt_and_button_in_sight(panel: Panel) -> None:
-    assert panel.inside_viewport(".prompt"), panel.text(".prompt")
-    assert panel.inside_viewport(".dock button")
+FIRST = """([shown, counted]) => {
+  window.first = null;
+  new MutationObserver(() => {
+    const found = document.querySelector(shown);
+    if (window.first !== null || !found) return;
+    window.first = counted ? document.querySelectorAll(counted).length : Number(found.ariaLabel.match(/\\d+/)[0]);
+  }).observe(document.body, { subtree: true, childList: true });
+}"""
+"""How many of something the first drawing has in which something is shown, or the number that this is labelled with: a
+question from outside comes later."""
+IN_SIGHT = """() => document.querySelector(".faces") && [".prompt", ".dock button"].every((selector) => {
+  const box = document.querySelector(selector)?.getBoundingClientRect();
+  return box && box.left >= -1 && box.top >= -1 && box.right <= innerWidth + 1 && box.bottom <= innerHeight + 1;
+})"""
+"""Asked at one instant, since a capture may end between two; null when it has ended."""
+
+
+def prompt_and_button_in_sight(panel: Panel) -> bool:
+    """Whether the capture goes on; prompt and button are on the screen then."""
+    in_sight = panel.page.evaluate(IN_SIGHT)
+    assert in_sight is not False, panel.text("body")
+    return in_sight is not None
+
+
+def first_shown(panel: Panel) -> object:
+    """What :data:`FIRST` was to find."""
+    until(lambda: panel.page.evaluate("window.first") is not None, 30, "the first drawing")
+    return panel.page.evaluate("window.first")
 
 
 def test_a_gyro_by_keyboard_alone(desk, tmp_path):
-    with service(tmp_path, "--connect", sim(config=KEPT)) as url:
+    with service(tmp_path, "--connect", sim(speed=4, config=KEPT)) as url:
         desk.open(url)
         desk.calibrate("Gyro").focus()
         desk.page.keyboard.press("Enter")
@@ -58,19 +84,17 @@ def test_a_gyro_by_keyboard_alone(desk, tmp_path):
 def test_an_accelerometer_on_a_phone_with_the_prompt_always_in_sight(phone, tmp_path):
     with service(tmp_path, "--connect", sim(speed=6, config=KEPT)) as url:
         phone.open(url)
+        phone.page.evaluate(FIRST, [".faces li", ".faces .done"])
         phone.calibrate("Accelerometer").click()
-        phone.page.wait_for_selector(".faces li")
-        assert phone.page.locator(".faces .done").count() == 0, "nothing was measured yet"
+        assert first_shown(phone) == 0, "nothing was measured yet"
         seen: set[int] = set()
 
         def captured() -> bool:
-            if phone.page.locator(".faces").count() == 0:
+            if not prompt_and_button_in_sight(phone):
                 return True
-            prompt_and_button_in_sight(phone)
             phone.page.mouse.wheel(0, 200)  # whoever scrolls still sees both
             phone.page.wait_for_timeout(100)
-            if phone.page.locator(".faces").count():
-                prompt_and_button_in_sight(phone)
+            prompt_and_button_in_sight(phone)
             phone.page.mouse.wheel(0, -200)
             seen.add(phone.page.locator(".faces .done").count())
             return False
@@ -79,9 +103,9 @@ def test_an_accelerometer_on_a_phone_with_the_prompt_always_in_sight(phone, tmp_
         assert len(seen) >= 3  # the faces turned green one after the other
         phone.wait_for_state("Ready for your review", 60)
         phone.sees("Acceleration is wrong by up to", inside=".headline")
-        assert phone.page.locator(".before-after img").is_visible()
+        expect(phone.page.locator(".before-after img")).to_be_visible()
         assert phone.page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
-        assert phone.inside_viewport(".dock button.primary")
+        until(lambda: phone.inside_viewport(".dock button.primary"), 10, "the button in sight")
         phone.page.locator(".dock button.primary").click()
         phone.wait_for_state("Done", 180)
         phone.sees("Proved", inside=".outcome")
@@ -100,17 +124,17 @@ def test_a_compass_beside_a_magnet_ends_early_with_cause_and_remedy(desk, tmp_pa
         desk.wait_for_state("Failed", 180)
         desk.sees("magnet", inside=".outcome")
         desk.sees("What helps:", inside=".outcome")
-        assert desk.page.get_by_role("button", name="Try again").is_visible()
+        expect(desk.page.get_by_role("button", name="Try again")).to_be_visible()
 
 
 @pytest.mark.long
 def test_a_compass_shows_what_is_covered_and_where_to_turn_next(desk, tmp_path):
     covered = "Number(document.querySelector('field-sphere').ariaLabel.match(/\\d+/)[0])"
-    with service(tmp_path, "--connect", sim(speed=4, config=KEPT)) as url:
+    with service(tmp_path, "--connect", sim(speed=2, config=KEPT)) as url:
         desk.open(url)
+        desk.page.evaluate(FIRST, ["field-sphere", ""])
         desk.calibrate("Compass").click()
-        desk.page.wait_for_selector("field-sphere")
-        assert desk.page.evaluate(covered) == 0
+        assert first_shown(desk) == 0
         desk.sees("turn a full circle", 90, ".prompt")
         until(
             lambda: desk.page.evaluate("document.querySelector('field-sphere')?._field.next") is not None,
@@ -126,9 +150,9 @@ def test_a_compass_shows_what_is_covered_and_where_to_turn_next(desk, tmp_path):
 def test_a_reload_and_a_second_browser_find_the_job_where_it_was(browser, desk, tmp_path):
     with service(tmp_path, "--connect", sim(speed=3, hand="off", config=KEPT)) as url:
         desk.open(url)
+        desk.page.evaluate(FIRST, [".faces li", ".faces .done"])
         desk.calibrate("Accelerometer").click()
-        desk.page.wait_for_selector(".faces li")
-        assert desk.page.locator(".faces .done").count() == 0  # nothing is done before the first prompt
+        assert first_shown(desk) == 0  # nothing is done before the first prompt
         desk.sees("1 of 10 poses", 90, ".prompt")
         desk.sees("Level is done. Turn it to the next one.", inside=".prompt")
         assert desk.page.locator(".faces .done").all_inner_texts() == ["Level\n✓ done"]
@@ -140,7 +164,7 @@ def test_a_reload_and_a_second_browser_find_the_job_where_it_was(browser, desk, 
         other = Panel(browser, PHONE)
         other.open(url, place)
         other.sees("1 of 10 poses", 30, ".prompt")
-        prompt_and_button_in_sight(other)
+        assert prompt_and_button_in_sight(other)
         other.press("Cancel")
         desk.wait_for_state("Cancelled", 30)
         other.close()
@@ -154,7 +178,7 @@ def test_the_service_restarts_in_mid_job_and_the_page_goes_on(desk, tmp_path):
         desk.calibrate("Accelerometer").click()
         desk.sees("1 of 10 poses", 90, ".prompt")
     until(lambda: "Live" not in desk.text(".connection"), 30, "the page says that the service has gone")
-    assert desk.page.locator(".prompt").is_visible()  # nothing covers what the person was told
+    expect(desk.page.locator(".prompt")).to_be_visible()  # nothing covers what the person was told
     with service(tmp_path, "--connect", endpoint, port=int(url.rsplit(":", 1)[1].strip("/"))):
         desk.sees("Live", 60, ".connection")
         # The simulated vehicle ended with the service; the job says what has become of it.
@@ -171,7 +195,7 @@ def test_a_gap_is_diagnosed_and_its_report_shown(desk, tmp_path):
         desk.sees("real.csv", inside=".drop.done")
         desk.press("Diagnose")
         desk.sees("differ", 240, ".first-line")
-        assert desk.page.locator("iframe.report").is_visible()
+        expect(desk.page.locator("iframe.report")).to_be_visible()
 
 
 @pytest.mark.long
@@ -183,7 +207,7 @@ def test_five_vehicles_fit_one_screen(browser, tmp_path):
         cards, tiles = panel.page.locator(".vehicle-card"), panel.page.locator(".tile")
         until(lambda: cards.count() == 5, 120, "every vehicle is heard")
         until(lambda: tiles.count() == 20, 60, "every tile is there")
-        assert panel.page.locator(".tile button").first.is_visible()
+        expect(panel.page.locator(".tile button").first).to_be_visible()
         assert panel.page.evaluate("document.documentElement.scrollHeight") <= DESK["height"] + 4
     panel.close()
 
@@ -214,7 +238,7 @@ def test_twenty_vehicles_are_a_table(browser, tmp_path, size):
             until(lambda: panel.page.locator(".fleet .sensor .badge").count() == 80, 60, "each has four sensors")
             names = [name.split()[-1] for name in panel.page.locator(".fleet tbody th").all_inner_texts()]
             assert names == [str(i) for i in range(1, 21)]
-            assert rows.first.get_by_text("disarmed").is_visible()
+            expect(rows.first.get_by_text("disarmed")).to_be_visible()
             assert "Begin with the gyro" in rows.first.locator(".needs").inner_text()
             assert panel.page.evaluate("document.documentElement.scrollWidth") <= size["width"]
         until(lambda: panel.page.locator(".fleet .badge.bad").count() == 18, 60, "eighteen have gone silent")

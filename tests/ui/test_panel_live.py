@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import expect
 
 from mavcal.service.simvehicle import SimulatedVehicle
+from tests.patience import scaled
 
 from .panel import PHONE, Panel, service, sim, until
 
@@ -18,10 +19,12 @@ pytestmark = pytest.mark.timeout(300)
 
 def live(url: str) -> str:
     """The address of the live room of the first vehicle."""
-    found: list[dict[str, object]] = []
-    until(lambda: bool(found := httpx.get(f"{url}api/v1/vehicles").json()) and bool(found[0]["uid"]), 30, "a vehicle")
-    found = httpx.get(f"{url}api/v1/vehicles").json()
-    return f"#/vehicle/{found[0]['id']}/live"
+    until(lambda: bool(found := vehicles(url)) and bool(found[0]["uid"]), 30, "a vehicle")
+    return f"#/vehicle/{vehicles(url)[0]['id']}/live"
+
+
+def vehicles(url: str) -> list[dict[str, object]]:
+    return list(httpx.get(f"{url}api/v1/vehicles", timeout=scaled(20)).json())
 
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
@@ -33,7 +36,7 @@ def test_the_live_room_has_the_vehicle_send_its_samples_and_says_so(browser, des
         until(
             lambda: any(f"{n} Hz" in desk.text("figcaption") for n in ("49", "50", "51", "49.9", "50.1")), 30, "50 Hz"
         )
-        assert "% lost" in desk.text("figcaption")
+        desk.sees("% lost", inside="figcaption")
         other = Panel(browser, PHONE)
         other.open(url, live(url))
         other.press("200 Hz")
@@ -82,8 +85,8 @@ def test_a_chart_keeps_every_peak_and_forgets_what_is_older_than_its_span(desk, 
 
 def true_down(url: str) -> list[float]:
     """The world's down in the body of the simulated vehicle, as its stream has it."""
-    vehicle = httpx.get(f"{url}api/v1/vehicles").json()[0]
-    with httpx.stream("GET", f"{url}api/v1/vehicles/{vehicle['id']}/samples") as response:
+    samples = f"{url}api/v1/vehicles/{vehicles(url)[0]['id']}/samples"
+    with httpx.stream("GET", samples, timeout=scaled(20)) as response:
         for line in response.iter_lines():
             data = json.loads(line.removeprefix("data: ")) if line.startswith("data: ") else {}
             if data.get("attitude"):

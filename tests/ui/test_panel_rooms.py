@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from playwright.sync_api import expect
 
 from mavcal.service.api.security import digest
 
@@ -22,7 +23,7 @@ def test_home_says_what_each_sensor_needs_and_asks_nobody_else(desk, tmp_path):
         tiles = desk.page.locator(".tile")
         until(lambda: tiles.count() == 4, 20, "four tiles")
         for name in ("Gyro", "Accelerometer", "Compass", "Temperature"):
-            assert desk.calibrate(name).is_enabled()
+            expect(desk.calibrate(name)).to_be_enabled()
         assert "not calibrated here" in desk.text(".tile")  # a color never says it alone
         desk.sees("A simulated vehicle is connected", inside=".banner")
         assert all(asked.startswith((url, "data:", "blob:")) for asked in desk.asked), desk.asked

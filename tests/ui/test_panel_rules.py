@@ -12,7 +12,7 @@ import pytest
 from bench.film.rooms import capturing, furnish
 from mavcal.client import Client
 
-from .panel import PHONE, Panel, service
+from .panel import PHONE, Panel, service, until
 
 AXE = Path(__file__).parent / "vendor" / "axe.min.js"
 GRAVE = ("serious", "critical")
@@ -137,6 +137,5 @@ def test_the_policy_refuses_what_a_page_may_not_do(browser, furnished):
     panel.page.add_init_script(REPORTED)
     panel.open(furnished.url)
     panel.page.evaluate("document.body.append(Object.assign(document.createElement('style'), {textContent: 'p {}'}))")
-    panel.page.wait_for_timeout(200)
-    assert panel.page.evaluate("window.refused ?? []") != []
+    until(lambda: panel.page.evaluate("window.refused ?? []") != [], 20, "the listener hears")
     panel.close()
