@@ -1,9 +1,9 @@
 """The magnetometer against the gyroscope: in the body the Earth's field obeys ``dm/dt = -w x m`` (METHODS 3.1).
 
 Any motion serves, and no accelerometer is needed. Between two samples of the compass the gyroscope is integrated, not
-differentiated, so this is the chain of directions and turns of :mod:`calib.imu.problem` with samples in place of poses:
-``y_k = b + C^-1 u_k`` and ``u_k+1 = D_k u_k``. It gives the offset, the matrix up to its scale, the rotation between
-compass and gyroscope that no ellipsoid can see, the gyroscope's offset, and the delay of the compass.
+differentiated. So this is the chain of directions and turns of :mod:`calib.imu.problem`, with samples in place of
+poses: ``y_k = b + C^-1 u_k`` and ``u_k+1 = D_k u_k``. It gives the offset; the matrix up to its scale; the rotation
+between compass and gyroscope, which no ellipsoid can see; the gyroscope's offset; and the delay of the compass.
 """
 
 from __future__ import annotations
