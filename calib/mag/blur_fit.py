@@ -214,8 +214,8 @@ def _adjusted(rates: Rates, state: Array) -> Rates:
 def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, float]:
     """One over the relative noise of every sample, and the variance at precision one (0: blur makes no difference).
 
-    The variance of a sample that is worth n readings is ``v/n + c^2 doubt^2`` with the likeliest v and c. c is at least
-    one: that some residuals are small does not make their blur better known than it can be.
+    The variance of a sample that is worth n readings is ``v/n + c^2 doubt^2`` with the likeliest v and c; c is at least
+    one. That some residuals are small does not make their blur better known than it can be.
     """
     squares = doubt**2
     typical = float(np.mean(squares))

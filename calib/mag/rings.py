@@ -2,8 +2,8 @@
 
 With body axis k down the field runs round ``h = F (sin d k + cos d (e1 cos p + e2 sin p))``. The centre of the ring is
 ``b + F sin d A k``. Half the difference of the centres with an axis down and up is ``v_i = F sin d A e_i``. But for one
-common factor this is a *column* of the matrix; b is the mean of the six. Only the vertical field is used: near the
-magnetic equator the columns vanish. A face of the fixture that is not square enters at full size.
+common factor this is a *column* of the matrix. The mean of the six centres is b. Only the vertical field is used: near
+the magnetic equator the columns vanish. A face of the fixture that is not square enters at full size.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Allan variance of a sensor at rest: white noise N, bias instability B, rate random walk K, each with its sd.
 
-The averaging time is ``tau = m/rate``. The overlapping Allan variance there is the mean of ``(x_{i+2m} - 2 x_{i+m} +
-x_i)^2 / (2 tau^2)`` over the integrated samples x (IEEE 952, annex C). Three noises of known spectrum add in it,
+The averaging time is ``tau = m/rate``. There the overlapping Allan variance is the mean of
+``(x_{i+2m} - 2 x_{i+m} + x_i)^2 / (2 tau^2)`` over the integrated samples x; see IEEE 952, annex C. Three noises of
+known spectrum add in it,
 
 ``avar(tau) = N^2/tau + (2 ln 2/pi) B^2 + K^2 tau/3``.
 

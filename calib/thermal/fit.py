@@ -198,10 +198,10 @@ def fit_polynomial(
     FitResult
         The offset is that at `t_ref` for a gyroscope; for an accelerometer in one pose it is undetermined (gravity and
         tilt are inside it) and only the shape counts. ``quality["drift"]`` is each axis' range over the span and
-        ``quality["drift_sd"]`` the largest sd of the curve about its mean. An axis is named and left at zero if its
-        wander does not repeat with temperature, its value is constant, or it was seen on too few levels. Where the
-        temperature went through its span more than once, ``quality["cross_validation"]`` judges every sweep by the
-        others; ``quality["hysteresis"]`` is warming less cooling.
+        ``quality["drift_sd"]`` the largest sd of the curve about its mean. An axis is named and left at zero in three
+        cases: its wander does not repeat with temperature, its value is constant, or it was seen on too few levels.
+        Where the temperature went through its span more than once, ``quality["cross_validation"]`` judges every sweep
+        by the others; ``quality["hysteresis"]`` is warming less cooling.
     """
     data = DriftData.of(channel, temperature)
     return fit_drift_data(
