@@ -1,4 +1,4 @@
-"""What is computed of uploads: fits and gap diagnoses, each in a child process with limits."""
+"""Computations on uploads: fits and gap diagnoses, each in a child process with limits."""
 
 from __future__ import annotations
 

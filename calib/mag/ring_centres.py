@@ -2,7 +2,7 @@
 
 A ring is a circle of the true field. Every estimate but the extremes is therefore made of samples that a matrix known
 well enough has brought back to that circle (METHODS S3). The mean is the best where the turn was even and biased where
-it was not; a fitted circle does not care.
+it was not; a fitted circle is the same either way.
 """
 
 from __future__ import annotations

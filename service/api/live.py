@@ -1,4 +1,4 @@
-"""The samples of a vehicle, and the wish to have it send them."""
+"""Routes of live samples: their stream, and the watch that has a vehicle send them."""
 
 from __future__ import annotations
 

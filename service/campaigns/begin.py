@@ -1,4 +1,4 @@
-"""Begins a campaign once what it is to do is found to make sense; and what each task does in a running service."""
+"""Checks what a campaign is asked to do, then begins it; holds what each task does in a running service."""
 
 from __future__ import annotations
 

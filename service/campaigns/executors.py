@@ -1,4 +1,4 @@
-"""The one port to whatever computes an archive: any ``concurrent.futures.Executor``, by a word."""
+"""Opens the executor that computes an archive, by its name: any ``concurrent.futures.Executor``."""
 
 from __future__ import annotations
 

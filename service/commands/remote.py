@@ -1,4 +1,4 @@
-"""A running service, asked by the command line through the typed client: ``--url`` in place of a data directory."""
+"""Lets commands ask a running service (``--url``) through the typed client, in place of a data directory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A job on the command line from where it is to its end: followed, its plan shown, confirmed, written and told."""
+"""Takes a job on the command line to its end: follow it, show its plan, confirm, write, print the outcome."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether something may begin: at this vehicle, in this state, on this plan."""
+"""Checks whether a job or a write may begin: on this vehicle, in this state, with this plan."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What has the message rates of a vehicle, so that nobody else may change them now."""
+"""Says what controls the message rates of a vehicle at the moment; nobody else may change them meanwhile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What jobs need of vehicles and of uploads: narrow views that tests can stand in for."""
+"""The interfaces through which jobs use vehicles and uploads, narrow enough for tests to replace."""
 
 from __future__ import annotations
 

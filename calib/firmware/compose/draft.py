@@ -1,4 +1,4 @@
-"""A plan in the making: what every autopilot's composer writes into, in whatever order it thinks."""
+"""The draft of a plan, into which every autopilot's composer writes in any order."""
 
 from __future__ import annotations
 

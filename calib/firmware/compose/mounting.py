@@ -1,4 +1,4 @@
-"""A magnetometer that is mounted otherwise than the vehicle is told.
+"""A magnetometer whose mounting differs from what the vehicle's parameters say.
 
 The magnetometer procedure leaves its finding in ``quality["orientation"]``: ``verdict`` (a
 :class:`calib.mag.orientation.MountingVerdict`), ``name`` and ``matrix``, the rotation from what is taken for the body

@@ -1,4 +1,4 @@
-"""What sensors read now."""
+"""Live sensor samples."""
 
 from __future__ import annotations
 
