@@ -71,7 +71,7 @@ def not_compared(report: GapReport) -> str:
     lost = dict.fromkeys(n.id for n in report.not_testable if n.id in _SENSORS)
     if not lost or report.verdict is GapVerdict.NOT_TESTABLE or report.inputs.useless:  # the verdict says it
         return ""
-    return f"Not compared, at least in part: {', '.join(_SENSORS[name] for name in lost)}; why is said below."
+    return f"Not compared, at least in part: {', '.join(_SENSORS[name] for name in lost)}; the reasons are below."
 
 
 def effect_phrase(effect: EffectEstimate) -> str:

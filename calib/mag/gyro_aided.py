@@ -134,8 +134,8 @@ def _open(found: ChainSolution, context: MagContext) -> tuple[str, tuple[str, ..
     rough = float(np.sqrt((_residuals(found) ** 2).mean()))
     if rough > _ROUGHEST:
         return (
-            f"the compass is {rough:.0%} of the field off what the gyroscope says: the field changed while turning, or "
-            "their axes or clocks differ",
+            f"the compass is {rough:.0%} of the field away from what the gyroscope says: the field changed while "
+            "turning, or their axes or clocks differ",
             parameter_names(),
         )
     scales = np.linalg.norm(found.solution.x[9:18].reshape(3, 3), axis=0)

@@ -88,7 +88,7 @@ def fit_allan(channel: Channel, *, relative: bool = False) -> FitResult:
         n_used=len(values),
         residual_rms=float(values.std()),
         condition_number=max(fit.condition for fit in known),
-        undetermined=dict.fromkeys(names, "noise alone is told here: run a calibration method of this sensor"),
+        undetermined=dict.fromkeys(names, "this method measures noise only: run a calibration method of this sensor"),
         partial=not whole,
         warnings=warnings,
         quality=_quality(channel, values, rate, known),
@@ -154,7 +154,7 @@ def _disturbed(values: Array, rate: float) -> list[str]:
         return []
     return [
         f"it was disturbed: at {starts[worst] / rate:.0f} s it scatters {scatter[worst] / usual:.0f} times as much as "
-        "usual; cut that out, noise of a motion is none of the sensor's"
+        "usual; cut that out: noise of a motion is not the sensor's"
     ]
 
 

@@ -245,7 +245,7 @@ def _waiting(job: Job, plan: WritePlan, connect: str) -> str:
 
     asked = confirmations(plan.blockers)
     if plan.blockers and not asked:
-        return "blocked: nothing was written, and this plan cannot be"
+        return "blocked: nothing was written, and this plan cannot be written"
     flags = "".join(f" --{PLAN_OPTIONS[name].flag}" for name in asked)
     begun = "it waits to be confirmed" if asked else "the plan is kept"
     return f"nothing was written; {begun}: `mavcal accept {job.id} --connect {connect}{flags}` writes it"

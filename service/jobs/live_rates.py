@@ -51,9 +51,9 @@ class LiveStatus:
     state
         What has become of the wish.
     text
-        Why it waits, or comes slower than wished; empty: nothing is to be said.
+        Why samples wait, or come slower than requested; empty: they come as requested.
     rate_hz
-        The fastest rate that anybody who watches this vehicle has wished for.
+        The fastest rate that anybody who watches this vehicle has requested.
     """
 
     state: LiveState
