@@ -128,7 +128,7 @@ class ImuProcedure(AccelProcedure):
         else:
             why = refusals(fits) if not usable else f"the gyros' scale is known to {100.0 * reached:.2f} %"
             self._give_up(
-                f"{len(self._poses)} poses do not bring the goal: {why}, not to {100.0 * self._scale_target:.2f} %",
+                f"{len(self._poses)} poses do not reach the goal: {why}, not to {100.0 * self._scale_target:.2f} %",
                 "turn it further and more briskly from pose to pose, about all axes, or ask for less",
             )
 

@@ -120,7 +120,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Done:
-    """The asked-for uncertainty is reached, or the operator ended it: one fit a sensor instance."""
+    """The requested uncertainty is reached, or the operator ended it: one fit a sensor instance."""
 
     results: tuple[FitResult, ...]
     because: str
