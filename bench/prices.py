@@ -1,27 +1,32 @@
 """``python -m bench.prices``: changes each price of the search by 30 % down and up, and counts the answers that change.
 
 Cases are development cases of the withheld-effect check: singles, mixtures, unknown errors and nulls in turn. An answer
-is its verdict and the instances of every effect that it names. A price that changes none of them may go. A whole table
-of 200 cases takes some hours; ``--cases`` and ``--only`` make a part of it, ``--page`` writes ``docs/prices.md``.
+is its verdict and the instances of every effect that it names. A price that a diagnosis never reads cannot change its
+answer, so only the prices that it reads are varied. A price that changes no answer may go.
+
+200 cases take many hours. ``--keep FILE`` holds a line a case: the same command goes on where it was stopped.
+``--page`` writes ``docs/prices.md`` from the cases that are there.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from mavcal.calib import gap, logs
 from mavcal.calib.gap.search import prices
-from mavcal.calib.withheld_check import Tier, make_case
+from mavcal.calib.withheld_check import Case, Tier, make_case
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "prices.md"
 CASES = 200
@@ -30,23 +35,27 @@ FIRST_SEED = 70_000
 TIERS = (Tier.SINGLE, Tier.MIXED, Tier.UNKNOWN, Tier.NULL)
 FACTORS = (0.7, 1.3)
 
-Answer = tuple[str, tuple[tuple[str, tuple[int, ...]], ...]]
-"""Verdict, and the effects that are named with their instances."""
-
 
 @dataclass(frozen=True)
-class Changed:
-    """How many answers a price changes, by factor, and how many name the true effects before and after."""
+class Varied:
+    """One case: whether its answer is right, and for each price that it reads what 30 % less and 30 % more do.
 
-    name: str
-    value: str
-    answers: tuple[int, ...]
-    right: tuple[int, ...]
+    `prices` maps a name to one pair a factor: whether the answer changes, and whether it is right then.
+    """
 
-    def row(self, cases: int, right: int) -> str:
-        """A line of the table."""
-        cells = [f"{n} of {cases} ({r - right:+d})" for n, r in zip(self.answers, self.right, strict=True)]
-        return f"| `{self.name}` | {self.value} | {' | '.join(cells)} |"
+    tier: str
+    seed: int
+    right: bool
+    prices: Mapping[str, Sequence[tuple[bool, bool]]]
+
+
+class _ReadPrices(ModuleType):
+    """The module of prices, which notes the names that are read."""
+
+    def __getattribute__(self, name: str) -> Any:
+        if name.isupper():
+            super().__getattribute__("read").add(name)
+        return super().__getattribute__(name)
 
 
 def names() -> tuple[str, ...]:
@@ -65,20 +74,47 @@ def scaled(value: Any, factor: float) -> Any:
     return value * factor
 
 
-def answered(tier: Tier, seed: int, name: str | None, factor: float) -> tuple[Answer, bool]:
-    """The answer to a case with one price changed (None: none), and whether it names the true effects alone."""
-    if name is not None:
-        setattr(prices, name, scaled(getattr(prices, name), factor))
+def varied(tier: Tier, seed: int, only: Sequence[str] = ()) -> Varied:
+    """Diagnose a case with the prices as they are, then with each price that was read changed by each factor.
+
+    For a process of its own: it changes the table of prices.
+    """
+    vars(prices)["read"] = read = set[str]()
+    prices.__class__ = _ReadPrices
     case = make_case(tier, seed)
+    before = named(case)
+    changed: dict[str, list[tuple[bool, bool]]] = {}
+    for name in [name for name in only or names() if name in frozenset(read)]:
+        value = getattr(prices, name)
+        for factor in FACTORS:
+            setattr(prices, name, scaled(value, factor))
+            after = named(case)
+            changed.setdefault(name, []).append((after != before, right(case, after)))
+        setattr(prices, name, value)
+    return Varied(tier.value, seed, right(case, before), changed)
+
+
+Answer = tuple[str, bool, tuple[tuple[str, tuple[int, ...]], ...]]
+"""Verdict, whether something unknown is left, and the effects that are named with their instances."""
+
+
+def named(case: Case) -> Answer:
+    """The answer to a case."""
     with tempfile.TemporaryDirectory() as folder:
         paths = {side: Path(folder) / f"{side}.npz" for side in ("real", "sim")}
         for side, columns in (("real", case.real), ("sim", case.sim)):
             np.savez(paths[side], allow_pickle=False, **columns)
         report = gap.run(logs.read(paths["real"]), logs.read(paths["sim"]), nested=False, without=case.without)
-    named = tuple(sorted((e.id, tuple(e.instances)) for e in report.effects))
-    true = {e["id"] for e in case.label["effects"]}
-    right = {i for i, _ in named} == true and report.unknown.flag == bool(case.label["unknown"])
-    return (report.verdict.value, named), right
+    effects = tuple(sorted((e.id, tuple(e.instances)) for e in report.effects))
+    return report.verdict.value, report.unknown.flag, effects
+
+
+def right(case: Case, answer: Answer) -> bool:
+    """Whether an answer names the true effects alone, and an unknown error where there is one."""
+    _, unknown, effects = answer
+    return {name for name, _ in effects} == {e["id"] for e in case.label["effects"]} and unknown == bool(
+        case.label["unknown"]
+    )
 
 
 def chosen(cases: int) -> list[tuple[Tier, int]]:
@@ -86,23 +122,30 @@ def chosen(cases: int) -> list[tuple[Tier, int]]:
     return [(TIERS[k % len(TIERS)], FIRST_SEED + k) for k in range(cases)]
 
 
-def changes(cases: Sequence[tuple[Tier, int]], only: Sequence[str], workers: int) -> Iterator[tuple[Changed, int]]:
-    """Price by price what changes, and how many answers are right with the prices as they are."""
+def kept(path: Path | None) -> list[Varied]:
+    """Cases that an earlier run has written."""
+    if path is None or not path.exists():
+        return []
+    return [Varied(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines() if line]
+
+
+def all_varied(cases: Sequence[tuple[Tier, int]], only: Sequence[str], workers: int) -> Iterator[Varied]:
+    """Case by case, each in a process of its own, as they are done."""
     context = get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=1) as pool:
+        for done in as_completed([pool.submit(varied, tier, seed, only) for tier, seed in cases]):
+            yield done.result()
 
-        def run(name: str | None, factor: float) -> list[tuple[Answer, bool]]:
-            return [f.result() for f in [pool.submit(answered, t, s, name, factor) for t, s in cases]]
 
-        base = run(None, 1.0)
-        right = sum(ok for _, ok in base)
-        for name in only or names():
-            other = [run(name, factor) for factor in FACTORS]
-            answers = tuple(sum(a != b for (a, _), (b, _) in zip(base, new, strict=True)) for new in other)
-            yield (
-                Changed(name, shown(getattr(prices, name)), answers, tuple(sum(ok for _, ok in n) for n in other)),
-                right,
-            )
+def row(name: str, cases: Sequence[Varied]) -> str:
+    """A line of the table: cases that read the price, answers that each factor changes, and how many more are right."""
+    reading = [case for case in cases if name in case.prices]
+    cells = [f"| `{name}` | {shown(getattr(prices, name))} | {len(reading)} |"]
+    for k, _ in enumerate(FACTORS):
+        changed = sum(case.prices[name][k][0] for case in reading)
+        gained = sum(case.prices[name][k][1] - case.right for case in reading)
+        cells.append(f" {changed} ({gained:+d}) |")
+    return "".join(cells)
 
 
 def shown(value: Any) -> str:
@@ -120,34 +163,45 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--cases", type=int, default=CASES)
     parser.add_argument("--only", nargs="*", default=[], choices=names(), metavar="NAME", help="only these prices")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--keep", type=Path, metavar="FILE", help="a JSON line a case; cases in it are not run again")
     parser.add_argument("--page", action="store_true", help="write docs/prices.md")
     args = parser.parse_args(argv)
-    cases = chosen(args.cases)
-    print(f"seeds {FIRST_SEED} to {FIRST_SEED + len(cases) - 1}", file=sys.stderr)
-    header = "| price | value | 30 % less | 30 % more |\n|---|---|---|---|"
-    print(header, flush=True)
-    rows, right = [], 0
-    for one, right in changes(cases, args.only, args.workers):
-        rows.append(one.row(len(cases), right))
-        print(rows[-1], flush=True)
-    print(f"right with the prices as they are: {right} of {len(cases)}")
+    done = kept(args.keep)
+    had = {(case.tier, case.seed) for case in done}
+    left = [(tier, seed) for tier, seed in chosen(args.cases) if (tier.value, seed) not in had]
+    print(f"seeds {FIRST_SEED} to {FIRST_SEED + args.cases - 1}, {len(left)} cases to run", file=sys.stderr)
+    for case in all_varied(left, args.only, args.workers):
+        done.append(case)
+        if args.keep:
+            with args.keep.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(case)) + "\n")
+    text = table(done, args.only or names())
+    print(text)
     if args.page:
-        PAGE.write_text(page("\n".join([header, *rows]), len(cases), right), encoding="utf-8")
+        PAGE.write_text(page(text, done), encoding="utf-8")
     return 0
 
 
-def page(table: str, cases: int, right: int) -> str:
+def table(cases: Sequence[Varied], of: Sequence[str]) -> str:
+    """The prices, one a line."""
+    head = "| price | value | cases that read it | 30 % less | 30 % more |\n|---|---|---|---|---|"
+    return "\n".join([head, *(row(name, cases) for name in of)])
+
+
+def page(text: str, cases: Sequence[Varied]) -> str:
     """``docs/prices.md``."""
+    unchanged = sum(not any(a for c in cases for a, _ in c.prices.get(name, ())) for name in names())
     return f"""# What the prices of the search do
 
 Every prior, penalty and threshold of the search stands in `calib/gap/search/prices.py`, with its meaning, unit and
-source. `python -m bench.prices --cases {cases} --page` changes one at a time by 30 % either way and diagnoses {cases}
-development cases. They are single effects, mixtures, unknown errors and nulls in turn, seeds from {FIRST_SEED}. With
-the prices as they are, {right} of {cases} answers name the true effects and no others.
+source. `python -m bench.prices` changes one at a time by 30 % either way and diagnoses development cases: single
+effects, mixtures, unknown errors and nulls in turn, seeds from {FIRST_SEED}.
 
-A cell says how many answers change (verdict, or an effect with its instances). In brackets: how many more are right.
+This table has {len(cases)} cases. With the prices as they are, {sum(c.right for c in cases)} answers name the true
+effects and no others. A cell counts the answers that change: verdict, unknown error, or an effect with its instances.
+In brackets: how many more answers are right. {unchanged} of {len(names())} prices change no answer of these cases.
 
-{table}
+{text}
 """
 
 

@@ -18,7 +18,7 @@ from mavcal.calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
 from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, StillnessVerdict
 from mavcal.calib.procedures.placing import shown_down
 from mavcal.calib.procedures.pose_fit import Assessment, assess
-from mavcal.calib.procedures.poses import FACES, TEXTS, angle, in_words, recognise, remaining, suggest
+from mavcal.calib.procedures.poses import FACES, TEXTS, angle, any_of, in_words, recognise, remaining, suggest
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels
@@ -187,7 +187,7 @@ class AccelProcedure(TickedProcedure):
         if stable and self._hold is not None:
             text = f"{self._note}Hold it {TEXTS[detected] if detected else 'still'}."
         elif faces:
-            text = f"{self._note}Hold the vehicle still {', '.join(TEXTS[p] for p in faces)}, in any order."
+            text = f"{self._note}Hold the vehicle still {any_of(faces)}."
         else:
             towards = suggest([p.direction for p in self._poses])
             text = f"{self._note}Hold the vehicle still, tilted: {in_words(towards)} pointing down."

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcal.calib.procedures.motion import StillWatch
-from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, WEIGHTLESS, angle, down
+from mavcal.calib.procedures.poses import DOWN, FACES, WEIGHTLESS, angle, any_of, down
 from mavcal.calib.procedures.protocol import Pose, Prompt, PromptStep
 from mavcal.calib.recording import Array, Sensor
 
@@ -56,6 +56,5 @@ def facing(direction: Array) -> Facing:
 
 def place(faces: tuple[Pose, ...], note: str, *, suffix: str = "") -> Prompt:
     """The prompt to put the vehicle down on the first of `faces`, or any other of them."""
-    order = ", in any order" if len(faces) > 1 else ""
-    text = f"{note}Put the vehicle down square {', '.join(TEXTS[f] for f in faces)}{order}{suffix}, and let go."
+    text = f"{note}Put the vehicle down square {any_of(faces)}{suffix}, and let go."
     return Prompt(PromptStep.PLACE, text, pose=faces[0], remaining=faces, hold_s=PLACED_S)

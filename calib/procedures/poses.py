@@ -48,6 +48,18 @@ _CANDIDATES = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3)
 _CANDIDATES /= np.linalg.norm(_CANDIDATES, axis=1)[:, None]
 
 
+def any_of(poses: Sequence[Pose]) -> str:
+    """The poses in words, for a prompt: the person chooses the order while several are left.
+
+    >>> any_of([Pose.LEVEL, Pose.NOSE_UP])
+    'level, nose up, in any order'
+    >>> any_of([Pose.NOSE_UP])
+    'nose up'
+    """
+    words = ", ".join(TEXTS[pose] for pose in poses)
+    return f"{words}, in any order" if len(poses) > 1 else words
+
+
 def down(specific_force: Array) -> Array:
     """Unit vector of the body direction that points down: at rest the specific force points up.
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -24,9 +28,41 @@ def test_a_count_stays_a_count() -> None:
     assert (bench.scaled(1, 0.7), bench.scaled(1, 1.3)) == (0, 2)
 
 
+def varied(seed: int, *, right: bool, **changed: list[tuple[bool, bool]]) -> bench.Varied:
+    return bench.Varied("T1", seed, right=right, prices=changed)
+
+
 def test_a_row_says_how_many_answers_change_and_how_many_more_are_right() -> None:
-    changed = bench.Changed("DRIFT_PRICE", "16", (3, 0), (151, 150))
-    assert changed.row(200, 150) == "| `DRIFT_PRICE` | 16 | 3 of 200 (+1) | 0 of 200 (+0) |"
+    cases = [
+        varied(1, right=False, DRIFT_PRICE=[(True, True), (False, False)]),
+        varied(2, right=True, DRIFT_PRICE=[(True, False), (True, False)]),
+        varied(3, right=True),
+    ]
+    value = bench.shown(prices.DRIFT_PRICE)
+    assert bench.row("DRIFT_PRICE", cases) == f"| `DRIFT_PRICE` | {value} | 2 | 2 (+0) | 1 (-1) |"
+    assert "This table has 3 cases. With the prices as they are, 2 answers name" in bench.page("", cases)
+    assert f"{len(bench.names()) - 1} of {len(bench.names())} prices change no answer" in bench.page("", cases)
+
+
+def test_a_kept_case_is_not_run_again(tmp_path: Path) -> None:
+    case = varied(bench.FIRST_SEED, right=True, DRIFT_PRICE=[(False, True), (True, False)])
+    path = tmp_path / "kept.jsonl"
+    path.write_text(json.dumps(asdict(case)) + "\n")
+    [one] = bench.kept(path)
+    assert (one.seed, one.right, list(one.prices)) == (bench.FIRST_SEED, True, ["DRIFT_PRICE"])
+    assert bench.main(["--cases", "1", "--keep", str(path)]) == 0
+    assert path.read_text().count("\n") == 1
+
+
+@pytest.mark.long  # three diagnoses
+def test_only_prices_that_a_diagnosis_reads_are_varied(tmp_path: Path) -> None:
+    path = tmp_path / "kept.jsonl"
+    read, unread = "DRIFT_PRICE", "FLIGHT_DIFFERENCE"
+    assert bench.main(["--cases", "1", "--workers", "1", "--keep", str(path), "--only", read, unread]) == 0
+    [case] = bench.kept(path)
+    assert case.right
+    assert list(case.prices) == [read]
+    assert getattr(prices, read) == 16.0  # the process that varied it is gone
 
 
 def test_every_kind_of_case_has_its_share() -> None:

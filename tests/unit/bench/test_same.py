@@ -136,3 +136,12 @@ def test_a_folder_without_an_answer_and_a_damaged_answer_are_wrong_use(tmp_path:
     (empty / "a.json").write_text("{", encoding="utf-8")
     with pytest.raises(SystemExit, match="2"):
         main([str(good), str(empty)])
+
+
+def test_an_effect_that_was_added_may_stand_in_lists_and_change_nothing_else(tmp_path: Path) -> None:
+    more = changed()
+    more["effects"].insert(0, {"id": "accel_new", "params": []})
+    before, after = str(written(tmp_path / "a", one=REPORT)), str(written(tmp_path / "b", one=more))
+    assert main([before, after]) == 1
+    assert main([before, after, "--added", "accel_new"]) == 0
+    assert main([before, after, "--added", "accel_bias"]) == 1

@@ -51,3 +51,8 @@ def test_poses_taken_where_suggested_tell_all_cross_terms():
 def test_the_opposite_of_a_taken_pose_is_not_suggested():
     tilted = np.array([1.0, 1.0, 1.0]) / np.sqrt(3)
     assert abs(np.dot(poses.suggest([tilted]), tilted)) < 0.5
+
+
+def test_an_order_is_only_spoken_of_while_there_is_a_choice():
+    assert poses.any_of([Pose.NOSE_UP, Pose.BACK]) == "nose up, on its back, in any order"
+    assert poses.any_of([Pose.BACK]) == "on its back"
