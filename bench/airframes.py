@@ -1,4 +1,5 @@
-"""``python -m bench.airframes DATA``: flights whose airframes differ, each against the calm one: is a sensor named?
+"""``python -m bench.airframes DATA``: flights of different airframes, each compared with the calm one: is a sensor
+named?
 
 A vehicle that flies differently has no wrong sensor. Exit code 1: a sensor is named that is right, or one that is wrong
 is not.

@@ -1,7 +1,9 @@
 """``scripts/house [FOLDER]``: files, lines, arrows and circles of the packages, room by room, as the imports say.
 
-With a folder, such as ``calib/gap``: its rooms, the floors on which they stand, and the longest walk through its files.
-A room is a folder below it, or a module that lies beside folders. Its face (``__init__``) is a room as well.
+With a folder, such as ``calib/gap``, it counts the rooms of that folder, its floors, and its longest walk. A *room* is
+a subfolder, a module beside the subfolders, or the folder's own ``__init__``. An *arrow* leads from an importing module
+to the imported one; a *circle* is a set of modules that import each other. *Floors* are the rooms on the longest chain
+of imports. The *walk* is the longest chain of imports, counted in files.
 """
 
 from __future__ import annotations

@@ -31,6 +31,8 @@ _END = re.compile(r"(?<=[.?!:;])\s+(?=[A-Z‹*\"`(\[])|(?<=[;:])\s+|\n\s*\n")
 _WORD = re.compile(r"[A-Za-z‹][\w'’›-]*")
 _DATA = re.compile(r"\||\b(?:INSERT|DELETE|SELECT) |^[0-9a-f]{2} [A-Z]")
 """Texts that no person reads as sentences: tables, statements of a database."""
+_LITERAL = re.compile(r"::$|\.\. code-block:: \w+$")
+"""What a block of code, of formulas or of columns follows."""
 _DRAWN = re.compile(r"={4}|\+--|[│├└─]|^\s*>>>|^\s*\* ", re.MULTILINE)
 _PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
 
@@ -86,14 +88,20 @@ def of_page(text: str) -> Iterator[tuple[int, str]]:
 
 
 def of_docstring(text: str) -> Iterator[str]:
-    """Paragraphs of a docstring, broken where the indent changes; tables, trees and examples are left out."""
-    lines, indent = list[str](), -1
+    """Paragraphs of a docstring, broken where the indent changes.
+
+    Tables, trees, examples and literal blocks (indented below a ``::``) are left out.
+    """
+    lines, indent, literal = list[str](), -1, -1
     for line in [*text.splitlines(), ""]:
         depth = len(line) - len(line.lstrip())
         if lines and (not line.strip() or (depth != indent and len(lines) > 1) or line.strip().startswith("---")):
             block = "\n".join(lines)
-            if not _DRAWN.search(block):
+            literal = literal if indent > literal else -1
+            if literal < 0 and not _DRAWN.search(block):
                 yield block
+            if literal < 0 and _LITERAL.search(block):
+                literal = indent
             lines = []
         if line.strip() and not line.strip().startswith("---"):
             lines.append(line)

@@ -1,9 +1,9 @@
 """``scripts/lines``: lines of the program, of its instruments and of the tests, and the ratio of tests to program.
 
 The program is `service` and `calib`. Its instruments are the simulated vehicle, the withheld cases and `bench`: they
-measure the program and are no part of it. Tests of instruments are counted apart, so that they do not stand for tests
-of the program. A line of code has a token on it: neither blank lines nor comments count. Docstrings are code for
-Python; the last column leaves them out.
+measure the program and are no part of it. Tests of instruments are counted apart, so that they do not count as tests of
+the program. A line of code has a Python token on it; blank lines and comments do not count. Docstrings count as code;
+the last column leaves them out.
 """
 
 from __future__ import annotations

@@ -43,9 +43,9 @@ def run(size: int = SIZE) -> Section:
         f"{REPEATS} in processor time with the file in the page cache, pymavlink's of one run over the whole file.",
         "Memory is what is allocated (tracemalloc, which sees numpy's arrays); pages of the mapped file are not "
         "counted, and the kernel takes them back when it wants.",
-        "Damage: rows of IMU that come back bit by bit, of those that no flipped, deleted or overwritten byte touched. "
-        "DataFlash has no checksum: a byte that changes inside of a number is not seen, unless the number becomes one "
-        "that no sensor reads or a time that its neighbours contradict.",
+        "Damage: the share of untouched rows of IMU that come back bit by bit. A row is touched if one of its bytes "
+        "was flipped, deleted or overwritten. DataFlash has no checksum: a byte that changes inside a number goes "
+        "unseen. Exceptions are a number that no sensor reads, and a time that its neighbours contradict.",
     )
     return Section("Reading DataFlash logs", tuple(rows), notes)
 

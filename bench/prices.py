@@ -1,4 +1,4 @@
-"""``python -m bench.prices``: what each price of the search does: 30 % less, 30 % more, and which answers change.
+"""``python -m bench.prices``: changes each price of the search by 30 % down and up, and counts the answers that change.
 
 Cases are development cases of the withheld-effect check: singles, mixtures, unknown errors and nulls in turn. An answer
 is its verdict and the instances of every effect that it names. A price that a diagnosis never reads cannot change its

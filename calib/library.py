@@ -1,4 +1,4 @@
-"""What a notebook does with a recording: fit it, see the bare sensor, and save what came of it."""
+"""What a notebook does with a recording: fit it, see the bare sensor, and save the results."""
 
 from __future__ import annotations
 

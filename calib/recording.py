@@ -1,7 +1,7 @@
 """Recordings: what every reader makes and every method takes.
 
-A :class:`Recording` holds :class:`Channel` s, each at its own rate and never forced onto one grid, the parameters of
-the vehicle as a timeline, and what else was said meanwhile.
+A :class:`Recording` holds :class:`Channel` s, each at its own rate and never forced onto one grid. It also holds the
+parameters of the vehicle as a timeline, and the events of that time.
 """
 
 from __future__ import annotations

@@ -36,8 +36,8 @@ _STEPS: Mapping[type, str] = {Prompt: "prompt", Progress: "progress", Done: "don
 def to_json(value: Any) -> Any:
     """`value` in the types of JSON: arrays become lists, enums their values, numbers that are not finite null.
 
-    A fit has the standard deviations in the shape of its model, a plan its digest, a check its summary, and a step of
-    a procedure its ``type``: prompt, progress, done or gave_up.
+    A fit has the standard deviations in the shape of its model, a plan its digest, a check its summary. A step of a
+    procedure has its ``type``: prompt, progress, done or gave_up.
 
     Raises
     ------

@@ -288,9 +288,9 @@ class WatchStatusModel(Answer):
 
     state: LiveState
     text: str
-    """Why it waits, or comes slower than wished; empty: nothing is to be said."""
+    """Why samples wait, or come slower than requested; empty: they come as requested."""
     rate_hz: Number
-    """The fastest rate that anybody who watches this vehicle has wished for, Hz."""
+    """The fastest rate that anybody who watches this vehicle has requested, Hz."""
 
 
 class LiveModel(Answer):

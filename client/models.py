@@ -43,7 +43,7 @@ class AuditModel(Answer):
     """Who asked for what."""
 
     id: int
-    """Rows are numbered in the order of their coming."""
+    """Rows are numbered in the order of their arrival."""
     at: Number
     """Wall-clock time, s since 1970."""
     actor: str
@@ -689,4 +689,4 @@ class WatchModel(Answer):
     id: str
     """For `follow_samples`."""
     rate_hz: Number
-    """The rate that was wished for, Hz."""
+    """The requested rate, Hz."""

@@ -119,8 +119,8 @@ class Client(Transport):
     def watch_vehicle(self, vehicle_id: str, *, rate_hz: Number | None = None) -> WatchModel:
         """Have the vehicle send its samples for as long as `follow_samples` is read with this watch.
 
-        Its message rates are put back as they were when the last watch is over, at once when it arms, and before a
-        job chooses its own. It is asked for nothing while it is armed or silent, or while a job runs.
+        Its former message rates are put back when the last watch is over, at once when it arms, and before a job
+        chooses its own. It is asked for nothing while it is armed or silent, or while a job runs.
         """
         return self._ask(
             "POST", f"/api/v1/vehicles/{segment(vehicle_id)}/watches", answers.WATCH_MODEL, body={"rate_hz": rate_hz}

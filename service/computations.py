@@ -1,4 +1,4 @@
-"""What is computed of uploads: fits and gap diagnoses, each in a child process with limits."""
+"""Computations on uploads: fits and gap diagnoses, each in a child process with limits."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class UploadComputations:
         """The same fits, and whose sensors they are of. Raises FirmwareError if the recording does not say."""
         fits, origin = await self._fit(recording, method, options, origin=True, told=None)
         if origin is None:
-            raise FirmwareError("the recording does not say whose sensors it is of")
+            raise FirmwareError("the recording does not say which vehicle its sensors belong to")
         return fits, origin
 
     async def diagnose(

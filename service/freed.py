@@ -1,7 +1,7 @@
-"""Memory that jobs have freed is used again, or goes back to the system; glibc alone needs to be told.
+"""Has glibc reuse the memory that jobs have freed, or return it to the system.
 
-It gives each thread a heap of its own, up to eight a processor, and what one thread frees there no other one uses. A
-service whose jobs run in changing threads so came to hold ever more that was free.
+By itself glibc gives each thread a heap of its own, up to eight a processor, and no other thread uses what is freed
+there. A service whose jobs run in changing threads therefore held more and more free memory.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How host systems find the service and show its panel: BlueOS, and Cockpit inside of it.
+"""How host systems find the service and show its panel: BlueOS, and Cockpit inside it.
 
 BlueOS reads the keys of `/register_service`, Cockpit those of its manifest: in camel case today, in snake case in older
 versions.

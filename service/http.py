@@ -1,7 +1,7 @@
 """The HTTP server of the service: uvicorn, with connections that never finish asking cut off.
 
-uvicorn waits without end for the head of a request. Here it has a time limit, and only so many connections may be
-without a whole head at a time; when one more comes, the one that has waited longest goes.
+uvicorn waits forever for the head of a request. Here it has a time limit, and only so many connections may be without a
+whole head at a time; when one more comes, the one that has waited longest goes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A process that ends with another one, even if that is killed and says nothing."""
+"""Has a process end when another one ends, even if that one is killed without a word."""
 
 from __future__ import annotations
 

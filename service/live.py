@@ -1,4 +1,4 @@
-"""What the sensors of a vehicle read now, in small batches, for whoever watches."""
+"""Live sensor samples of a vehicle, in small batches, for those who watch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is forgotten in time: uploads, telemetry logs, events and request keys; never what a job rests on."""
+"""Deletes old uploads, telemetry logs, events and request keys, but never what a job rests on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is done with signing keys: kept and forgotten, with a trace, and given to vehicles."""
+"""Stores and removes signing keys, gives them to vehicles, and leaves an entry in the audit trail."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Named keys that sign links: of the settings, and of a file in the data directory that its owner alone may read."""
+"""Named keys that sign links: from the settings, and from a file in the data directory that only its owner may read."""
 
 from __future__ import annotations
 

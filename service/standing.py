@@ -1,4 +1,4 @@
-"""How the calibrations of a vehicle stand, out of its jobs and what it has said so far."""
+"""The state of a vehicle's calibrations, from its jobs and from what it has said so far."""
 
 from __future__ import annotations
 

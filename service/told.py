@@ -1,4 +1,4 @@
-"""How far a computation is, as the one line that a child process tells: what it does, and the numbers of a bar."""
+"""The progress of a computation as the one line that a child process prints: what it does, and the numbers of a bar."""
 
 from __future__ import annotations
 

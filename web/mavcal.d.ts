@@ -71,7 +71,7 @@ export interface AuditCheck {
 
 /** Who asked for what. */
 export interface AuditModel {
-  /** Rows are numbered in the order of their coming. */
+  /** Rows are numbered in the order of their arrival. */
   id: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -105,7 +105,7 @@ export interface CalibrationCampaignRequest {
   kind: string;
   /** Options of that procedure. */
   options?: Record<string, number | boolean>;
-  /** Options of every plan; confirmations are said of one plan and refused. */
+  /** Options of every plan; confirmations belong to one plan and are refused. */
   plan_options?: PlanOptions;
   /** Accept and write every plan that nothing stands against; needs the scope write-params. */
   apply?: boolean;
@@ -855,7 +855,7 @@ export interface PlanOptions {
 
 /** Plan again. */
 export interface PlanRequest {
-  /** In place of those of before; null: as before. */
+  /** Replaces the earlier options; null: as before. */
   plan_options?: PlanOptions | null;
 }
 
@@ -918,7 +918,7 @@ export interface Problem {
   status: number;
   /** What happened, and what helps. */
   detail: string;
-  /** Under which the log of the service tells more. */
+  /** Id under which the log of the service has the details. */
   request_id: string;
   /** Fields of an invalid request. */
   errors?: FieldError[] | null;
@@ -1559,7 +1559,7 @@ export interface WarningEvent {
 export interface WatchModel {
   /** For `follow_samples`. */
   id: string;
-  /** The rate that was wished for, Hz. */
+  /** The requested rate, Hz. */
   rate_hz: number;
 }
 
@@ -1572,9 +1572,9 @@ export interface WatchRequest {
 /** How it stands with the rates that a watch wishes for. */
 export interface WatchStatusModel {
   state: LiveState;
-  /** Why it waits, or comes slower than wished; empty: nothing is to be said. */
+  /** Why samples wait, or come slower than requested; empty: they come as requested. */
   text: string;
-  /** The fastest rate that anybody who watches this vehicle has wished for, Hz. */
+  /** The fastest rate that anybody who watches this vehicle has requested, Hz. */
   rate_hz: number;
 }
 

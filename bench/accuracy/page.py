@@ -22,14 +22,17 @@ _TEXT = """# Accuracy
 in one run, writes this file and exits 1 if a target is missed. `scripts/accuracy mag` measures one row,
 `scripts/accuracy --quick` a slice.
 
-The error of an estimate is compared with the Cramer-Rao bound: `sqrt(mean of e^T F e / p)` over the runs, with e the
-error of the p parameters and F their Fisher information, computed in `bench/accuracy/bounds.py` by code that shares
-nothing with the estimators. 1.00 is the bound; in brackets the standard error of the figure, from the scatter of its
-runs. A promised ratio is kept if it is at most the target + 2/sqrt(2 R p) over R runs, and the 95 % intervals hold 95 %
-within two standard deviations (binomial, or from the scatter of the runs where that is larger: the intervals of one run
-are not independent); for the ellipsoid exactly, elsewhere 95 % or more. With that many figures some lie
-beyond two standard deviations by chance. All contenders get the same draws; a peer whose runs of a case take more than
-{budget:.0f} s of processor time makes fewer, and the number is stated. Times are processor time, one thread.
+The error of an estimate is compared with the Cramer-Rao bound: `sqrt(mean of e^T F e / p)` over the runs. Here e is the
+error of the p parameters and F their Fisher information. `bench/accuracy/bounds.py` computes F by code that shares
+nothing with the estimators. 1.00 is the bound; in brackets stands the standard error of the figure, from the scatter of
+its runs.
+
+A promise is kept under two conditions. The ratio is at most the target + 2/sqrt(2 R p) over R runs. The 95 % intervals
+hold 95 % within two standard deviations: for the ellipsoid exactly, elsewhere 95 % or more. The standard deviation is
+binomial, or from the scatter of the runs where that is larger: the intervals of one run are not independent. With that
+many figures some lie beyond two standard deviations by chance. All contenders get the same draws; a peer whose runs of
+a case take more than {budget:.0f} s of processor time makes fewer, and the number is stated. Times are processor time,
+one thread.
 
 Measured on: {machine}; {minutes:.0f} minutes; seed {seed}. Peers: {peers}.
 

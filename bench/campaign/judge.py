@@ -1,4 +1,5 @@
-"""The verdict on a run: what the vehicle holds against what the job says. Complaints are sentences; none is good."""
+"""The verdict on a run: compares what the vehicle holds with what the job says. Complaints are sentences; none is
+good."""
 
 from __future__ import annotations
 

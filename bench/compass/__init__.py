@@ -1,1 +1,1 @@
-"""Whether the stated uncertainty of a compass is true, over how fast it is turned and how noisy it is."""
+"""Whether the stated uncertainty of a compass is true, by rate of turn and by noise."""

@@ -1,7 +1,8 @@
 """``python -m bench.fleet [--runs 400] [--groups 1500] [--seed 1] [--limits] [--write]``.
 
-How often the intervals of a drift hold the truth, sensor by sensor whose bias wanders in a known way; how often a group
-of healthy sensors is called odd, and how often one that is off is found. Exit code 1: fewer than stated.
+Simulates sensors whose bias wanders in a known way, and counts how often the intervals of their drift hold the truth.
+It also counts how often a group of healthy sensors is called odd, and how often one that is off is found. Exit code 1:
+fewer than stated.
 """
 
 from __future__ import annotations

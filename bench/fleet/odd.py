@@ -1,4 +1,4 @@
-"""How odd the oddest of a healthy group is, and how often a group is called odd that is healthy or is not."""
+"""How odd the oddest sensor of a healthy group is, and how often healthy and other groups are called odd."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Six faces on a fixture: known directions, so all twelve numbers of an accelerometer (METHODS S4, ``accelcal``).
 
 ``C = U A + b`` by rows: least squares of the true face vectors on ``[U 1]``, as published. It regresses what is known
-on what is noisy, so single noisy samples shrink the answer by ``1 + 3 s^2/g^2``: face means do not, and the forward
-form ``U = t M^T + b`` (half the difference of two faces is a column of M, as with six rings) never does. Tilt of the
+on what is noisy, so single noisy samples shrink the answer by ``1 + 3 s^2/g^2``; face means do not. The forward form
+``U = t M^T + b`` has no such bias: half the difference of two faces is a column of M, as with six rings. Tilt of the
 fixture dominates everything (0.05 deg leave 6e-4 of cross term), so its size is part of the covariance.
 """
 
@@ -73,9 +73,9 @@ def fit_six_face(
     Returns
     -------
     FitResult
-        ``native`` holds A (3, 3) and b (3,) of ``C = U A + b``, the columns of the sensitivity (with the offset, the
-        forward form), the homogeneous 4 x 4 matrix, gravity and convention. The model is the same correction:
-        ``matrix = A^T``, ``offset = -A^-T b``, in the convention of the readings.
+        ``native`` holds A (3, 3) and b (3,) of ``C = U A + b``; the columns of the sensitivity, which are the forward
+        form together with the offset; the homogeneous 4 x 4 matrix; gravity and convention. The model is the same
+        correction: ``matrix = A^T``, ``offset = -A^-T b``, in the convention of the readings.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Mounting rotations by number, as the two firmwares define them.
 
-A number stands for Euler angles roll, pitch, yaw in degrees with ``R = Rz(yaw) Ry(pitch) Rx(roll)``, which takes
-vectors of the turned sensor to the body. Both firmwares share the numbers 0 to 40 (MAVLink ``MAV_SENSOR_ORIENTATION``);
-beyond, they differ (ArduPilot ``AP_Math/rotations.h``, PX4 ``lib/conversion/rotation.h``).
+A number stands for Euler angles roll, pitch, yaw in degrees. ``R = Rz(yaw) Ry(pitch) Rx(roll)`` takes vectors of the
+turned sensor to the body. Both firmwares share the numbers 0 to 40 (MAVLink ``MAV_SENSOR_ORIENTATION``); beyond, they
+differ (ArduPilot ``AP_Math/rotations.h``, PX4 ``lib/conversion/rotation.h``).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Whether a change is larger than its own uncertainty.
 
-What is in force was estimated once as well, at best as well as now. So a change ``d`` has twice the covariance ``C`` of
-the present estimate: two calibrations of one sensor differ by that much. The whole change is judged at once: it is none
-while ``d^T (2 C)^+ d`` lies below the 95 % quantile of chi-squared with as many degrees of freedom as `C` has
-independent parts. A change that the estimate calls certain (zero variance) always counts.
+The calibration in force was once an estimate too, at best as good as the present one. So a change ``d`` has twice the
+covariance ``C`` of the present estimate: two calibrations of one sensor differ by that much. The whole change is judged
+at once: it is no change while ``d^T (2 C)^+ d`` lies below the 95 % quantile of chi-squared. That has as many degrees
+of freedom as `C` has independent parts. A change that the estimate calls certain (zero variance) always counts.
 """
 
 from __future__ import annotations

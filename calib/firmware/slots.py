@@ -90,8 +90,8 @@ def px4_slot(parameters: Mapping[str, Value], sensor: Sensor, instance: int, dev
 def px4_thermal_slot(parameters: Mapping[str, Value], sensor: Sensor, device_id: int) -> int | None:
     """``TC_*`` row that holds `device_id`, else the row without an id that is left for it; None: there is no row.
 
-    Sensors without a row share out the free rows in the order of their ``CAL_*`` rows, so a plan over several of them
-    never takes one row twice. A magnetometer has none: PX4 computes its thermal term and never uses it.
+    Sensors without a row share out the free rows in the order of their ``CAL_*`` rows. A plan over several of them
+    therefore never takes one row twice. A magnetometer has none: PX4 computes its thermal term and never uses it.
     """
     if device_id == 0 or not names.px4_thermal_names(sensor, 0):
         return None

@@ -1,4 +1,4 @@
-"""Reading parameter values: one that was never seen is an error and no default."""
+"""Reads parameter values: one that was never seen is an error and has no default."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Each axis is compared with the median of the type in robust standard deviations (1.4826 times the median distance from
 it). The limit is that which, among normally distributed biases, the oddest axis of a whole group passes in 1 of 100
-groups: a healthy group names a sensor so rarely, however large it is.
+groups: a healthy group of any size names a sensor only that rarely.
 """
 
 from __future__ import annotations

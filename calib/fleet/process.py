@@ -5,8 +5,8 @@ start to start, `e` the measurement's own noise with its known standard deviatio
 known; it is integrated over on a grid, with the marginal likelihood of all three axes together. The prior is
 log-uniform in their size, and leans to the walk, which foretells worse.
 
-What is believed of the drift beforehand decides what a few measurements foretell (decision 22). With any drift as
-likely as any other none is ever zero, and every sensor leaves its limit. With one of unknown typical size zero is near.
+What is believed of the drift beforehand decides what a few measurements foretell (decision 22). If every drift is as
+likely as any other, none is ever zero, and every sensor leaves its limit. If its typical size is unknown, zero is near.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Drift of one sensor with time and temperature, and when its calibration will have left its limit.
 
-The bias has left when its lasting part (the line and the walk, without the scatter from start to start) is farther from
-the bias that corrects the sensor than the limit, at the temperature of that calibration. Three axes count together.
-Intervals are of 90 %; docs/fleet.md has how often they held the truth in simulations.
+The lasting part of a bias is the line and the walk, without the scatter from start to start. The bias has left its
+limit when that part is farther than the limit from the bias that corrects the sensor. Both are taken at the temperature
+of that calibration. Three axes count together. Intervals are of 90 %; docs/fleet.md has how often they held the truth
+in simulations.
 """
 
 from __future__ import annotations

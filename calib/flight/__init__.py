@@ -1,4 +1,4 @@
-"""What an ordinary flight log says of the inertial sensors: its rest periods, their drift with temperature, its sanity.
+"""What an ordinary flight log says about the inertial sensors: rest periods, drift with temperature, sanity.
 
-Below the tasks of :mod:`calib.procedures`, which ask an operator to do something: here nobody does.
+Nothing here asks an operator to do something; the tasks of :mod:`calib.procedures` do.
 """

@@ -156,11 +156,14 @@ def _ellipsoid(recording: Recording) -> tuple[bool, str]:
         return False, "the log has no compass"
     sectors, tilt = _attitudes(recording)
     if sectors is None:
-        return False, "the log has no attitude, so what was seen is not known: try it, it refuses by itself"
+        return (
+            False,
+            "no attitude in the log says which directions were seen: try it, it refuses what they do not determine",
+        )
     if sectors < _HEADINGS or tilt < _TILT:
         return False, (
             f"{sectors} of 12 headings and {tilt:.0f} deg of tilt do not determine an ellipsoid ({_TILT:.0f} needed): "
-            "mag-flight takes what a level flight gives"
+            "use mag-flight, which takes what a level flight gives"
         )
     return True, f"{sectors} of 12 headings and {tilt:.0f} deg of tilt"
 

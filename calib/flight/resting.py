@@ -220,7 +220,9 @@ def _apart(
     text = f"differ by {_vector(difference)} {unit} at rest ({first.rest.phase}{halved})"
     errors = [_own_error(sensor, m.mean) for m in (first, second)]
     if max(errors) > _CLEARLY * min(errors) and max(errors) > 0.25 * limit.warn:
-        text += f"; by what each reads alone {sensor} {1 + (a if errors[0] > errors[1] else b)} is the one that is off"
+        text += (
+            f"; judged by its own reading, {sensor} {1 + (a if errors[0] > errors[1] else b)} is the one that is off"
+        )
     return judged(
         name,
         subject,

@@ -156,7 +156,9 @@ def _in_flight(
         if fit.status == FitStatus.REFUSED:
             why = fit.message
             continue
-        text = f"the rests alone are too narrow: {flown.flight:.0f} s of flight count as well, by what the units differ"
+        text = (
+            f"the rests span too few degC: the difference of the units in {flown.flight:.0f} s of flight counts as well"
+        )
         fit = dataclasses.replace(fit, covariance=fit.covariance * flown.loss, warnings=(*fit.warnings, text))
         return _told(_against(_without_offset(fit), other, steady), own, "and the flights between them"), ""
     return None, why
@@ -222,7 +224,7 @@ def _told(fit: FitResult, rows: RestTemperatures, constants: str) -> FitResult:
     logs = f"{rows.logs} log{'s' if rows.logs > 1 else ''}"
     warnings = list(fit.warnings)
     if rows.only_still:
-        warnings.append("nothing tells when the motors ran: what was still is taken for rest on the ground")
+        warnings.append("the log does not say when the motors ran: stillness is taken for rest on the ground")
     quality = {
         **fit.quality,
         "rests": len(rows.rests),

@@ -1,4 +1,4 @@
-"""Pictures of a report's tables: where, and how far."""
+"""Pictures of a report's tables: where the gap is, and how far each effect closes it."""
 
 from __future__ import annotations
 

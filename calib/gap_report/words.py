@@ -52,7 +52,7 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
 
 
 def _useless(report: GapReport) -> str:
-    """That no sensor was judged by the reference, what would make it better, and what is told all the same."""
+    """States that no sensor was judged by the reference, what would improve it, and what is reported nevertheless."""
     sigma = report.inputs.att_sigma_deg
     known = f"its attitude is known to {sigma:.1f} degrees only, {USELESS_DEG:g} are needed"
     why = known if math.isfinite(sigma) else "its trajectory contradicts the inertial unit all the time"
@@ -71,7 +71,7 @@ def not_compared(report: GapReport) -> str:
     lost = dict.fromkeys(n.id for n in report.not_testable if n.id in _SENSORS)
     if not lost or report.verdict is GapVerdict.NOT_TESTABLE or report.inputs.useless:  # the verdict says it
         return ""
-    return f"Not compared, at least in part: {', '.join(_SENSORS[name] for name in lost)}; why is said below."
+    return f"Not compared, at least in part: {', '.join(_SENSORS[name] for name in lost)}; the reasons are below."
 
 
 def effect_phrase(effect: EffectEstimate) -> str:

@@ -102,8 +102,8 @@ def fit_gyro_rest(
 def steady_turn(gyro: Channel, accel: Channel | None = None, mag: Channel | None = None) -> str | None:
     """Why the constant rate of a still span is a turn and not a bias; None if it may be a bias.
 
-    Gravity that turns with the rate, a compass that turns, or a rate above :data:`PLAUSIBLE_BIAS`
-    (:data:`LARGEST_BIAS` where a compass stands still) are evidence of a turn.
+    Evidence of a turn is gravity that turns with the rate, or a compass that turns. A rate above :data:`PLAUSIBLE_BIAS`
+    is evidence too, or above :data:`LARGEST_BIAS` where a compass stands still.
     """
     rate = mean_of(gyro).mean
     size = float(np.linalg.norm(rate))

@@ -1,8 +1,8 @@
 """The gyroscope on a thread: whole turns each way, whose number is counted and whose rate need not be steady.
 
-``I+ = 2 pi n/k + b T+`` and ``I- = -2 pi n/k + b T-`` are the integrals of what it reads (METHODS S3), so
-``b = (I+ + I-)/(T+ + T-)`` and ``k = 2 pi n/(I+ - b T+)``. A compass counts the turns: whatever iron distorts its
-circle, after a whole turn it reads the same.
+``I+ = 2 pi n/k + b T+`` and ``I- = -2 pi n/k + b T-`` are the integrals of what it reads (METHODS S3). Hence ``b = (I+
++ I-)/(T+ + T-)`` and ``k = 2 pi n/(I+ - b T+)``. A compass counts the turns: whatever iron distorts its circle, after a
+whole turn it reads the same.
 """
 
 from __future__ import annotations

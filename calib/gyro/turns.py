@@ -1,7 +1,7 @@
 """A gyroscope from turns whose rate is known: ``mean = M rate + b``, the columns of M by the axes that were turned.
 
-For two turns about one axis at rates +-W this is ``M e = (m+ - m-)/(2 W)`` and ``b = (m+ + m-)/2`` (METHODS S3), and
-for whole turns on a thread the same with rates that differ; more turns than unknowns are weighed by their noise.
+For two turns about one axis at rates +-W this is ``M e = (m+ - m-)/(2 W)`` and ``b = (m+ + m-)/2`` (METHODS S3). Whole
+turns on a thread are the same with rates that differ. More turns than unknowns are weighed by their noise.
 """
 
 from __future__ import annotations

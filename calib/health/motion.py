@@ -1,7 +1,7 @@
-"""What a flight tells of inertial sensors without a rest: force along the vertical, rates against the attitude.
+"""Checks inertial sensors in flight, without a rest: the force along the vertical, and the rates against the attitude.
 
-Over ten seconds the mean vertical force is gravity but for the change of the climb rate, and the integral of a
-gyroscope is the turn of the attitude. Medians over such windows forget take-off, impacts and lost attitudes.
+Over ten seconds the mean vertical force is gravity but for the change of the climb rate. The integral of a gyroscope is
+the turn of the attitude. Medians over such windows forget take-off, impacts and lost attitudes.
 """
 
 from __future__ import annotations

@@ -49,9 +49,9 @@ def fit_imu(
 ) -> tuple[FitResult, FitResult]:
     """Offset and matrix of an accelerometer and a gyroscope from still poses and the movements between them.
 
-    One maximum-likelihood problem: the means of the poses lie on the accelerometer's ellipsoid, the gyroscope carries
-    each direction of gravity to the next one, and its mean at rest is its offset. Both sensors come out in one frame,
-    that of the accelerometer; how it is mounted in the vehicle no pose tells.
+    Both are fitted as one maximum-likelihood problem. The means of the poses lie on the accelerometer's ellipsoid; the
+    gyroscope carries each direction of gravity to the next one; its mean at rest is its offset. Both sensors come out
+    in one frame, that of the accelerometer; no pose shows how that is mounted in the vehicle.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def fit_imu(
     gravity
         Length of the corrected accelerometer, m/s2.
     cross_sd
-        What misalignments usually are, one sd in rad; those that the data do not know three times better are
-        undetermined and held at zero, and their usual size is part of the others' uncertainty.
+        Usual size of misalignments, one sd in rad. Those that the data do not know three times better are undetermined
+        and held at zero; their usual size is part of the others' uncertainty.
     form
         Canonical form of the accelerometer's matrix; ``upper`` keeps the sensor's x axis (imu_tk).
     spans : shape (P, 2) or None

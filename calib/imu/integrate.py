@@ -1,9 +1,9 @@
 """How the gyroscope carries the direction of gravity from one pose to the next, and what that says of its model.
 
-In the body the direction u of gravity obeys ``du/dt = -w x u`` with ``w = G (m - b)``, the rate that the model G, b
-makes of the samples m. Each sample rules the time that is nearest to it, in which the rate counts as constant: the
-step is then a rotation, exactly (Rodrigues). Steps are multiplied in chunks side by side, so that forty movements cost
-no more calls than one.
+In the body the direction u of gravity obeys ``du/dt = -w x u``. The model G, b turns the samples m into the rate ``w =
+G (m - b)``. Each sample rules the time that is nearest to it, in which the rate counts as constant: the step is then a
+rotation, exactly (Rodrigues). Steps are multiplied in chunks side by side, so that forty movements cost no more calls
+than one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The still poses of a recording: which spans they are, and what both sensors read in them, with honest noise.
 
 The noise of a sensor is the same in every pose, so it is pooled; a pose keeps its own only where it is clearly more (a
-hand that sways). Sway turns the body, so it shows across gravity and not along it, and it leaves the mean direction of
-a pose uncertain as the beginning or end of a movement.
+hand that sways). Sway turns the body, so it shows across gravity and not along it. A movement begins and ends at the
+mean direction of a pose, which sway makes uncertain.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Every quarter of a window the scatter of accelerometer and gyroscope about a straight line is measured. A window is
 still if both stay below a multiple of what the quietest windows have; half a window is left off at both ends of every
-still span, and a span whose halves disagree is none (METHODS 3.3). Which multiples serve is not known beforehand, so
-all of a ladder are tried (:func:`candidates`), and :mod:`calib.imu.poses` keeps the ones whose accelerometer would be
-known best, misfit included: a criterion per residual, which does not favour keeping few poses.
+still span, and a span whose halves disagree is none (METHODS 3.3). Which multiples serve is not known beforehand, so a
+ladder of them is tried (:func:`candidates`). The module :mod:`calib.imu.poses` keeps the ones whose accelerometer would
+be known best, misfit included. This criterion is per residual, so it does not favour keeping few poses.
 """
 
 from __future__ import annotations

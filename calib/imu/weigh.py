@@ -1,9 +1,9 @@
 """Noise that the residuals show beyond the sensors' own, and the poses or movements that are off.
 
-A hand's sway, the sensors' non-linearity and acceleration that the gyroscope feels are in no pose's scatter. Where the
-residuals of the poses, or of the movements, are larger than their noise by more than chance, one variance for all of
-that kind is added until they are as large as expected (Paule and Mandel 1982, by the redundancy of each group as in
-Helmert's variance components).
+The scatter within a pose does not show a hand's sway, the sensors' non-linearity or acceleration that the gyroscope
+feels. The residuals of the poses, or of the movements, may then exceed their noise by more than chance. If so, one
+variance for all of that kind is added until they are as large as expected (Paule and Mandel 1982). The expected size
+follows from the redundancy of each group, as in Helmert's variance components.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Samples whose time goes back: what is kept of them."""
+"""Which samples are kept where time goes back."""
 
 from __future__ import annotations
 

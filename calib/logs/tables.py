@@ -1,10 +1,10 @@
 """Tables as recordings and back: the interchange format, and foreign tables with a mapping.
 
-One row a time stamp; an empty cell or nan means no sample then. Columns: ``t segment``, ``accel_x,y,z gyro_x,y,z
-mag_x,y,z`` (a second instance is ``accel2_x`` …), ``temperature current throttle motor_1… rotor_hz_1…``,
-``q_w,q_x,q_y,q_z``, and the reference: ``ref_accel_x… ref_gyro_x… ref_mag_x…`` (what an ideal sensor would have read),
-``ref_q_w… ref_pos_n,e,d ref_vel_n,e,d`` (its pose). Units are those of the contract, or stated; of
-references always those of the contract.
+One row a time stamp; an empty cell or nan means no sample then. Columns: ``t segment``; ``accel_x,y,z gyro_x,y,z
+mag_x,y,z`` (a second instance is ``accel2_x`` …); ``temperature current throttle motor_1… rotor_hz_1…``;
+``q_w,q_x,q_y,q_z``; and the reference: ``ref_accel_x… ref_gyro_x… ref_mag_x…`` (what an ideal sensor would have read),
+``ref_q_w… ref_pos_n,e,d ref_vel_n,e,d`` (its pose). Units are those of the contract, or stated; references always have
+those of the contract.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@
     orientation                       mounting rotation against the accelerometer
     samples  shape  shape_fit  serial  heading  sections  result      what these share
 
-Every fit takes samples (N, 3) in order of time and the keywords of :class:`calib.mag.result.MagContext`, and returns a
-:class:`calib.fit.FitResult` over offset and matrix whose ``quality`` holds
+Every fit takes samples (N, 3) in order of time and the keywords of :class:`calib.mag.result.MagContext`. It returns a
+:class:`calib.fit.FitResult` over offset and matrix, whose ``quality`` holds
 
 ==========================  =====================================================================================
 ``heading_sd_deg``          heading error at the worst heading, level and up to 30 deg of tilt, at ``heading_dip_deg``

@@ -2,7 +2,7 @@
 
 Two conditions hold for every sample y of the field and its unit vector g down: ``|B (y - b)| = 1`` and ``g . B (y - b)
 = sin(dip)``. The thirteen unknowns are B, b and sin(dip). Each round linearises at observations that are projected back
-onto the conditions, which is what keeps the noise of y and g from biasing the answer.
+onto the conditions. This keeps the noise of y and g from biasing the answer.
 """
 
 from __future__ import annotations

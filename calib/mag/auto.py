@@ -1,11 +1,12 @@
 """How much soft iron is there? The data say, and where they cannot, a prior does.
 
-To choose between sphere, three radii and the full matrix, and to forget the others, is wrong twice: next to the
-threshold the stated uncertainty is too small, and where the movement was small "no soft iron seen" is no evidence of
-"no soft iron". So the soft iron, ``S/r - I ~ N(0, sd^2)``, is given every size of two scales, one of its diagonal and
-one of its cross terms, and the answers are averaged by their marginal likelihood (Laplace; all scales alike
-beforehand). Where the data determine the soft iron the priors say nothing; where they do not, the answer goes over to
-that of a sphere smoothly. The model that is named beside it is that of the least information criterion (BIC).
+To choose between sphere, three radii and the full matrix, and to forget the others, is wrong twice. Next to the
+threshold the stated uncertainty is too small. Where the movement was small, "no soft iron seen" is no evidence of "no
+soft iron". So the soft iron has a prior, ``S/r - I ~ N(0, sd^2)``, with one scale for its diagonal and one for its
+cross terms. The answers over all sizes of both scales are averaged by their marginal likelihood (Laplace; all scales
+alike beforehand). Where the data determine the soft iron the priors say nothing; where they do not, the answer goes
+over to that of a sphere smoothly. The model that is named beside it is the one with the least information criterion
+(BIC).
 """
 
 from __future__ import annotations
@@ -70,8 +71,9 @@ class _Likelihood:
 def averaged_shape(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
     """The ellipsoid of `samples` (N, 3), N >= 10, averaged over the sizes of soft iron, and its covariance.
 
-    ``native`` holds the `model` of the least `bic`, for each smaller model its `bic` less the full one's and the test
-    by `likelihood_ratio` (chance of so large a misfit if it were true), and the likely `soft_iron_scale`.
+    ``native`` holds the `model` of the least `bic` and the likely `soft_iron_scale`. For each smaller model it holds
+    its `bic` less the full one's and the test by `likelihood_ratio`: the chance of so large a misfit if that model were
+    true.
 
     Raises
     ------

@@ -11,8 +11,8 @@ noise-free compass that is all that limits it:
 * strength and lag once more for every sample: a reading is up to one message older than its stamp says, and the
   window holds one of its readings more or less.
 
-The first three are estimated along with the ellipsoid, about what is believed of them, and what is left open of them is
-part of the covariance. The last makes samples of uneven turns worse than others: by how much, the residuals say.
+The first three are estimated along with the ellipsoid, under priors. What the data leave open of them is part of the
+covariance. The last makes samples of uneven turns worse than others: by how much, the residuals say.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ GAIN_SD = 0.03
 square counts."""
 
 LAG_SD = 0.01
-"""Prior of the lag, s: a 20 Hz low-pass of second order delays the gyro by sqrt(2)/(2 pi 20 Hz) = 11 ms, an interval
-of 20 ms the compass by 10 ms on average, in opposite senses."""
+"""Prior of the lag, s. A 20 Hz low-pass of second order delays the gyro by sqrt(2)/(2 pi 20 Hz) = 11 ms. An interval of
+20 ms delays the compass by 10 ms on average. The two act in opposite senses."""
 
 SCALE_SD, ASKEW_SD = 0.01, 0.02
 """Priors of a gyro's scale factor, relative (MEMS data sheets say 1 to 3 %), and of the angles between its axes and the
@@ -214,8 +214,8 @@ def _adjusted(rates: Rates, state: Array) -> Rates:
 def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, float]:
     """One over the relative noise of every sample, and the variance at precision one (0: blur makes no difference).
 
-    The variance of a sample that is worth n readings is ``v/n + c^2 doubt^2`` with the likeliest v, and the likeliest
-    c, which is one at least: that some residuals are small does not make their blur better known than it can be.
+    The variance of a sample that is worth n readings is ``v/n + c^2 doubt^2`` with the likeliest v and c; c is at least
+    one. That some residuals are small does not make their blur better known than it can be.
     """
     squares = doubt**2
     typical = float(np.mean(squares))

@@ -1,8 +1,8 @@
 """Orthogonal-distance fit of an ellipsoid: debiased Gauss-Newton on normal equations (METHODS 3.1).
 
-For a sample p off the ellipsoid with half axes a (in its eigenframe) the foot point is ``x_i = a_i^2 p_i/(t + a_i^2)``
-where t makes x lie on the ellipsoid; ``w = x/a^2`` is along the normal, the distance is ``d = t |w|``. Noise pushes the
-mean of d out by ``v H`` (v its variance, H the mean curvature), which is subtracted.
+A sample p off the ellipsoid with half axes a (in its eigenframe) has the foot point ``x_i = a_i^2 p_i/(t + a_i^2)``.
+The number t makes x lie on the ellipsoid; ``w = x/a^2`` is along the normal, the distance is ``d = t |w|``. Noise
+pushes the mean of d out by ``v H`` (v its variance, H the mean curvature), which is subtracted.
 """
 
 from __future__ import annotations

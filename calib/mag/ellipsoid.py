@@ -37,8 +37,8 @@ def fit_ellipsoid(
 ) -> FitResult:
     """Fit ``y = S u + b`` with S symmetric, ``|u| = 1``; the model's matrix is ``F S^-1``, F the true field strength.
 
-    Minimises ``sum rho(d_k - s^2 H_k)`` over the free numbers of b and S, d the orthogonal distance of a sample and H
-    the mean curvature at its foot point. Without a `field`, F is the mean radius of the ellipsoid (``det C = 1``).
+    Minimises ``sum rho(d_k - s^2 H_k)`` over the free numbers of b and S. The orthogonal distance of a sample is d, the
+    mean curvature at its foot point H. Without a `field`, F is the mean radius of the ellipsoid (``det C = 1``).
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Ellipsoid with axes along those of the sensor, by normal equations and their Cholesky factor (METHODS S1).
 
 ``[x^2 y^2 z^2 x y z] . (a b c d e f) = 1``: offsets ``-d/2a, -e/2b, -f/2c``, radii ``sqrt(k/a) ...`` with
-``k = 1 + sum a_i o_i^2``. The form "= 1" is not invariant to a shift (it cannot hold an ellipsoid through the origin),
-so samples are centred on their mean and scaled first; that also takes the condition of the normal equations from 1e6
-to about 4. Cross terms are left in.
+``k = 1 + sum a_i o_i^2``. The form "= 1" is not invariant to a shift: it cannot hold an ellipsoid through the origin.
+Samples are therefore centred on their mean and scaled first. That also takes the condition of the normal equations from
+1e6 to about 4. Cross terms are left in.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ def fit_ellipsoid_axis(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResu
 
     Notes
     -----
-    Uncertainty by propagation: residual ``r = 1 - M x`` moves by ``|grad| d`` with the distance d of a sample, hence
-    ``Cov x = N^-1 (sum s^2 |grad|^2 M^T M) N^-1``.
+    The uncertainty is propagated. The residual ``r = 1 - M x`` moves by ``|grad| d`` with the distance d of a sample.
+    Hence ``Cov x = N^-1 (sum s^2 |grad|^2 M^T M) N^-1``.
     """
     context = MagContext(**facts)
     array = np.asarray(samples, dtype=np.float64)

@@ -1,7 +1,8 @@
 """Hard and soft iron of a compass from an ordinary flight.
 
-With the log's attitude and the field of the magnetic model, or with the gyroscope alone and a field that is constant in
-the world but otherwise unknown. What the flight's attitudes do not determine stays as it was in force, and is named.
+The fit uses the log's attitude and the field of the magnetic model. Or it uses the gyroscope alone, and a field that is
+constant in the world but otherwise unknown. What the flight's attitudes do not determine stays as it was in force, and
+is named.
 """
 
 from __future__ import annotations

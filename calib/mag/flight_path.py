@@ -1,9 +1,9 @@
 """How the vehicle turned, for a compass that is calibrated from a flight: the gyroscope's turns and the log's attitude.
 
-The log's attitude is an estimate whose heading came from the very compass that is to be calibrated, so it is never
-taken as the truth. The gyroscope carries the attitude, the log's attitude only says roughly where it stands: every
-knot of time has an unknown small rotation ``R_true = exp([delta]) R_reference`` (north-east-down), whose change from
-knot to knot is what the gyroscope's offset, scale and noise leave.
+The log's attitude is never taken as the truth: its heading came from the very compass that is to be calibrated. The
+gyroscope carries the attitude; the log's attitude only says roughly where it stands. Every knot of time has an unknown
+small rotation, ``R_true = exp([delta]) R_reference`` (north-east-down). Its change from knot to knot is what the
+gyroscope's offset, scale and noise leave.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The compass of a flight as one least-squares problem: what is wanted, and everything that is in the way.
+"""The compass of a flight as one least-squares problem: the wanted parameters, and the nuisance parameters.
 
 .. code-block:: text
 
     y_k = A Q u_k + b + K d_k + noise      u_k = R_k^T h, R_k = exp([delta(t_k)]) R_reference(t_k - delay)
 
 Wanted: the offset b, the symmetric A (the inverse of the soft iron's correction) and the motors' K for the drives d
-(current, throttle, outputs). In the way: at every knot the error delta of the attitude and that of the gyroscope's
-offset; the gyroscope's scale, the delay and the blur of the compass, its mounting Q (a small rotation), the field h,
+(current, throttle, outputs). Nuisance: at every knot the error delta of the attitude and that of the gyroscope's
+offset; the gyroscope's scale; the delay and the blur of the compass; its mounting Q (a small rotation); the field h;
 and a tilt of the log's level against the body.
 
 The knots make a block tridiagonal matrix and the others a border of it, so an hour costs no more than its samples.

@@ -1,9 +1,9 @@
 """The magnetometer against the gyroscope: in the body the Earth's field obeys ``dm/dt = -w x m`` (METHODS 3.1).
 
 Any motion serves, and no accelerometer is needed. Between two samples of the compass the gyroscope is integrated, not
-differentiated, so this is the chain of directions and turns of :mod:`calib.imu.problem` with samples in place of poses:
-``y_k = b + C^-1 u_k`` and ``u_k+1 = D_k u_k``. It gives the offset, the matrix up to its scale, the rotation between
-compass and gyroscope that no ellipsoid can see, the gyroscope's offset, and the delay of the compass.
+differentiated. So this is the chain of directions and turns of :mod:`calib.imu.problem`, with samples in place of
+poses: ``y_k = b + C^-1 u_k`` and ``u_k+1 = D_k u_k``. It gives the offset; the matrix up to its scale; the rotation
+between compass and gyroscope, which no ellipsoid can see; the gyroscope's offset; and the delay of the compass.
 """
 
 from __future__ import annotations
@@ -134,8 +134,8 @@ def _open(found: ChainSolution, context: MagContext) -> tuple[str, tuple[str, ..
     rough = float(np.sqrt((_residuals(found) ** 2).mean()))
     if rough > _ROUGHEST:
         return (
-            f"the compass is {rough:.0%} of the field off what the gyroscope says: the field changed while turning, or "
-            "their axes or clocks differ",
+            f"the compass is {rough:.0%} of the field away from what the gyroscope says: the field changed while "
+            "turning, or their axes or clocks differ",
             parameter_names(),
         )
     scales = np.linalg.norm(found.solution.x[9:18].reshape(3, 3), axis=0)

@@ -1,4 +1,4 @@
-"""Middle and half of the range of every axis (METHODS S5): a starting value, and a check of nothing."""
+"""Middle and half of the range of every axis (METHODS S5): a starting value that checks nothing."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Adjusted least squares for an ellipsoid: one pass over the samples, a 10 x 10 state, mergeable.
 
-The algebraic fit of ``psi(y) . theta = 0`` with ``psi = (x2 y2 z2 xy xz yz x y z 1)`` is biased, because noise does not
-average out of squares. Replacing every power by its noise-corrected counterpart (``x^2 -> x^2 - v`` and so on, v the
-noise variance) removes that: ``Psi(v) = K0 + v K1 + v^2 K2`` is an unbiased estimate of the noise-free moments, v is
-the value at which its smallest eigenvalue vanishes, and theta the null vector (Kukush, Markovsky and Van Huffel 2004;
+The algebraic fit solves ``psi(y) . theta = 0`` with ``psi = (x2 y2 z2 xy xz yz x y z 1)``. It is biased, because noise
+does not average out of squares. Replacing every power by its noise-corrected counterpart (``x^2 -> x^2 - v`` and so on,
+v the noise variance) removes that: ``Psi(v) = K0 + v K1 + v^2 K2`` is an unbiased estimate of the noise-free moments.
+Its smallest eigenvalue vanishes at the right v, and theta is the null vector (Kukush, Markovsky and Van Huffel 2004;
 METHODS 3.1).
 """
 

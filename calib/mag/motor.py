@@ -256,7 +256,7 @@ def _verdict(
         return _refusal(
             context,
             count,
-            f"the drive of the motors hardly changes, so their field is not told from the offset: {MOVEMENT}",
+            f"the drive of the motors hardly changes, so their field cannot be told from the offset: {MOVEMENT}",
             **quality,
         )
     best = chosen if chosen is not none else min(candidates[1:], key=lambda c: c.score)

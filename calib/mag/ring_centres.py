@@ -1,8 +1,8 @@
 """Centres of rings: what a magnetometer reads while one axis of the body stays vertical and the body turns about it.
 
-A ring is a circle of the true field, so every estimate but the extremes is made with the samples brought back by a
-matrix that is known well enough (METHODS S3). The mean is the best where the turn was even and biased where it was
-not; a fitted circle does not care.
+A ring is a circle of the true field. Every estimate but the extremes is therefore made of samples that a matrix known
+well enough has brought back to that circle (METHODS S3). The mean is the best where the turn was even and biased where
+it was not; a fitted circle is the same either way.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Six rings: offset and full matrix of a magnetometer, mounting included, from turns about the vertical (METHODS S3).
 
-With body axis k down the field runs round ``h = F (sin d k + cos d (e1 cos p + e2 sin p))``, so the centre of the ring
-is ``b + F sin d A k``. Half the difference of the centres with an axis down and up is the *column* ``v_i = F sin d A
-e_i`` of the matrix but for one common factor, and b the mean of the six. Only the vertical field is used: near the
-magnetic equator the columns vanish. A face of the fixture that is not square enters at full size.
+With body axis k down the field runs round ``h = F (sin d k + cos d (e1 cos p + e2 sin p))``. The centre of the ring is
+``b + F sin d A k``. Half the difference of the centres with an axis down and up is ``v_i = F sin d A e_i``. But for one
+common factor this is a *column* of the matrix. The mean of the six centres is b. Only the vertical field is used: near
+the magnetic equator the columns vanish. A face of the fixture that is not square enters at full size.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ def faces_of(centres: Array, stated: Sequence[Array | None]) -> Array:
     centres : shape (K, 3)
         Of the rings, roughly.
     stated
-        The vector that a label says; all of them or none count. None: the side of the middle on which the centre lies,
-        as it does where the field points down and the sensor's axes are nearly those of the body.
+        The vector that a label says; all of them or none count. None: the side of the middle on which the centre lies.
+        That holds where the field points down and the sensor's axes are nearly those of the body.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Samples that are off: a start that they do not spoil, and how large the noise is without them."""
+"""Outliers: a start that they do not spoil, and how large the noise is without them."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 """One pass, a state of fixed size, and an answer with its covariance at any time: adjusted least squares, recursively.
 
-What is kept of the samples are moments: to the fourth order for the estimate (:mod:`calib.mag.moments`), to the sixth
-for its covariance, and products of neighbours for the serial correlation of its residuals. They add up, so chunks can
-be cut and joined anywhere, and old ones can fade: nothing is linearised on the way (METHODS 3.5).
+Only moments of the samples are kept. The estimate needs them to the fourth order (:mod:`calib.mag.moments`), its
+covariance to the sixth. Products of neighbours show the serial correlation of its residuals. Moments add up, so chunks
+can be cut and joined anywhere, and old ones can fade: nothing is linearised on the way (METHODS 3.5).
 
-The algebraic residual of a sample is ``e = psi . theta``, moved by noise as ``grad . noise``, hence for the nine
-parameters x with ``theta(x)``, ``T = d theta/dx`` and ``A = T^T Psi T``:
-``Cov x = A^-1 T^T (sum w^2 v |grad|^2 psi psi^T) T A^-1 / (sum w)^2``.
+The algebraic residual of a sample is ``e = psi . theta``; noise moves it by ``grad . noise``. The nine parameters x
+have ``theta(x)``, ``T = d theta/dx`` and ``A = T^T Psi T``. Hence ``Cov x = A^-1 T^T (sum w^2 v |grad|^2 psi psi^T) T
+A^-1 / (sum w)^2``.
 """
 
 from __future__ import annotations

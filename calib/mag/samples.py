@@ -1,4 +1,4 @@
-"""What every magnetometer fit asks of its samples before it begins, and how the large ones look at them."""
+"""What every magnetometer fit asks of its samples, and how fits of many samples read them without a copy."""
 
 from __future__ import annotations
 

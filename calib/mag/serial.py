@@ -38,9 +38,9 @@ def variance_inflation(series: Array) -> float:
 def weakened_information(information: Array, rows: Array, residuals: Array) -> tuple[Array, float]:
     """`information` (p, p) of a least squares fit, less what is correlated in time; and the largest factor.
 
-    What adds up to the error of the estimate is not the residual but the score ``J_k r_k``, so a misfit that the
-    movement keeps turning through the parameters costs less than one that sits still. Each of the p eigenvectors of
-    the information, whose scores are uncorrelated with each other, is weakened by its own factor.
+    The error of the estimate is a sum of scores ``J_k r_k``, not of residuals. A misfit that the movement keeps turning
+    through the parameters therefore costs less than one that sits still. Each of the p eigenvectors of the information,
+    whose scores are uncorrelated with each other, is weakened by its own factor.
 
     Parameters
     ----------

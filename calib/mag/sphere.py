@@ -58,8 +58,8 @@ def fit_sphere(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
 
     Notes
     -----
-    The algebraic residual is ``2 R d`` with d the distance from the sphere, so least squares on it has, to first
-    order, the covariance ``s^2 (J^T J)^-1`` with ``J = [n 1]``.
+    The algebraic residual is ``2 R d`` with d the distance from the sphere. To first order, least squares on it has the
+    covariance ``s^2 (J^T J)^-1`` with ``J = [n 1]``.
     """
     context = MagContext(**facts)
     array = np.asarray(samples, dtype=np.float64)

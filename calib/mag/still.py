@@ -2,12 +2,13 @@
 
 Rounding is white noise only where something moves the field across the steps from one reading to the next: the turning
 of the vehicle, or the sensor's own noise. Held still, a sensor repeats one rounding error, and the mean of many
-readings is as far off as one. With noise of sigma steps and any position within a step, what all readings share has
-the variance, in steps squared (Widrow and Kollar 2008, the mean of a rounded normal variable),
+readings is as far off as one reading. Let the noise be sigma steps, and let the value lie anywhere within a step. The
+error that all readings share then has this variance, in steps squared (Widrow and Kollar 2008, the mean of a rounded
+normal variable):
 
     s(sigma) = sum over k of exp(-4 pi^2 k^2 sigma^2) / (2 pi^2 k^2),
 
-and what is new at each reading has ``w(sigma) = sigma^2 + 1/12 - s(sigma)``.
+and the error that is new at each reading has ``w(sigma) = sigma^2 + 1/12 - s(sigma)``.
 """
 
 from __future__ import annotations

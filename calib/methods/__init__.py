@@ -1,6 +1,6 @@
 """Every method by its name: what the command line and the REST API run on a recording.
 
-A method takes a :class:`~calib.recording.Recording` as it was read and options by name, undoes the calibration in
+A method takes a :class:`~calib.recording.Recording` as it was read, and options by name. It undoes the calibration in
 force where the recording is of a vehicle, and returns one fit a sensor instance.
 """
 

@@ -1,13 +1,14 @@
 """Allan variance of a sensor at rest: white noise N, bias instability B, rate random walk K, each with its sd.
 
-The overlapping Allan variance at the averaging time ``tau = m/rate`` is the mean of ``(x_{i+2m} - 2 x_{i+m} + x_i)^2 /
-(2 tau^2)`` over the integrated samples x (IEEE 952, annex C). Three noises of known spectrum add in it,
+The averaging time is ``tau = m/rate``. There the overlapping Allan variance is the mean of
+``(x_{i+2m} - 2 x_{i+m} + x_i)^2 / (2 tau^2)`` over the integrated samples x; see IEEE 952, annex C. Three noises of
+known spectrum add in it,
 
 ``avar(tau) = N^2/tau + (2 ln 2/pi) B^2 + K^2 tau/3``.
 
-The estimates at different tau are correlated; their covariance follows from the spectrum, ``cov = 2/n int |H_m|^2
-|H_m'|^2 S^2`` (the fourth moment of Gaussian noise), so N, B and K come by generalised least squares with an sd that
-holds. Reading N at tau = 1, B at the minimum and K at tau = 3, as is usual, is reported beside it.
+The estimates at different tau are correlated. Their covariance follows from the spectrum, ``cov = 2/n int |H_m|^2
+|H_m'|^2 S^2`` (the fourth moment of Gaussian noise). So N, B and K come by generalised least squares with an sd that
+holds. The usual readings, N at tau = 1, B at the minimum and K at tau = 3, are reported beside it.
 """
 
 from __future__ import annotations
@@ -123,8 +124,8 @@ def _second_differences(x: Array, m: int, buffer: Array) -> float:
 def fit_noise(table: AllanTable, n: int) -> AllanFit:
     """N, B and K of the model by generalised least squares on the Allan variances.
 
-    Averaging times at the short end that do not follow the model (a low-pass filter, coarse quantisation, vibration)
-    are left out one after the other, as long as the whole contradicts it.
+    Averaging times at the short end may not follow the model: a low-pass filter, coarse quantisation or vibration. They
+    are left out one after the other, as long as the whole contradicts the model.
 
     Parameters
     ----------

@@ -57,10 +57,10 @@ def fit_allan(channel: Channel, *, relative: bool = False) -> FitResult:
     Returns
     -------
     FitResult
-        ``native`` has the table (``tau`` in s, ``adev``, its relative sd, the model), ``N`` (unit/sqrt(Hz)), ``B``
-        (unit), ``K`` (unit/sqrt(s)) with ``sd`` and ``upper`` (95 % bound; a noise that is not told from none is None
-        and has only that), where each slope ``holds`` (s), and ``read_off``: the usual reading at tau = 1, at the
-        minimum and at tau = 3.
+        ``native`` has the table: ``tau`` in s, ``adev``, its relative sd, the model. It has ``N`` (unit/sqrt(Hz)),
+        ``B`` (unit) and ``K`` (unit/sqrt(s)) with ``sd`` and ``upper``, the 95 % bound. A noise that is not told from
+        none is None and has only the bound. ``holds`` says where each slope holds (s); ``read_off`` has the usual
+        reading at tau = 1, at the minimum and at tau = 3.
     """
     if channel.values.shape[1] != 3:
         raise InvalidInputError(f"{channel.sensor}: three axes are needed, not {channel.values.shape[1]}")
@@ -88,7 +88,7 @@ def fit_allan(channel: Channel, *, relative: bool = False) -> FitResult:
         n_used=len(values),
         residual_rms=float(values.std()),
         condition_number=max(fit.condition for fit in known),
-        undetermined=dict.fromkeys(names, "noise alone is told here: run a calibration method of this sensor"),
+        undetermined=dict.fromkeys(names, "this method measures noise only: run a calibration method of this sensor"),
         partial=not whole,
         warnings=warnings,
         quality=_quality(channel, values, rate, known),
@@ -154,7 +154,7 @@ def _disturbed(values: Array, rate: float) -> list[str]:
         return []
     return [
         f"it was disturbed: at {starts[worst] / rate:.0f} s it scatters {scatter[worst] / usual:.0f} times as much as "
-        "usual; cut that out, noise of a motion is none of the sensor's"
+        "usual; cut that out: noise of a motion is not the sensor's"
     ]
 
 

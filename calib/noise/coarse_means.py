@@ -1,9 +1,9 @@
 """Means of several parts of one channel in coarse bins: their noise is the same, so every part helps to know it.
 
-Where the noise is below half a bin, how far a mean lies from the edge of its bin follows from how often the next bin
-is met, and from the noise. One part alone hardly knows the noise: on six faces its means err by up to three times the
-bound that way. Here the likelihood of all parts is integrated over the noise, which they share, and over each mean,
-all values alike beforehand. That needs no large numbers: a few samples in a second bin count for what they are.
+Where the noise is below half a bin, two things tell how far a mean lies from the edge of its bin: how often the next
+bin is met, and the noise. One part alone hardly knows the noise: on six faces its means err by up to three times the
+bound that way. Here the likelihood of all parts is integrated over the noise, which they share, and over each mean, all
+values alike beforehand. That needs no large numbers: a few samples in a second bin count for what they are.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value
         why = "SYS_STATUS was not heard" if view.ready is None else "SYS_STATUS does not carry the prearm check"
         return unknown(of, f"The vehicle does not say whether it would arm: {why}.", evidence=heard)
     if autopilot == "ardupilot" and _nothing_checked(parameters):
-        why = "Its arming checks are switched off, so its yes says nothing."
+        why = "Its arming checks are switched off, so its consent proves nothing."
         return unknown(of, why, "Switch them on again.", heard)
     asked = "its own checks, run now, pass" if view.asked else "its own checks pass"
     return Check(of, Verdict.PASS, None, None, None, "", f"This vehicle would arm now: {asked}.", evidence=heard)

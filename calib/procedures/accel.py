@@ -132,7 +132,7 @@ class AccelProcedure(TickedProcedure):
             self._evaluate()
 
     def _evaluate(self) -> None:
-        """All asked-for poses are taken: finish, ask for a further one, take one again, or give up."""
+        """All requested poses are taken: finish, ask for a further one, take one again, or give up."""
         assessment = assess(self._poses, self.present(Sensor.ACCEL), self.context.gravity, self._target)
         self._assessment = assessment
         if assessment.passed:
@@ -144,7 +144,7 @@ class AccelProcedure(TickedProcedure):
             self._note = f"{assessment.short}: a further pose is needed. "
         else:
             self._give_up(
-                f"{len(self._poses)} poses do not bring the goal: {assessment.short}",
+                f"{len(self._poses)} poses do not reach the goal: {assessment.short}",
                 "check that nothing vibrates or moves during the holds and that the flight controller is fixed firmly, "
                 "then start again, or ask for less",
             )

@@ -1,6 +1,6 @@
 """Accelerometers and gyros together, from poses held by hand and the movements between them (METHODS 3.3).
 
-The poses are those of the job ``accel``; the gyro carries the direction of gravity from each to the next, which gives
+The poses are those of the job ``accel``. The gyro carries the direction of gravity from each to the next. That gives
 its scale and cross axes, and makes the accelerometer better known than poses alone. A rest comes first: a hand's tremor
 would leave the gyro's offset ten times less known. That tremor also bounds the scale, half a degree in every movement:
 a vehicle that is leant on something instead of held gives a tenth of a percent.
@@ -128,7 +128,7 @@ class ImuProcedure(AccelProcedure):
         else:
             why = refusals(fits) if not usable else f"the gyros' scale is known to {100.0 * reached:.2f} %"
             self._give_up(
-                f"{len(self._poses)} poses do not bring the goal: {why}, not to {100.0 * self._scale_target:.2f} %",
+                f"{len(self._poses)} poses do not reach the goal: {why}, not to {100.0 * self._scale_target:.2f} %",
                 "turn it further and more briskly from pose to pose, about all axes, or ask for less",
             )
 

@@ -1,8 +1,8 @@
 """From chunks of any size to ticks of fixed length on the vehicle's clock.
 
-A procedure that decides at ticks whose content does not depend on how the samples were chunked gives the same steps
-live, from a replayed log and in a test. A tick is closed when samples later than its end by :data:`GRACE` have come, so
-that messages which overtake each other by less still fall into their own tick.
+A procedure decides at ticks, whose content does not depend on how the samples were chunked. It therefore takes the same
+steps live, from a replayed log and in a test. A tick is closed when samples later than its end by :data:`GRACE` have
+come. Messages that overtake each other by less still fall into their own tick.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What a procedure says and hears: prompts and progress as data, answers as data.
 
-A procedure is fed chunks of raw recording (calibration in force undone) in the order of the vehicle's clock and never
+A procedure is fed chunks of raw recording (calibration in force undone) in the order of the vehicle's clock. It never
 looks at another clock, so a live job, a replayed .tlog and a test are one code path.
 """
 
@@ -120,7 +120,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Done:
-    """The asked-for uncertainty is reached, or the operator ended it: one fit a sensor instance."""
+    """The requested uncertainty is reached, or the operator ended it: one fit a sensor instance."""
 
     results: tuple[FitResult, ...]
     because: str

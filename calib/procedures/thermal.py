@@ -144,7 +144,7 @@ class ThermalProcedure(TickedProcedure):
         if covered or (settled and span >= THERMAL_SPAN_MIN):
             if self.time >= self._next_fit:
                 self._next_fit = self.time + max(5.0, FIT_AGAIN * self.elapsed)
-                why = "the temperature has settled" if settled else "the asked-for span is covered"
+                why = "the temperature has settled" if settled else "the requested span is covered"
                 self._try(why, last=settled)
         elif settled and self._warmth.moved >= THERMAL_SPAN_MIN:
             self._give_up(
@@ -171,7 +171,9 @@ class ThermalProcedure(TickedProcedure):
         if not self._missed:
             self._end(fits, f"{because} ({self._warmth.span:.1f} degC)")
         elif last:
-            self._give_up(f"{because}, but {self._missed}", "let it rest undisturbed and change its temperature slower")
+            self._give_up(
+                f"{because}, but {self._missed}", "let it rest undisturbed and change its temperature more slowly"
+            )
 
     def _fit(self) -> tuple[FitResult, ...]:
         return tuple(
@@ -221,9 +223,9 @@ class ThermalProcedure(TickedProcedure):
         self._end(fits, f"the operator ended it after {self._warmth.span:.1f} degC")
 
     def _at_end(self) -> None:
-        """Data that end while it still warms up are enough if the asked-for span is covered."""
+        """Data that end while it still warms up are enough if the requested span is covered."""
         if self._warmth.span >= self.options["span"]:
-            self._try("the recording ends with the asked-for span covered", last=False)
+            self._try("the recording ends with the requested span covered", last=False)
 
     def _missing(self) -> tuple[str, str]:
         span = self._warmth.span
@@ -247,7 +249,7 @@ class ThermalProcedure(TickedProcedure):
         text = "Leave the vehicle alone while its temperature changes."
         if self._warmth.span >= self.options["span"]:
             text = (
-                f"The asked-for {self.options['span']:.0f} degC are covered, and the temperature still changes. Leave "
+                f"The requested {self.options['span']:.0f} degC are covered, and the temperature still changes. Leave "
                 "the vehicle alone to widen the range, or finish now."
             )
         if not still:

@@ -74,7 +74,7 @@ _FACES = ((Pose.NOSE_DOWN, Pose.NOSE_UP), (Pose.RIGHT, Pose.LEFT), (Pose.LEVEL, 
 
 
 class GyroTurntableProcedure(TickedProcedure):
-    """Takes a rest and steady turns both ways about every asked-for axis, and fits."""
+    """Takes a rest and steady turns both ways about every requested axis, and fits."""
 
     spec: ClassVar[ProcedureSpec] = SPEC
 
@@ -98,7 +98,7 @@ class GyroTurntableProcedure(TickedProcedure):
         if spoilt := turning_spoils(self.context.parameters):
             self._warn(spoilt)
         if not self._axes:
-            self._give_up("no axis is asked for", "set at least one of the options x, y and z")
+            self._give_up("no axis was chosen", "set at least one of the options x, y and z")
         self._next_round()
         self._say(self._rest_prompt(resting=False))
 
@@ -269,7 +269,7 @@ class GyroTurntableProcedure(TickedProcedure):
 
     def _end(self, fits: list[FitResult], reached: float) -> None:
         self._dropped_rows()
-        self._warn("a tilt of the vehicle on the turntable is inside the cross axes: a degree is a degree")
+        self._warn("a tilt of the vehicle on the turntable enters the cross axes at full size")
         results = tuple(annotated(in_sensor(f, self._body[f.instance]), self.context, self.warnings) for f in fits)
         self._finish(Done(results, f"the scale of every axis turned is known to {100.0 * reached:.3f} % or better"))
 

@@ -46,10 +46,10 @@ class MotionPreset:
 class MotionOptions:
     """What may be chosen of a motion; None: the motion's own.
 
-    `duration` is the length in seconds of a rest, a tumble, a warm-up or a figure of eight, and of every pose, ring
-    and turn of the others. `poses` are the oblique ones beside the six faces. `fixture_sd` is the tilt of every held
-    face about each horizontal axis, degrees. `back`: six faces and poses are visited again in opposite order, so that
-    temperature and pose are not confounded.
+    `duration` is the length in seconds of a rest, a tumble, a warm-up or a figure of eight. For the others it is that
+    of every pose, ring and turn. `poses` are the oblique ones beside the six faces. `fixture_sd` is the tilt of every
+    held face about each horizontal axis, degrees. `back`: six faces and poses are visited again in opposite order, so
+    that temperature and pose are not confounded.
     """
 
     duration: float | None = None

@@ -96,8 +96,9 @@ def coloured_covariance(design: Array, series: Array, counts: Array, t: Array, *
     absorbs slow noise; the answer is averaged over it with the weights of the likelihood. The series are taken for axes
     of one sensor, whose ratios of walk to white noise are alike: each listens to the others.
 
-    A random walk has more power at the slowest scales than any wander that forgets, so errors of that kind come out on
-    the safe side. The estimate stays ordinary least squares: the best one for the walk is only a twentieth better.
+    A random walk has more power at the slowest scales than any wander that returns to its mean. Errors of that kind
+    therefore come out on the safe side. The estimate stays ordinary least squares: the best one for the walk is only a
+    twentieth better.
 
     Parameters
     ----------

@@ -66,8 +66,8 @@ class NormSolution:
 def solve(problem: NormProblem, *, weak: bool, held: Sequence[int] = ()) -> NormSolution | None:
     """The solution, or None if the iteration does not converge.
 
-    `weak` adds a prior of one radius to b and of one to the scales, so that what the poses do not determine shows as
-    a large variance; `held` parameters stay where they start.
+    `weak` adds a prior of one radius to b and of one to the scales. What the poses do not determine then shows as a
+    large variance. `held` parameters stay where they start.
     """
     prior = problem.prior.copy()
     if weak:

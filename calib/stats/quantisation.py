@@ -1,12 +1,12 @@
 """What truncated and rounded samples say about the number behind them.
 
 A vehicle's streams are integers: 1 mG, 1 mrad/s, 1 mgauss. C++ truncates toward zero, so the bin around zero is twice
-as wide as the others (FLIGHT_CONTROLLERS 2.1). Where the noise is smaller than about half a bin the mean of many
-samples is biased, by up to ``(q/pi) exp(-2 pi^2 s^2/q^2)`` (METHODS 0), and no averaging helps. The likelihood of the
-*intervals* has no such bias: a sample says that the value lay between the edges of its bin, and no more.
+as wide as the others (FLIGHT_CONTROLLERS 2.1). With noise below about half a bin the mean of many samples is biased.
+The bias is up to ``(q/pi) exp(-2 pi^2 s^2/q^2)`` (METHODS 0), and no averaging helps. The likelihood of the *intervals*
+has no such bias: a sample says that the value lay between the edges of its bin, and no more.
 
 With ``delta = beta/sigma`` and ``tau = 1/sigma`` the log-likelihood of a Gaussian linear model with interval data is
-concave (Burridge 1981), so Newton's method finds its maximum from anywhere.
+concave (Burridge 1981). Newton's method therefore finds its maximum from anywhere.
 """
 
 from __future__ import annotations

@@ -442,8 +442,8 @@ def _rate(gyro: Channel | None, still: Still) -> Array | None:
 def _turning(accel: Channel) -> Array:
     """Rate (3,) with which gravity turns in a span, by least squares, rad/s; zero for counts: their centre is unknown.
 
-    In the body ``df/dt = -w x f``, so that ``w = -(f x df/dt)/|f|^2`` but for a turn about gravity, which does not
-    shorten it.
+    In the body ``df/dt = -w x f``. Hence ``w = -(f x df/dt)/|f|^2``, without the part about gravity, which does not
+    shorten the mean of f.
     """
     if accel.unit != "m/s2":
         return np.zeros(3)

@@ -160,7 +160,7 @@ def _warnings(found: Sequence[_Pose], repeats: NDArray[np.bool_], unit: str) -> 
         elif _differ(found, int(axis)):
             told = "and does not repeat: it is no drift of the offset with temperature"
         else:
-            told = "too uncertain to tell it from none: warm it up further"
+            told = "too uncertain to tell it from zero: warm it up further"
         warnings.append(f"the slope of {AXES[axis]} is {each} {unit}/degC in the {len(found)} poses, {told}")
     return warnings
 

@@ -198,10 +198,10 @@ def fit_polynomial(
     FitResult
         The offset is that at `t_ref` for a gyroscope; for an accelerometer in one pose it is undetermined (gravity and
         tilt are inside it) and only the shape counts. ``quality["drift"]`` is each axis' range over the span and
-        ``quality["drift_sd"]`` the largest sd of the curve about its mean. An axis whose wander does not repeat with
-        temperature, one of a constant value, and one seen on too few levels are named and left at zero. Where the
-        temperature went through its span more than once, ``quality["cross_validation"]`` judges every sweep by the
-        others; ``quality["hysteresis"]`` is warming less cooling.
+        ``quality["drift_sd"]`` the largest sd of the curve about its mean. An axis is named and left at zero in three
+        cases: its wander does not repeat with temperature, its value is constant, or it was seen on too few levels.
+        Where the temperature went through its span more than once, ``quality["cross_validation"]`` judges every sweep
+        by the others; ``quality["hysteresis"]`` is warming less cooling.
     """
     data = DriftData.of(channel, temperature)
     return fit_drift_data(
@@ -379,8 +379,8 @@ def _coarse_axis(
 ) -> tuple[DriftBlocks, float] | None:
     """Block sums of an axis whose noise is smaller than its bins, and that noise; None if too few bins are seen.
 
-    The interval likelihood's estimate is least squares on ``expected + score/information`` with the information of
-    each sample as its weight, so the same sums carry on from there.
+    The interval likelihood's estimate is least squares on ``expected + score/information``, with the information of
+    each sample as its weight. The same sums therefore carry on from there.
     """
     at = x[bins.rows]
     design = at[:, None] ** np.arange(degree + 1)

@@ -66,7 +66,8 @@ def two_way_warnings(
         who = "the sensor lags its thermometer" if lag.seconds > 0.0 else "the thermometer lags the sensor"
         warnings.append(
             f"warming and cooling disagree: {who} by {abs(lag.seconds):.3g} +- {lag.sd:.1g} s; "
-            "the drift is fitted against the temperature of the die, let it change slower for what is flown"
+            "the drift is fitted against the temperature of the die; "
+            "let the temperature change more slowly for a fit that is flown"
         )
     if two_ways is not None:
         difference, sd = two_ways

@@ -113,7 +113,7 @@ def next_magic(buffer: bytes, start: int, end: int) -> int:
 class Plausibility:
     """Decides whether a frame whose checksum cannot be verified is one, within one buffer.
 
-    It must be MAVLink 2 from a real system, the stream must go on in step right behind it, and no frame with a right
+    It must be MAVLink 2 from a real system. The stream must go on in step right behind it, and no frame with a right
     checksum may start inside it. The stretch already searched is remembered, so that hostile bytes cost linear time.
     """
 

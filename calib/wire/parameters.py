@@ -1,7 +1,7 @@
 """Parameter values on the wire: four bytes that mean different things to different firmwares.
 
-ArduPilot casts every value to float32; PX4 copies the bytes of an int32 into the float field. Values are kept as
-their four bytes, because the pattern of an integer may be that of a NaN, which does not survive a Python float.
+ArduPilot casts every value to float32; PX4 copies the bytes of an int32 into the float field. Values are kept as their
+four bytes: the pattern of an integer may be that of a NaN, which does not survive a Python float.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What was asked of the service and by whom, on the disk before it is done."""
+"""The audit trail: what was asked of the service and by whom, on the disk before it is done."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Work that nobody waits for any more is ended."""
+"""Ends the work of a request when its client has disconnected."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ class Problem(BaseModel):
     title: str
     status: int = Field(description="that of the answer")
     detail: str = Field(description="what happened, and what helps")
-    request_id: str = Field(description="under which the log of the service tells more")
+    request_id: str = Field(description="id under which the log of the service has the details")
     errors: list[FieldError] | None = Field(default=None, description="fields of an invalid request")
 
 

@@ -1,4 +1,4 @@
-"""One stream of everything that happens."""
+"""One event stream for the whole service: jobs, vehicles and links."""
 
 from __future__ import annotations
 

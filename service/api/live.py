@@ -1,4 +1,4 @@
-"""The samples of a vehicle, and the wish to have it send them."""
+"""Routes of live samples: their stream, and the watch that has a vehicle send them."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ async def watch_vehicle(
 ) -> WatchModel:
     """Have the vehicle send its samples for as long as `follow_samples` is read with this watch.
 
-    Its message rates are put back as they were when the last watch is over, at once when it arms, and before a job
-    chooses its own. It is asked for nothing while it is armed or silent, or while a job runs.
+    Its former message rates are put back when the last watch is over, at once when it arms, and before a job chooses
+    its own. It is asked for nothing while it is armed or silent, or while a job runs.
     """
     begun = service.live.begin(found.id, body.rate_hz)
     response.headers["Location"] = relative(request, f"api/v1/vehicles/{found.id}/samples?watch={begun.id}")

@@ -1,4 +1,4 @@
-"""Routes of what a person reads of a plan."""
+"""Routes of reviews: a plan in words and pictures, for the person who accepts it."""
 
 from __future__ import annotations
 

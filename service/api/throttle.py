@@ -1,4 +1,4 @@
-"""How often one peer may try a key."""
+"""Limits how often one peer may try an API key."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What campaigns do with their items, in vehicles, in uploads and in an archive of files."""
+"""What a campaign does with one item: a vehicle, an upload, or a file of an archive."""

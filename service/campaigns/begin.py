@@ -1,4 +1,4 @@
-"""Begins a campaign once what it is to do is found to make sense; and what each task does in a running service."""
+"""Checks what a campaign is asked to do, then begins it; holds what each task does in a running service."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class CampaignDesk:
         Raises
         ------
         InvalidInputError
-            If the kind or an option is unknown, or a confirmation is given, which is said of one plan.
+            If the kind or an option is unknown, or a confirmation is given, which belongs to one plan.
         Forbidden
             If plans are to be written and this service never writes.
         CampaignsBusy
@@ -90,7 +90,7 @@ class CampaignDesk:
             raise Forbidden("this service runs with --read-only and never writes: begin the campaign without apply")
         given = confirmed(order.plan_options)
         if given:
-            raise InvalidInputError(f"{given[0]} is said of one plan that was looked at: accept that plan by itself")
+            raise InvalidInputError(f"{given[0]} confirms one plan that a person has seen: accept that plan by itself")
         require_sensors_of(spec, order.plan_options)
         options = {
             "kind": spec.kind,

@@ -1,4 +1,4 @@
-"""The one port to whatever computes an archive: any ``concurrent.futures.Executor``, by a word."""
+"""Opens the executor that computes an archive, by its name: any ``concurrent.futures.Executor``."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def workers(text: str) -> Iterator[Workers]:
     Raises
     ------
     InvalidInputError
-        If `text` names none, or it cannot be had.
+        If `text` names none, or it cannot be loaded.
     """
     name, _, rest = text.partition(":")
     if name in {"threads", "processes"}:
@@ -100,7 +100,7 @@ def _made(module: str, factory: str) -> Executor:
     try:
         made = getattr(importlib.import_module(module), factory)
     except (ImportError, AttributeError) as error:
-        raise InvalidInputError(f"{module}:{factory} cannot be had: {error}. Give {FORMS}") from error
+        raise InvalidInputError(f"{module}:{factory} cannot be loaded: {error}. Give {FORMS}") from error
     executor = made()
     if not isinstance(executor, Executor):
         raise InvalidInputError(f"{module}:{factory} makes a {type(executor).__name__}, which is no Executor")

@@ -1,4 +1,4 @@
-"""What runs inside of an executor's worker, wherever that is: one log, read in a child process with limits.
+"""What runs inside an executor's worker, wherever that is: one log, read in a child process with limits.
 
 Every process that does such work has a nursery of its own, whether its executor has threads, processes or machines.
 What comes back is data that any executor can carry.

@@ -1,4 +1,4 @@
-"""What a child process may use, and what is said of one that used more."""
+"""The limits of a child process, and the message when it exceeds one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""``python -m mavcal.service.children.nursery FIRST LATER``: forks a limited child an order, and tells how it ended.
+"""``python -m mavcal.service.children.nursery FIRST LATER``: forks a limited child for each order and reports how it
+ended.
 
 Lines of JSON on stdin: ``{"start": id, "task": "module:function", "folder": path, "limits": {...}}``,
 ``{"stop": id}``; on stdout: ``{"id", "progress"}``, ``{"id", "status", "cpu_s", "peak_bytes"}``. A child finds

@@ -65,7 +65,7 @@ def command(
 
         job = service.jobs.get(job_id)
         if not is_of(service, job, vehicle):
-            raise OtherVehicle(f"job {job_id} is of {job.vehicle_id}, but {connect} leads to {vehicle.id}")
+            raise OtherVehicle(f"job {job_id} belongs to {job.vehicle_id}, but {connect} leads to {vehicle.id}")
         return await service.jobs.plan_again(job_id, {**job.context.get("plan_options", {}), **decided})
 
     return run_job(settings, begin, wish)

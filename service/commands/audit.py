@@ -1,4 +1,4 @@
-"""``mavcal audit``: whether the audit trail is as it was written."""
+"""``mavcal audit``: check that the audit trail is as it was written."""
 
 from __future__ import annotations
 

@@ -42,14 +42,14 @@ executor_option = click.option(
     metavar="NAME",
     help="threads[:N], processes[:N], dask:ADDRESS, or MODULE:FACTORY of any concurrent.futures.Executor.",
 )
-glob_option = click.option("--glob", "pattern", default="*", show_default=True, help="Only files with such a name.")
+glob_option = click.option("--glob", "pattern", default="*", show_default=True, help="Only files whose name matches.")
 
 
 def connect_options(command: Command) -> Command:
     """Add the options by which vehicles are found."""
     for option in (
         click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for vehicles, s."),
-        click.option("--vehicle", "ids", multiple=True, metavar="ID", help="Only this one of those; repeated."),
+        click.option("--vehicle", "ids", multiple=True, metavar="ID", help="Only this one of the vehicles; repeated."),
         click.option("--connect", "urls", required=True, multiple=True, metavar="URL", help="Endpoint; repeated."),
     ):
         command = option(command)
@@ -168,7 +168,9 @@ def fit(
 @click.argument("folder", type=click.Path(path_type=Path))
 @glob_option
 @click.option("--sim", type=click.Path(path_type=Path), default=None, help="A simulator's recording, for all of them.")
-@click.option("--nominal", type=click.Path(path_type=Path), multiple=True, help="Without an effect; repeated.")
+@click.option(
+    "--nominal", type=click.Path(path_type=Path), multiple=True, help="A recording without an effect; repeated."
+)
 @reading_options
 @executor_option
 @at_once_option
@@ -239,7 +241,9 @@ def resume(
 
 @command.command()
 @click.argument("job")
-@click.option("--outcome", "outcomes", type=click.Choice(OUTCOMES), multiple=True, help="Only such; repeated.")
+@click.option(
+    "--outcome", "outcomes", type=click.Choice(OUTCOMES), multiple=True, help="Only items that ended so; repeated."
+)
 @csv_option
 @data_dir_option
 @json_option

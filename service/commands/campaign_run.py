@@ -1,4 +1,4 @@
-"""A campaign of vehicles on the command line: found, gone through, and left so that it can be resumed."""
+"""A campaign of vehicles on the command line: find them, go through them, and stop so that it can be resumed."""
 
 from __future__ import annotations
 

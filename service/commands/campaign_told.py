@@ -1,4 +1,4 @@
-"""How the commands of campaigns follow one, and tell what became of its items."""
+"""Follows a campaign on the command line and prints what became of its items."""
 
 from __future__ import annotations
 

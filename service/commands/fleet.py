@@ -80,7 +80,7 @@ def command(
 def show(units: list[dict[str, Any]]) -> None:
     """The units as a table, with the reasons of those that should be calibrated again below it."""
     if not units:
-        click.echo("no such unit is known here")
+        click.echo("no unit matches")
         return
     for line in table([HEAD, *map(_cells, units)]):
         click.echo(line)

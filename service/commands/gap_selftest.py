@@ -16,7 +16,9 @@ TIERS = ("T0", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T10")
 
 
 @click.command()
-@click.option("--tier", "tiers", multiple=True, type=click.Choice(TIERS), help="Only these; repeated. [default: all]")
+@click.option(
+    "--tier", "tiers", multiple=True, type=click.Choice(TIERS), help="Only these tiers; repeated. [default: all]"
+)
 @click.option("--count", type=click.IntRange(1), default=None, help="Cases a tier. [default: the plan of a full run]")
 @click.option("--seed", type=click.IntRange(1), default=1, show_default=True, help="First seed; sealed from 1000000.")
 @click.option("--processes", type=click.IntRange(1, 16), default=2, show_default=True)

@@ -1,4 +1,4 @@
-"""How far a command is, on one line of a terminal that the answer takes the place of."""
+"""The progress of a command on one line of a terminal; the answer replaces it."""
 
 from __future__ import annotations
 

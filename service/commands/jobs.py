@@ -41,7 +41,7 @@ class _Wish:
 @click.option("--kind", default=None, help="Only jobs of this kind: gyro, accel, fit, gap ...")
 @click.option("--state", default=None, help="Only jobs in this state: review, failed, in_doubt ...")
 @click.option("--limit", type=click.IntRange(1, MOST), default=20, show_default=True, help="At most so many.")
-@click.option("--after", default=None, metavar="JOB", help="Go on behind the last job of the page before.")
+@click.option("--after", default=None, metavar="JOB", help="List the jobs after this one, the last of the page before.")
 @json_option
 def command(
     *,

@@ -1,4 +1,4 @@
-"""``mavcal plan METHOD FILE``: the fit of a recording as a plan for the vehicle that it is of."""
+"""``mavcal plan METHOD FILE``: turn the fit of a recording into a plan for the vehicle that made it."""
 
 from __future__ import annotations
 

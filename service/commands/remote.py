@@ -1,4 +1,4 @@
-"""A running service, asked by the command line through the typed client: ``--url`` in place of a data directory."""
+"""Lets commands ask a running service (``--url``) through the typed client, in place of a data directory."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def show_came_of(job: JobModel, screen: Screen) -> None:
 def one_of(connect: str | None, url: str | None) -> None:
     """Raise UsageError unless either the vehicle or the service is named."""
     if (connect is None) == (url is None):
-        raise click.UsageError("give --connect to write by yourself, or --url to have a running service write")
+        raise click.UsageError("give --connect to write from here, or --url to have a running service write")
 
 
 def _address(url: str) -> str:

@@ -72,7 +72,7 @@ def command(
 
         job = service.jobs.get(name)
         if not is_of(service, job, vehicle):
-            raise OtherVehicle(f"job {name} is of {job.vehicle_id}, but {connect} leads to {vehicle.id}")
+            raise OtherVehicle(f"job {name} belongs to {job.vehicle_id}, but {connect} leads to {vehicle.id}")
         await writable(vehicle, wait)
         return await service.jobs.revert(name)
 

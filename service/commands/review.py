@@ -1,4 +1,4 @@
-"""A job on the command line from where it is to its end: followed, its plan shown, confirmed, written and told."""
+"""Takes a job on the command line to its end: follow it, show its plan, confirm, write, print the outcome."""
 
 from __future__ import annotations
 
@@ -245,7 +245,7 @@ def _waiting(job: Job, plan: WritePlan, connect: str) -> str:
 
     asked = confirmations(plan.blockers)
     if plan.blockers and not asked:
-        return "blocked: nothing was written, and this plan cannot be"
+        return "blocked: nothing was written, and this plan cannot be written"
     flags = "".join(f" --{PLAN_OPTIONS[name].flag}" for name in asked)
     begun = "it waits to be confirmed" if asked else "the plan is kept"
     return f"nothing was written; {begun}: `mavcal accept {job.id} --connect {connect}{flags}` writes it"

@@ -59,7 +59,9 @@ def _numbers(count: int) -> Callable[[click.Context, click.Parameter, str | None
 @click.option("--trajectory", "path", help="A recording whose attitude (q_w,q_x,q_y,q_z) they follow instead.")
 @click.option("--out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Ends in .csv or .npz.")
 @click.option("--truth", type=click.Path(path_type=Path, dir_okay=False), help="Write what made it, as JSON.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same makes the same file.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed makes the same file."
+)
 @click.option("--params", help="Sensor errors: .json (ours, or MATLAB's accelparams ...), or .param with SIM_*.")
 @click.option(
     "--instance",
@@ -68,7 +70,7 @@ def _numbers(count: int) -> Callable[[click.Context, click.Parameter, str | None
     show_default=True,
     help="Instance of the SIM_* parameters, from 0.",
 )
-@click.option("--ideal", is_flag=True, help="No errors at all, where --params says nothing else.")
+@click.option("--ideal", is_flag=True, help="No errors, except those that --params states.")
 @click.option(
     "--frame",
     type=click.Choice(["ned", "enu"]),

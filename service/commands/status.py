@@ -1,4 +1,4 @@
-"""``mavcal status``: who is at the other end of these links, how it is, and what was calibrated last."""
+"""``mavcal status``: which vehicles these links reach, their state, and what was calibrated last."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a calibrated vehicle holds against what is true: per sensor, and all together."""
+"""Compares what a calibrated vehicle holds with what is true: per sensor, and all together."""
 
 from __future__ import annotations
 

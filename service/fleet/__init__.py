@@ -1,5 +1,5 @@
-"""The fleet: what is kept of every unit, and how it is told.
+"""The fleet: what is kept of every unit, and how it is listed.
 
 :mod:`~service.fleet.records` makes records of jobs and preflights, :class:`~service.fleet.book.FleetBook` keeps them,
-:mod:`~service.fleet.view` tells them as rows. What they mean is known in :mod:`calib.fleet`.
+:mod:`~service.fleet.view` lists them as rows. What they mean is decided in :mod:`calib.fleet`.
 """

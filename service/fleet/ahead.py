@@ -1,4 +1,4 @@
-"""Trends of the fleet before anybody asks: each takes 10 ms of a processor, and a fleet has thousands."""
+"""Computes the trends of a fleet before anybody asks: each takes 10 ms of processor time, and a fleet has thousands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What jobs and preflights leave in the fleet's tables, and what comes out of them again."""
+"""Turns jobs and preflights into rows of the fleet's tables, and rows back into records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fleet as rows: chosen, ordered, a page at a time."""
+"""The fleet as rows: filtered, sorted, a page at a time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happens to jobs anywhere, told here: the events of the database, in their order, as they come."""
+"""Repeats here the job events of all instances: read from the database, in their order, as they come."""
 
 from __future__ import annotations
 

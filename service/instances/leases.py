@@ -1,7 +1,8 @@
 """Leases in the database: acquired, renewed, given back, and checked inside transactions of others.
 
-They end by the database's clock. Whether one of ours holds is also known here, by a clock that goes on while the
-process or the machine sleeps: from the moment at which its last renewal was asked for, and hence never too long.
+They end by the database's clock. Whether one of ours holds is also judged here, by a clock that goes on while the
+process or the machine sleeps. It counts from the moment at which the last renewal was asked for, so it never counts too
+long.
 """
 
 from __future__ import annotations

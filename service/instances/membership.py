@@ -1,6 +1,6 @@
 """One instance among others: keeps its leases, gives up what it lost, and takes over what nobody owns.
 
-A round every quarter of a lease, and as soon as a vehicle has said who it is.
+It makes a round every quarter of a lease, and as soon as a vehicle has said who it is.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""An accept, or the wish to take back, on its way to the disk: who asked, under which key, one at a time a job."""
+"""Stores an accept, or a request to revert, before it is acted on: who asked, under which key. One a job at a time."""
 
 from __future__ import annotations
 

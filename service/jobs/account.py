@@ -1,6 +1,6 @@
-"""What a job says of its vehicle after a write: outcome and standing, both from the same readings.
+"""Outcome and standing of a job after a write, both made from the same readings of its vehicle.
 
-Nothing else makes either of them, so that a sentence never claims more than was read. Pure.
+No other module makes either, so a sentence never claims more than was read. All functions are pure.
 """
 
 from __future__ import annotations

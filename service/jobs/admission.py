@@ -1,4 +1,4 @@
-"""Whether something may begin: at this vehicle, in this state, on this plan."""
+"""Checks whether a job or a write may begin: on this vehicle, in this state, with this plan."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def require_ready(vehicle: JobVehicle, *, busy: bool = False) -> None:
 def require_vehicle(job: Job) -> str:
     """The id of the job's vehicle. Raises NoVehicle if it is of none."""
     if job.vehicle_id is None:
-        raise NoVehicle(f"job {job.id} ({job.kind}) is of no vehicle: it only computes")
+        raise NoVehicle(f"job {job.id} ({job.kind}) has no vehicle: it only computes, so there is nothing to write")
     return job.vehicle_id
 
 

@@ -1,4 +1,4 @@
-"""From fits to a plan on the vehicle's present parameters; and a whole job from the fits of an uploaded recording."""
+"""Makes a plan from fits on the vehicle's present parameters, or a whole job from fits of an uploaded recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every job of the service: held while it runs, listed, told about, and forgotten."""
+"""All jobs of the service: holds the running ones, lists them all, and passes on their events."""
 
 from __future__ import annotations
 

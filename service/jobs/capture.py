@@ -1,7 +1,7 @@
-"""Capturing: streams on, calibration parameters read, frames to the procedure, until it says that it is done.
+"""Capture: switch streams on, read calibration parameters, and feed frames to the procedure until it is done.
 
-The segment of the telemetry log begins before the parameters are read and ends after they were read again, so that
-it can be fitted by itself at any time.
+The segment of the telemetry log begins before the parameters are read and ends after they were read again. It can
+therefore be fitted by itself at any time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What has the message rates of a vehicle, so that nobody else may change them now."""
+"""Says what controls the message rates of a vehicle at the moment; nobody else may change them meanwhile."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def claim_of(
     """
     for job in jobs:
         if job.vehicle_id == vehicle_id and (job.state in PHYSICAL or job.id in running):
-            return f"A job ({job.kind}) has chosen what the vehicle sends; that is what is shown."
+            return f"A job ({job.kind}) has chosen which messages the vehicle sends; these are shown."
     if preflights.holds(vehicle_id):
-        return "A preflight has chosen what the vehicle sends; that is what is shown."
+        return "A preflight has chosen which messages the vehicle sends; these are shown."
     if tidying.holds(vehicle_id):
-        return "What the vehicle sends is still as the last job has chosen; that is put back first."
+        return "The message rates are still those of the last job; they are put back first."
     return None

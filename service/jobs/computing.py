@@ -1,8 +1,8 @@
-"""Jobs that compute something of uploaded recordings: a fit by a method, a diagnosis of the sim-to-real gap.
+"""Jobs that compute something from uploaded recordings: a fit by a method, a diagnosis of the sim-to-real gap.
 
-They need a processor and no vehicle. A job is queued until a child process has taken it up. Diagnoses run one after
-the other, so that fits find a free process, and fits wait here so that uploads do. A cancelled job's child is killed; a
-job whose service was stopped begins again at the next start.
+They need a processor and no vehicle. A job is queued until a child process has taken it up. Diagnoses run one after the
+other, so that fits find a free process. Fits wait here too, so that uploads find one. A cancelled job's child is
+killed; a job whose service was stopped begins again at the next start.
 """
 
 from __future__ import annotations

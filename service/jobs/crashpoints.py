@@ -1,7 +1,7 @@
 """Named instants at which a test may stop or kill the process.
 
-The engine is given a :data:`CrashPoint` at its construction and calls it with a name at every instant at which a crash
-leaves the vehicle and the journal in another relation. In the service it does nothing.
+The engine is given a :data:`CrashPoint` at its construction. It calls it with a name wherever a crash would leave
+vehicle and journal in another relation. In the service the call does nothing.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Frames of a running capture to a procedure's steps; and a closed capture to the same procedure's result.
+"""Feeds the frames of a running capture to a procedure, and replays a closed capture through the same procedure.
 
-Both ways read the same functions of ``calib``. The live one only guides the operator: what counts is the replay of the
-closed segments, whose digits are the same whenever it is repeated.
+Both use the same functions of ``calib``. The live one only guides the operator. The result comes from the replay of the
+closed segments, which gives the same digits whenever it is repeated.
 """
 
 from __future__ import annotations

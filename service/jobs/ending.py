@@ -1,4 +1,4 @@
-"""Where a write ends, or stops: the only place that tells a job's outcome and standing. None of it may fail."""
+"""Ends or stops a write: the only place that sets a job's outcome and standing. None of it may fail."""
 
 from __future__ import annotations
 

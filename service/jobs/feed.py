@@ -1,4 +1,4 @@
-"""Events of jobs to whoever watches: replayed from the store, then as they come; none is lost to a slow reader."""
+"""Streams job events to those who watch: replayed from the store, then as they come; a slow reader misses none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calibrations that need no hands, run and written one after the other: what a preflight can mend by itself."""
+"""What a preflight can fix by itself: runs and writes calibrations that need no hands, one after the other."""
 
 from __future__ import annotations
 

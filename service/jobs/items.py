@@ -1,4 +1,4 @@
-"""What a campaign goes through: one item a vehicle or a log, and what became of it."""
+"""The items of a campaign: one for each vehicle or log, with what became of it."""
 
 from __future__ import annotations
 

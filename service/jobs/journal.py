@@ -1,6 +1,7 @@
-"""The journal of a write, folded into what is known, and what must follow from it.
+"""Reads the journal of a write: what is known to have happened, and what must follow.
 
-Pure: recovery after a crash, after an armed or silent vehicle and in a running transaction decide by this alone.
+All functions are pure. A running transaction, and recovery after a crash or after an armed or silent vehicle, decide by
+this alone.
 """
 
 from __future__ import annotations

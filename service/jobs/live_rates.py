@@ -1,7 +1,7 @@
-"""Message rates for whoever watches a vehicle: asked for while somebody does, and put back as they were.
+"""Message rates for those who watch a vehicle: requested while somebody does, then put back as they were.
 
-Nobody's measurement is touched. While a job, a preflight or their putting back has the rates of a vehicle, none are
-asked for here; whoever needs them next has ours put back first (:meth:`LiveRates.give_way`).
+No measurement is disturbed. While a job or a preflight controls the rates of a vehicle, or still puts them back, none
+are requested here. Whoever needs them next has ours put back first (:meth:`LiveRates.give_way`).
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ class LiveStatus:
     state
         What has become of the wish.
     text
-        Why it waits, or comes slower than wished; empty: nothing is to be said.
+        Why samples wait, or come slower than requested; empty: they come as requested.
     rate_hz
-        The fastest rate that anybody who watches this vehicle has wished for.
+        The fastest rate that anybody who watches this vehicle has requested.
     """
 
     state: LiveState

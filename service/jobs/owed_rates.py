@@ -1,4 +1,4 @@
-"""Message rates that were changed for who watches: on the disk, so that a killed service still puts them back."""
+"""Keeps on disk the message rates as they were before a watch, so that a killed service still puts them back."""
 
 from __future__ import annotations
 

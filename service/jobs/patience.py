@@ -1,4 +1,4 @@
-"""Waiting for a vehicle that calibrates by itself, say just after its start: bounded, and shown."""
+"""Waits for a vehicle that calibrates itself, for example just after its start: for a limited time, and visibly."""
 
 from __future__ import annotations
 

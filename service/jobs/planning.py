@@ -1,4 +1,4 @@
-"""From fits to a plan, and the snapshot that the plan is bound to."""
+"""Makes a plan from fits, and the snapshot that the plan is bound to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What jobs need of vehicles and of uploads: narrow views that tests can stand in for."""
+"""The interfaces through which jobs use vehicles and uploads, narrow enough for tests to replace."""
 
 from __future__ import annotations
 
@@ -168,10 +168,10 @@ class Diagnosis:
 
 
 class Computations(Protocol):
-    """What is computed of uploads, outside this process. When a call is cancelled its computation is ended.
+    """Computations on uploads, outside this process. When a call is cancelled, its computation is ended.
 
-    Every method raises RecordingUnknown if an upload does not exist, CalibError for what the computation itself
-    refused, ChildEnded if it used more than it may, ChildrenBusy if too many are waiting.
+    Every method raises RecordingUnknown if an upload does not exist, and CalibError for what the computation itself
+    refused. It raises ChildEnded if the computation used more than it may, and ChildrenBusy if too many are waiting.
     """
 
     @property

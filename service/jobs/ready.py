@@ -1,4 +1,4 @@
-"""After a write the vehicle is looked at: would it arm now, or what still stands against it?"""
+"""Checks after a write whether the vehicle would arm now, and what still prevents it."""
 
 from __future__ import annotations
 

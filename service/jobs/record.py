@@ -1,4 +1,4 @@
-"""Who is told of what jobs and preflights came to."""
+"""The interface to whatever keeps a record of ended jobs and preflights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What earlier runs left unfinished on a vehicle, and how that is told."""
+"""What earlier runs left unfinished on a vehicle, and the words for it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A restart of the vehicle in the middle of a write: ours, or the operator's."""
+"""Restarts the vehicle in the middle of a write, by our command or by the operator's hand."""
 
 from __future__ import annotations
 

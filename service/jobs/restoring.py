@@ -1,4 +1,4 @@
-"""A job that puts the last verified calibration back: its plan. It is accepted and written like any other job's."""
+"""The plan of a job that puts the last verified calibration back; it is accepted and written like any other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Jobs that another run has left: interrupted writes first and alone, the other jobs when these have ended."""
+"""Resumes the jobs that an earlier run left: interrupted writes first and alone, the others when these have ended."""
 
 from __future__ import annotations
 

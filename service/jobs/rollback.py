@@ -1,4 +1,4 @@
-"""Taking a write back: in reverse order, only what still holds our value, and verified."""
+"""Takes a write back: in reverse order, only parameters that still hold our value, and with a check."""
 
 from __future__ import annotations
 

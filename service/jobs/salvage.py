@@ -1,4 +1,4 @@
-"""Jobs as the store has them, also where a row cannot be read: no row stops the start, and no write stays half done."""
+"""Reads jobs from the store, even from damaged rows: no row stops the start, and no write stays half done."""
 
 from __future__ import annotations
 

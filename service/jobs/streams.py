@@ -1,4 +1,4 @@
-"""Message rates of a session: asked for, remembered in the journal, put back."""
+"""Message rates of a session: requested, remembered in the journal, put back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One task a job, and another one whenever a task ends before its write does."""
+"""Runs one task for each job, and another one whenever a task ends before its write does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Message rates that jobs have left changed are put back, one vehicle at a time."""
+"""Puts back the message rates that jobs have left changed, one vehicle at a time."""
 
 from __future__ import annotations
 

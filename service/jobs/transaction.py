@@ -7,7 +7,7 @@
        │           └───────────┴────────────┴──────────┴─────────┴─ armed, silent, conflict ─> in_doubt
        └─ nothing was sent ─> review             in_doubt ─ may be written to again ─> where the journal says
 
-A running write and the recovery after a crash share everything behind ``prepare``.
+A running write and the recovery after a crash share everything after ``prepare``.
 """
 
 from __future__ import annotations

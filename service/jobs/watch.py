@@ -1,4 +1,4 @@
-"""What ends a capture besides the procedure: an armed, restarted, busy, doubtful or vanished vehicle."""
+"""Ends a capture for a reason outside its procedure: an armed, restarted, busy, doubtful or vanished vehicle."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Writing a plan to a vehicle: fresh snapshot, one parameter after the other in the plan's order, read-back.
 
-Everything that is sent is announced in the journal before and confirmed after, so that a crash at any instant leaves
+Everything that is sent is announced in the journal before and confirmed after. A crash at any instant therefore leaves
 enough to finish or to take back (:mod:`service.jobs.transaction`).
 """
 
@@ -111,8 +111,9 @@ class Writing:
                 setting.exception()  # said already, or overtaken by a stronger reason
 
     async def ask_who(self) -> None:
-        """Ask who answers: a value that is neither ours nor the old one may be another vehicle's at the same address,
-        or this one's after a restart that its clock has not shown yet.
+        """Ask who answers, where a value is neither ours nor the old one.
+
+        It may be another vehicle's at the same address, or this one's after a restart that its clock has not shown yet.
 
         Raises
         ------

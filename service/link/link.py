@@ -246,8 +246,8 @@ class Link:
     def mark(self, reached: Callable[[int], None]) -> None:
         """Call `reached` between two batches, with the byte of the recording where the second begins.
 
-        What is subscribed to before this call is in the batches behind that place, and whoever subscribes in `reached`
-        gets exactly what is recorded from there on: frames that were recorded but not yet handed on lie before it.
+        Whoever subscribed before this call gets the batches behind that place. Whoever subscribes in `reached` gets
+        exactly what is recorded from there on. Frames that were recorded but not yet handed on lie before it.
 
         Raises
         ------

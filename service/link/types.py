@@ -109,8 +109,8 @@ class Batch:
 class LinkStatistics:
     """What came from one sender. Rates are over about the last second.
 
-    `lost_inferred` is the part of `lost` beyond what the 8-bit sequence can show (multiples of 256), inferred from
-    the sender's rate or the socket's own count of dropped datagrams. Damage cannot be attributed to a sender:
+    `lost_inferred` is the part of `lost` beyond what the 8-bit sequence can show (multiples of 256). It is inferred
+    from the sender's rate or the socket's own count of dropped datagrams. Damage cannot be attributed to a sender:
     `crc_errors` counts for the whole link.
     """
 

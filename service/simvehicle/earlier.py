@@ -1,7 +1,7 @@
 """The calibration that a vehicle starts with: made some time ago, near the truth, and identity nowhere.
 
-A vehicle whose parameters are all neutral hides every fault in undoing what is in force and in judging a change of it,
-so a new one is the exception (``"calibration": "none"``).
+A vehicle whose parameters are all neutral hides every fault in undoing what is in force, and in judging a change of it.
+Such a new vehicle is therefore the exception (``"calibration": "none"``).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Faults on demand: what spoils the wire, what the vehicle does wrong, and when.
 
 Kinds and their options (`direction` is in, out or both, as the vehicle sees it; times in vehicle seconds except the
-delays of the wire, which are the wall's):
+delays of the wire, which are the wall's)::
 
     loss, duplication, reordering, bit_errors, truncation   p, direction; last until `clear_faults`
     delay                delay_s, jitter_s, direction

@@ -157,7 +157,7 @@ class WholeTurns:
 class Tumble:
     """Smooth tumbling through all directions: Euler angles z, x, z at steady incommensurate rates.
 
-    With q = q₀ ⊗ Z(a) ⊗ X(b) ⊗ Z(c) the body rate is ċ·e₃ + Zᵀ(c)·ḃ·e₁ + Zᵀ(c)·Xᵀ(b)·ȧ·e₃, whose length stays within
+    With q = q₀ ⊗ Z(a) ⊗ X(b) ⊗ Z(c) the body rate is ċ·e₃ + Zᵀ(c)·ḃ·e₁ + Zᵀ(c)·Xᵀ(b)·ȧ·e₃. Its length stays within
     about ±17 % of the rate of the moment. That rate swells and fades about the asked one by `surge` of it, as a hand's
     does: what a window of 100 ms does to a compass depends on it.
     """

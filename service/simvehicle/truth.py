@@ -1,7 +1,7 @@
 """The true errors of every sensor: raw = M·true + b + p(T) + noise, drawn from a seed or given.
 
-Ranges are those of ordinary MEMS parts before calibration, wide enough that every parameter that a firmware can store
-changes its stream by many standard deviations.
+Ranges are those of ordinary MEMS parts before calibration. They are wide enough that every parameter that a firmware
+can store changes its stream by many standard deviations.
 """
 
 from __future__ import annotations

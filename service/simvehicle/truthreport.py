@@ -15,10 +15,10 @@ from mavcal.service.simvehicle.world import SimWorld
 def truth_report(vehicle: FlightController, since: float | None = None, until: float | None = None) -> dict[str, Any]:
     """Sensor truth by instance: raw = matrix · true + offset + polynomial(T − t_ref) + noise.
 
-    A bias wanders: the inertial sensors' `offset` is that of this moment, or its mean from `since` to `until` (vehicle
-    seconds of this boot), which is what samples taken then have in them.
-    Accelerometer m/s², gyroscope rad/s, magnetometer µT, each in its sensor's frame. Magnetometers also carry
-    `body_offset` and `body_matrix`, the same truth for the field in the body frame: raw_body = R · raw.
+    A bias wanders. The inertial sensors' `offset` is that of this moment, or its mean from `since` to `until` (vehicle
+    seconds of this boot). That mean is what samples taken then have in them. Accelerometer m/s², gyroscope rad/s,
+    magnetometer µT, each in its sensor's frame. Magnetometers also carry `body_offset` and `body_matrix`, the same
+    truth for the field in the body frame: raw_body = R · raw.
     """
     world, config = vehicle.world, vehicle.config
     ids = vehicle.device_ids()

@@ -1,8 +1,8 @@
 """Durable state: jobs and their events, the write journal, snapshots, plans, and where the samples lie.
 
 :class:`~service.store.protocol.Store` is what the rest of the service sees; :class:`~service.store.sqlite.SqliteStore`
-keeps it in one SQLite file inside a data directory that one process owns. Rows carry plain JSON: what a job or a plan
-means is not known here.
+keeps it in one SQLite file inside a data directory that one process owns. Rows carry plain JSON: the store does not
+know what a job or a plan means.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The hash chain of the audit trail: what was changed, taken out or put in later does not fit the digests any more."""
+"""The hash chain of the audit trail: an entry that was changed, removed or inserted later does not fit the digests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One thread in which a store is written, in the order of asking: nothing waits for the disk on the event loop."""
+"""Writes a store in one thread, in the order of the requests, so that the event loop never waits for the disk."""
 
 from __future__ import annotations
 

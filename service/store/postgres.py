@@ -1,8 +1,8 @@
 """The store in PostgreSQL: one database for any number of service instances and workers.
 
 A commit is on the disk when it returns (``synchronous_commit``), events excepted, as in the SQLite store. Numbers that
-all writers share (events, the audit trail) are given out under one lock until the commit, so that whoever reads on
-after a number misses none. A connection that broke is made again with the next statement.
+all writers share (events, the audit trail) are given out under one lock until the commit. So whoever reads on after a
+number misses none. A connection that broke is made again with the next statement.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Our migrations in the words of PostgreSQL.
 
 They use few words of SQLite, and each has one counterpart. A table without a number of its own gets the column
-``rowid`` that SQLite's tables have, since some rows are listed in the order in which they were put in.
+``rowid`` that SQLite's tables have: some rows are listed in the order in which they were put in.
 """
 
 from __future__ import annotations

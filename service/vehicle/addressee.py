@@ -1,4 +1,4 @@
-"""What an exchange of messages needs of the vehicle that it is held with."""
+"""The interface of a vehicle that an exchange of messages needs."""
 
 from __future__ import annotations
 

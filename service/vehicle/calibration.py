@@ -1,4 +1,4 @@
-"""Does the vehicle calibrate by itself? Every sign of it that a firmware gives, as a pure function."""
+"""Is the vehicle calibrating itself? Reads every sign of it that a firmware gives, as a pure function."""
 
 from __future__ import annotations
 

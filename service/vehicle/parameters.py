@@ -175,8 +175,8 @@ class Parameters(Mapping[str, Parameter]):
     async def read(self, name: str) -> Parameter:
         """Ask for one parameter by name; hidden ones answer too.
 
-        Silence alone may be loss: a parameter that exists is asked for right behind it, and only where that one is
-        answered does the silence of this one count (answers come in the order of the questions).
+        Silence alone may be loss, so a parameter that exists is asked for right behind it. The silence of this one
+        counts only where that one is answered: answers come in the order of the questions.
 
         Raises
         ------

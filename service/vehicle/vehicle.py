@@ -1,4 +1,4 @@
-"""One vehicle: who it is, how it is, and everything that is said to it."""
+"""One vehicle: its identity, its state, and everything that is sent to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Paths of uploads in orders: said by the name below the shared folder, wherever each side has that folder."""
+"""Paths of uploads in orders: the name below the shared folder, wherever each side has that folder."""
 
 from __future__ import annotations
 

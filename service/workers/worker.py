@@ -1,6 +1,6 @@
 """A worker: takes computations out of the queue and has its own child processes do them, within their limits.
 
-It proves to be alive by heartbeats of the queue. Computations of a worker that does not are given to another one,
+It proves that it is alive by heartbeats of the queue. Computations of a worker that does not are given to another one,
 at most three times: a computation that ends workers is not worth a fourth.
 """
 

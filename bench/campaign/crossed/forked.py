@@ -1,4 +1,4 @@
-"""A simulated vehicle in a process that is forked instead of started: its imports are paid for once a worker."""
+"""A simulated vehicle in a process that is forked instead of started, so that each worker pays for its imports once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Finished runs of the crossed campaign in a file, so that it can be made in parts, over days, and be gone on with."""
+"""Finished runs of the crossed campaign in a file, so that it can be made in parts, over days, and resumed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One life of the service in a crossed run: it takes up or begins the job, and brings it to its end if it is let."""
+"""One life of the service in a crossed run: it begins or resumes the job, and ends it if no fault strikes."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 The whole change of a sensor (offset, scale or matrix, drift) is judged at once (:mod:`calib.firmware.significance`).
 
-Not judged, and so written: a sensor that was never calibrated, one whose id, rotation or temperature reference is
-news, and a drift measured over a wider range than the one in force.
+Three cases are written without this judgement: a sensor that was never calibrated; one whose id, rotation or
+temperature reference is new; and a drift measured over a wider range than the one in force.
 """
 
 from __future__ import annotations

@@ -90,8 +90,8 @@ def lose_gyro_matrix(draft: Draft, about: Subject, fit: FitResult) -> None:
 def lose_compass_mounting(draft: Draft, about: Subject, fit: FitResult, old: Array, new: Array) -> None:
     """Announce what of a magnetometer's mounting no parameter holds.
 
-    With `old` and `new` (3, 3), the body from the sensor as stated now and by the plan, the whole is
-    ``old Q S (m - b)`` and ``new S (m - b)`` is stored, so ``old Q new^T`` is left. A fit of lengths has no Q.
+    `old` and `new` (3, 3) take the sensor to the body, as stated now and by the plan. The whole correction is
+    ``old Q S (m - b)``; ``new S (m - b)`` is stored, so ``old Q new^T`` is left. A fit of lengths has no Q.
     """
     rotation = losses.split(fit).rotation
     if losses.rotation_angle(rotation) <= ALIGNED:

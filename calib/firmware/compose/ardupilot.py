@@ -4,8 +4,8 @@
 unknown CALTEMP (-300) is silently taken as TMIN. Offset and CALTEMP are therefore written together.
 
 Everything here acts at once, without a restart. TCALn_ENABLE is documented as needing one, but only for learning
-(value 2, latched at boot); the correction reads it with every sample, so a plan that switches it to 1 does not ask
-for a restart, and the physical check would tell if a firmware did.
+(value 2, latched at boot); the correction reads it with every sample. A plan that switches it to 1 therefore does not
+ask for a restart. If a firmware needed one, the physical check would show it.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ def _set_offsets(draft: Draft, about: Subject, names: Names, fit: FitResult) -> 
 def offset_to_write(draft: Draft, roles: Names, fit: FitResult) -> tuple[Array, Array, float | None]:
     """Offset (3,), its covariance (3, 3) and the temperature it stands for (None: not known).
 
-    A thermal fit is taken at the temperature that the offset in force stands for, or else at its own reference, moved
-    into the range in which P varies.
+    A thermal fit is evaluated at the temperature that the offset in force stands for, if P varies there. Otherwise it
+    is evaluated at its own reference, moved into the range in which P varies.
     """
     polynomial = fit.model.polynomial
     if polynomial is None:

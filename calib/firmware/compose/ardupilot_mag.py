@@ -1,12 +1,12 @@
 """Fits into ArduPilot's compass parameters (FLIGHT_CONTROLLERS 1.3).
 
-``c = M (s (R m + OFS)) + MOT``: the offset is *added*, in mGauss, in the *body* frame, so a fit of the raw sensor
-frame (``C (m - b)``) is turned into the body first: ``M = R S R^T``, ``OFS = -R b``. The whole symmetric matrix can be
-stored.
+``c = M (s (R m + OFS)) + MOT``: the offset is *added*, in mGauss, in the *body* frame. A fit in the raw sensor frame
+(``C (m - b)``) is therefore turned into the body first: ``M = R S R^T``, ``OFS = -R b``. The whole symmetric matrix can
+be stored.
 
-The strength of the field goes into M. COMPASS_SCALE is written 1 where the true field was known, which tells the
-estimator that the scale is true (``have_scale_factor``, asked by EKF3 before it trusts its table of the Earth's field),
-and 0 ("not set") where it was not; both multiply by 1.
+The strength of the field goes into M. COMPASS_SCALE is written 1 where the true field was known, and 0 ("not set")
+where it was not; both multiply by 1. The 1 tells the estimator that the scale is true: EKF3 asks ``have_scale_factor``
+before it trusts its table of the Earth's field.
 """
 
 from __future__ import annotations

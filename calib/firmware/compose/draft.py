@@ -1,4 +1,4 @@
-"""A plan in the making: what every autopilot's composer writes into, in whatever order it thinks."""
+"""The draft of a plan, into which every autopilot's composer writes in any order."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ LARGEST = float(np.finfo(np.float32).max)
 class Rank(IntEnum):
     """Safe order of writing (FLIGHT_CONTROLLERS 3.2): references before what refers to them, scale and ids last.
 
-    An offset without its temperature, or a polynomial that is switched on before it is whole, would be in force for
-    as long as the rest of the plan takes.
+    In another order an offset without its temperature, or a polynomial that is not yet complete, would act until the
+    rest is written.
     """
 
     SESSION = 0  # silence the firmware's own writers first

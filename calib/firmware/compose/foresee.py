@@ -1,7 +1,7 @@
-"""What of a warm-up could not be written, as the vehicle is now: said in its first second and not after it.
+"""Says in the first second of a warm-up, not after it, which of its results this vehicle could not store.
 
-A plan is composed for a drift of every sensor as if it had been measured well, so that what is foreseen is what the
-real plan will say.
+A plan is composed as if the drift of every sensor had been measured well. What it says now is then what the real plan
+will say.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A magnetometer that is mounted otherwise than the vehicle is told.
+"""A magnetometer whose mounting differs from what the vehicle's parameters say.
 
 The magnetometer procedure leaves its finding in ``quality["orientation"]``: ``verdict`` (a
 :class:`calib.mag.orientation.MountingVerdict`), ``name`` and ``matrix``, the rotation from what is taken for the body
@@ -58,7 +58,7 @@ def mounting_turn(draft: Draft, about: Subject, fit: FitResult) -> MountingRotat
             about,
         )
     elif verdict == MountingVerdict.AMBIGUOUS:
-        draft.warn(f"{about}: whether it is mounted as stated could not be told; tilt further to all sides")
+        draft.warn(f"{about}: its movement does not show whether it is mounted as stated; tilt further to all sides")
     elif verdict == MountingVerdict.ROTATED:
         return MountingRotation(str(found["name"]).replace("_", " "), np.array(found["matrix"], dtype=np.float64))
     return None

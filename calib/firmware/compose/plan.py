@@ -66,9 +66,9 @@ def compose(
     Returns
     -------
     WritePlan
-        A sensor that cannot be written (values outside the limits or not finite, a relative fit, parameters that the
-        vehicle does not have) is left out with a warning; with `blockers` where nothing remains. A sensor whose change
-        is smaller than its uncertainty is left as it is (`agreements`).
+        A sensor that cannot be written is left out with a warning; if nothing remains, the plan has `blockers`. Reasons
+        are values outside the limits or not finite, a relative fit, or parameters that the vehicle does not have. A
+        sensor whose change is smaller than its uncertainty is left as it is (`agreements`).
 
     Raises
     ------

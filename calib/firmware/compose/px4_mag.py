@@ -135,7 +135,7 @@ def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn:
         return False
     if number >= px4.ROTATION_CUSTOM:
         draft.block(
-            f"{about} has a rotation of its own (custom angles), and is turned by {turn.name} beside: set it right",
+            f"{about} has a rotation of its own (custom angles), and is turned by a further {turn.name}: correct it",
             about,
         )
         return False

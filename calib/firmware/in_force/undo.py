@@ -47,9 +47,9 @@ def calibration_changes(recording: Recording) -> tuple[ParameterEntry, ...]:
 def undo(recording: Recording) -> Recording:
     """The same recording with every accelerometer, gyroscope and compass channel at :attr:`Stage.RAW`, sensor frame.
 
-    Each sample is undone with the parameters in force at its time (:class:`Undo`). A channel whose calibration in force
-    is not known (parameters, temperature or motor current missing) keeps its stage, and an event of kind ``undo`` says
-    why: a fit of it is relative. Debiased channels stay as they are.
+    Each sample is undone with the parameters in force at its time (:class:`Undo`). The calibration in force of a
+    channel is not known where parameters, temperature or motor current are missing. Such a channel keeps its stage, and
+    an event of kind ``undo`` says why; a fit of it is relative. Debiased channels stay as they are.
 
     Raises
     ------

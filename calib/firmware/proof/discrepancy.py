@@ -3,11 +3,11 @@
 Under a hypothesis the stream is undone to raw readings. Two things are known of those:
 
 equality
-    the sensor was not touched between the capture before and the capture after the write, so its raw mean is the
-    same (a gyroscope at rest reads the same in any attitude);
+    the sensor was not touched between the captures before and after the write, so its raw mean is the same; a gyroscope
+    at rest reads the same in any attitude;
 invariance
-    corrected by the fitted model, an accelerometer at rest reads a vector of length g, a gyroscope zero, a
-    magnetometer a vector as long as the field.
+    corrected by the fitted model, a sensor at rest reads a vector of known length: an accelerometer g, a gyroscope
+    zero, a magnetometer the strength of the field.
 
 Neither needs to know which way the vehicle points.
 """

@@ -40,8 +40,8 @@ class Force:
     def model(self, about: Subject, applied: Set[str]) -> TriadModel:
         """The correction of `about` with only `applied` (names) in effect and the old values elsewhere.
 
-        PX4 keeps its calibration in a memory that a parameter may fail to reach, so there the memory is made of old
-        and new numbers directly, without asking whether a boot would take them.
+        PX4 keeps its calibration in a memory that a parameter may fail to reach. There the memory is made of old and
+        new numbers directly, without asking whether a boot would take them.
         """
         mixed = self._mixed(applied)
         if self.autopilot == "ardupilot":

@@ -127,7 +127,7 @@ def _trims(
         if not judgement.explained and judgement.distance[change.name] >= OBSERVABLE:
             verdict, text = (
                 ProofVerdict.NOT_OBSERVABLE,
-                "the attitude has changed otherwise meanwhile: nothing can be told",
+                "the attitude also changed for another reason: the trim cannot be checked",
             )
         else:
             text = _WORDS[verdict]
@@ -153,7 +153,7 @@ def _vehicle_from_board(force: Force, changes: Sequence[Change], refused: Set[st
 def _level(about: Subject, downs: Sequence[Array], fit: FitResult, within: float) -> SensorCheck:
     sd = math.hypot(float(fit.native["roll_sd"]), float(fit.native["pitch_sd"]))
     if not downs:
-        text = "the vehicle does not stand, or show its attitude, as it did when its level was measured"
+        text = "the vehicle stands otherwise than when its level was measured, or does not send its attitude"
         return SensorCheck(
             SensorCheckId.LEVEL,
             about.sensor,

@@ -1,10 +1,9 @@
-"""Do the sensors read right after a write? A gyroscope at rest zero, an accelerometer gravity, a levelled board level.
+"""Do the sensors read right after a write: a gyroscope at rest zero, an accelerometer gravity, a level board level?
 
-The check of the parameters (:mod:`calib.firmware.proof.check`) asks whether they act. Those of another, equal vehicle
-act as well, and leave the sensors wrong. Here the stream itself is judged. A limit is what honest causes explain:
-the noise and the uncertainty of the fit (:data:`SURE` standard deviations of both together), and beside them, as
-bounds and not as noise, what the sensor may drift between the fit and now and what the plan said that the firmware
-cannot hold.
+The check of the parameters (:mod:`calib.firmware.proof.check`) asks whether they act. The parameters of another, equal
+vehicle act as well, and leave the sensors wrong. Here the stream itself is judged. A limit is what honest causes
+explain. Noise and the uncertainty of the fit count with :data:`SURE` standard deviations of both together. Two bounds
+are added: what the sensor may drift between the fit and now, and what the plan said that the firmware cannot hold.
 
 A reading can be spoilt from outside: somebody touches or turns the vehicle. A wrong offset shows in every reading. So
 of several readings in one pose at one temperature the best one counts, and a sensor is wrong only where all of them

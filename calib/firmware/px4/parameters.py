@@ -79,8 +79,8 @@ class Px4Calibration:
     """The values of one sensor that are in PX4's memory, which is what corrects it (parameter units).
 
     After boot memory starts at offset 0, scale 1, cross terms 0. Every parameter change loads the row again, vector by
-    vector, and a vector within its threshold of the one in memory is ignored
-    (``sensor_calibration/*.cpp`` ``set_offset``, ``set_scale``, ``set_offdiagonal``).
+    vector. A vector within its threshold of the one in memory is ignored (``sensor_calibration/*.cpp`` ``set_offset``,
+    ``set_scale``, ``set_offdiagonal``).
 
     Examples
     --------

@@ -9,8 +9,8 @@ sensor_combined         corrected means of whichever sensors are selected, full 
 vehicle_magnetometer    corrected, and minus a bias estimate from the moment the vehicle has one
 ======================  ================================================================================================
 
-Instances: PX4 matches calibrations by device id, so a sensor's instance is the place of its ``CAL_*`` row among the
-filled ones, as :mod:`calib.firmware.slots` counts; sensors without a row follow.
+PX4 matches calibrations by device id. A sensor's instance is the place of its ``CAL_*`` row among the filled ones, as
+:mod:`calib.firmware.slots` counts; sensors without a row follow.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What another recording shows of its own, which is no gap of this one: baselines and nuisance effects."""
+"""Effects that a simulated or nominal recording shows by itself. They are no part of the gap."""

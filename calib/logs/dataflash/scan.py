@@ -1,8 +1,8 @@
 """Where the messages of a binary DataFlash log begin.
 
-There is no checksum: a message is believed because another one follows where it ends. Candidates are found for a
-whole block of the file at once; where the chain of messages is unbroken nothing more happens, and only its breaks
-(damage, and payloads that look like a header) are walked one by one.
+There is no checksum: a message is believed because another one follows where it ends. Candidates are found for a whole
+block of the file at once. Where the chain of messages is unbroken nothing more happens. Only its breaks are walked one
+by one: damage, and payloads that look like a header.
 """
 
 from __future__ import annotations

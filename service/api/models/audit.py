@@ -10,7 +10,7 @@ from mavcal.service.api.models.base import Json, Stamp
 class AuditModel(BaseModel):
     """Who asked for what."""
 
-    id: int = Field(description="rows are numbered in the order of their coming")
+    id: int = Field(description="rows are numbered in the order of their arrival")
     at: Stamp
     actor: str
     action: str

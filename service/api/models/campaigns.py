@@ -45,7 +45,8 @@ class CalibrationCampaignRequest(_VehicleCampaign):
     kind: str = Field(description="a kind of `/procedures`, such as gyro or level", examples=["gyro"])
     options: dict[str, float | bool] = Field(default_factory=dict, description="options of that procedure")
     plan_options: PlanOptions = Field(
-        default_factory=PlanOptions, description="options of every plan; confirmations are said of one plan and refused"
+        default_factory=PlanOptions,
+        description="options of every plan; confirmations belong to one plan and are refused",
     )
     apply: bool = Field(
         default=False,

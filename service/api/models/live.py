@@ -1,4 +1,4 @@
-"""What sensors read now."""
+"""Live sensor samples."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class WatchModel(BaseModel):
     """A watch. It is over 3 s after its stream has ended, or 10 s after nothing was taken from it."""
 
     id: str = Field(description="for `follow_samples`")
-    rate_hz: float = Field(description="the rate that was wished for, Hz")
+    rate_hz: float = Field(description="the requested rate, Hz")
 
 
 class WatchStatusModel(BaseModel):
     """How it stands with the rates that a watch wishes for."""
 
     state: LiveState
-    text: str = Field(description="why it waits, or comes slower than wished; empty: nothing is to be said")
-    rate_hz: float = Field(description="the fastest rate that anybody who watches this vehicle has wished for, Hz")
+    text: str = Field(description="why samples wait, or come slower than requested; empty: they come as requested")
+    rate_hz: float = Field(description="the fastest rate that anybody who watches this vehicle has requested, Hz")
 
 
 class SamplesModel(BaseModel):

@@ -33,7 +33,7 @@ class PlanOptions(Request):
 class PlanRequest(Request):
     """Plan again."""
 
-    plan_options: PlanOptions | None = Field(default=None, description="in place of those of before; null: as before")
+    plan_options: PlanOptions | None = Field(default=None, description="replaces the earlier options; null: as before")
 
 
 class ApplyRequest(Request):

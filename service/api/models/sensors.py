@@ -1,4 +1,4 @@
-"""How the calibrations of a vehicle stand."""
+"""The state of each calibration of a vehicle."""
 
 from __future__ import annotations
 

@@ -10,12 +10,12 @@ from bench.sentences import docstrings, said
 from mavcal.calib.procedures.registry import PROCEDURES
 
 CEILING = {
-    "page long": 7,
+    "page long": 0,
     "page phrase": 2,
     "message long": 0,
     "message phrase": 2,
-    "docstring long": 148,
-    "docstring phrase": 45,
+    "docstring long": 40,
+    "docstring phrase": 44,
 }
 """What is there today. Lower a number when you have rewritten something; `scripts/language FILE` lists what is left."""
 
@@ -46,6 +46,13 @@ def test_docstrings_are_read_by_paragraph_without_tables_trees_and_examples():
     parts = [" ".join(part.split()) for part in of_docstring(text)]
     assert "What it is." in " ".join(parts)
     assert not any("x y" in part or "f(1)" in part for part in parts)
+
+
+@pytest.mark.parametrize("opening", ["Kinds::", "::", ".. code-block:: text"])
+def test_literal_blocks_of_a_docstring_are_left_out_and_end_with_their_indent(opening):
+    text = f"Head.\n\n    {opening}\n\n        a b c\n        d e\n\n          deeper\n\n    After that.\n"
+    parts = [" ".join(part.split()) for part in of_docstring(text)]
+    assert parts == ["Head.", opening, "After that."]
 
 
 @pytest.mark.parametrize(

@@ -42,8 +42,8 @@ def test_threads_by_number_and_any_executor_by_its_factory() -> None:
         ("threads:0", "from 1 to 64"),
         ("processes:many", "from 1 to 64"),
         ("forks", "names no executor"),
-        ("no.such.module:made", "cannot be had"),
-        (f"{__name__}:unknown", "cannot be had"),
+        ("no.such.module:made", "cannot be loaded"),
+        (f"{__name__}:unknown", "cannot be loaded"),
         (f"{__name__}:nothing", "makes a str, which is no Executor"),
     ],
 )

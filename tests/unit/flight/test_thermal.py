@@ -76,7 +76,7 @@ def test_the_flight_counts_where_the_rests_are_too_narrow(sensor):
     assert {"offset_x", "offset_y", "offset_z"} <= set(fit.undetermined)
     assert fit.model.polynomial.t_max > 51.0
     assert np.abs(errors(fit, ACCEL if sensor == Sensor.ACCEL else GYRO)).max() < 3.5
-    assert any("of flight count as well" in w for w in fit.warnings)
+    assert any("of flight counts as well" in w for w in fit.warnings)
     refused = fitted([recording], sensor, wish=dataclasses.replace(QUADRATIC, reference="gravity"))
     assert refused.status == FitStatus.REFUSED
 

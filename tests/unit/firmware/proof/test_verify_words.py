@@ -249,7 +249,7 @@ class TestLevel:
         assert (check.value is not None) == seen
         if not seen:
             assert (check.limit, check.sd, check.verdict) == (None, None, SensorVerdict.NOT_OBSERVABLE)
-            assert check.text.startswith("the vehicle does not stand, or show its attitude,")
+            assert check.text.startswith("the vehicle stands otherwise than when its level was measured,")
 
     @pytest.mark.parametrize(("rows", "seen"), [(3, False), (4, True)])
     def test_a_mean_needs_four_attitudes(self, make_fit, rows, seen):
