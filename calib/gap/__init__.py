@@ -65,9 +65,9 @@ def run(
         not exist.
     """
     effects = catalogue()
-    if strangers := sorted(set(without) - {effect.id for effect in effects}):
-        raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
-    kept = tuple(effect for effect in effects if effect.id not in without)
+    if unknown_ids := sorted(set(without) - {effect.id for effect in effects}):
+        raise InvalidInputError(f"no such effect in the catalogue: {', '.join(unknown_ids)}")
+    selected = tuple(effect for effect in effects if effect.id not in without)
     pace = pace or GapPace()
     pace.begin(GapStage.REFERENCE)
     digests = dict(inputs or {})
@@ -75,7 +75,7 @@ def run(
         problem = dataclasses.replace(problem_of(real, sim, nominal, alpha), inputs=digests)
     except IncomparableError as error:
         return untestable(error.reason, error.need, digests)
-    report = diagnose(problem, effects=kept, alpha=alpha, nested=nested, pace=pace)
+    report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace)
     return with_patches(report, simulator_of(real, sim))
 
 

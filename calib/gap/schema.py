@@ -354,8 +354,8 @@ def _made() -> Converter:
     def write_inputs(inputs: Inputs) -> Json:
         data = written(inputs)
         reference = {"kind": "reference_kind", "att_sigma_deg": "att_sigma_deg", "text": "reference_text"}
-        told = {name: data.pop(field) for name, field in reference.items()}
-        return {**data, "reference": {**told, "useless": inputs.useless}}
+        moved = {name: data.pop(field) for name, field in reference.items()}
+        return {**data, "reference": {**moved, "useless": inputs.useless}}
 
     made.register_unstructure_hook(Inputs, write_inputs)
     made.register_unstructure_hook(GapReport, make_dict_unstructure_fn(GapReport, made, series=override(omit=True)))

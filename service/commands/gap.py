@@ -33,7 +33,7 @@ _MOST_UNTESTABLE = 8
     "--nominal",
     multiple=True,
     metavar="FILE",
-    help="Without an effect: noise, Earth's field, flaws of a pose; repeated.",
+    help="Without an effect: noise, Earth's field, errors of a pose; repeated.",
 )
 @click.option(
     "--verify",

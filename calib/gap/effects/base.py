@@ -46,16 +46,14 @@ class EffectShape:
 
     `grid(trace)` gives the values that are tried first (M,), ascending; the contest pays for the search, then refines
     between neighbours. Where M is large, `screen(trace, residual)` picks a few of them (at least one) that are worth
-    trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid. `usual` is the value by
-    convention where other effects leave it open (a reference temperature beside a free bias); None: there is none.
-    `still`: between two samples nothing depends on it (the moment of a jump), so that no derivative leads to its best
-    value; it stays where the search found it.
+    trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid. `still`: between two
+    samples nothing depends on it (the moment of a jump), so that no derivative leads to its best value; it stays where
+    the search found it.
     """
 
     parameter: EffectParameter
     grid: Callable[[Trace], Array]
     screen: Callable[[Trace, Array], Array] | None = None
-    usual: float | None = None
     still: bool = False
 
 

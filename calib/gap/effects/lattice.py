@@ -153,11 +153,11 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     """Rows that repeat the one before on all three axes. Values: mean time a row is held (s), share of repeats."""
     both = trace.observed[1:] & trace.observed[:-1]
     same = trace.measured[1:] == trace.measured[:-1]
-    alike = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1)
+    unchanged = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1)
     moved = both & ~same.all(axis=1)
-    if alike[moved].sum() > _STANDS * moved.sum():
-        alike = np.zeros_like(alike)  # an ideal reading that stands still, not one that is held
-    standing = alike | (trace.measured[1:] == 0.0).all(axis=1)
+    if unchanged[moved].sum() > _STANDS * moved.sum():
+        unchanged = np.zeros_like(unchanged)  # an ideal reading that stands still, not one that is held
+    standing = unchanged | (trace.measured[1:] == 0.0).all(axis=1)
     by_chance = _repeats_by_chance(trace, same)
     telling = both & ~standing & (by_chance < _TELLING)
     repeat = telling & same.all(axis=1)

@@ -167,7 +167,7 @@ def _turns(trace: Trace) -> tuple[str, str] | None:
 
     A trajectory that was re-estimated from the recording itself runs on the clock that is in question.
     """
-    if not trace.followed:
+    if not trace.rate_known:
         return "the re-estimated reference has the clock of the recording", "a reference with a clock of its own"
     if trace.spin is None or trace.sensor == Sensor.GYRO:
         return _lively(trace.sensor)(trace)
@@ -179,7 +179,7 @@ def _turns(trace: Trace) -> tuple[str, str] | None:
 
 def _lively(sensor: Sensor) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
-        if not trace.followed:
+        if not trace.rate_known:
             return "the re-estimated reference does not follow fast changes", "a log at a higher rate, or a pose"
         found, least = slope(trace), _SLOPE[sensor]
         if found >= least:

@@ -209,7 +209,7 @@ def _orders(trace: Trace, orders: tuple[int, ...], wanted: Callable[[float], boo
     return np.array(found, dtype=np.float64)
 
 
-def _followed(grid: Callable[[Trace], Array]) -> Missing:
+def _speed_varies(grid: Callable[[Trace], Array]) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         if trace.rotor_hz is None:
             return "no rotor speed recorded", "rotor speed in the log"
@@ -232,7 +232,7 @@ def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> Catalogu
         per_axis("cos", unit) + per_axis("sin", unit),
         "running motors",
         "sweep the rotor speed: an alias moves against it, a tone stays",
-        _followed(grid),
+        _speed_varies(grid),
         EffectShape(EffectParameter("rotor_order", "100 rotor + order"), grid),
         columns=axiswise(turning),
         signals=turning,
@@ -260,7 +260,7 @@ def _drive_varies(trace: Trace) -> tuple[str, str] | None:
     return f"the rotors' power varies by {100.0 * size:.0f} % of its maximum", f"a variation >= 10 %: {_THROTTLE}"
 
 
-def _shown(trace: Trace) -> tuple[str, str] | None:
+def _line_below_half_rate(trace: Trace) -> tuple[str, str] | None:
     if (lack := _motors_run(trace)) is not None or len(below(trace)):
         return lack
     half = f"half the sampling rate, {0.5 * trace.fs:.0f} Hz"
@@ -319,7 +319,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     return (
         _wave("vibration", sensor, orders_below),
         _wave("aliasing", sensor, orders_beyond),
-        _line("vibration", sensor, below, _shown, ("tone", "aliasing", "rotor_noise")),
+        _line("vibration", sensor, below, _line_below_half_rate, ("tone", "aliasing", "rotor_noise")),
         _line("aliasing", sensor, beyond, _rotor_speed_known, ("vibration", "tone", "rotor_noise")),
         noise,
         MeanEffect(

@@ -64,7 +64,7 @@ def named(effect: EffectEstimate) -> str:
     return f"{effect.id} of instance{'s' if len(effect.instances) > 1 else ''} {numbers}"
 
 
-def doubt_of(effect: EffectEstimate) -> str:
+def doubt_text(effect: EffectEstimate) -> str:
     """That something is likelier than a doubtful effect."""
     return f"{named(effect)}: it has a probability of {effect.evidence.probability:.2f}: something else is likelier"
 

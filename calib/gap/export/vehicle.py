@@ -19,7 +19,7 @@ from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.fit import FitBuilder, FitResult
-from mavcal.calib.gap.export.state import doubt_of, kind_of, named, sensors_with, value
+from mavcal.calib.gap.export.state import doubt_text, kind_of, named, sensors_with, value
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
@@ -66,14 +66,14 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     if not chosen:
         raise FirmwareError("no effect of the report is a calibration: there is nothing to write to the vehicle")
     left = [f"{named(e)}: no calibration takes it away" for e in report.effects if e not in chosen]
-    doubts = [e for e in chosen if e.evidence.doubtful]
-    unsure = {(e.sensor, n) for e in doubts for n in e.instances}
+    doubtful = [e for e in chosen if e.evidence.doubtful]
+    unsure = {(e.sensor, n) for e in doubtful for n in e.instances}
     keys = sorted({(e.sensor, n) for e in chosen for n in e.instances} - unsure)
     if not keys:
         raise FirmwareError(
-            f"{'; '.join(map(doubt_of, doubts))}: nothing is written to a vehicle that is less likely than not"
+            f"{'; '.join(map(doubt_text, doubtful))}: nothing is written to a vehicle that is less likely than not"
         )
-    left += map(doubt_of, doubts)
+    left += map(doubt_text, doubtful)
     left += [
         f"{named(e)}: not of {s.value} {n}, beside what is doubtful there"
         for e in chosen

@@ -188,6 +188,6 @@ def with_weight(model: Model) -> Model:
     return replace(model, weight=weight)
 
 
-def contest_of(hypotheses: Sequence[Hypothesis], floors: GainThresholds) -> Contest:
+def contest_of(hypotheses: Sequence[Hypothesis], thresholds: GainThresholds) -> Contest:
     """A contest of its own: every fold has other columns, and only as many are kept as one selection asks for."""
-    return Contest(hypotheses, budget=16_000_000, floors=floors)
+    return Contest(hypotheses, budget=16_000_000, floors=thresholds)

@@ -50,16 +50,16 @@ def predictive_loss(fitted: Model, block: Model) -> float:
     if not tested.terms:
         return loss
     tested = with_weight(tested)
-    known, _ = _information(fitted)
-    shown, b = _information(tested)
+    fitted_gram, _ = _information(fitted)
+    tested_gram, b = _information(tested)
     v = np.concatenate([term.values for term in fitted.terms])
-    precision = _precision(fitted, known, shown)
-    kept = [i for i in range(len(v)) if i not in _moments(fitted.terms)]
-    known, shown = known[np.ix_(kept, kept)], shown[np.ix_(kept, kept)]
-    b, v, precision = b[kept], v[kept], precision[kept]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(known + shown) + precision, np.finfo(float).tiny))
-    S, prior = shown * np.outer(scale, scale), precision * scale**2
-    P = known * np.outer(scale, scale) + np.diag(prior + _LEAST)
+    precision = _precision(fitted, fitted_gram, tested_gram)
+    free = [i for i in range(len(v)) if i not in _moments(fitted.terms)]
+    fitted_gram, tested_gram = fitted_gram[np.ix_(free, free)], tested_gram[np.ix_(free, free)]
+    b, v, precision = b[free], v[free], precision[free]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(fitted_gram + tested_gram) + precision, np.finfo(float).tiny))
+    S, prior = tested_gram * np.outer(scale, scale), precision * scale**2
+    P = fitted_gram * np.outer(scale, scale) + np.diag(prior + _LEAST)
     b = b * scale
     d = np.linalg.solve(P, prior * v / scale)
     c = b + S @ d
@@ -73,23 +73,26 @@ def _information(model: Model) -> tuple[Array, Array]:
     return normal.gram, normal.right
 
 
-def _precision(fitted: Model, known: Array, shown: Array) -> Array:
+def _precision(fitted: Model, fitted_gram: Array, tested_gram: Array) -> Array:
     """Precision of the prior of every value: amplitudes have one of their own size, shapes none."""
     ends = np.cumsum([0, *(len(term.values) for term in fitted.terms)])
-    error = 1.0 / np.sqrt(np.maximum(np.diag(known + shown), np.finfo(float).tiny))
+    error = 1.0 / np.sqrt(np.maximum(np.diag(fitted_gram + tested_gram), np.finfo(float).tiny))
     values = np.concatenate([term.values for term in fitted.terms])
-    precision = np.zeros(len(known))
+    precision = np.zeros(len(fitted_gram))
     for term, (start, end) in zip(fitted.terms, itertools.pairwise(ends), strict=True):
         if term.effect.fixed:
             continue
         own = np.arange(start, start + len(term.beta))
-        rest = np.setdiff1d(np.arange(len(known)), np.arange(start, end))
-        cross = known[np.ix_(own, rest)]
-        gram = known[np.ix_(own, own)] - cross @ solved(known[np.ix_(rest, rest)], np.zeros(len(rest)))[1] @ cross.T
+        rest = np.setdiff1d(np.arange(len(fitted_gram)), np.arange(start, end))
+        cross = fitted_gram[np.ix_(own, rest)]
+        gram = (
+            fitted_gram[np.ix_(own, own)]
+            - cross @ solved(fitted_gram[np.ix_(rest, rest)], np.zeros(len(rest)))[1] @ cross.T
+        )
         units = units_of(term.effect, len(own))
         size = prior_sd(gram, gram @ term.beta, units)
         if not size.any():  # beside another that does the same there; of both together they may say much
-            size = prior_sd(known[np.ix_(own, own)], known[own] @ values, units)
+            size = prior_sd(fitted_gram[np.ix_(own, own)], fitted_gram[own] @ values, units)
         precision[own] = 1.0 / np.maximum(_WIDE * size, _NOTHING * error[own]) ** 2
     return precision
 

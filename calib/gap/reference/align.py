@@ -58,7 +58,7 @@ def one_clock(real: Recording, other: Recording) -> bool:
     return False
 
 
-def moving_apart(real: Recording, other: Recording) -> bool:
+def unrelated_movement(real: Recording, other: Recording) -> bool:
     """Whether every sensor that moves in both moves otherwise: two runs whose clocks both began at the same number.
 
     Movements that are one in another frame are not apart: which frame, the checks say.
@@ -71,8 +71,8 @@ def moving_apart(real: Recording, other: Recording) -> bool:
         x, y = a.values - a.values.mean(axis=0), linear(b.t, b.values, a.t)
         y = y - y.mean(axis=0)
         if min(x.std(axis=0).max(), y.std(axis=0).max()) > _STILL[sensor]:
-            alike = float((x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum()))
-            found.append(1.0 if turned_correlation(x, y) > _TURNED else alike)
+            coefficient = float((x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum()))
+            found.append(1.0 if turned_correlation(x, y) > _TURNED else coefficient)
     return bool(found) and max(found) < _APART
 
 

@@ -13,9 +13,9 @@ from mavcal.calib.gap.reference.align import (
     SAME,
     aligned,
     aligned_in_any_frame,
-    moving_apart,
     one_clock,
     same_digits,
+    unrelated_movement,
 )
 from mavcal.calib.gap.reference.calibrated import TRIADS
 from mavcal.calib.gap.reference.channels import comparable, sensors_of
@@ -107,7 +107,7 @@ def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
     if table and (shift is None or shift.correlation < SAME):
         shift = aligned_in_any_frame(real, sim) or shift
     if one_clock(real, sim) and (
-        not moving_apart(real, sim) if table else shift is not None and shift.near(0.0, CLOSED)
+        not unrelated_movement(real, sim) if table else shift is not None and shift.near(0.0, CLOSED)
     ):
         return ideal
     if shift is None or shift.correlation < (SAME if table else CLOSED):

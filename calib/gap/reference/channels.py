@@ -49,8 +49,8 @@ def with_common_channels(real: Recording, other: Recording) -> tuple[Recording, 
         covered = {c.instance for c in real.channels if c.sensor == sensor and _kind(c) in common}
         if covered == set(real.instances(sensor)):
             dropped |= {(sensor, kind) for kind in (ours | theirs) - common}
-    kept = ([c for c in r.channels if (c.sensor, _kind(c)) not in dropped] for r in (real, other))
-    first, second = (r.with_channels(channels) for r, channels in zip((real, other), kept, strict=True))
+    common_channels = ([c for c in r.channels if (c.sensor, _kind(c)) not in dropped] for r in (real, other))
+    first, second = (r.with_channels(channels) for r, channels in zip((real, other), common_channels, strict=True))
     return first, second
 
 

@@ -93,7 +93,7 @@ def with_motor_noise(trace: Trace, found: Mapping[Sensor, MotorNoise]) -> Trace:
 
 _ABOUT = 0.3
 """Part of a frequency within which a line of a rotor, whose speed differs, is less than half of what there is."""
-_REST_S, _LOUDER = 2.0, 2.0
+_REST_S, _EXCESS = 2.0, 2.0
 """Seconds with the motors off that tell of noise, and the times by which it must exceed what is expected."""
 _BODY_HZ = 10.0
 """Up to which a vehicle moves as a whole: attitude controllers end there, rotors begin beyond."""
@@ -113,23 +113,23 @@ def _movement(trace: Trace) -> ResidualSpectrum | None:
     return learned(dataclasses.replace(trace, measured=trace.ideal, ideal=0.0 * trace.ideal, observed=everywhere))
 
 
-def with_movement_noise(trace: Trace, usual: Mapping[Sensor, ResidualSpectrum]) -> Trace:
-    """`trace` with the noise expected that it has for moving more than the `usual` of the nominal recordings.
+def with_movement_noise(trace: Trace, nominal: Mapping[Sensor, ResidualSpectrum]) -> Trace:
+    """`trace` with the noise that is expected because it moves more than the `nominal` recordings.
 
     Of movement and noise together the noise was a share, of at most all: more movement has that share of it. A calmer
     recording is not expected to be quieter.
     """
-    if trace.against is not None or trace.sensor not in usual or (trace.psd is None and trace.sigma is None):
+    if trace.against is not None or trace.sensor not in nominal or (trace.psd is None and trace.sigma is None):
         return trace
     own = _movement(trace)
     if own is None:
         return trace
-    before = usual[trace.sensor]
+    before = nominal[trace.sensor]
     hz = np.unique(np.concatenate([own.hz, before.hz[before.hz < 0.5 * trace.fs], _hz_of(trace)]))
     psd = _psd_of(trace, hz)
     was, now = (on(spectrum, hz, trace.fs, trace.low_pass_hz) for spectrum in (before, own))
-    louder = psd * (1.0 + np.maximum(now - was, 0.0) / (was + psd))
-    return dataclasses.replace(trace, psd=louder, psd_hz=hz, own_psd=_own_on(trace, hz))
+    expected = psd * (1.0 + np.maximum(now - was, 0.0) / (was + psd))
+    return dataclasses.replace(trace, psd=expected, psd_hz=hz, own_psd=_own_on(trace, hz))
 
 
 def with_heave_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
@@ -168,7 +168,7 @@ def _loud_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
     omega = 2.0 * np.pi * np.minimum(hz / trace.fs, 0.5)
     # of steps: each frequency by four times the square of the sine of half of it, over all of them evenly
     expected = np.trapezoid(psd * (4.0 * np.sin(0.5 * omega) ** 2)[:, None], hz, axis=0) / (0.5 * trace.fs)
-    return bool((steps > _LOUDER * expected).any())
+    return bool((steps > _EXCESS * expected).any())
 
 
 def _median_about(hz: Array, values: Array) -> Array:

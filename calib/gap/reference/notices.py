@@ -103,9 +103,9 @@ def why_no_reference(real: Recording, sim: Recording) -> str:
             f"{_names(theirs)}"
         )
     found = [a.correlation for a in (aligned(real, sim), aligned_in_any_frame(real, sim)) if a is not None]
-    told = f"correlation {max(found):.2f} at best, {SAME} is needed" if found else "too little moves in both to tell"
+    best = f"correlation {max(found):.2f} at best, {SAME} is needed" if found else "too little moves in both to tell"
     return (
-        f"the simulator's recording is of another movement ({told}), and nothing else says what an ideal sensor would "
+        f"the simulator's recording is of another movement ({best}), and nothing else says what an ideal sensor would "
         "have read: give a simulation of this very trajectory with time in seconds, or ref_* or q_* columns"
     )
 

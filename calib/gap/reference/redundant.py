@@ -74,11 +74,11 @@ def _beside_movement(trace: Trace, channel: Channel, base: Channel, real: Record
     found = denoised(base)
     if found is None:
         return trace
-    moving = trace_of(channel, found.signal, None, real)
-    if len(moving.t) != len(trace.t):
+    movement = trace_of(channel, found.signal, None, real)
+    if len(movement.t) != len(trace.t):
         return trace
-    measured = moving.ideal + trace.residual
-    return dataclasses.replace(trace, ideal=moving.ideal, measured=measured, ideal_sd=error_sd(found.noise))
+    measured = movement.ideal + trace.residual
+    return dataclasses.replace(trace, ideal=movement.ideal, measured=measured, ideal_sd=error_sd(found.noise))
 
 
 def _rate(channel: Channel) -> float:
@@ -194,10 +194,10 @@ def _fast(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] | None) -> tuple[i
     if sim is not None and abs(math.log(real[0].fs / sim[0].fs)) > _ONE_RATE:
         return None
     bands = _bands(*real)
-    usual = _bands(*sim) if sim is not None else []
-    usual += [_Band(0.0, 0.0, 0.0, 0)] * (len(bands) - len(usual))
+    nominal_bands = _bands(*sim) if sim is not None else []
+    nominal_bands += [_Band(0.0, 0.0, 0.0, 0)] * (len(bands) - len(nominal_bands))
     best, found = 0.0, None
-    for band, before in zip(bands, usual, strict=False):
+    for band, before in zip(bands, nominal_bands, strict=False):
         excess = band.difference - before.difference
         chance = before.difference * math.sqrt(2.0 / band.count)
         if excess > _MORE * chance and (energy := band.count * excess) > best:

@@ -44,14 +44,14 @@ def age_of(nominal: Sequence[Trace]) -> float:
 
 def _age(trace: Trace) -> float:
     slopes = slopes_squared(trace)[trace.observed].T.ravel()
-    still = _fitted(trace, np.zeros(len(slopes)), ())
-    if not slopes.any() or still is None:
+    steady = _fitted(trace, np.zeros(len(slopes)), ())
+    if not slopes.any() or steady is None:
         return 0.0
     unit = float(_squares(trace).mean() / slopes.mean())
-    moving = _fitted(trace, np.zeros(len(slopes)), (unit * slopes,))
-    if moving is None or chdtrc(1, max(still.deviance - moving.deviance, 0.0)) > _CHANCE:
+    aged = _fitted(trace, np.zeros(len(slopes)), (unit * slopes,))
+    if aged is None or chdtrc(1, max(steady.deviance - aged.deviance, 0.0)) > _CHANCE:
         return 0.0
-    return unit * float(moving.amplitudes[3])
+    return unit * float(aged.amplitudes[3])
 
 
 def _squares(trace: Trace) -> Array:
@@ -70,11 +70,11 @@ def with_sway_noise(trace: Trace, nominal: Sequence[Trace]) -> Trace:
     before, now = [_common(n) for n in nominal], _common(trace)
     if trace.against is None or not before:
         return trace
-    usual = np.maximum(np.mean(before, axis=0), np.maximum(1e-12 * now, np.finfo(float).tiny))
+    nominal_movement = np.maximum(np.mean(before, axis=0), np.maximum(1e-12 * now, np.finfo(float).tiny))
     left = np.mean([_squares(n).mean(axis=0) for n in nominal], axis=0)
     known = trace.observed[1:] & trace.observed[:-1]
     there = 0.5 * (np.diff(trace.residual, axis=0)[known] ** 2).mean(axis=0)
-    return with_more(trace, np.clip(there - left, 0.0, left * np.maximum(now / usual - 1.0, 0.0)))
+    return with_more(trace, np.clip(there - left, 0.0, left * np.maximum(now / nominal_movement - 1.0, 0.0)))
 
 
 def _common(trace: Trace) -> Array:
@@ -111,6 +111,6 @@ def without_aged_samples(trace: Trace, age: float) -> Trace:
 
 def with_age_noise(trace: Trace, age: float, nominal: Sequence[Trace]) -> Trace:
     """`trace` with the noise that its faster movement adds to what the `nominal` ones show, all of them settled."""
-    usual = np.mean([slopes_squared(n)[n.observed].mean(axis=0) for n in nominal], axis=0)
-    more = age * np.maximum(slopes_squared(trace)[trace.observed].mean(axis=0) - usual, 0.0)
+    nominal_slopes = np.mean([slopes_squared(n)[n.observed].mean(axis=0) for n in nominal], axis=0)
+    more = age * np.maximum(slopes_squared(trace)[trace.observed].mean(axis=0) - nominal_slopes, 0.0)
     return with_more(trace, more)

@@ -158,8 +158,8 @@ def _objective_of(chosen: ChosenModel, sensor: Sensor) -> float:
 
 def _joined(chosen: ChosenModel, other: ChosenModel, taken: Collection[Sensor]) -> ChosenModel:
     """The effects of `other` on the sensors `taken`, those of `chosen` on the rest."""
-    kept = [s for s in chosen.scores if s.hypothesis.effect.sensor not in taken]
-    scores = (*kept, *(s for s in other.scores if s.hypothesis.effect.sensor in taken))
+    others = [s for s in chosen.scores if s.hypothesis.effect.sensor not in taken]
+    scores = (*others, *(s for s in other.scores if s.hypothesis.effect.sensor in taken))
     pair = (chosen.model, other.model)
     views = chosen.model.setting.views
     own = [pair[views[a // 3].sensor in taken] for a in range(chosen.model.setting.axes)]
@@ -217,7 +217,7 @@ def grown(
 
 
 def _happens(score: ContestScore) -> bool:
-    """Whether it is an event: one that waits for room behind flaws of other sensors spoils their noise meanwhile."""
+    """Whether it is an event: one that waits for room behind errors of other sensors spoils their noise meanwhile."""
     return score.hypothesis.effect.jumps
 
 
@@ -453,7 +453,7 @@ def _member(model: Model, key: Key) -> Hypothesis:
 
 
 def objective(chosen: ChosenModel) -> float:
-    """``-2 log L`` with the price of every effect, and of there being one more: smaller is better."""
+    """``-2 log L`` with the price of every effect, and of the number of effects: smaller is better."""
     return sum(chosen.noise.deviance.values()) + price_of_all(chosen.scores)
 
 

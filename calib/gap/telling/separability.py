@@ -32,11 +32,11 @@ def _within(chosen: ChosenModel) -> Iterator[Key]:
         if effect.nameless or effect.fixed or not effect.parameters:
             continue
         amplitudes = estimates_of(chosen, term)[: len(effect.parameters)]
-        if not any(map(_told, amplitudes)):
+        if not any(map(_undetermined, amplitudes)):
             yield term.hypothesis.key
 
 
-def _told(amplitude: ParameterEstimate) -> bool:
+def _undetermined(amplitude: ParameterEstimate) -> bool:
     """Whether it differs from zero; of one that by itself has no error nothing is known."""
     return not math.isfinite(amplitude.se) or abs(amplitude.value) > _ERRORS * amplitude.se
 

@@ -22,7 +22,7 @@ from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, coarse, va
 
 Array = NDArray[np.float64]
 
-LOUDER, WAVES = "noise that is louder at times", "a wave that is no sine, of"
+BURSTS, WAVES = "noise that is louder at times", "a wave that is no sine, of"
 """What is said of the bets that win."""
 _CHANCE = 2e-3
 """Chance of all bets together where nothing but white noise is left."""
@@ -80,7 +80,7 @@ def _bets(model: Model, v: int) -> Iterator[Unexplained]:
     white = np.stack([view.whitened(axis) for axis in view.spectra(model.residual[v]) / np.sqrt(power)])
     name = view.sensor.value
     if not varies(model, view):
-        yield Unexplained(bursting(white), f"{LOUDER} on {name}", view.sensor)
+        yield Unexplained(bursting(white), f"{BURSTS} on {name}", view.sensor)
     nats, periods = comb(white)
     yield Unexplained(nats, f"{WAVES} {periods * view.fs / view.n:.3g} Hz on {name}", view.sensor)
 
@@ -117,12 +117,12 @@ def _chains(energy: Array, freedom: NDArray[np.intp]) -> Array:
     `energy` (k, n): sums of `freedom` (k,) squares each. The first state has unit variance.
     """
     width = freedom.min()  # of an axis alone: samples of a block
-    louder, lasts, duty = (a.ravel() for a in np.meshgrid(_RAISED, _LASTS, _DUTY, indexing="ij"))
+    raised, lasts, duty = (a.ravel() for a in np.meshgrid(_RAISED, _LASTS, _DUTY, indexing="ij"))
     end = np.minimum(width / lasts, 1.0)
     begin = np.minimum(end * duty / (1.0 - duty), 1.0)
     calm, loud = (np.broadcast_to(p, (len(energy), len(end))).copy() for p in (1.0 - duty, duty))
-    level = -0.5 * freedom[:, None] * np.log1p(louder)
-    slope = 0.5 * louder / (1.0 + louder)
+    level = -0.5 * freedom[:, None] * np.log1p(raised)
+    slope = 0.5 * raised / (1.0 + raised)
     total = np.zeros_like(calm)
     for now in energy.T:
         ratio = level + slope * now[:, None]

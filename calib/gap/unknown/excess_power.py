@@ -57,7 +57,7 @@ def excess_power(
     """By sensor, nats that it still shows above the noise, and where; what chance makes is not among them.
 
     Above `bandwidth_hz` an accelerometer feels movement of which the reference does not know; a sensor that has less
-    than its `floor` left over shows the reference's flaws.
+    than its `floor` left over shows the reference's errors.
     """
     by_sensor: dict[Sensor, list[_Excess]] = {}
     for v, view in enumerate(model.setting.views):
@@ -74,8 +74,8 @@ def excess_power(
 def _excesses(model: Model, v: int, bandwidth_hz: float) -> list[_Excess]:
     """What noise alone does not explain: in bands of an axis, else in more of it, else for a while."""
     # The error of the reference is known only up to the last of its cosines.
-    followed = model.ridge.columns.parts if model.ridge is not None else {}
-    axes = [c for c in range(3) if 3 * v + c not in followed]
+    turned = model.ridge.columns.parts if model.ridge is not None else {}
+    axes = [c for c in range(3) if 3 * v + c not in turned]
     if not axes:
         return []
     view = model.setting.views[v]

@@ -25,7 +25,7 @@ _FOLLOWS = 0.3
 _LIVE = "a live sensor, and a reference of the same movement"
 
 
-def not_following(model: Model) -> frozenset[Sensor]:
+def unresponsive_sensors(model: Model) -> frozenset[Sensor]:
     """Sensors that, by the model, show next to nothing of their reference: no scale is minus one, no field turned off.
 
     What scales and fields make of the reference's movement is compared with it, axis by axis.
@@ -38,9 +38,9 @@ def not_following(model: Model) -> frozenset[Sensor]:
         ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
         moved = ideal - ideal.mean(axis=0)
         square = (moved**2).sum(axis=0)
-        kept = square + np.add.reduce([(moved * predicted(term, view)).sum(axis=0) for term in terms])
+        response = square + np.add.reduce([(moved * predicted(term, view)).sum(axis=0) for term in terms])
         moves = square > MOVES[view.sensor] ** 2 * len(moved)
-        if (kept[moves] < _FOLLOWS * square[moves]).any():
+        if (response[moves] < _FOLLOWS * square[moves]).any():
             found.add(view.sensor)
     return frozenset(found)
 

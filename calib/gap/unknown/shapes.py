@@ -245,9 +245,9 @@ def _products(trace: Trace) -> Iterator[_Group]:
     vectors = dict(_vectors(trace))
     for one, other in (("a", "a"), ("w", "w"), ("a", "w")):
         if one in vectors and other in vectors:
-            which = [(i, j) for i in range(3) for j in range(i if one == other else 0, 3)]
-            signals = np.array([vectors[one][:, i] * vectors[other][:, j] for i, j in which])
-            names = tuple(f"{one}_{_AXES[i]} times {other}_{_AXES[j]}" for i, j in which)
+            pairs = [(i, j) for i in range(3) for j in range(i if one == other else 0, 3)]
+            signals = np.array([vectors[one][:, i] * vectors[other][:, j] for i, j in pairs])
+            names = tuple(f"{one}_{_AXES[i]} times {other}_{_AXES[j]}" for i, j in pairs)
             yield _Group("product", f"products of {one} and {other}", signals, names)
     own = {Sensor.ACCEL: "a", Sensor.GYRO: "w", Sensor.MAG: "m"}[trace.sensor]
     for name, scalar in (*_scalars(trace), ("time", trace.t)):
