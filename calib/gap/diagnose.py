@@ -33,6 +33,7 @@ from mavcal.calib.gap.schema import (
 )
 from mavcal.calib.gap.search.added_noise import unsteady_line
 from mavcal.calib.gap.search.contest import Contest, ContestScore
+from mavcal.calib.gap.search.exchange import settled, steadily
 from mavcal.calib.gap.search.lattice_effects import Lattice, covered_by, lattice_of
 from mavcal.calib.gap.search.nominal_check import nominal_has_tone
 from mavcal.calib.gap.search.power import powers_of
@@ -51,7 +52,7 @@ from mavcal.calib.gap.unknown.shape_search import explained
 from mavcal.calib.gap.unknown.transitions import JumpSpan, passing, transitions, without_transitions
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING, UnnamedCause, unknown_of, unnamed_causes_in
 from mavcal.calib.gap.worth.attitude_error import below_reference
-from mavcal.calib.gap.worth.attribution import Attribution, settled, steadily
+from mavcal.calib.gap.worth.attribution import Attribution, attributed
 from mavcal.calib.recording import Sensor
 
 _BY_CHANCE = 0.005
@@ -211,7 +212,7 @@ def _settled(task: _Task, chosen: ChosenModel, alpha: float, named: Collection[s
     best = explained(found.chosen, contest, start, alpha, named)
     found = settled(best.chosen, best.contest, alpha, found)
     small = inseparable(found.chosen, task.problem.reference)
-    return _Answer(found.chosen, found.attributions, best.contest, wander, small=small)
+    return _Answer(found.chosen, attributed(found, best.contest), best.contest, wander, small=small)
 
 
 def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
@@ -239,7 +240,7 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     return replace(
         answer,
         chosen=found.chosen,
-        attributions=found.attributions,
+        attributions=attributed(found, contest),
         heldout=heldout,
         gates=gates,
         withdrawn=_withdrawn(s for s in excluded if s.hypothesis.key not in answer.tolerated),
