@@ -274,7 +274,8 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
     """Everything that is said of a problem and of the answer to it."""
     chosen, model = answer.chosen, answer.chosen.model
     unnamed = (s for s in unnamed_causes_in(model, answer.gap) if not answer.tolerated.issuperset(s.keys))
-    causes = (*unnamed, *nameless(answer.gap, answer.withdrawn))
+    members = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
+    causes = (*unnamed, *nameless(answer.gap, members, answer.withdrawn))
     unknown = _unknown(task, answer, causes)
     effects = _effects(task, answer, causes, beside_unknown=unknown.flag)
     return GapReport(

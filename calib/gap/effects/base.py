@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.shape_ids import is_shape
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -87,6 +86,10 @@ class CatalogueEffect:
         A phrase in plain words, for readers who do not know the id.
     traits
         Properties by which the search, the prices and the report treat it.
+    family
+        Of a shape that the catalogue does not have: what its price goes by. Empty for an effect with a name.
+    part
+        Whether it is one of the many amplitudes of such a shape, and was chosen among them.
     hidden
         Numbers that are fitted to the residual inside its columns: degrees of freedom that no parameter shows.
     """
@@ -105,11 +108,13 @@ class CatalogueEffect:
     form: str = ""
     plain: str = ""
     traits: frozenset[Trait] = frozenset()
+    family: str = ""
+    part: bool = False
 
     @property
     def nameless(self) -> bool:
         """Whether it is a shape that the catalogue does not have."""
-        return is_shape(self.id)
+        return bool(self.family)
 
     @property
     def jumps(self) -> bool:

@@ -271,6 +271,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "raw samples in the log; slow movement through zero",
             detect=dead_band,
             plain="small values read as zero",
+            traits=frozenset({Trait.DEAD_BAND}),
             rivals=(f"{sensor}_quantisation",),
         ),
         LatticeEffect(

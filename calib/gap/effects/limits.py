@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
@@ -116,6 +117,7 @@ _KINDS = (
         "a larger range; less violent movement",
         _reaches_far,
         "a range that is too small",
+        frozenset[Trait](),
     ),
     (
         "dead_band",
@@ -126,6 +128,7 @@ _KINDS = (
         "slow movement through zero",
         _crosses_zero,
         "small values read as zero",
+        frozenset({Trait.DEAD_BAND}),
     ),
 )
 
@@ -143,9 +146,10 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             columns=column,
             fixed=True,
             plain=plain,
+            traits=traits,
             rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
         )
-        for name, parameter, grid, column, excites, manoeuvre, missing, plain in _KINDS
+        for name, parameter, grid, column, excites, manoeuvre, missing, plain, traits in _KINDS
     )
 
 

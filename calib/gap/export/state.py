@@ -41,6 +41,8 @@ _SHAPED = frozenset(
     }
 )
 """Kinds of effects that :class:`SensorErrors` has a field for."""
+TEMPERATURE_KINDS = frozenset({"temp_linear", "temp_poly", "temp_scale"})
+"""Kinds of effects that are stated at a reference temperature."""
 
 
 def kind_of(effect: EffectEstimate) -> str:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
-from mavcal.calib.gap.effects.shape_ids import family_of, is_part
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.normal_equations import eigh
 from mavcal.calib.gap.search import prices
@@ -175,7 +174,7 @@ def price_of_kind(effect: CatalogueEffect) -> float:
     seems to go with temperature is often there at every temperature that was seen.
     """
     if effect.nameless:
-        return prices.SHAPE_PRICES[family_of(effect.id)] + prices.SHAPE_PART_PRICE * is_part(effect.id)
+        return prices.SHAPE_PRICES[effect.family] + prices.SHAPE_PART_PRICE * effect.part
     if effect.id == REFERENCE:
         return prices.REFERENCE_PRICE
     if Trait.THERMAL in effect.traits:

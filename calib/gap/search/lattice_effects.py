@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import CatalogueEffect, LatticeEffect, LatticeEvidence
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import GapProblem, Trace
@@ -46,8 +47,15 @@ def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Latti
 
 def covered_by(lattice: Lattice, effect: EffectEstimate) -> bool:
     """Whether an effect is what the samples show already: themselves, or because coarse levels have one at zero."""
-    alike = {effect.id, effect.id.replace("_dead_band", "_quantisation")}
-    return any(e.id in alike and set(effect.instances) <= set(e.instances) for e in lattice.effects)
+    return any(_explains(e, effect) and set(effect.instances) <= set(e.instances) for e in lattice.effects)
+
+
+def _explains(shown: EffectEstimate, effect: EffectEstimate) -> bool:
+    """Whether an effect of the samples is `effect` itself, or makes its dead band."""
+    if shown.id == effect.id:
+        return True
+    coarse, dead = Trait.COARSE in by_id()[shown.id].traits, Trait.DEAD_BAND in by_id()[effect.id].traits
+    return coarse and dead and shown.sensor is effect.sensor
 
 
 def _each_instance(traces: Sequence[Trace]) -> Iterator[tuple[int, Trace]]:

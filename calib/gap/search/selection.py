@@ -141,10 +141,11 @@ def _better(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> Chosen
         for t in other.model.noise_terms
         if t.hypothesis.effect.drifts and unsteady_line(t, other.model)
     }
+    named = [t.hypothesis for t in chosen.model.members if not t.hypothesis.effect.nameless]
     gains, taken = last_gains(chosen.model, contest), set()
     part = prices.FLIGHT_SECOND_ORDER_SHARE if of_flights(chosen.model) else prices.SECOND_ORDER_SHARE
     for sensor in {view.sensor for view in chosen.model.setting.views} - skirts:
-        worth = part * max((g for k, (g, _, _) in gains.items() if k[0].startswith(f"{sensor}_")), default=0.0)
+        worth = part * max((gains[h.key][0] for h in named if h.effect.sensor is sensor), default=0.0)
         if _objective_of(other, sensor) < _objective_of(chosen, sensor) - worth:
             taken.add(sensor)
     return _joined(chosen, other, taken) if taken else chosen

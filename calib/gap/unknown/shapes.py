@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import EffectParameter, MeanEffect
-from mavcal.calib.gap.effects.shape_ids import family_of, shape_id
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Setting, Term
 from mavcal.calib.gap.problem import Trace
@@ -105,7 +104,7 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[st
 
 def flexible(hypothesis: Hypothesis) -> bool:
     """Whether it is a broken line, which bends about anything that its covariate drives."""
-    return family_of(hypothesis.effect.id) in _FLEXIBLE
+    return hypothesis.effect.family in _FLEXIBLE
 
 
 def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
@@ -121,8 +120,7 @@ def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
 
 def _shape(trace: Trace, group: _Group, instance: int) -> ShapeHypothesis:
     def made(text: str, rows: Rows, *, part: bool = False) -> Hypothesis:
-        name = shape_id(group.family, text, part=part)
-        return Hypothesis(_effect(name, trace, text, group, rows), (instance,))
+        return Hypothesis(_effect(trace, text, group, rows, part=part), (instance,))
 
     q = 1 if group.each else len(group.signals)
     rows = np.arange(3 * q, dtype=np.intp)
@@ -141,7 +139,7 @@ def _along(trace: Trace, own: Trace, drawn: Array) -> Array:
     return drawn if np.array_equal(trace.t, own.t) else np.interp(trace.t, own.t, drawn)
 
 
-def _effect(name: str, own: Trace, text: str, group: _Group, rows: Rows) -> MeanEffect:
+def _effect(own: Trace, text: str, group: _Group, rows: Rows, *, part: bool) -> MeanEffect:
     """The columns `rows` of a group drawn along the trace `own`; column ``3 q + axis`` is signal q on that axis."""
     sensor = own.sensor
 
@@ -159,13 +157,15 @@ def _effect(name: str, own: Trace, text: str, group: _Group, rows: Rows) -> Mean
     whole = not group.each and len(rows) == 3 * len(group.signals)
     wish = "a recording in which the covariate varies by itself"
     return MeanEffect(
-        name,
+        f"unknown:{'one ' * part}{group.family}:{text}",
         sensor,
         (EffectParameter("amplitude", ""),),
         text,
         wish,
         columns=columns,
         signals=signals if whole else None,
+        family=group.family,
+        part=part,
     )
 
 
