@@ -28,7 +28,7 @@ from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.gap.reference.channels import filter_gain
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 

@@ -11,24 +11,24 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.problem import FaultyInstances, GapProblem, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.reference.best_reference import BestReferences, best_references
-from mavcal.calib.gap.reference.calibrated import corrected, not_undone, offset_changed
-from mavcal.calib.gap.reference.channels import sensors_of
+from mavcal.calib.gap.reference.best_reference import BestReferences, best_references, refusals
+from mavcal.calib.gap.reference.channels import corrected, not_undone, offset_changed, sensors_of
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.expected_noise import (
+    age_of,
     motor_noise_of,
     movement_of,
+    with_age_noise,
     with_heave_noise,
     with_motor_noise,
     with_movement_noise,
+    with_sway_noise,
+    without_aged_samples,
 )
-from mavcal.calib.gap.reference.ideal import Ideal, trace_of
+from mavcal.calib.gap.reference.ideal import Ideal, continuous, trace_of
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
-from mavcal.calib.gap.reference.notices import refusals
-from mavcal.calib.gap.reference.recorded import continuous
 from mavcal.calib.gap.reference.redundant import differences, faulty_instances_of
 from mavcal.calib.gap.reference.resolution import steps_of, with_simulated_step
-from mavcal.calib.gap.reference.sample_age import age_of, with_age_noise, with_sway_noise, without_aged_samples
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.simulator import deviations, error_sd, simulated_ideal, with_error
 from mavcal.calib.recording import Channel, Recording, Sensor

@@ -11,7 +11,7 @@ from scipy.signal.windows import hann
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.correlation import correlation, turn_of, uncorrelated_axes
+from mavcal.calib.gap.reference.align import correlation, turn_of, uncorrelated_axes
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Recording, Sensor
 

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.reference.correlation import TURNS, correlation, likened, turned_correlation
-from mavcal.calib.gap.reference.ideal import Ideal
-from mavcal.calib.gap.reference.recorded import continuous, true_attitude, true_place
+from mavcal.calib.gap.reference.align import TURNS, correlation, likened, turned_correlation
+from mavcal.calib.gap.reference.ideal import Ideal, continuous, true_attitude, true_place
 from mavcal.calib.gap.reference.signals import LowPassedSignal, Signal, bandwidth, linear, low_passed
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 

@@ -18,11 +18,9 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.earth import earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.reference.calibrated import filter_delay, filter_in_force
-from mavcal.calib.gap.reference.channels import sensors_of
-from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.gap.reference.channels import filter_delay, filter_in_force, sensors_of
+from mavcal.calib.gap.reference.ideal import Ideal, continuous, true_attitude
 from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
-from mavcal.calib.gap.reference.recorded import continuous, true_attitude
 from mavcal.calib.gap.reference.signals import Signal, linear, slow
 from mavcal.calib.gap.reference.strapdown import STEPS, Between, Increments
 from mavcal.calib.gap.reference.trajectory import (

@@ -23,8 +23,7 @@ from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import FaultyInstances, Trace
-from mavcal.calib.gap.reference.calibrated import TRIADS
-from mavcal.calib.gap.reference.channels import comparable
+from mavcal.calib.gap.reference.channels import TRIADS, comparable
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.simulator import denoised, error_sd
