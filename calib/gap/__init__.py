@@ -1,9 +1,9 @@
 """The sim-to-real gap: where a real sensor differs from the simulated one, why, and how far an effect closes it.
 
-The way through: recordings -> :mod:`calib.gap.reference` -> :class:`calib.gap.problem.GapProblem` (every sensor beside
-what an ideal one would have read) -> :mod:`calib.gap.diagnose` (the effects of :mod:`calib.gap.effects` in one contest)
--> :class:`calib.gap.schema.GapReport`, whose effects :mod:`calib.gap.export` writes for simulators. :func:`run` goes
-all the way.
+The reference (:mod:`calib.gap.reference`) makes a :class:`calib.gap.problem.GapProblem` of recordings: every sensor
+beside what an ideal one would have read. In the diagnosis (:mod:`calib.gap.diagnose`) the effects of
+:mod:`calib.gap.effects` compete. It answers with a :class:`calib.gap.schema.GapReport`. The export
+(:mod:`calib.gap.export`) writes effects for simulators. The function :func:`run` does all of it.
 """
 
 from __future__ import annotations

@@ -216,9 +216,9 @@ def _settled(task: _Task, chosen: ChosenModel, alpha: float, named: Collection[s
 
 
 def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
-    """The answer without the effects that blocks which were held out deny.
+    """The answer without the effects that held-out blocks deny.
 
-    Of two of one kind the weaker one goes first: either seems to add nothing while the other is there.
+    The weaker effect of a kind is excluded first: either of two seems to add nothing while the other is there.
     """
     chosen, contest = answer.chosen, answer.contest
     heldout = held_out(chosen, contest, answer.tolerated)
@@ -358,7 +358,7 @@ def _untestable(task: _Task) -> tuple[NotTestable, ...]:
 
 
 def untestable(reason: str, need: str, inputs: dict[str, str]) -> GapReport:
-    """The report of recordings of which nothing can be compared; `inputs` are digests by role."""
+    """The report of recordings without anything to compare; `inputs` are digests by role."""
     reference = ReferenceInfo(ReferenceKind.REDUNDANT, text=f"None: {reason}.")
     return _nothing(GapProblem((), reference, 0.0, inputs=inputs, not_testable=(("all", reason, need),)))
 

@@ -52,7 +52,7 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
 
 
 def _useless(report: GapReport) -> str:
-    """That no sensor was judged by the reference, what would make it better, and what is told all the same."""
+    """That no sensor was judged by the reference, what would make it better, and what is reported nevertheless."""
     sigma = report.inputs.att_sigma_deg
     known = f"its attitude is known to {sigma:.1f} degrees only, {USELESS_DEG:g} are needed"
     why = known if math.isfinite(sigma) else "its trajectory contradicts the inertial unit all the time"

@@ -80,8 +80,8 @@ def with_level_shifts(
 ) -> ChosenModel:
     """The model, or one with steps in place of noise that wanders, on sensors that have larger ones than `nominal`.
 
-    Steps of one sensor need together what the floor asks of one. Only compasses are asked: levels of the others come
-    and go with how the vehicle moves, of which a calm nominal recording has less.
+    Steps of one sensor together need the minimum gain of one. Only compasses are tested: levels of the others change
+    with how the vehicle moves, and a calm nominal recording moves less.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """What a simulated flight already shows against its own ideal: errors of the reference and traits of the simulator.
 
-Where the simulator flew another flight (GAP 3.5b c), both logs are compared with an ideal sensor, and the gap is what
-the real one has and the simulated one has not: what the simulated one shows is put into the ideal reading of the real.
+Where the simulator flew another flight (GAP 3.5b c), both logs are compared with an ideal sensor. The gap is what only
+the real one has: what the simulated one shows is put into the ideal reading of the real.
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ _DIFFERENT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Effects of a simulated flight, and by sensor: the gain of the largest of them, what all of them change (the sum
-    of squares over the flight), and the gain below which they were not asked for. `reference`: what it is beside.
+    """Effects of a simulated flight, and the `reference` that it was compared with.
+
+    By sensor: `gains` of the largest effect, and `changes` by all of them, as a sum of squares over the flight. Effects
+    that gain less than `accepted_difference` were not looked for.
     """
 
     effects: tuple[EffectEstimate, ...]
@@ -74,7 +76,7 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
 
 
 def _of_both(real: ReferenceInfo, simulated: ReferenceInfo) -> ReferenceInfo:
-    """The reference of a real flight, of which what was estimated inside is compared with that of a simulated one."""
+    """The reference of a real flight; the errors of what it estimated inside are those of both flights together."""
     pairs = ((real.gyro_sd, simulated.gyro_sd), (real.field_sd, simulated.field_sd))
     gyro, field = (tuple(map(math.hypot, a, b)) if len(a) == len(b) else a for a, b in pairs)
     return replace(real, gyro_sd=gyro, field_sd=field)

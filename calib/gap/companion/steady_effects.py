@@ -58,7 +58,7 @@ def steady_effects(
 
 
 def _indifferent(chosen: ChosenModel, contest: Contest) -> list[Key]:
-    """What joined for more than it gains at last, beside noise that was fitted with it."""
+    """Effects that gain less than the minimum once the noise is fitted with them."""
     gains = last_gains(chosen.model, contest)
     small = []
     for term in chosen.model.terms:

@@ -149,8 +149,8 @@ class MeanEffect(CatalogueEffect):
     exact
         ``exact(trace, parameters)`` gives (N, 3), the change of the mean without linearisation; None: it is linear.
     noise_gain
-        ``noise_gain(trace, omega, theta)`` gives (R, K), by one row of which the sensor's own noise spectrum is
-        multiplied, its level aside; None: 1.
+        ``noise_gain(trace, omega, theta)`` gives (R, K): one row multiplies the sensor's own noise spectrum, its level
+        aside; None: 1.
     """
 
     columns: Callable[[Trace, float], Array]

@@ -196,11 +196,11 @@ def _too_many(repeat: Mask, chance: Array) -> float:
 def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
     """Probability (N - 1,) that a row repeats the one before on all axes because of coarse levels.
 
-    Two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step q is
-    ``q / (2 sqrt(pi) sigma)``; noise that is smaller than the levels repeats always. The noise is that of the
-    surroundings (a sensor at rest repeats, a moving one does not), and of the rows that do not repeat, or a hold would
-    hide itself: their mean absolute difference is ``2 sigma / sqrt(pi)``, less the levels' own part. A sensor whose
-    ideal reading goes on by D meanwhile repeats more rarely by ``exp(-D^2 / 4 sigma^2)``, the levels counted as noise.
+    Two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step q is ``q / (2
+    sqrt(pi) sigma)``; noise that is smaller than the levels repeats always. The noise is estimated nearby, since a
+    sensor at rest repeats and a moving one does not. Only rows that do not repeat count, or a hold would hide itself:
+    their mean absolute difference is ``2 sigma / sqrt(pi)``, less the levels' own part. A sensor whose ideal reading
+    goes on by D meanwhile repeats more rarely by ``exp(-D^2 / 4 sigma^2)``, the levels counted as noise.
     """
     changed = (trace.observed[1:] & trace.observed[:-1] & ~same.all(axis=1)).astype(np.float64)
     weight = uniform_filter1d(changed, _SURROUNDINGS, mode="nearest")

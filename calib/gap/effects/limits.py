@@ -24,8 +24,8 @@ _LEAST, _MOST = 4.0, 1e6  # evidence of the least and the largest that is tried,
 _BELOW = 0.9  # of the largest reading: an end of the range there leaves some readings alone, an offset none
 _OUTSIDE = 0.02  # of the readings, in a dead band, and beyond it, for anything to be said
 _BLURRED = 5.0
-"""Standard deviations of the noise in a reference, within which it does not say that a sensor should read zero, or at
-the end of its range more."""
+"""Standard deviations of the noise in a reference. Nearer than that to zero, or to the end of the range, the reference
+does not say what a sensor should read."""
 
 
 def clipped_column(trace: Trace, limit: float) -> Array:
@@ -34,7 +34,7 @@ def clipped_column(trace: Trace, limit: float) -> Array:
 
 
 def dead_column(trace: Trace, width: float) -> Array:
-    """What a band of half width `width`, inside of which the sensor reads zero, takes from the ideal reading."""
+    """What a sensor that reads zero within +-`width` takes from the ideal reading."""
     return np.where(np.abs(trace.ideal) < width, -trace.ideal, 0.0)[None]
 
 

@@ -1,8 +1,8 @@
 """Temperature: a bias that follows it, at once or late, and a scale that follows it.
 
-The temperature at which an effect vanishes is the simulator's or the calibration's choice (25 degC in MATLAB, the
-middle of the range in ArduPilot's SITL), one for all axes. It is therefore a parameter: were it fixed elsewhere than
-the truth, every thermal effect would be accompanied by a bias that is not there.
+The temperature at which an effect vanishes is one for all axes. The simulator or the calibration chooses it: 25 degC in
+MATLAB, the middle of the range in ArduPilot's SITL. It is therefore a parameter. A wrong fixed value would give every
+thermal effect a bias that is not there.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Effects on time: the sensor is late, slow, or its clock runs differently.
 
-The ideal reading itself is moved and filtered (a quintic spline through its samples, which is exact to 1e-4 up to half
-of the Nyquist frequency), not expanded: at 5 ms and 5 Hz the first order is already wrong by a percent.
+The ideal reading itself is moved and filtered, not expanded: at 5 ms and 5 Hz the first order is already wrong by a
+percent. A quintic spline through its samples is exact to 1e-4 up to half of the Nyquist frequency.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _SHAKE = "a fast shake or a yaw jerk"
 def splines_of(trace: Trace) -> Array:
     """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading; the last are kept.
 
-    Beyond either end it goes on as steeply as it came: a recording may begin in the midst of a movement, and what a
-    sudden stop would change of the first sample is more than the noise of all.
+    Beyond either end it goes on as steeply as it came, because a recording may begin during a movement. A sudden stop
+    would change the first sample by more than the noise of all.
     """
     longer = np.pad(trace.ideal, ((_EDGE, _EDGE), (0, 0)), mode="reflect", reflect_type="odd")
     return np.stack([ndimage.spline_filter1d(column, _SPLINE, mode="nearest") for column in longer.T])

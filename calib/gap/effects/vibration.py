@@ -1,9 +1,9 @@
 """What turning rotors do: lines that follow their speed, lines folded by the sampling, noise, and a shifted mean.
 
-Where rotor speeds are logged so fast and well that their integral keeps the phase, a line is a wave that follows one
-rotor, and is subtracted. Where they are not, it is power on its track. With rotor speeds recorded the
-track is a multiple of them, weighted by the fourth power of the speed (an imbalance's force grows with its square);
-without, it is a fixed frequency while the motors run.
+A line is a wave that follows one rotor, and is subtracted, if rotor speeds are logged so well that their integral keeps
+the phase. Otherwise it is power on a track. With recorded rotor speeds the track is a multiple of them, weighted by the
+fourth power of the speed: the force of an imbalance grows with its square. Without them it is a fixed frequency while
+the motors run.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ def line(trace: Trace, omega: Array, frequency: float) -> Array:
     """Power (1, K) of a line of amplitude one while the motors run, its mean frequency being `frequency` (Hz).
 
     The spectrum of a wave that starts and stops with the motors, skirts included: a strong line shows far from its
-    frequency. It follows the rotors where their speed is known. Of amplitude one at the sensor: what the firmware's own
-    filter takes is taken.
+    frequency. It follows the rotors where their speed is known. The amplitude is one at the sensor: the
+    firmware's own filter is applied to it.
     """
     power = _line_over_all_bins(trace, frequency)
     n = len(power)

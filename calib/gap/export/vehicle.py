@@ -1,7 +1,7 @@
 """A report as calibrations of the vehicle: what its firmware would have to correct so that the gap is gone.
 
-The correction in force is ``truth = L (raw - o - p(T))`` and the diagnosis says ``R (raw - o - p) = A R L^-1 truth + b
-+ dp(T)``, R the mounting. Hence ``truth = L R^T A^-1 R (raw - o - R^T b - p - R^T dp)``: a new model of the same form.
+The correction in force is ``truth = L (raw - o - p(T))``. With R the mounting, the diagnosis says ``R (raw - o - p) = A
+R L^-1 truth + b + dp(T)``. Hence ``truth = L R^T A^-1 R (raw - o - R^T b - p - R^T dp)``: a new model of the same form.
 A fit of a raw recording leaves the mounting to the firmware, so ``R^T`` stands before it all.
 """
 
@@ -42,7 +42,7 @@ _STEP = 1e-3  # of a standard error: for derivatives
 def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[str, ...]]:
     """The plan that takes the report's calibration effects away, and what it leaves.
 
-    Nothing is written to a sensor of which one of these effects is doubtful: the others were estimated beside it.
+    Nothing is written to a sensor that has a doubtful effect among these: the others were estimated beside it.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     Raises
     ------
     FirmwareError
-        If the recording is not of an ArduPilot or PX4, or says no parameters, or nothing is a calibration, or all
-        of that is doubtful.
+        If the recording is not of an ArduPilot or PX4, or has no parameters. If no effect is a calibration, or all
+        of them are doubtful.
     """
     autopilot, parameters = real.identity.autopilot, real.parameters.final()
     if autopilot is None or not parameters:

@@ -95,8 +95,8 @@ def joined(model: Model, term: Term | NoiseTerm) -> Model:
 def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
     """Whether the blocks of `train` can know of a term of the `whole` model.
 
-    Of a jump beside a drift of the bias only those can in which it happens; without a drift, their levels tell its
-    size. Of two jumps between which they have no sample they know the sum, and neither.
+    Beside a drift of the bias, only blocks in which a jump happens know of it; without a drift, their levels tell its
+    size. Blocks without a sample between two jumps know the sum of both, and neither.
     """
     effect = term.hypothesis.effect
     if not isinstance(term, Term) or effect.shape is None or not effect.shape.still:

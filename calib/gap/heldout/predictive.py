@@ -1,9 +1,9 @@
-"""What a fit to some blocks foretells of another one, with how sure it is of it.
+"""What a fit to some blocks predicts of another one, and with which uncertainty.
 
 A curve that is carried on beyond what the blocks saw is known badly there; taken for certain it would be punished for
 more than it claims. The amplitudes of the fit are therefore integrated out under the posterior of the blocks, whose
 prior is that of :mod:`calib.gap.search.evidence`, widened: amplitudes of one unit are alike, and about as large as
-these blocks say. Of what they do not show at all they foretell nothing.
+these blocks say. They predict nothing about what they do not show at all.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _WIDE = 10.0
 """Times the size that the other blocks say, that an amplitude may have by the prior: it is to bound what they do not
 show, and not to shrink what they do."""
 _NOTHING = 1e-3
-"""Prior standard deviation of an amplitude of which there is no sign, in standard errors of all blocks together."""
+"""Prior standard deviation of an amplitude without any sign of it, in standard errors of all blocks together."""
 _LEAST = 1e-9
 """Added to normalised information, so that what nothing tells has an inverse."""
 
@@ -33,10 +33,10 @@ _LEAST = 1e-9
 def predictive_loss(fitted: Model, block: Model) -> float:
     """Negative log predictive density of a held-out block under what was fitted to the others, in nats.
 
-    With information K and estimates v of the others, prior precision L, and S and b of the block (its information, and
-    the right side of its normal equations at v): the posterior is ``N(v - d, P^-1)``, ``P = K + L``, ``P d = L v``, and
-    the block costs, more than at v for certain,
-    ``d'b + d'Sd/2 + (log|P + S| - log|P| - c'(P + S)^-1 c) / 2`` with ``c = b + S d``.
+    K and v are the information and the estimates of the other blocks, and L is the prior precision. S and b are the
+    information of the block and the right side of its normal equations at v. The posterior is ``N(v - d, P^-1)`` with
+    ``P = K + L`` and ``P d = L v``. With ``c = b + S d``, the block costs this much more than at a certain v:
+    ``d'b + d'Sd/2 + (log|P + S| - log|P| - c'(P + S)^-1 c) / 2``.
 
     Parameters
     ----------

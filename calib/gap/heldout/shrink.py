@@ -1,9 +1,9 @@
 """How far the gap shrinks on data that the effects have not seen, in nats a sample.
 
 Blocks are held out in turn; effects are chosen and fitted on the others. The loss is the negative log predictive
-density: a proper score that knows means and noise. The floor is what a model would lose that has the effects exactly:
-the loss of the fit to all data, with the half nat for each of its numbers by which it follows its own noise (Akaike
-1974) given back, less what still is above the noise it claims.
+density: a proper score that knows means and noise. The floor is the loss of a model that has the effects exactly. It is
+the loss of the fit to all data, plus half a nat for each fitted number: the fit follows its own noise (Akaike 1974).
+What is still above the declared noise is taken off.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from mavcal.calib.gap.search.selection import ChosenModel, Gains, last_gains, se
 Array = NDArray[np.float64]
 
 _BLOCKS = 8
-"""Blocks of a recording, each of which is held out once."""
+"""Blocks of a recording; each is held out once."""
 _LONG = 40_000
 _FEW = 4
 """Blocks where a series is longer than `_LONG` samples: each repeats the selection."""
@@ -67,9 +67,9 @@ _DISAGREE = 1e-3
 class Heldout:
     """What B blocks say that were held out, and the gates of the effects.
 
-    `losses` (B, 2) are nats without the effects and with them, `floor` (B,) those of whoever has them exactly,
-    `samples` (B,) the numbers in each block, and `steps` (B, K) what it gains by each effect of the ids `order` in
-    turn. `happens` tells blocks in which an event lies, of which the others cannot know when it was.
+    `losses` (B, 2) are nats without the effects and with them, and `floor` (B,) those of a model that has them exactly.
+    `samples` (B,) are the numbers in each block, and `steps` (B, K) what it gains by each effect of the ids `order` in
+    turn. `happens` marks blocks with an event: the others cannot know when it was.
     """
 
     folds: tuple[Fold, ...]

@@ -29,8 +29,8 @@ _UNIT = 3.0  # ratio of sizes from which the unit is another
 def turn_of(measured: Array, ideal: Array, slight: float = 0.0) -> Array:
     """The exchange of axes and signs that fits best; the identity unless another leaves a quarter of its misfit.
 
-    It is kept as well where its misfit is less than the share `slight`. Scale and offset are left out of the
-    comparison: among turns the sum ``m . P i`` decides. Of those that fit alike, the one that changes least.
+    The identity stands as well where its misfit is less than the share `slight`. Scale and offset are left out of the
+    comparison: among turns the sum ``m . P i`` decides. Where several fit equally, the one that changes least is taken.
     """
     cross = measured.T @ ideal
     best = float(np.sqrt((measured**2).sum() * (ideal**2).sum()))

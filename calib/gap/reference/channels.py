@@ -48,7 +48,7 @@ def corrected(recording: Recording) -> Recording:
 
 
 def offset_changed(channels: Sequence[Channel], recording: Recording) -> tuple[str, ...]:
-    """A warning for each compass of which a part was left out, because its offset in force changed there."""
+    """A warning for each compass that lost a part of its readings, because its offset in force changed there."""
     changes = compass_offset_changes(recording) if _known(recording) else {}
     said = []
     for channel in channels:

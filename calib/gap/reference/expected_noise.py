@@ -4,9 +4,9 @@ Motors: ArduPilot's SITL shakes the vehicle by a random force in proportion to t
 Its inertial units sample that at their own moments. The power of their difference goes with the square of the throttle,
 and is zero on the ground. Another flight with more throttle has more of it, and that is no gap.
 
-Movement: a pose errs by a share of the movement. Stamps that jitter, markers that give way on the vehicle and a body
-that bends leave a residual in proportion to how much moves at a frequency, with no fixed phase. An example: 2 ms of
-jitter are 6 % of a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
+Movement: a pose errs by a share of the movement. Stamps that jitter, markers that give way and a body that bends leave
+a residual in proportion to the movement at each frequency. It has no fixed phase. An example: 2 ms of jitter are 6 % of
+a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
 
 Age of samples: a log writes the latest sample of every unit under one time. Each is older by up to a period of its own
 driver (SITL runs its inertial units at 1000 and 760 Hz). Their difference then has noise in proportion to how fast the
@@ -73,9 +73,9 @@ def _squares(trace: Trace) -> Array:
 def with_sway_noise(trace: Trace, nominal: Sequence[Trace]) -> Trace:
     """The difference of two instances, with the noise that it has for moving faster than the `nominal` ones.
 
-    Of what these leave at most all is movement between the moments of their samples: as much is expected as there is,
-    up to that. How fast a vehicle moves is what both instances show alike: noise of either is not in it. A calmer
-    recording is not expected to be quieter.
+    At most all that the nominal ones leave is movement between the moments of their samples. As much noise is expected
+    as there is, up to that bound. The movement is what both instances show, without the noise of either. A calmer
+    recording is not expected to have less noise.
     """
     before, now = [_common(n) for n in nominal], _common(trace)
     if trace.against is None or not before:
@@ -211,8 +211,8 @@ def _movement(trace: Trace) -> ResidualSpectrum | None:
 def with_movement_noise(trace: Trace, nominal: Mapping[Sensor, ResidualSpectrum]) -> Trace:
     """`trace` with the noise that is expected because it moves more than the `nominal` recordings.
 
-    Of movement and noise together the noise was a share, of at most all: more movement has that share of it. A calmer
-    recording is not expected to be quieter.
+    The noise was a share of movement and noise together, at most all of it: more movement adds that share. A calmer
+    recording is not expected to have less noise.
     """
     if trace.against is not None or trace.sensor not in nominal or (trace.psd is None and trace.sigma is None):
         return trace

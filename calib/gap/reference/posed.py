@@ -108,8 +108,8 @@ def _check_convention(smooth: LowPassedSignal, gyro: Array, force: Array | None)
     Raises
     ------
     InvalidInputError
-        If its inverse, or its numbers in another order, turn as the gyroscope does and it does not, or if it has
-        nothing in common with it.
+        If only its inverse, or its numbers in another order, turn as the gyroscope does. If it has nothing in common
+        with the gyroscope.
     """
     if np.linalg.eigvalsh(np.cov(gyro.T))[1] < _TURNING**2:
         return  # a turn about one axis is a turn the other way with a sign

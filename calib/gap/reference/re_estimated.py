@@ -80,8 +80,8 @@ class SmoothedTrajectory:
 def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | None:
     """Ideal sensors along the smoothed trajectory of `recording`; `with_truth`: a simulator's attitude is in it.
 
-    None without GPS velocity, a gyroscope and an accelerometer over the same ten seconds. Of several inertial units,
-    and of several magnetometers, the one is taken with which everything agrees best.
+    None without GPS velocity, a gyroscope and an accelerometer over the same ten seconds. Among
+    several inertial units, and several magnetometers, the one is taken with which everything agrees best.
     """
     found = best_trajectory(recording, with_truth=with_truth)
     return None if found is None else _driven(found)

@@ -1,10 +1,10 @@
 """Instances of one vehicle against each other: a reference that needs neither attitude nor field.
 
 A difference d of two instances says that one has what the other has not, and not which. Their mean s does, however
-badly any reference follows it: what one of them has alone is half in it, ``E[s d] = (var_1 - var_2) / 2`` (the test of
-Pitman 1939 and Morgan 1939 for two variances of a correlated pair), and how the vehicle moves is in s and not in d. In
-the band where d has most power beyond the simulator's recording, by X, the excess of ``2 s d / X`` is 1 if the first
-instance has it, -1 if the second, and 0 if both have as much of it.
+badly any reference follows it. What only one of them has is half in s: ``E[s d] = (var_1 - var_2) / 2``. This is the
+test of Pitman 1939 and Morgan 1939 for two variances of a correlated pair; the movement of the vehicle is in s and not
+in d. Let X be the power of d beyond that in the simulator's recording, in the band where it is largest. There the
+excess of ``2 s d / X`` is 1 if the first instance has it, -1 if the second, and 0 if both have as much.
 
 Below the slowest bands there is too little of either; there it is asked which of both is at the reference.
 """
@@ -39,8 +39,8 @@ _EDGE_S = 0.5  # from the ends of a trajectory, where the filters of the units r
 def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...]) -> tuple[Trace, ...]:
     """Every instance of a sensor that has several, against the one that is most like its reference.
 
-    That one is found from the `single` traces; without them it is the one that is nearest to all others. Of two
-    without a single trace nothing says which is at fault: the first is compared with the second.
+    That one is found from the `single` traces; without them it is the one that is nearest to all others. For two
+    instances without a single trace nothing says which is at fault: the first is compared with the second.
     """
     made: list[Trace] = []
     for sensor in TRIADS:

@@ -1,8 +1,8 @@
 """A simulator's readings as a reference: the movement in them without their noise, and their own mean error.
 
-Noise in the reference is an error in the regressors: it makes every column smaller than it is and is, with the other
-sign, in the difference too, so that a filter or a delay that takes some of it away seems to explain the difference
-(Fuller, Measurement Error Models, 1987). Against the best estimate of the movement that is not so: what a Wiener
+Noise in the reference is an error in the regressors (Fuller, Measurement Error Models, 1987): it makes every column
+smaller than it is. It is also in the difference, with the other sign. A filter or a delay that takes some of it away
+then seems to explain the difference. Against the best estimate of the movement that is not so: what a Wiener
 filter leaves out is uncorrelated with what it lets through (regression calibration; Carroll et al., Measurement Error
 in Nonlinear Models, 2006). The price is known: at a frequency that the filter passes by ``g``, noise of power ``s^2``
 leaves ``g s^2`` in the reference.

@@ -1,9 +1,9 @@
 """What an effect is worth beside its price: the marginal likelihood of its amplitudes under a prior of their own size.
 
-A penalty of ``log N`` an amplitude asks the same of a direction that the movement excites and of one that it does not,
-and more of a long recording than of a short one. Here the amplitudes of one unit share a prior ``N(0, s^2)``, and s is
-the size that explains the data best (empirical Bayes; Clyde & George 2000): an amplitude that is seen well costs about
-the logarithm of its own evidence, one that is not seen costs nothing.
+A penalty of ``log N`` an amplitude would be the same for a direction that the movement excites and for one that it does
+not. It would be larger for a long recording than for a short one. Here the amplitudes of one unit share a prior ``N(0,
+s^2)``, and s is the size that explains the data best (empirical Bayes; Clyde & George 2000): an amplitude that is seen
+well costs about the logarithm of its own evidence, one that is not seen costs nothing.
 
 Amplitudes need not be alike in size, and two other priors are tried as well, each for what a choice among them costs:
 that they are alike in what they make of the readings (Zellner 1986), as those of a curve are whose orders take each

@@ -80,8 +80,8 @@ def fitted_about(model: Model, hypothesis: Hypothesis) -> Model:
 def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
     """The effects that the data show; noise that wanders comes last.
 
-    It can take the place of any slow effects on the mean, of two at once of which neither is better alone. It is
-    therefore left out at first, and may join beside them; only then it is asked whether it says more in their place.
+    It can take the place of any slow effects on the mean, even of two at once where neither is better alone. It is
+    therefore left out at first, and may join beside them. Only then is it tested in their place.
 
     Parameters
     ----------
@@ -264,9 +264,8 @@ def _best(
 ) -> tuple[ContestScore | None, Model | None]:
     """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
 
-    Noise that wanders may have taken the place of a slow mean, and so may noise that nobody declared, which was fitted
-    while that was in it: what a mean gains beside them says little. With it the model
-    that it joins, if that was fitted.
+    Noise that wanders may have taken the place of a slow mean. So may undeclared noise, which was fitted to the mean as
+    well. What a mean gains beside them says little. The second result is the model that it joins, if that was fitted.
     """
     wandering = any(t.hypothesis.effect.drifts for t in model.noise_terms)
     undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}

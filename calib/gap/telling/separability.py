@@ -20,7 +20,7 @@ _ERRORS = 2.0
 
 
 def inseparable(chosen: ChosenModel, reference: ReferenceInfo) -> frozenset[Key]:
-    """Named effects on the mean of which no amplitude exceeds two standard errors, the reference's tilt included."""
+    """Named effects on the mean without an amplitude beyond two standard errors, the reference's tilt included."""
     if reference.kind is not ReferenceKind.ESTIMATOR:
         return frozenset()
     return frozenset(_within(chosen))

@@ -45,7 +45,7 @@ _ROUNDS = 40
 _STARTS = ((0.02, 4.0), (0.2, 1.5))
 """Parts of the samples and variances of the louder ones that it begins with, in turn."""
 _PERIODS = 4
-"""Of a wave that the recording has at least."""
+"""Periods of a wave that the recording must have."""
 _PAD = 8
 """Times the length to which a series is filled up: an overtone is k times nearer to its bin than to the next."""
 _OVERTONES = (1, 2, 4, 8, 16)
@@ -158,8 +158,8 @@ def _unordered(energy: Array, freedom: int) -> float:
 def comb(white: Array) -> tuple[float, float]:
     """Log of the bet that white series (p, n) have a wave of any form, and how many periods of the likeliest they have.
 
-    At each frequency a wave and its overtones are tried, of amplitudes that are alike under a prior of their own size
-    (periodograms that are summed over overtones: de Jager, Raubenheimer & Swanepoel 1989).
+    At each frequency a wave and its overtones are tried. Their amplitudes share a prior of their own size. Periodograms
+    are summed over overtones as by de Jager, Raubenheimer & Swanepoel 1989.
     """
     width = -(-white.shape[1] // _LONGEST)
     n = white.shape[1] // width
@@ -188,5 +188,5 @@ def comb(white: Array) -> tuple[float, float]:
 
 
 def _mean(bets: Array) -> float:
-    """The log of the mean of bets of which the logs are given."""
+    """The log of the mean of bets, which are given as logs."""
     return float(logsumexp(bets) - math.log(len(bets)))

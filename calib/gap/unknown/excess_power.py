@@ -32,9 +32,9 @@ _GROUPS = 24
 _AROUND = 50
 """Bins about a line that are its surroundings."""
 _WINDOWS = (64, 256, 1024)
-"""Samples of which short spectra are taken, in turn."""
+"""Lengths of short spectra, in samples."""
 _LENGTHS = (32, 64, 128, 256, 512, 1024)
-"""Samples of which slow deviations are sought, in turn, every half a length."""
+"""Lengths of windows in which slow deviations are sought, in samples; they begin every half a length."""
 _SLOW = 8
 """Bins of such a window that are compared with its others."""
 _SLOWEST = 4
@@ -56,8 +56,8 @@ def excess_power(
 ) -> list[Unexplained]:
     """By sensor, nats that it still shows above the noise, and where; what chance makes is not among them.
 
-    Above `bandwidth_hz` an accelerometer feels movement of which the reference does not know; a sensor that has less
-    than its `floor` left over shows the reference's errors.
+    Above `bandwidth_hz` an accelerometer feels movement that the reference does not know. A sensor that has less than
+    its `floor` left over shows the reference's errors.
     """
     by_sensor: dict[Sensor, list[_Excess]] = {}
     for v, view in enumerate(model.setting.views):

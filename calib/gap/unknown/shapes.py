@@ -36,7 +36,7 @@ _STILL = 0.1  # of the rms slope: slower changes have no direction
 _TRAVELS = (0.01, 0.03, 0.1, 0.3)
 """Dead travels, in parts of the reading's range."""
 _POINTS = 20_000
-"""Samples from twice which on only some of a series are looked at for dead travel."""
+"""Samples of a series that are examined for dead travel; a series of twice as many is thinned."""
 _HARMONICS = (2, 3, 4, 5)
 """Overtones, in multiples of the frequency of a wave."""
 _HIGHEST = 0.4  # of the rate: beyond, two bands of one series meet
@@ -305,7 +305,7 @@ def _simplest(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
 def _travels(x: Array) -> Array:
     """Where pointers with play stand between the ends of their travels, -1..1, (travels, N, 3): the play operator.
 
-    Of a long series every few samples are looked at.
+    A long series is thinned to every few samples.
     """
     every = max(1, len(x) // _POINTS)
     half = 0.5 * np.array(_TRAVELS)[:, None] * np.ptp(x, axis=0) + 1e-300
