@@ -23,7 +23,7 @@ import numpy as np
 
 from mavcal.calib import gap, logs
 from mavcal.calib.converter import make_converter
-from mavcal.calib.gap.unknown.discrepancy import LOUDER, WAVES
+from mavcal.calib.gap.unknown.discrepancy import BURSTS, WAVES
 from mavcal.calib.withheld_check import Tier, make_case
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "pictures" / "unknown-roc.svg"
@@ -52,7 +52,7 @@ class Rejected:
     @property
     def flag_before(self) -> bool:
         """Whether it was flagged for anything but a bet."""
-        return self.flag and any(not part.startswith((LOUDER, WAVES)) for part in self.shape.split("; "))
+        return self.flag and any(not part.startswith((BURSTS, WAVES)) for part in self.shape.split("; "))
 
     @property
     def before(self) -> float:

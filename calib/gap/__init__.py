@@ -1,9 +1,9 @@
 """The sim-to-real gap: where a real sensor differs from the simulated one, why, and how far an effect closes it.
 
-The way through: recordings -> :mod:`calib.gap.reference` -> :class:`calib.gap.problem.GapProblem` (every sensor beside
-what an ideal one would have read) -> :mod:`calib.gap.diagnose` (the effects of :mod:`calib.gap.effects` in one contest)
--> :class:`calib.gap.schema.GapReport`, whose effects :mod:`calib.gap.export` writes for simulators. :func:`run` goes
-all the way.
+The reference (:mod:`calib.gap.reference`) makes a :class:`calib.gap.problem.GapProblem` of recordings: every sensor
+beside what an ideal one would have read. In the diagnosis (:mod:`calib.gap.diagnose`) the effects of
+:mod:`calib.gap.effects` compete. It answers with a :class:`calib.gap.schema.GapReport`. The export
+(:mod:`calib.gap.export`) writes effects for simulators. The function :func:`run` does all of it.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ def run(
         not exist.
     """
     effects = catalogue()
-    if strangers := sorted(set(without) - {effect.id for effect in effects}):
-        raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
-    kept = tuple(effect for effect in effects if effect.id not in without)
+    if unknown_ids := sorted(set(without) - {effect.id for effect in effects}):
+        raise InvalidInputError(f"no such effect in the catalogue: {', '.join(unknown_ids)}")
+    selected = tuple(effect for effect in effects if effect.id not in without)
     pace = pace or GapPace()
     pace.begin(GapStage.REFERENCE)
     digests = dict(inputs or {})
@@ -75,7 +75,7 @@ def run(
         problem = dataclasses.replace(problem_of(real, sim, nominal, alpha), inputs=digests)
     except IncomparableError as error:
         return untestable(error.reason, error.need, digests)
-    report = diagnose(problem, effects=kept, alpha=alpha, nested=nested, pace=pace)
+    report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace)
     return with_patches(report, simulator_of(real, sim))
 
 

@@ -33,7 +33,8 @@ from mavcal.calib.gap.schema import (
 )
 from mavcal.calib.gap.search.added_noise import unsteady_line
 from mavcal.calib.gap.search.contest import Contest, ContestScore
-from mavcal.calib.gap.search.lattice_effects import Lattice, lattice_of, shown_by
+from mavcal.calib.gap.search.exchange import settled, steadily
+from mavcal.calib.gap.search.lattice_effects import Lattice, covered_by, lattice_of
 from mavcal.calib.gap.search.nominal_check import nominal_has_tone
 from mavcal.calib.gap.search.power import powers_of
 from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
@@ -46,12 +47,12 @@ from mavcal.calib.gap.telling.overstated_noise import overstated_noise
 from mavcal.calib.gap.telling.separability import inseparable, inseparable_notice
 from mavcal.calib.gap.telling.series import series_of
 from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
-from mavcal.calib.gap.unknown.plausibility import nameless, not_following, without_sensors
+from mavcal.calib.gap.unknown.plausibility import nameless, unresponsive_sensors, without_sensors
 from mavcal.calib.gap.unknown.shape_search import explained
 from mavcal.calib.gap.unknown.transitions import JumpSpan, passing, transitions, without_transitions
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING, UnnamedCause, unknown_of, unnamed_causes_in
 from mavcal.calib.gap.worth.attitude_error import below_reference
-from mavcal.calib.gap.worth.attribution import Attribution, settled, steadily
+from mavcal.calib.gap.worth.attribution import Attribution, attributed
 from mavcal.calib.recording import Sensor
 
 _BY_CHANCE = 0.005
@@ -97,17 +98,17 @@ class _Answer:
     @cached_property
     def tolerated(self) -> frozenset[Key]:
         """Effects by which two recordings differ anyway, or that the reference's own error makes: they are no gap."""
-        floors, gains = self.contest.floors, {a.key: a.gain for a in self.attributions}
+        thresholds, gains = self.contest.floors, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
-        small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h))
+        small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.reporting(h))
         return self.small | small | below_reference(self.chosen.model, self.chosen.joint, _BY_CHANCE)
 
     @property
     def gap(self) -> tuple[Attribution, ...]:
         """What the others are worth; of what they gain together each has its share."""
-        told = tuple(a for a in self.attributions if a.key not in self.tolerated)
-        whole = sum(a.share for a in told) if len(told) < len(self.attributions) else 1.0
-        return tuple(replace(a, share=a.share / (whole or 1.0)) for a in told)
+        reported = tuple(a for a in self.attributions if a.key not in self.tolerated)
+        whole = sum(a.share for a in reported) if len(reported) < len(self.attributions) else 1.0
+        return tuple(replace(a, share=a.share / (whole or 1.0)) for a in reported)
 
 
 @one_diagnosis()
@@ -169,8 +170,8 @@ def _begun(
             chosen = with_level_shifts(
                 chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1)
             )
-        if dead := not_following(chosen.model):
-            problem = without_sensors(problem, dead)
+        if unresponsive := unresponsive_sensors(chosen.model):
+            problem = without_sensors(problem, unresponsive)
         elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))) and not pace.ends():
             problem, rounds = without_transitions(problem, taking), rounds + 1
             left_out = (*left_out, *taking)
@@ -189,7 +190,8 @@ def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: Ga
     hypotheses, missing = hypotheses_of(effects, views, problem.worse)
     start = starting_model(setting, starting_noise(setting))
     bare = refitted(start).model
-    contest = above_nuisance(Contest(hypotheses, floors=GainThresholds(problem.floor), pace=pace), start, problem.flaws)
+    contest = Contest(hypotheses, floors=GainThresholds(problem.minimum_gain), pace=pace)
+    contest = above_nuisance(contest, start, problem.nuisance)
     return _Task(problem, lattice, bare, contest, missing)
 
 
@@ -210,21 +212,21 @@ def _settled(task: _Task, chosen: ChosenModel, alpha: float, named: Collection[s
     best = explained(found.chosen, contest, start, alpha, named)
     found = settled(best.chosen, best.contest, alpha, found)
     small = inseparable(found.chosen, task.problem.reference)
-    return _Answer(found.chosen, found.attributions, best.contest, wander, small=small)
+    return _Answer(found.chosen, attributed(found, best.contest), best.contest, wander, small=small)
 
 
 def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
-    """The answer without the effects that blocks which were held out deny.
+    """The answer without the effects that held-out blocks deny.
 
-    Of two of one kind the weaker one goes first: either seems to add nothing while the other is there.
+    The weaker effect of a kind is excluded first: either of two seems to add nothing while the other is there.
     """
     chosen, contest = answer.chosen, answer.contest
     heldout = held_out(chosen, contest, answer.tolerated)
-    gates, gone = _gates_of(heldout), []
+    gates, excluded = _gates_of(heldout), []
     while failed := [s for s in chosen.scores if gates.get(s.hypothesis.key) is False]:
         kinds = {s.hypothesis.effect.id for s in failed}
         weakest = [min((s for s in failed if s.hypothesis.effect.id == k), key=lambda s: s.gain) for k in sorted(kinds)]
-        gone += weakest
+        excluded += weakest
         chosen = reduced(chosen, [s.hypothesis.key for s in weakest])
         heldout = held_out(chosen, contest, answer.tolerated)
         if len(weakest) == len(failed):
@@ -232,21 +234,21 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         gates = _gates_of(heldout)
     if nested and heldout is not None:
         heldout = nested_in(heldout, chosen, contest, alpha)
-    if not gone:
+    if not excluded:
         return replace(answer, heldout=heldout, gates=gates)
     found = settled(chosen, contest, 0.0)
     return replace(
         answer,
         chosen=found.chosen,
-        attributions=found.attributions,
+        attributions=attributed(found, contest),
         heldout=heldout,
         gates=gates,
-        withdrawn=_withdrawn(s for s in gone if s.hypothesis.key not in answer.tolerated),
+        withdrawn=_withdrawn(s for s in excluded if s.hypothesis.key not in answer.tolerated),
     )
 
 
 def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
-    """The answer of a flight that stands alone: what holds on every block and along either attitude is told."""
+    """The answer of a flight that stands alone: what holds on every block and along either attitude is reported."""
     denied = inconsistent_effects(task.problem, task.lattice, answer.chosen, answer.heldout)
     answer = replace(answer, small=answer.small | denied)
     heldout = held_out(answer.chosen, answer.contest, answer.tolerated)
@@ -271,10 +273,11 @@ def _withdrawn(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
 def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapReport:
     """Everything that is said of a problem and of the answer to it."""
     chosen, model = answer.chosen, answer.chosen.model
-    seen = (s for s in unnamed_causes_in(model, answer.gap) if not answer.tolerated.issuperset(s.keys))
-    strangers = (*seen, *nameless(answer.gap, answer.withdrawn))
-    unknown = _unknown(task, answer, strangers)
-    effects = _effects(task, answer, strangers, beside_unknown=unknown.flag)
+    unnamed = (s for s in unnamed_causes_in(model, answer.gap) if not answer.tolerated.issuperset(s.keys))
+    members = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
+    causes = (*unnamed, *nameless(answer.gap, members, answer.withdrawn))
+    unknown = _unknown(task, answer, causes)
+    effects = _effects(task, answer, causes, beside_unknown=unknown.flag)
     return GapReport(
         inputs_of(task.problem),
         _verdict(task, effects, unknown, small=bool(answer.small)),
@@ -285,46 +288,46 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
         not_testable=_untestable(task),
         power=powers_of(chosen, answer.contest, alpha),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
-        warnings=(*task.problem.warnings, *_not_told(answer), *overstated_noise(model)),
+        warnings=(*task.problem.warnings, *_unreported(answer), *overstated_noise(model)),
         series=series_of(model, answer.tolerated),
     )
 
 
-def _not_told(answer: _Answer) -> tuple[str, ...]:
+def _unreported(answer: _Answer) -> tuple[str, ...]:
     """What is in the model, and no gap, for who wants to look closer."""
     known = [t.hypothesis for t in answer.chosen.model.members if not t.hypothesis.effect.nameless]
-    usual = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated - answer.small)
-    said = (f"two recordings differ by as much anyway: {', '.join(usual)} are no gap here",) if usual else ()
+    accepted = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated - answer.small)
+    said = (f"two recordings differ by as much anyway: {', '.join(accepted)} are no gap here",) if accepted else ()
     return (*said, *inseparable_notice([h.effect.id for h in known if h.key in answer.small]))
 
 
 def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[LocatedGap, ...]:
-    """Where the gap lies; beside flaws of the reference, which are everywhere, only on sensors that have one."""
+    """Where the gap lies; beside errors of the reference, which are everywhere, only on sensors that have one."""
     found = located(task.bare, alpha)
     shared = any(by_id()[effect.id].shared for effect in effects)
-    if unknown.flag or not task.problem.floor.lasting or shared:
+    if unknown.flag or not task.problem.minimum_gain.lasting or shared:
         return found
     named = {effect.sensor.value for effect in effects}
     return tuple(one for one in found if one.channel.partition(".")[0] in named)
 
 
-def _unknown(task: _Task, answer: _Answer, strangers: Iterable[UnnamedCause]) -> Unknown:
+def _unknown(task: _Task, answer: _Answer, causes: Iterable[UnnamedCause]) -> Unknown:
     """What is not of the catalogue, in the model or in none of its effects."""
     model, reference = answer.chosen.model, task.problem.reference
     # A reference that turns looks like events that pass.
     passed = () if answer.wander is not None else passing(task.left_out, model, _gains(answer.chosen))
     unexplained = [*answer.withdrawn, *(Unexplained(one.nats, one.text, one.sensor) for one in passed)]
     return unknown_of(
-        model, answer.gap, tuple(strangers), unexplained, reference.bandwidth_hz, task.problem.floor.lasting
+        model, answer.gap, tuple(causes), unexplained, reference.bandwidth_hz, task.problem.minimum_gain.lasting
     )
 
 
 def _effects(
-    task: _Task, answer: _Answer, strangers: Iterable[UnnamedCause], *, beside_unknown: bool
+    task: _Task, answer: _Answer, causes: Iterable[UnnamedCause], *, beside_unknown: bool
 ) -> tuple[EffectEstimate, ...]:
     """What has a name: of the samples, of the reference, and of the model all that stands for nothing else."""
     model = answer.chosen.model
-    denied = {key for stranger in strangers for key in stranger.keys}
+    denied = {key for cause in causes for key in cause.keys}
     denied |= {t.hypothesis.key for t in model.terms if nominal_has_tone(t, task.problem.nominal)}
     denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
     found = (
@@ -333,7 +336,7 @@ def _effects(
         if a.key not in denied
     )
     wander = () if answer.wander is None else (wandering_reference(answer.wander, answer.attributions),)
-    return (*task.lattice.effects, *wander, *(e for e in found if not shown_by(task.lattice, e)))
+    return (*task.lattice.effects, *wander, *(e for e in found if not covered_by(task.lattice, e)))
 
 
 def _verdict(task: _Task, effects: tuple[EffectEstimate, ...], unknown: Unknown, *, small: bool) -> GapVerdict:
@@ -355,7 +358,7 @@ def _untestable(task: _Task) -> tuple[NotTestable, ...]:
 
 
 def untestable(reason: str, need: str, inputs: dict[str, str]) -> GapReport:
-    """The report of recordings of which nothing can be compared; `inputs` are digests by role."""
+    """The report of recordings without anything to compare; `inputs` are digests by role."""
     reference = ReferenceInfo(ReferenceKind.REDUNDANT, text=f"None: {reason}.")
     return _nothing(GapProblem((), reference, 0.0, inputs=inputs, not_testable=(("all", reason, need),)))
 

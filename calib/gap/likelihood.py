@@ -32,7 +32,7 @@ def fast_length(n: int) -> int:
     """The largest length up to `n` that transforms fast: without a prime factor above 31.
 
     They are dense: of 14 000 samples at most 36 are lost. SciPy's ``prev_fast_len``, without a factor above 11, loses
-    up to 1.8 % of a recording of that length, and what grows to the end of it has a tenth of its energy there.
+    up to 1.8 % of a recording of that length. An effect that grows to the end has a tenth of its energy there.
     """
     for length in range(n, 0, -1):
         rest = length

@@ -115,7 +115,7 @@ class Trace:
         in nominal recordings. Where it is known, `sigma` is of that noise alone.
     ideal_sd
         Standard deviation of the noise in `ideal`, of its noisiest axis; 0 where it is exact, or not known.
-    followed
+    rate_known
         Whether the reference knows how fast the reading changes; False: only its level.
     """
 
@@ -144,7 +144,7 @@ class Trace:
     sigma_dof: float = math.inf
     low_pass_hz: float | None = None
     own_psd: Array | None = None
-    followed: bool = True
+    rate_known: bool = True
     ideal_sd: float = 0.0
 
     @cached_property
@@ -180,7 +180,7 @@ class FaultyInstances:
 
 
 @dataclass(frozen=True)
-class Floor:
+class MinimumGain:
     """Twice the log-likelihood by sensor below which two recordings differ anyway; zero where none is given.
 
     What differs may be in the model, so that nothing else takes its place, and yet be no gap.
@@ -188,11 +188,11 @@ class Floor:
     Parameters
     ----------
     joins, lasting
-        Of effects that go on all the time, such as those of place, time and frame: to be in the model, to be told.
+        Of effects that go on all the time, such as those of place, time and frame: to be in the model, to be reported.
     level
         Of shifts of the level, and of what happens once.
     noise, loud
-        Of noise: to be in the model, to be told.
+        Of noise: to be in the model, to be reported.
     """
 
     joins: Mapping[Sensor, float] = field(default_factory=dict)
@@ -224,8 +224,8 @@ class GapProblem:
     """Effect id, reason, need: what the recordings do not allow to be tested."""
     nominal: tuple[Trace, ...] = ()
     """Sensors of recordings without an effect: what the samples of both show is no gap."""
-    floor: Floor = field(default_factory=Floor)
-    flaws: tuple[NuisanceEffect, ...] = ()
+    minimum_gain: MinimumGain = field(default_factory=MinimumGain)
+    nuisance: tuple[NuisanceEffect, ...] = ()
     """What another recording shows against its own reference."""
     alone: bool = False
     """Whether a re-estimated trajectory is the only reference, without a simulated or a nominal recording beside it."""

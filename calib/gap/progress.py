@@ -89,13 +89,13 @@ class GapPace:
         Seconds since it began; None: nobody measures, and there is no limit.
     limit_s
         After which it should end.
-    told
+    on_progress
         Hears of every step.
     """
 
     elapsed: Callable[[], float] | None = None
     limit_s: float = math.inf
-    told: Callable[[GapProgress], None] = _nowhere
+    on_progress: Callable[[GapProgress], None] = _nowhere
     stage: GapStage = GapStage.REFERENCE
     left_out: dict[GapStage, None] = field(default_factory=dict)
     began: dict[GapStage, float] = field(default_factory=dict)
@@ -117,7 +117,7 @@ class GapPace:
         k = list(_BEGINS).index(stage)
         end = begins[k + 1] if k + 1 < len(begins) else 1.0
         share = begins[k] + part * (end - begins[k])
-        self.told(GapProgress(stage, share, self._left(share)))
+        self.on_progress(GapProgress(stage, share, self._left(share)))
 
     def advance(self) -> None:
         """One more step of the present stage is done; nobody knows how many there will be."""

@@ -1,7 +1,7 @@
 """Results that one diagnosis asks for again and again, remembered as long as it lasts.
 
 A diagnosis asks for the same transforms, columns and fits many times. They are kept in a store that begins and ends
-with it, so nothing of one recording outlives its report, and no two diagnoses share anything.
+with it. Nothing of one recording outlives its report, and no two diagnoses share anything.
 
 The store is a context variable: a thread that is started inside a diagnosis has none, and computes. A process that is
 forked inside has a copy of its own.

@@ -258,8 +258,8 @@ class SeriesFit:
 
     `residual`, `modelled` (N, 3); `sigma` (3,) of one sample; `parts` by effect id (N, 3). `ideal` (N, 3) is what an
     ideal sensor read, None where the series is a combination of instances; `covariates` (N,) by name, those that were
-    recorded: temperature (degC), current (A), throttle. `power` (K, 3) is the noise that the model ends with, at the
-    frequencies of a cosine transform from 0 to half the sampling rate, in variance of one sample; None: not known.
+    recorded: temperature (degC), current (A), throttle. `power` (K, 3) is the final noise of the model, in variance
+    of one sample. Its frequencies are those of a cosine transform, from 0 to half the sampling rate; None: not known.
     """
 
     sensor: Sensor
@@ -354,8 +354,8 @@ def _made() -> Converter:
     def write_inputs(inputs: Inputs) -> Json:
         data = written(inputs)
         reference = {"kind": "reference_kind", "att_sigma_deg": "att_sigma_deg", "text": "reference_text"}
-        told = {name: data.pop(field) for name, field in reference.items()}
-        return {**data, "reference": {**told, "useless": inputs.useless}}
+        moved = {name: data.pop(field) for name, field in reference.items()}
+        return {**data, "reference": {**moved, "useless": inputs.useless}}
 
     made.register_unstructure_hook(Inputs, write_inputs)
     made.register_unstructure_hook(GapReport, make_dict_unstructure_fn(GapReport, made, series=override(omit=True)))

@@ -23,7 +23,7 @@ from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects.replay import with_effects
 from mavcal.calib.gap.problem import GapProblem, ReferenceKind
 from mavcal.calib.gap.reference import build
-from mavcal.calib.gap.reference.recorded import recorded
+from mavcal.calib.gap.reference.ideal import recorded
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import CONVERTER, EffectEstimate, GapReport, GapVerdict, SeriesFit, as_json
 from mavcal.calib.gap.telling.agreement import EffectAgreement, agreements

@@ -33,7 +33,7 @@ _MOST_UNTESTABLE = 8
     "--nominal",
     multiple=True,
     metavar="FILE",
-    help="A recording without an effect, for noise, field and flaws of a pose; repeated.",
+    help="A recording without an effect, for noise, field and errors of a pose; repeated.",
 )
 @click.option(
     "--verify",

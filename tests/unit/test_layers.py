@@ -261,7 +261,7 @@ def test_the_client_stands_alone():
         (climbs, "mavcal.calib.__init__", "import mavcal.calib.errors"),
         (gap_climbs, "mavcal.calib.gap.model.joint", "from mavcal.calib.gap.search.contest import Contest"),
         (gap_climbs, "mavcal.calib.gap.reference.build", "from mavcal.calib.gap.effects import catalogue"),
-        (gap_climbs, "mavcal.calib.gap.heldout.gates", "from mavcal.calib.gap.worth.attribution import settled"),
+        (gap_climbs, "mavcal.calib.gap.heldout.gates", "from mavcal.calib.gap.worth.attribution import attributed"),
         (gap_climbs, "mavcal.calib.gap.diagnose", "from ..gap import verify"),
         (impurities, "mavcal.calib.accel.poses", "import time"),
         (impurities, "mavcal.calib.wire.frames", "from mavcal.service.errors import LinkError"),

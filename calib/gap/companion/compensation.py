@@ -18,9 +18,9 @@ def problem_of(real: Recording, sim: Recording | None, nominal: Sequence[Recordi
     if sim is not None and flew_another(real, sim):
         real, sim = with_common_channels(real, sim)
         baseline = baseline_of(build(sim, sim, nominal), alpha)
-        return beside(build(real, sim, nominal, flaws=baseline.in_ideal, flawed=sim), baseline)
+        return beside(build(real, sim, nominal, nuisance=baseline.in_ideal, companion=sim), baseline)
     if sim is None and (other := posed(real, nominal)) is not None:
         its = prepared(other, None, nominal)
-        flaws = nominal_baseline_of(lambda known: its.problem(known, other), alpha)
-        return beside_nominal(build(real, None, nominal, flaws=flaws.in_ideal, flawed=other), flaws)
+        nuisance = nominal_baseline_of(lambda known: its.problem(known, other), alpha)
+        return beside_nominal(build(real, None, nominal, nuisance=nuisance.in_ideal, companion=other), nuisance)
     return build(real, sim, nominal)

@@ -80,8 +80,8 @@ def with_level_shifts(
 ) -> ChosenModel:
     """The model, or one with steps in place of noise that wanders, on sensors that have larger ones than `nominal`.
 
-    Steps of one sensor need together what the floor asks of one. Only compasses are asked: levels of the others come
-    and go with how the vehicle moves, of which a calm nominal recording has less.
+    Steps of one sensor together need the minimum gain of one. Only compasses are tested: levels of the others change
+    with how the vehicle moves, and a calm nominal recording moves less.
 
     Parameters
     ----------
@@ -95,10 +95,10 @@ def with_level_shifts(
     for sensor in dict.fromkeys(view.sensor for view in chosen.model.setting.views):
         if sensor is not Sensor.MAG or _jumps(chosen, sensor):
             continue
-        usual = max((steps_of(t).largest for t in nominal if _alone(t, sensor)), default=0.0)
+        nominal_step = max((steps_of(t).largest for t in nominal if _alone(t, sensor)), default=0.0)
         own = [steps_of(t) for t in traces if _alone(t, sensor)]
-        if usual > 0.0 and max((steps.largest for steps in own), default=0.0) > _LARGER * usual:
-            chosen = _with_steps(chosen, contest, sensor, own, _LARGER * usual, level)
+        if nominal_step > 0.0 and max((steps.largest for steps in own), default=0.0) > _LARGER * nominal_step:
+            chosen = _with_steps(chosen, contest, sensor, own, _LARGER * nominal_step, level)
     return chosen
 
 

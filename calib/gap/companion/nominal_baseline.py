@@ -7,27 +7,29 @@ from dataclasses import dataclass, replace
 
 from mavcal.calib.gap.companion.steady_effects import steady_effects
 from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
-from mavcal.calib.gap.problem import Floor, GapProblem, NuisanceEffect, Trace
+from mavcal.calib.gap.problem import GapProblem, MinimumGain, NuisanceEffect, Trace
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.thresholds import GainThresholds, accepted_difference
 from mavcal.calib.recording import Sensor
 
 _OF_ONE_RECORDING = ("clock_drift", "accel_bias", "gyro_bias")
-"""Two clocks may be set alike anywhere in a recording, and a bias is another one each time that a sensor is switched
-on; a simulator's is always the same.
+"""Two clocks may agree anywhere in a recording. A bias differs each time that a sensor is switched on, but a
+simulator's is always the same.
 """
 _OPEN, _OPEN_BIAS = 1.0 / 3.0, 1.5
-"""Part of a flaw by which two recordings against poses differ; of a bias all, and its estimate's own error."""
+"""Part of a nuisance effect by which two recordings against poses differ; a bias differs by all of itself, and by the
+error of its estimate.
+"""
 _SMALL_LEVEL = 0.006
 """Evidence a number, beside `prices.FLIGHT_DIFFERENCE`, of level shifts: they are a few numbers of a spectrum."""
 _SMALL_JOINS = 0.003
-"""The same of what is in the model, so that nothing else takes its place, and not told of."""
+"""The same of what is in the model, so that nothing else takes its place, and not reported."""
 _LOUD = 0.3
 """Evidence a number of noise of twice the power: 1 - log 2. It differs by as much from minute to minute."""
 _ROUNDS, _SETTLED = 5, 0.1
-"""Times at most that the noise is learned, first with the flaws, then beside them; and the share by which what they
-gain may still change.
+"""Times at most that the noise is learned, first with the nuisance effects, then beside them. The second is
+the share by which their gain may still change.
 """
 
 
@@ -51,20 +53,21 @@ def nominal_baseline_of(
     Parameters
     ----------
     learned
-        Makes the problem of the nominal recording, its noise learned beside the flaws that are put into the ideal.
+        Makes the problem of the nominal recording, its noise learned beside the nuisance effects that are put into
+        the ideal.
     alpha
         Chance that anything is found where there is nothing.
     """
-    flaws, before = NominalBaseline(()), 0.0
+    baseline, before = NominalBaseline(()), 0.0
     for _ in range(_ROUNDS):
-        problem = learned(flaws.in_ideal)
+        problem = learned(baseline.in_ideal)
         found = steady_effects(problem, alpha, GainThresholds(), _OF_ONE_RECORDING)
         gain = sum(one.gain for one in found)
-        flaws = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
+        baseline = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
         if abs(gain - before) <= _SETTLED * before:
             break
         before = gain
-    return flaws
+    return baseline
 
 
 def _single(traces: Sequence[Trace]) -> list[Trace]:
@@ -85,27 +88,32 @@ def _bias_of(trace: Trace) -> EffectEstimate:
     )
 
 
-def beside_nominal(problem: GapProblem, flaws: NominalBaseline) -> GapProblem:
-    """`problem` compared with a pose that has the flaws which a nominal recording shows against its own.
+def beside_nominal(problem: GapProblem, baseline: NominalBaseline) -> GapProblem:
+    """`problem` compared with a pose that has the effects that a nominal recording shows against its own.
 
     A bias is not carried over, but one as large is no gap.
     """
-    changed, _ = with_effects(problem, flaws.effects, shared=True)
-    floor = Floor(
+    changed, _ = with_effects(problem, baseline.effects, shared=True)
+    minimum_gain = MinimumGain(
         joins=accepted_difference(problem, _SMALL_JOINS),
         lasting=accepted_difference(problem, prices.FLIGHT_DIFFERENCE),
         level=accepted_difference(problem, _SMALL_LEVEL),
         loud=accepted_difference(problem, _LOUD),
     )
-    parts = (*(NuisanceEffect(e, _OPEN) for e in flaws.effects), *(NuisanceEffect(e, _OPEN_BIAS) for e in flaws.biases))
-    return replace(changed, floor=floor, flaws=parts, warnings=(*changed.warnings, *_said(flaws)))
+    nuisance = (
+        *(NuisanceEffect(e, _OPEN) for e in baseline.effects),
+        *(NuisanceEffect(e, _OPEN_BIAS) for e in baseline.biases),
+    )
+    return replace(
+        changed, minimum_gain=minimum_gain, nuisance=nuisance, warnings=(*changed.warnings, *_said(baseline))
+    )
 
 
-def _said(flaws: NominalBaseline) -> tuple[str, ...]:
+def _said(baseline: NominalBaseline) -> tuple[str, ...]:
     """What was taken off, for who reads the report; nothing where nothing was."""
-    if not flaws.effects:
+    if not baseline.effects:
         return ()
     named = ", ".join(
-        f"{e.id} ({', '.join(f'{p.name} {p.value:.3g} {p.unit}' for p in e.params)})" for e in flaws.effects
+        f"{e.id} ({', '.join(f'{p.name} {p.value:.3g} {p.unit}' for p in e.params)})" for e in baseline.effects
     )
     return (f"the nominal recording shows this against its own pose, and it was taken off: {named}",)

@@ -1,7 +1,7 @@
-"""What a hypothesis would gain if a part of the reference's flaws were still there.
+"""What a hypothesis would gain if a part of the reference's nuisance effects were still there.
 
-A baseline takes the flaws off that another recording showed. In this one they are a little different: a hypothesis that
-would explain the difference is no gap.
+A baseline takes off the effects that another recording showed. In this one they are a little different: a hypothesis
+that would explain the difference is no gap.
 """
 
 from __future__ import annotations
@@ -21,37 +21,41 @@ from mavcal.calib.gap.search.projection import Beside
 from mavcal.calib.gap.search.thresholds import GainThresholds
 
 
-def above_nuisance(contest: Contest, bare: Model, flaws: tuple[NuisanceEffect, ...]) -> Contest:
-    """`contest` in which every hypothesis must gain more than it would of what `flaws` leave open in the `bare` model.
+def above_nuisance(contest: Contest, bare: Model, nuisance: tuple[NuisanceEffect, ...]) -> Contest:
+    """`contest` in which every hypothesis must gain more than it would from what the `nuisance` effects leave open.
 
-    Its noise is the declared one: fitted to a gap it would be the louder, and what flaws gain the less.
+    The noise of the `bare` model is the declared one. Noise fitted to a gap would be larger, and the nuisance
+    effects would gain less.
     """
-    own = _gains(contest, bare, flaws) if flaws else {}
-    return Contest(contest.hypotheses, floors=GainThresholds(contest.floors.floor, own), pace=contest.pace)
+    own = _gains(contest, bare, nuisance) if nuisance else {}
+    return Contest(contest.hypotheses, floors=GainThresholds(contest.floors.minimum_gain, own), pace=contest.pace)
 
 
-def _gains(contest: Contest, bare: Model, flaws: tuple[NuisanceEffect, ...]) -> Mapping[Key, float]:
+def _gains(contest: Contest, bare: Model, nuisance: tuple[NuisanceEffect, ...]) -> Mapping[Key, float]:
     nothing = with_residual(replace(bare, terms=()))
     residual = [np.zeros_like(r) for r in nothing.residual]
     y = [np.zeros_like(r) for r in nothing.y]
-    for flaw in flaws:
-        if (term := _term(contest, flaw)) is None:
+    for effect in nuisance:
+        if (term := _term(contest, effect)) is None:
             continue
         there = with_residual(replace(bare, terms=(term,)))
-        residual = [s + flaw.open * (a - b) for s, a, b in zip(residual, nothing.residual, there.residual, strict=True)]
-        y = [s + flaw.open * (a - b) for s, a, b in zip(y, nothing.y, there.y, strict=True)]
+        residual = [
+            s + effect.open * (a - b) for s, a, b in zip(residual, nothing.residual, there.residual, strict=True)
+        ]
+        y = [s + effect.open * (a - b) for s, a, b in zip(y, nothing.y, there.y, strict=True)]
     left = replace(nothing, residual=tuple(residual), y=tuple(y))
     means = [h for h in contest.hypotheses if isinstance(h.effect, MeanEffect)]
     return {score.hypothesis.key: max(score.gain, 0.0) for score in contest.scores(means, Beside(left))}
 
 
-def _term(contest: Contest, flaw: NuisanceEffect) -> Term | None:
-    """The flaw as a term; None if nothing of its kind can be tested here."""
-    alike = [h for h in contest.hypotheses if h.effect.id == flaw.effect.id and not h.again and not h.effect.form]
-    if not alike:
+def _term(contest: Contest, nuisance: NuisanceEffect) -> Term | None:
+    """The nuisance effect as a term; None if nothing of its kind can be tested here."""
+    effect_id = nuisance.effect.id
+    candidates = [h for h in contest.hypotheses if h.effect.id == effect_id and not h.again and not h.effect.form]
+    if not candidates:
         return None
-    hypothesis = max(alike, key=lambda h: len(h.instances))
+    hypothesis = max(candidates, key=lambda h: len(h.instances))
     effect = hypothesis.effect
     assert isinstance(effect, MeanEffect)
-    theta, amplitudes = split_of(effect, flaw.effect)
+    theta, amplitudes = split_of(effect, nuisance.effect)
     return Term(hypothesis, np.ones(1) if effect.fixed else amplitudes, theta)

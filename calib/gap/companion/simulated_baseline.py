@@ -1,7 +1,7 @@
-"""What a simulated flight already shows against its own ideal: flaws of the reference and traits of the simulator.
+"""What a simulated flight already shows against its own ideal: errors of the reference and traits of the simulator.
 
-Where the simulator flew another flight (GAP 3.5b c), both logs are compared with an ideal sensor, and the gap is what
-the real one has and the simulated one has not: what the simulated one shows is put into the ideal reading of the real.
+Where the simulator flew another flight (GAP 3.5b c), both logs are compared with an ideal sensor. The gap is what only
+the real one has: what the simulated one shows is put into the ideal reading of the real.
 """
 
 from __future__ import annotations
@@ -12,20 +12,22 @@ from dataclasses import dataclass, replace
 
 from mavcal.calib.gap.companion.steady_effects import steady_effects
 from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
-from mavcal.calib.gap.problem import Floor, GapProblem, ReferenceInfo, Trace
+from mavcal.calib.gap.problem import GapProblem, MinimumGain, ReferenceInfo, Trace
 from mavcal.calib.gap.schema import EffectEstimate
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.thresholds import GainThresholds, accepted_difference
 from mavcal.calib.recording import Sensor
 
 _DIFFERENT = 0.1
-"""Part of the evidence of a simulated flight's own flaws that a real one must have beyond them."""
+"""Part of the evidence of a simulated flight's own nuisance effects that a real one must have beyond them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Effects of a simulated flight, and by sensor: the gain of the largest of them, what all of them change (the sum
-    of squares over the flight), and the gain below which they were not asked for. `reference`: what it is beside.
+    """Effects of a simulated flight, and the `reference` that it was compared with.
+
+    By sensor: `gains` of the largest effect, and `changes` by all of them, as a sum of squares over the flight. Effects
+    that gain less than `accepted_difference` were not looked for.
     """
 
     effects: tuple[EffectEstimate, ...]
@@ -35,7 +37,7 @@ class Baseline:
     reference: ReferenceInfo
 
     def in_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
-        """`traces` of the simulator beside what it reads with its flaws: what is left is its noise."""
+        """`traces` of the simulator beside what it reads with its nuisance effects: what is left is its noise."""
         return with_effects_in(traces, self.effects)[0]
 
 
@@ -46,7 +48,7 @@ def baseline_of(problem: GapProblem, alpha: float) -> Baseline:
     """
     problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
-    found = steady_effects(problem, alpha, GainThresholds(Floor(small, small, small, small)))
+    found = steady_effects(problem, alpha, GainThresholds(MinimumGain(small, small, small, small)))
     largest = {t.sensor: 0.0 for t in problem.traces}
     for one in found:
         for sensor in one.sensors:
@@ -68,20 +70,20 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     changed, _ = with_effects(problem, baseline.effects, shared=True)
     livelier = _changes(problem, changed)
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
-    floor = {s: max(small[s], _flaws(problem, baseline, livelier, s)) for s in small}
+    least = {s: max(small[s], _nuisance_gain(problem, baseline, livelier, s)) for s in small}
     reference = _of_both(problem.reference, baseline.reference)
-    return replace(changed, floor=Floor(floor, floor, floor, floor), reference=reference)
+    return replace(changed, minimum_gain=MinimumGain(least, least, least, least), reference=reference)
 
 
 def _of_both(real: ReferenceInfo, simulated: ReferenceInfo) -> ReferenceInfo:
-    """The reference of a real flight, of which what was estimated inside is compared with that of a simulated one."""
+    """The reference of a real flight; the errors of what it estimated inside are those of both flights together."""
     pairs = ((real.gyro_sd, simulated.gyro_sd), (real.field_sd, simulated.field_sd))
     gyro, field = (tuple(map(math.hypot, a, b)) if len(a) == len(b) else a for a, b in pairs)
     return replace(real, gyro_sd=gyro, field_sd=field)
 
 
-def _flaws(problem: GapProblem, baseline: Baseline, livelier: Mapping[Sensor, float], sensor: Sensor) -> float:
-    """Twice the log-likelihood that what a simulated flight's flaws leave open has in this one.
+def _nuisance_gain(problem: GapProblem, baseline: Baseline, livelier: Mapping[Sensor, float], sensor: Sensor) -> float:
+    """Twice the log-likelihood that what a simulated flight's nuisance effects leave open has in this one.
 
     A livelier flight shows more of them. Their parameters are as uncertain as a part of their own evidence, and as what
     was too little to be asked for beside them. They are common to all instances; noise that is fitted again grows to

@@ -34,7 +34,7 @@ class SteadyEffect:
 
 @one_diagnosis()
 def steady_effects(
-    problem: GapProblem, alpha: float, floors: GainThresholds, without: Sequence[str] = ()
+    problem: GapProblem, alpha: float, thresholds: GainThresholds, without: Sequence[str] = ()
 ) -> list[SteadyEffect]:
     """Steady effects on the mean that are significant beside each other, and above what recordings differ by anyway."""
     views = split(views_of(problem, {}, {}))
@@ -42,7 +42,7 @@ def steady_effects(
     if not views or not hypotheses:
         return []
     setting = setting_of(views)
-    contest = Contest(hypotheses, floors=floors)
+    contest = Contest(hypotheses, floors=thresholds)
     chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
     chosen = reduced(chosen, _indifferent(chosen, contest))
     gains = {key: gain for key, (gain, _, _) in last_gains(chosen.model, contest).items()}
@@ -58,7 +58,7 @@ def steady_effects(
 
 
 def _indifferent(chosen: ChosenModel, contest: Contest) -> list[Key]:
-    """What joined for more than it gains at last, beside noise that was fitted with it."""
+    """Effects that gain less than the minimum once the noise is fitted with them."""
     gains = last_gains(chosen.model, contest)
     small = []
     for term in chosen.model.terms:

@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.shape_ids import is_shape
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -46,16 +45,14 @@ class EffectShape:
 
     `grid(trace)` gives the values that are tried first (M,), ascending; the contest pays for the search, then refines
     between neighbours. Where M is large, `screen(trace, residual)` picks a few of them (at least one) that are worth
-    trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid. `usual` is the value by
-    convention where other effects leave it open (a reference temperature beside a free bias); None: there is none.
-    `still`: between two samples nothing depends on it (the moment of a jump), so that no derivative leads to its best
-    value; it stays where the search found it.
+    trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid. `still`: between two
+    samples nothing depends on it (the moment of a jump), so that no derivative leads to its best value; it stays where
+    the search found it.
     """
 
     parameter: EffectParameter
     grid: Callable[[Trace], Array]
     screen: Callable[[Trace, Array], Array] | None = None
-    usual: float | None = None
     still: bool = False
 
 
@@ -89,6 +86,10 @@ class CatalogueEffect:
         A phrase in plain words, for readers who do not know the id.
     traits
         Properties by which the search, the prices and the report treat it.
+    family
+        Of a shape that the catalogue does not have: what its price goes by. Empty for an effect with a name.
+    part
+        Whether it is one of the many amplitudes of such a shape, and was chosen among them.
     hidden
         Numbers that are fitted to the residual inside its columns: degrees of freedom that no parameter shows.
     """
@@ -107,11 +108,13 @@ class CatalogueEffect:
     form: str = ""
     plain: str = ""
     traits: frozenset[Trait] = frozenset()
+    family: str = ""
+    part: bool = False
 
     @property
     def nameless(self) -> bool:
         """Whether it is a shape that the catalogue does not have."""
-        return is_shape(self.id)
+        return bool(self.family)
 
     @property
     def jumps(self) -> bool:
@@ -146,8 +149,8 @@ class MeanEffect(CatalogueEffect):
     exact
         ``exact(trace, parameters)`` gives (N, 3), the change of the mean without linearisation; None: it is linear.
     noise_gain
-        ``noise_gain(trace, omega, theta)`` gives (R, K), by one row of which the sensor's own noise spectrum is
-        multiplied, its level aside; None: 1.
+        ``noise_gain(trace, omega, theta)`` gives (R, K): one row multiplies the sensor's own noise spectrum, its level
+        aside; None: 1.
     """
 
     columns: Callable[[Trace, float], Array]

@@ -153,11 +153,11 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     """Rows that repeat the one before on all three axes. Values: mean time a row is held (s), share of repeats."""
     both = trace.observed[1:] & trace.observed[:-1]
     same = trace.measured[1:] == trace.measured[:-1]
-    alike = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1)
+    unchanged = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1)
     moved = both & ~same.all(axis=1)
-    if alike[moved].sum() > _STANDS * moved.sum():
-        alike = np.zeros_like(alike)  # an ideal reading that stands still, not one that is held
-    standing = alike | (trace.measured[1:] == 0.0).all(axis=1)
+    if unchanged[moved].sum() > _STANDS * moved.sum():
+        unchanged = np.zeros_like(unchanged)  # an ideal reading that stands still, not one that is held
+    standing = unchanged | (trace.measured[1:] == 0.0).all(axis=1)
     by_chance = _repeats_by_chance(trace, same)
     telling = both & ~standing & (by_chance < _TELLING)
     repeat = telling & same.all(axis=1)
@@ -196,11 +196,11 @@ def _too_many(repeat: Mask, chance: Array) -> float:
 def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
     """Probability (N - 1,) that a row repeats the one before on all axes because of coarse levels.
 
-    Two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step q is
-    ``q / (2 sqrt(pi) sigma)``; noise that is smaller than the levels repeats always. The noise is that of the
-    surroundings (a sensor at rest repeats, a moving one does not), and of the rows that do not repeat, or a hold would
-    hide itself: their mean absolute difference is ``2 sigma / sqrt(pi)``, less the levels' own part. A sensor whose
-    ideal reading goes on by D meanwhile repeats more rarely by ``exp(-D^2 / 4 sigma^2)``, the levels counted as noise.
+    Two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step q is ``q / (2
+    sqrt(pi) sigma)``; noise that is smaller than the levels repeats always. The noise is estimated nearby, since a
+    sensor at rest repeats and a moving one does not. Only rows that do not repeat count, or a hold would hide itself:
+    their mean absolute difference is ``2 sigma / sqrt(pi)``, less the levels' own part. A sensor whose ideal reading
+    goes on by D meanwhile repeats more rarely by ``exp(-D^2 / 4 sigma^2)``, the levels counted as noise.
     """
     changed = (trace.observed[1:] & trace.observed[:-1] & ~same.all(axis=1)).astype(np.float64)
     weight = uniform_filter1d(changed, _SURROUNDINGS, mode="nearest")
@@ -271,6 +271,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "raw samples in the log; slow movement through zero",
             detect=dead_band,
             plain="small values read as zero",
+            traits=frozenset({Trait.DEAD_BAND}),
             rivals=(f"{sensor}_quantisation",),
         ),
         LatticeEffect(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
@@ -23,8 +24,8 @@ _LEAST, _MOST = 4.0, 1e6  # evidence of the least and the largest that is tried,
 _BELOW = 0.9  # of the largest reading: an end of the range there leaves some readings alone, an offset none
 _OUTSIDE = 0.02  # of the readings, in a dead band, and beyond it, for anything to be said
 _BLURRED = 5.0
-"""Standard deviations of the noise in a reference, within which it does not say that a sensor should read zero, or at
-the end of its range more."""
+"""Standard deviations of the noise in a reference. Nearer than that to zero, or to the end of the range, the reference
+does not say what a sensor should read."""
 
 
 def clipped_column(trace: Trace, limit: float) -> Array:
@@ -33,7 +34,7 @@ def clipped_column(trace: Trace, limit: float) -> Array:
 
 
 def dead_column(trace: Trace, width: float) -> Array:
-    """What a band of half width `width`, inside of which the sensor reads zero, takes from the ideal reading."""
+    """What a sensor that reads zero within +-`width` takes from the ideal reading."""
     return np.where(np.abs(trace.ideal) < width, -trace.ideal, 0.0)[None]
 
 
@@ -116,6 +117,7 @@ _KINDS = (
         "a larger range; less violent movement",
         _reaches_far,
         "a range that is too small",
+        frozenset[Trait](),
     ),
     (
         "dead_band",
@@ -126,6 +128,7 @@ _KINDS = (
         "slow movement through zero",
         _crosses_zero,
         "small values read as zero",
+        frozenset({Trait.DEAD_BAND}),
     ),
 )
 
@@ -143,9 +146,10 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             columns=column,
             fixed=True,
             plain=plain,
+            traits=traits,
             rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
         )
-        for name, parameter, grid, column, excites, manoeuvre, missing, plain in _KINDS
+        for name, parameter, grid, column, excites, manoeuvre, missing, plain, traits in _KINDS
     )
 
 

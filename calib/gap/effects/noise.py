@@ -15,7 +15,7 @@ from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, per_axis
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.gap.reference.channels import filter_gain
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]

@@ -99,7 +99,7 @@ def moves(sensor: Sensor) -> Missing:
     """Missing where the ideal reading stays the same: only its sum with a bias shows then."""
 
     def missing(trace: Trace) -> tuple[str, str] | None:
-        if sensor is Sensor.GYRO and not trace.followed:
+        if sensor is Sensor.GYRO and not trace.rate_known:
             return "the re-estimated reference does not follow fast turns", "a log at a higher rate, or a pose"
         size = spread(trace.ideal, trace.observed)
         if size >= _SPREAD[sensor]:

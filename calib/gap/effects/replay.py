@@ -47,7 +47,7 @@ def with_effects_in(
                 measured = np.where(trace.observed[:, None], changed.measured, changed.measured + added)
                 changed = dataclasses.replace(changed, ideal=changed.ideal + added, measured=measured)
             elif isinstance(described, NoiseEffect):
-                changed = _louder(changed, described, effect)
+                changed = _with_noise(changed, described, effect)
             else:
                 lost[effect.id] = None
         made.append(changed)
@@ -89,7 +89,7 @@ def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[E
             yield effect, -1.0
 
 
-def _louder(trace: Trace, described: NoiseEffect, found: EffectEstimate) -> Trace:
+def _with_noise(trace: Trace, described: NoiseEffect, found: EffectEstimate) -> Trace:
     """`trace` with the effect's power in the noise that is declared; where none is, it is learned anyway."""
     theta, values = split_of(described, found)
     squared = np.array([v**2 if p.squared else v for v, p in zip(values, described.parameters, strict=True)])

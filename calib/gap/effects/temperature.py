@@ -1,8 +1,8 @@
 """Temperature: a bias that follows it, at once or late, and a scale that follows it.
 
-The temperature at which an effect vanishes is the simulator's or the calibration's choice (25 degC in MATLAB, the
-middle of the range in ArduPilot's SITL), one for all axes. It is therefore a parameter: were it fixed elsewhere than
-the truth, every thermal effect would be accompanied by a bias that is not there.
+The temperature at which an effect vanishes is one for all axes. The simulator or the calibration chooses it: 25 degC in
+MATLAB, the middle of the range in ArduPilot's SITL. It is therefore a parameter. A wrong fixed value would give every
+thermal effect a bias that is not there.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ _GOOD_SPAN = 15.0  # degC, for one that tells the rivals apart
 _BEYOND = 20.0  # degC by which the reference temperature may lie outside what was seen
 _REFERENCES = 13  # temperatures of the grid
 _TRIED = 241  # by their cost
-_KEPT = 2  # minima of that cost
-_USUAL = 25.0  # degC, MATLAB's; beside a free bias no reference temperature is better than another
+_MINIMA = 2  # minima of that cost
 _LAGS = np.geomspace(2.0, 180.0, 5)  # s, of a die in its package to a board in its box
 
 _POWERS = {"per_degc": "", "per_degc2": "2", "per_degc3": "3"}
@@ -120,7 +119,7 @@ def best_references(factor: Callable[[Trace], Array], degree: int) -> Callable[[
             )
         edged = np.concatenate([[np.inf], cost, [np.inf]])
         lowest = np.flatnonzero((cost <= edged[:-2]) & (cost <= edged[2:]))
-        best = lowest[np.argsort(cost[lowest])[:_KEPT]]
+        best = lowest[np.argsort(cost[lowest])[:_MINIMA]]
         found = np.clip(middle + half * np.sort(tried[best]), grid[0], grid[-1])
         return np.asarray(found, dtype=np.float64)
 
@@ -170,7 +169,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "temperature that varies",
             _HEAT_AND_COOL,
             _span("temp_linear"),
-            EffectShape(vanishes, references, best_references(_ones, 1), _USUAL),
+            EffectShape(vanishes, references, best_references(_ones, 1)),
             columns=axiswise(above),
             signals=above,
             plain="an offset that follows the temperature",
@@ -184,7 +183,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "temperature that varies widely",
             _HEAT_AND_COOL,
             _span("temp_poly"),
-            EffectShape(vanishes, references, best_references(_ones, 3), _USUAL),
+            EffectShape(vanishes, references, best_references(_ones, 3)),
             columns=axiswise(powers),
             signals=powers,
             plain="an offset that follows the temperature along a curve",
@@ -198,7 +197,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             "temperature that varies while the vehicle turns",
             "tumble cold and warm",
             first_missing((_span("temp_scale"), moves(sensor))),
-            EffectShape(vanishes, references, best_references(_ideal, 1), _USUAL),
+            EffectShape(vanishes, references, best_references(_ideal, 1)),
             columns=warm_scale_columns,
             plain="a scale that follows the temperature",
             rivals=ids(iron, "temp_linear"),

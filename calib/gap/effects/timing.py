@@ -1,7 +1,7 @@
 """Effects on time: the sensor is late, slow, or its clock runs differently.
 
-The ideal reading itself is moved and filtered (a quintic spline through its samples, which is exact to 1e-4 up to half
-of the Nyquist frequency), not expanded: at 5 ms and 5 Hz the first order is already wrong by a percent.
+The ideal reading itself is moved and filtered, not expanded: at 5 ms and 5 Hz the first order is already wrong by a
+percent. A quintic spline through its samples is exact to 1e-4 up to half of the Nyquist frequency.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _SHAKE = "a fast shake or a yaw jerk"
 def splines_of(trace: Trace) -> Array:
     """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading; the last are kept.
 
-    Beyond either end it goes on as steeply as it came: a recording may begin in the midst of a movement, and what a
-    sudden stop would change of the first sample is more than the noise of all.
+    Beyond either end it goes on as steeply as it came, because a recording may begin during a movement. A sudden stop
+    would change the first sample by more than the noise of all.
     """
     longer = np.pad(trace.ideal, ((_EDGE, _EDGE), (0, 0)), mode="reflect", reflect_type="odd")
     return np.stack([ndimage.spline_filter1d(column, _SPLINE, mode="nearest") for column in longer.T])
@@ -167,7 +167,7 @@ def _turns(trace: Trace) -> tuple[str, str] | None:
 
     A trajectory that was re-estimated from the recording itself runs on the clock that is in question.
     """
-    if not trace.followed:
+    if not trace.rate_known:
         return "the re-estimated reference has the clock of the recording", "a reference with a clock of its own"
     if trace.spin is None or trace.sensor == Sensor.GYRO:
         return _lively(trace.sensor)(trace)
@@ -179,7 +179,7 @@ def _turns(trace: Trace) -> tuple[str, str] | None:
 
 def _lively(sensor: Sensor) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
-        if not trace.followed:
+        if not trace.rate_known:
             return "the re-estimated reference does not follow fast changes", "a log at a higher rate, or a pose"
         found, least = slope(trace), _SLOPE[sensor]
         if found >= least:

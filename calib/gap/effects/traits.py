@@ -18,3 +18,4 @@ class Trait(Enum):
     STEADY = "another recording of the same vehicle shows it alike: not temperature, current or an event"
     SIZE = "it makes the reference's movement larger or smaller"
     COARSE = "it rounds the samples to levels"
+    DEAD_BAND = "small readings are zero, as they are on coarse levels"

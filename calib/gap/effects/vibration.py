@@ -1,9 +1,9 @@
 """What turning rotors do: lines that follow their speed, lines folded by the sampling, noise, and a shifted mean.
 
-Where rotor speeds are logged so fast and well that their integral keeps the phase, a line is a wave that follows one
-rotor, and is subtracted. Where they are not, it is power on its track. With rotor speeds recorded the
-track is a multiple of them, weighted by the fourth power of the speed (an imbalance's force grows with its square);
-without, it is a fixed frequency while the motors run.
+A line is a wave that follows one rotor, and is subtracted, if rotor speeds are logged so well that their integral keeps
+the phase. Otherwise it is power on a track. With recorded rotor speeds the track is a multiple of them, weighted by the
+fourth power of the speed: the force of an imbalance grows with its square. Without them it is a fixed frequency while
+the motors run.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.gap.reference.channels import filter_gain
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
@@ -95,8 +95,8 @@ def line(trace: Trace, omega: Array, frequency: float) -> Array:
     """Power (1, K) of a line of amplitude one while the motors run, its mean frequency being `frequency` (Hz).
 
     The spectrum of a wave that starts and stops with the motors, skirts included: a strong line shows far from its
-    frequency. It follows the rotors where their speed is known. Of amplitude one at the sensor: what the firmware's own
-    filter takes is taken.
+    frequency. It follows the rotors where their speed is known. The amplitude is one at the sensor: the
+    firmware's own filter is applied to it.
     """
     power = _line_over_all_bins(trace, frequency)
     n = len(power)
@@ -209,7 +209,7 @@ def _orders(trace: Trace, orders: tuple[int, ...], wanted: Callable[[float], boo
     return np.array(found, dtype=np.float64)
 
 
-def _followed(grid: Callable[[Trace], Array]) -> Missing:
+def _speed_varies(grid: Callable[[Trace], Array]) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         if trace.rotor_hz is None:
             return "no rotor speed recorded", "rotor speed in the log"
@@ -232,7 +232,7 @@ def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> Catalogu
         per_axis("cos", unit) + per_axis("sin", unit),
         "running motors",
         "sweep the rotor speed: an alias moves against it, a tone stays",
-        _followed(grid),
+        _speed_varies(grid),
         EffectShape(EffectParameter("rotor_order", "100 rotor + order"), grid),
         columns=axiswise(turning),
         signals=turning,
@@ -260,7 +260,7 @@ def _drive_varies(trace: Trace) -> tuple[str, str] | None:
     return f"the rotors' power varies by {100.0 * size:.0f} % of its maximum", f"a variation >= 10 %: {_THROTTLE}"
 
 
-def _shown(trace: Trace) -> tuple[str, str] | None:
+def _line_below_half_rate(trace: Trace) -> tuple[str, str] | None:
     if (lack := _motors_run(trace)) is not None or len(below(trace)):
         return lack
     half = f"half the sampling rate, {0.5 * trace.fs:.0f} Hz"
@@ -319,7 +319,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     return (
         _wave("vibration", sensor, orders_below),
         _wave("aliasing", sensor, orders_beyond),
-        _line("vibration", sensor, below, _shown, ("tone", "aliasing", "rotor_noise")),
+        _line("vibration", sensor, below, _line_below_half_rate, ("tone", "aliasing", "rotor_noise")),
         _line("aliasing", sensor, beyond, _rotor_speed_known, ("vibration", "tone", "rotor_noise")),
         noise,
         MeanEffect(

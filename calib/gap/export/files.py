@@ -12,7 +12,7 @@ from mavcal.calib.firmware.export import ParameterFormat, number, write_plan
 from mavcal.calib.gap.export.documents import to_document, to_matlab_text
 from mavcal.calib.gap.export.gazebo import to_sdf
 from mavcal.calib.gap.export.sitl import SitlPatch, older_names, patch
-from mavcal.calib.gap.export.state import doubt_of
+from mavcal.calib.gap.export.state import doubt_text
 from mavcal.calib.gap.export.vehicle import vehicle_plan
 from mavcal.calib.gap.schema import GapReport, GapVerdict
 from mavcal.calib.recording import Recording
@@ -96,20 +96,20 @@ def exported(
     """
     if not report.effects:
         raise InvalidInputError(f"nothing to export: {_WHY_NOT.get(report.verdict, 'no effect was found')}")
-    doubts = tuple(doubt_of(e) for e in report.effects if e.evidence.doubtful)
+    doubtful = tuple(doubt_text(e) for e in report.effects if e.evidence.doubtful)
     match target:
         case Target.SITL:
             found = patch(report, base)
-            return Exported(sitl_text(found), found.not_held, doubts)
+            return Exported(sitl_text(found), found.not_held, doubtful)
         case Target.GAZEBO:
             snippet = to_sdf(report, instance=instance)
-            return Exported(snippet.text, snippet.not_held, doubts)
+            return Exported(snippet.text, snippet.not_held, doubtful)
         case Target.MATLAB:
             script = to_matlab_text(report, instance=instance)
-            return Exported(script.text, script.not_held, doubts)
+            return Exported(script.text, script.not_held, doubtful)
         case Target.MAVCAL:
             document = to_document(report, instance=instance)
-            return Exported(document.text, document.not_held, doubts)
+            return Exported(document.text, document.not_held, doubtful)
         case Target.VEHICLE:
             plan, left = vehicle_plan(report, real)
             return Exported(write_plan(plan, form), left)

@@ -1,7 +1,7 @@
 """A report as sensor noise of Gazebo's SDF, as PX4's models have it (FLIGHT_CONTROLLERS 7.2).
 
-Gazebo's axes are forward-left-up. A constant error goes into ``mean``: the sign of ``bias_mean`` is drawn anew at every
-start. A random walk of coefficient K becomes the slow part of a Gauss-Markov process: ``sigma^2 = K^2 tau / 2``.
+Gazebo's axes are forward-left-up. A constant error goes into ``mean``: the sign of ``bias_mean`` is drawn again at
+every start. A random walk of coefficient K becomes the slow part of a Gauss-Markov process: ``sigma^2 = K^2 tau / 2``.
 """
 
 from __future__ import annotations

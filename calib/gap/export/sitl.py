@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES
-from mavcal.calib.gap.export.state import SensorEffects, doubt_of, kind_of, named, sensors_with, value, vector
+from mavcal.calib.gap.export.state import SensorEffects, doubt_text, kind_of, named, sensors_with, value, vector
 from mavcal.calib.gap.schema import EffectEstimate, GapReport
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.recording import SensorSuite
@@ -285,7 +285,7 @@ def _reason(effect: EffectEstimate) -> str:
 
 
 def _notes(values: Mapping[str, float], effects: Sequence[EffectEstimate]) -> tuple[str, ...]:
-    notes = [doubt_of(e) for e in effects if e.evidence.doubtful]
+    notes = [doubt_text(e) for e in effects if e.evidence.doubtful]
     if any(name.startswith("SIM_GYR") and "_BIAS" in name for name in values):
         notes.append("set INS_GYR_CAL to 0: otherwise the firmware removes a gyroscope's bias at boot")
     if any("_OFS_" in name for name in values):

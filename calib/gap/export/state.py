@@ -1,9 +1,8 @@
 """What the effects of a report make of one sensor: errors in the simulator's form, and what has no place in it.
 
-The diagnosis says ``measured = A ideal + b + p(T)`` where `ideal` is what the present simulator reads; with that
-simulator's own ``ideal = M x + b_0`` the sensor to simulate is ``A M x + A (b_0 - h) + h + b``, `h` being what the
-calibration in force removes. A simulator's offsets are those that its calibration cancels (``h = b_0``), which leaves
-``A M x + b_0 + b``.
+The diagnosis says ``measured = A ideal + b + p(T)`` where `ideal` is what the present simulator reads, itself ``ideal =
+M x + b_0``. The calibration in force removes `h`. The sensor to simulate is therefore ``A M x + A (b_0 - h) + h + b``.
+A simulator's offsets are those that its calibration cancels (``h = b_0``), which leaves ``A M x + b_0 + b``.
 """
 
 from __future__ import annotations
@@ -41,6 +40,8 @@ _SHAPED = frozenset(
     }
 )
 """Kinds of effects that :class:`SensorErrors` has a field for."""
+TEMPERATURE_KINDS = frozenset({"temp_linear", "temp_poly", "temp_scale"})
+"""Kinds of effects that are stated at a reference temperature."""
 
 
 def kind_of(effect: EffectEstimate) -> str:
@@ -64,7 +65,7 @@ def named(effect: EffectEstimate) -> str:
     return f"{effect.id} of instance{'s' if len(effect.instances) > 1 else ''} {numbers}"
 
 
-def doubt_of(effect: EffectEstimate) -> str:
+def doubt_text(effect: EffectEstimate) -> str:
     """That something is likelier than a doubtful effect."""
     return f"{named(effect)}: it has a probability of {effect.evidence.probability:.2f}: something else is likelier"
 

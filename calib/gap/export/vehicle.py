@@ -1,7 +1,7 @@
 """A report as calibrations of the vehicle: what its firmware would have to correct so that the gap is gone.
 
-The correction in force is ``truth = L (raw - o - p(T))`` and the diagnosis says ``R (raw - o - p) = A R L^-1 truth + b
-+ dp(T)``, R the mounting. Hence ``truth = L R^T A^-1 R (raw - o - R^T b - p - R^T dp)``: a new model of the same form.
+The correction in force is ``truth = L (raw - o - p(T))``. With R the mounting, the diagnosis says ``R (raw - o - p) = A
+R L^-1 truth + b + dp(T)``. Hence ``truth = L R^T A^-1 R (raw - o - R^T b - p - R^T dp)``: a new model of the same form.
 A fit of a raw recording leaves the mounting to the firmware, so ``R^T`` stands before it all.
 """
 
@@ -19,7 +19,7 @@ from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.fit import FitBuilder, FitResult
-from mavcal.calib.gap.export.state import doubt_of, kind_of, named, sensors_with, value
+from mavcal.calib.gap.export.state import TEMPERATURE_KINDS, doubt_text, kind_of, named, sensors_with, value
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
@@ -42,7 +42,7 @@ _STEP = 1e-3  # of a standard error: for derivatives
 def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[str, ...]]:
     """The plan that takes the report's calibration effects away, and what it leaves.
 
-    Nothing is written to a sensor of which one of these effects is doubtful: the others were estimated beside it.
+    Nothing is written to a sensor that has a doubtful effect among these: the others were estimated beside it.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     Raises
     ------
     FirmwareError
-        If the recording is not of an ArduPilot or PX4, or says no parameters, or nothing is a calibration, or all
-        of that is doubtful.
+        If the recording is not of an ArduPilot or PX4, or has no parameters. If no effect is a calibration, or all
+        of them are doubtful.
     """
     autopilot, parameters = real.identity.autopilot, real.parameters.final()
     if autopilot is None or not parameters:
@@ -66,14 +66,14 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     if not chosen:
         raise FirmwareError("no effect of the report is a calibration: there is nothing to write to the vehicle")
     left = [f"{named(e)}: no calibration takes it away" for e in report.effects if e not in chosen]
-    doubts = [e for e in chosen if e.evidence.doubtful]
-    unsure = {(e.sensor, n) for e in doubts for n in e.instances}
+    doubtful = [e for e in chosen if e.evidence.doubtful]
+    unsure = {(e.sensor, n) for e in doubtful for n in e.instances}
     keys = sorted({(e.sensor, n) for e in chosen for n in e.instances} - unsure)
     if not keys:
         raise FirmwareError(
-            f"{'; '.join(map(doubt_of, doubts))}: nothing is written to a vehicle that is less likely than not"
+            f"{'; '.join(map(doubt_text, doubtful))}: nothing is written to a vehicle that is less likely than not"
         )
-    left += map(doubt_of, doubts)
+    left += map(doubt_text, doubtful)
     left += [
         f"{named(e)}: not of {s.value} {n}, beside what is doubtful there"
         for e in chosen
@@ -96,7 +96,7 @@ def _fit(
     mounting = body_from_sensor(autopilot, parameters, sensor, instance)
     t_ref = _reference(effects, force)
     seen = _temperatures(report, sensor, number)
-    if seen is None and any(kind_of(e).startswith("temp_") for e in effects):
+    if seen is None and any(kind_of(e) in TEMPERATURE_KINDS for e in effects):
         raise FirmwareError(f"{sensor.value} {number}: the temperatures that it was seen at are not known")
 
     def model(changed: Sequence[EffectEstimate]) -> TriadModel:
@@ -148,7 +148,7 @@ def _reference(effects: Sequence[EffectEstimate], force: TriadModel) -> float:
     """Where drifts are stated: where those in force are, else where the found ones vanish."""
     if force.polynomial is not None:
         return force.polynomial.t_ref
-    return next((value(e, "t_ref") for e in effects if kind_of(e).startswith("temp_")), 35.0)
+    return next((value(e, "t_ref") for e in effects if kind_of(e) in TEMPERATURE_KINDS), 35.0)
 
 
 def _covariance(effects: Sequence[EffectEstimate], model: Callable[[Sequence[EffectEstimate]], TriadModel]) -> Array:

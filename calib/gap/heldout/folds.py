@@ -95,8 +95,8 @@ def joined(model: Model, term: Term | NoiseTerm) -> Model:
 def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
     """Whether the blocks of `train` can know of a term of the `whole` model.
 
-    Of a jump beside a drift of the bias only those can in which it happens; without a drift, their levels tell its
-    size. Of two jumps between which they have no sample they know the sum, and neither.
+    Beside a drift of the bias, only blocks in which a jump happens know of it; without a drift, their levels tell its
+    size. Blocks without a sample between two jumps know the sum of both, and neither.
     """
     effect = term.hypothesis.effect
     if not isinstance(term, Term) or effect.shape is None or not effect.shape.still:
@@ -188,6 +188,6 @@ def with_weight(model: Model) -> Model:
     return replace(model, weight=weight)
 
 
-def contest_of(hypotheses: Sequence[Hypothesis], floors: GainThresholds) -> Contest:
+def contest_of(hypotheses: Sequence[Hypothesis], thresholds: GainThresholds) -> Contest:
     """A contest of its own: every fold has other columns, and only as many are kept as one selection asks for."""
-    return Contest(hypotheses, budget=16_000_000, floors=floors)
+    return Contest(hypotheses, budget=16_000_000, floors=thresholds)

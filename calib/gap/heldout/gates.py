@@ -26,7 +26,7 @@ _FORETOLD = -5.0
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """Whether an effect shrinks held-out data: gain by block in nats, and whether it stays; None: not to be told."""
+    """Whether an effect shrinks held-out data: gain by block in nats, and whether it stays; None: not determined."""
 
     key: Key
     gains: Array
@@ -36,7 +36,7 @@ class Gate:
 def gate_of(
     term: Term | NoiseTerm,
     gains: Array,
-    told: Sequence[bool],
+    determined: Sequence[bool],
     folds: Sequence[Fold],
     chosen: ChosenModel,
     beside: Gains,
@@ -44,8 +44,8 @@ def gate_of(
     """Passed where held-out data are described better; withdrawn where they are not although they should.
 
     An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats: one near the limit of detection may gain
-    nothing although it is true. What happened in one block only cannot be foretold from the others, and a drift of
-    the bias does not tell one block of the next.
+    nothing although it is true. What happened in one block only cannot be predicted from the others. A drift of
+    the bias in one block says nothing about the next.
     """
     total = float(gains.sum())
     key = term.hypothesis.key
@@ -53,7 +53,7 @@ def gate_of(
         drifts = term.hypothesis.effect.drifts
         return Gate(key, gains, passed=True if total > 0.0 else None if drifts else False)
     expected = [expected_gain(term, fold.train, carried(chosen.model, fold.test)) for fold in folds]
-    seen = [e > _FORETOLD and t for e, t in zip(expected, told, strict=True)]
+    seen = [e > _FORETOLD and t for e, t in zip(expected, determined, strict=True)]
     sizes = [_touched(term, fold.test.setting) for fold in folds]
     due = sum(_at_most(e, n) for e, s, n in zip(expected, seen, sizes, strict=True) if s)
     joined_with = next((s.gain for s in chosen.scores if s.hypothesis.key == key), math.inf)

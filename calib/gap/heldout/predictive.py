@@ -1,9 +1,9 @@
-"""What a fit to some blocks foretells of another one, with how sure it is of it.
+"""What a fit to some blocks predicts of another one, and with which uncertainty.
 
 A curve that is carried on beyond what the blocks saw is known badly there; taken for certain it would be punished for
 more than it claims. The amplitudes of the fit are therefore integrated out under the posterior of the blocks, whose
 prior is that of :mod:`calib.gap.search.evidence`, widened: amplitudes of one unit are alike, and about as large as
-these blocks say. Of what they do not show at all they foretell nothing.
+these blocks say. They predict nothing about what they do not show at all.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _WIDE = 10.0
 """Times the size that the other blocks say, that an amplitude may have by the prior: it is to bound what they do not
 show, and not to shrink what they do."""
 _NOTHING = 1e-3
-"""Prior standard deviation of an amplitude of which there is no sign, in standard errors of all blocks together."""
+"""Prior standard deviation of an amplitude without any sign of it, in standard errors of all blocks together."""
 _LEAST = 1e-9
 """Added to normalised information, so that what nothing tells has an inverse."""
 
@@ -33,10 +33,10 @@ _LEAST = 1e-9
 def predictive_loss(fitted: Model, block: Model) -> float:
     """Negative log predictive density of a held-out block under what was fitted to the others, in nats.
 
-    With information K and estimates v of the others, prior precision L, and S and b of the block (its information, and
-    the right side of its normal equations at v): the posterior is ``N(v - d, P^-1)``, ``P = K + L``, ``P d = L v``, and
-    the block costs, more than at v for certain,
-    ``d'b + d'Sd/2 + (log|P + S| - log|P| - c'(P + S)^-1 c) / 2`` with ``c = b + S d``.
+    K and v are the information and the estimates of the other blocks, and L is the prior precision. S and b are the
+    information of the block and the right side of its normal equations at v. The posterior is ``N(v - d, P^-1)`` with
+    ``P = K + L`` and ``P d = L v``. With ``c = b + S d``, the block costs this much more than at a certain v:
+    ``d'b + d'Sd/2 + (log|P + S| - log|P| - c'(P + S)^-1 c) / 2``.
 
     Parameters
     ----------
@@ -50,16 +50,16 @@ def predictive_loss(fitted: Model, block: Model) -> float:
     if not tested.terms:
         return loss
     tested = with_weight(tested)
-    known, _ = _information(fitted)
-    shown, b = _information(tested)
+    fitted_gram, _ = _information(fitted)
+    tested_gram, b = _information(tested)
     v = np.concatenate([term.values for term in fitted.terms])
-    precision = _precision(fitted, known, shown)
-    kept = [i for i in range(len(v)) if i not in _moments(fitted.terms)]
-    known, shown = known[np.ix_(kept, kept)], shown[np.ix_(kept, kept)]
-    b, v, precision = b[kept], v[kept], precision[kept]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(known + shown) + precision, np.finfo(float).tiny))
-    S, prior = shown * np.outer(scale, scale), precision * scale**2
-    P = known * np.outer(scale, scale) + np.diag(prior + _LEAST)
+    precision = _precision(fitted, fitted_gram, tested_gram)
+    free = [i for i in range(len(v)) if i not in _moments(fitted.terms)]
+    fitted_gram, tested_gram = fitted_gram[np.ix_(free, free)], tested_gram[np.ix_(free, free)]
+    b, v, precision = b[free], v[free], precision[free]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(fitted_gram + tested_gram) + precision, np.finfo(float).tiny))
+    S, prior = tested_gram * np.outer(scale, scale), precision * scale**2
+    P = fitted_gram * np.outer(scale, scale) + np.diag(prior + _LEAST)
     b = b * scale
     d = np.linalg.solve(P, prior * v / scale)
     c = b + S @ d
@@ -73,23 +73,26 @@ def _information(model: Model) -> tuple[Array, Array]:
     return normal.gram, normal.right
 
 
-def _precision(fitted: Model, known: Array, shown: Array) -> Array:
+def _precision(fitted: Model, fitted_gram: Array, tested_gram: Array) -> Array:
     """Precision of the prior of every value: amplitudes have one of their own size, shapes none."""
     ends = np.cumsum([0, *(len(term.values) for term in fitted.terms)])
-    error = 1.0 / np.sqrt(np.maximum(np.diag(known + shown), np.finfo(float).tiny))
+    error = 1.0 / np.sqrt(np.maximum(np.diag(fitted_gram + tested_gram), np.finfo(float).tiny))
     values = np.concatenate([term.values for term in fitted.terms])
-    precision = np.zeros(len(known))
+    precision = np.zeros(len(fitted_gram))
     for term, (start, end) in zip(fitted.terms, itertools.pairwise(ends), strict=True):
         if term.effect.fixed:
             continue
         own = np.arange(start, start + len(term.beta))
-        rest = np.setdiff1d(np.arange(len(known)), np.arange(start, end))
-        cross = known[np.ix_(own, rest)]
-        gram = known[np.ix_(own, own)] - cross @ solved(known[np.ix_(rest, rest)], np.zeros(len(rest)))[1] @ cross.T
+        rest = np.setdiff1d(np.arange(len(fitted_gram)), np.arange(start, end))
+        cross = fitted_gram[np.ix_(own, rest)]
+        gram = (
+            fitted_gram[np.ix_(own, own)]
+            - cross @ solved(fitted_gram[np.ix_(rest, rest)], np.zeros(len(rest)))[1] @ cross.T
+        )
         units = units_of(term.effect, len(own))
         size = prior_sd(gram, gram @ term.beta, units)
         if not size.any():  # beside another that does the same there; of both together they may say much
-            size = prior_sd(known[np.ix_(own, own)], known[own] @ values, units)
+            size = prior_sd(fitted_gram[np.ix_(own, own)], fitted_gram[own] @ values, units)
         precision[own] = 1.0 / np.maximum(_WIDE * size, _NOTHING * error[own]) ** 2
     return precision
 

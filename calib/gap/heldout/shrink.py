@@ -1,9 +1,9 @@
 """How far the gap shrinks on data that the effects have not seen, in nats a sample.
 
 Blocks are held out in turn; effects are chosen and fitted on the others. The loss is the negative log predictive
-density: a proper score that knows means and noise. The floor is what a model would lose that has the effects exactly:
-the loss of the fit to all data, with the half nat for each of its numbers by which it follows its own noise (Akaike
-1974) given back, less what still is above the noise it claims.
+density: a proper score that knows means and noise. The floor is the loss of a model that has the effects exactly. It is
+the loss of the fit to all data, plus half a nat for each fitted number: the fit follows its own noise (Akaike 1974).
+What is still above the declared noise is taken off.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from mavcal.calib.gap.search.selection import ChosenModel, Gains, last_gains, se
 Array = NDArray[np.float64]
 
 _BLOCKS = 8
-"""Blocks of a recording, each of which is held out once."""
+"""Blocks of a recording; each is held out once."""
 _LONG = 40_000
 _FEW = 4
 """Blocks where a series is longer than `_LONG` samples: each repeats the selection."""
@@ -67,9 +67,9 @@ _DISAGREE = 1e-3
 class Heldout:
     """What B blocks say that were held out, and the gates of the effects.
 
-    `losses` (B, 2) are nats without the effects and with them, `floor` (B,) those of whoever has them exactly,
-    `samples` (B,) the numbers in each block, and `steps` (B, K) what it gains by each effect of the ids `order` in
-    turn. `happens` tells blocks in which an event lies, of which the others cannot know when it was.
+    `losses` (B, 2) are nats without the effects and with them, and `floor` (B,) those of a model that has them exactly.
+    `samples` (B,) are the numbers in each block, and `steps` (B, K) what it gains by each effect of the ids `order` in
+    turn. `happens` marks blocks with an event: the others cannot know when it was.
     """
 
     folds: tuple[Fold, ...]
@@ -122,7 +122,7 @@ def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] =
     if not folds:
         return None
     floor_ratio = _excess(chosen.model)
-    losses, floors, gains, steps, told = [], [], [], [], []
+    losses, lowest, gains, steps, determined = [], [], [], [], []
     for fold in folds:
         base = refitted(fold.train).model
         for term in given:
@@ -133,20 +133,20 @@ def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] =
             chain.append(joined(chain[-1], term) if seen else chain[-1])
         nats = [predictive_loss(model, fold.test) for model in chain]
         losses.append((nats[0], nats[-1]))
-        floors.append(_floor(chosen, order, chain[-1], fold) - floor_ratio * _numbers(fold.test))
+        lowest.append(_floor(chosen, order, chain[-1], fold) - floor_ratio * _numbers(fold.test))
         less = (parted(chain[-1], t.hypothesis) if seen else chain[-1] for t, seen in zip(order, known, strict=True))
-        told.append(known)
+        determined.append(known)
         gains.append([predictive_loss(model, fold.test) - nats[-1] for model in less])
         steps.append([nats[0] - loss for loss in nats[1:]])
-    beside = _gains_anew(chosen, contest)
+    beside = _gains_beside_noise(chosen, contest)
     gates = tuple(
-        gate_of(term, np.array([g[i] for g in gains]), [k[i] for k in told], folds, chosen, beside)
+        gate_of(term, np.array([g[i] for g in gains]), [k[i] for k in determined], folds, chosen, beside)
         for i, term in enumerate(order)
     )
     return Heldout(
         folds,
         np.array(losses, dtype=np.float64),
-        np.array(floors, dtype=np.float64),
+        np.array(lowest, dtype=np.float64),
         np.array([_numbers(fold.test) for fold in folds], dtype=np.float64),
         tuple(any(_happens_in(term, fold.test) for term in order) for fold in folds),
         tuple(term.hypothesis.effect.id for term in order),
@@ -155,7 +155,7 @@ def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] =
     )
 
 
-def _gains_anew(chosen: ChosenModel, contest: Contest) -> Gains:
+def _gains_beside_noise(chosen: ChosenModel, contest: Contest) -> Gains:
     """What each effect gains as the last one; of noise that nobody declared no more than once it is fitted without it.
 
     That takes much of a slow effect for its own, on held-out blocks as well.
@@ -166,8 +166,8 @@ def _gains_anew(chosen: ChosenModel, contest: Contest) -> Gains:
     for term in chosen.model.terms:
         key = term.hypothesis.key
         if term.effect.sensor in unknown and key in gains:
-            anew = sum(refitted(parted(chosen.model, term.hypothesis)).deviance.values())
-            gains[key] = (max(min(gains[key][0], anew - level), 0.0), *gains[key][1:])
+            refit = sum(refitted(parted(chosen.model, term.hypothesis)).deviance.values())
+            gains[key] = (max(min(gains[key][0], refit - level), 0.0), *gains[key][1:])
     return gains
 
 
@@ -176,17 +176,17 @@ def nested_in(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: floa
 
     Not where an event lies in it, nor once the time for it is over.
     """
-    pace, again = contest.pace, []
+    pace, losses = contest.pace, []
     took = _SECOND * pace.took(GapStage.SELECTION) if GapStage.SELECTION in pace.began else 0.0
     for k, (fold, fixed, happens) in enumerate(zip(found.folds, found.losses[:, 1], found.happens, strict=True)):
         pace.begin(GapStage.BLOCKS, k / len(found.folds))
         if happens or pace.ends(took):
-            again.append(float(fixed))
+            losses.append(float(fixed))
             continue
         began = pace.now
-        again.append(_selected_anew(fold, chosen, contest, alpha))
+        losses.append(_selected_again(fold, chosen, contest, alpha))
         took = pace.now - began
-    return replace(found, losses=np.column_stack([found.losses[:, 0], again]))
+    return replace(found, losses=np.column_stack([found.losses[:, 0], losses]))
 
 
 def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model, fold: Fold) -> float:
@@ -196,12 +196,12 @@ def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model
     effect, the floor has that of the model `fitted` there, as it has everything that is tolerated.
     """
     noise = chosen.model if any(isinstance(term, NoiseTerm) for term in order) else fitted
-    told = {term.hypothesis.key for term in order}
-    given = tuple(t for t in fitted.terms if t.hypothesis.key not in told)
+    tested = {term.hypothesis.key for term in order}
+    given = tuple(t for t in fitted.terms if t.hypothesis.key not in tested)
     known = replace(noise, terms=(*(term for term in order if isinstance(term, Term)), *given))
-    followed = len(chosen.joint.covariance) if chosen.model.ridge is None else 0
+    fitted_numbers = len(chosen.joint.covariance) if chosen.model.ridge is None else 0
     share = _numbers(fold.test) / max(_numbers(fold.train) + _numbers(fold.test), 1)
-    return log_loss(carried(known, fold.test)) + 0.5 * followed * share
+    return log_loss(carried(known, fold.test)) + 0.5 * fitted_numbers * share
 
 
 @remembered(2)
@@ -244,7 +244,7 @@ def _excess(model: Model) -> float:
     return excess if excess > _SIGNIFICANT / math.sqrt(2.0 * count) else 0.0
 
 
-def _selected_anew(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: float) -> float:
+def _selected_again(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: float) -> float:
     """Loss of the held-out block under what is selected without it."""
     promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _PROMISING}
     few = [h for h in contest.hypotheses if h.key in promising or (h.before is not None and h.before in promising)]

@@ -235,7 +235,7 @@ def _stretched(values: Array, m: int) -> Array:
 
 @lru_cache(maxsize=32)
 def _places(n: int, m: int) -> tuple[NDArray[np.intp], Array]:
-    """Of `m` places on a series of `n`: the sample before each, and how far it lies beyond."""
+    """The sample before each of `m` places on a series of `n`, and how far the place lies beyond it."""
     at = np.linspace(0.0, n - 1.0, m)
     left = np.minimum(at.astype(np.intp), n - 2)
     return left, at - left

@@ -64,8 +64,8 @@ def starting_noise(setting: Setting) -> tuple[AxisNoise, ...]:
         for c in range(3):
             if base is not None:
                 scale = {f"scale{view.label}.{c}": base[:, c]} if np.isfinite(view.dof) else {}
-                kept = np.zeros(view.count) if scale else base[:, c]
-                noise.append(AxisNoise(kept, scale, dict.fromkeys(scale, 1.0)))
+                fixed = np.zeros(view.count) if scale else base[:, c]
+                noise.append(AxisNoise(fixed, scale, dict.fromkeys(scale, 1.0)))
                 continue
             omega = view.omega
             level = max(float(np.diff(view.residual[:, c]).var()) / (2.0 * view.gain), 1e-30)

@@ -1,8 +1,8 @@
 """The series that enter the likelihood: traces, or combinations of instances whose noise is independent.
 
-Instances that share an uncertain reference share its error. Their differences are free of it, so the traces of several
-instances on one grid are turned into orthonormal contrasts (the mean, and differences in which the reference cancels):
-the same information, each series with noise of its own.
+Instances that share an uncertain reference share its error; their differences are free of it. The traces of several
+instances on one grid are therefore turned into orthonormal contrasts: the mean, and differences in which the reference
+cancels. They hold the same information, and each series has noise of its own.
 """
 
 from __future__ import annotations

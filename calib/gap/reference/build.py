@@ -11,24 +11,24 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.problem import FaultyInstances, GapProblem, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.reference.best_reference import BestReferences, best_references
-from mavcal.calib.gap.reference.calibrated import corrected, not_undone, offset_changed
-from mavcal.calib.gap.reference.channels import sensors_of
+from mavcal.calib.gap.reference.best_reference import BestReferences, best_references, refusals
+from mavcal.calib.gap.reference.channels import corrected, not_undone, offset_changed, sensors_of
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.expected_noise import (
+    age_of,
     motor_noise_of,
     movement_of,
+    with_age_noise,
     with_heave_noise,
     with_motor_noise,
     with_movement_noise,
+    with_sway_noise,
+    without_aged_samples,
 )
-from mavcal.calib.gap.reference.ideal import Ideal, trace_of
+from mavcal.calib.gap.reference.ideal import Ideal, continuous, trace_of
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
-from mavcal.calib.gap.reference.notices import refusals
-from mavcal.calib.gap.reference.recorded import continuous
 from mavcal.calib.gap.reference.redundant import differences, faulty_instances_of
 from mavcal.calib.gap.reference.resolution import steps_of, with_simulated_step
-from mavcal.calib.gap.reference.sample_age import age_of, with_age_noise, with_sway_noise, without_aged_samples
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.simulator import deviations, error_sd, simulated_ideal, with_error
 from mavcal.calib.recording import Channel, Recording, Sensor
@@ -52,8 +52,8 @@ def build(
     sim: Recording | None = None,
     nominal: Sequence[Recording] = (),
     *,
-    flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
-    flawed: Recording | None = None,
+    nuisance: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
+    companion: Recording | None = None,
 ) -> GapProblem:
     """Every sensor of `real` beside its best reference.
 
@@ -65,10 +65,10 @@ def build(
         A simulator's recording of the same trajectory, or of another flight of the same kind.
     nominal
         Recordings without an effect, from which the noise and the Earth's field are learned.
-    flaws
+    nuisance
         Puts into the ideal readings of a companion's traces what is known of them already: it is no noise.
-    flawed
-        Which companion: `sim` or one of `nominal`; None: none.
+    companion
+        The companion that has them: `sim` or one of `nominal`; None: none.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def build(
     InvalidInputError
         If the recordings have nothing in common.
     """
-    return prepared(real, sim, nominal).problem(flaws, flawed)
+    return prepared(real, sim, nominal).problem(nuisance, companion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +100,15 @@ class PreparedProblem:
 
     def problem(
         self,
-        flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
-        flawed: Recording | None = None,
+        nuisance: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
+        companion: Recording | None = None,
     ) -> GapProblem:
-        """The problem with the noise that the companions show beside these `flaws`; parameters as in :func:`build`."""
-        return _learned(self, flaws, flawed)
+        """The problem with the noise that the companions show beside `nuisance`; parameters as in :func:`build`."""
+        return _learned(self, nuisance, companion)
 
 
 def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Recording] = ()) -> PreparedProblem:
-    """What of :func:`build` does not depend on flaws that are known; parameters and errors are the same."""
+    """What of :func:`build` does not depend on known nuisance effects; parameters and errors are the same."""
     companions = (*nominal, *(() if sim is None else (sim,)))
     given, real = real, corrected(real)
     sim = None if sim is None else real if sim is given else corrected(sim)
@@ -124,7 +124,7 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     single = () if ideal is None else single_traces(real, channels, ideal)
     pairs = differences(real, ideal, single)
     worse = faulty_instances_of(single, _singles_of(sim, chosen))
-    single = told_by(single, pairs)
+    single = informative(single, pairs)
     if not single and not pairs and not useless:
         raise InvalidInputError(_NO_OVERLAP) if ideal is not None else IncomparableError(_NO_REFERENCE, need=_NEED)
     judged = () if chosen is None else tuple((n, nominal_traces(n, its)) for n, its in chosen.nominal)
@@ -132,15 +132,17 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
 
 
 def _learned(
-    made: PreparedProblem, flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]], flawed: Recording | None
+    made: PreparedProblem, nuisance: Callable[[Sequence[Trace]], tuple[Trace, ...]], companion: Recording | None
 ) -> GapProblem:
     chosen, channels, real = made.chosen, made.channels, made.real
     useless = chosen is not None and chosen.ideal.info.useless
     of_readings = {} if chosen is None or useless else chosen.ideal.noise
     sim, single, pairs, judged = made.sim, made.single, made.pairs, list(made.judged)
-    if flawed is not None and judged:
-        known = (c is flawed for c in made.companions)
-        judged = [(n, replace(f, traces=flaws(f.traces)) if k else f) for (n, f), k in zip(judged, known, strict=True)]
+    if companion is not None and judged:
+        known = (c is companion for c in made.companions)
+        judged = [
+            (n, replace(f, traces=nuisance(f.traces)) if k else f) for (n, f), k in zip(judged, known, strict=True)
+        ]
     ages = ages_of([t for _, found in judged for t in found.traces])
     clean = [(n, tuple(_settled(t, ages) for t in found.traces)) for n, found in judged]
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))
@@ -151,12 +153,13 @@ def _learned(
     rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
     total = _of_one_rate(total, of_readings, sound.traces)
     rounded = [replace(t, ideal_sd=error_sd(n)) if (n := of_readings.get(t.sensor)) else t for t in rounded]
-    usual = [trace for _, its in clean for trace in its]
+    companion_traces = [trace for _, its in clean for trace in its]
     noisy = [with_noise(_settled(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
-    driven = motor_noise_of(usual)
+    driven = motor_noise_of(companion_traces)
     info = _info(chosen)
-    moved = movement_of([t for t in usual if t.against is None]) if info.kind is ReferenceKind.POSE else {}
-    noisy = [with_movement_noise(with_motor_noise(_louder(t, ages, usual), driven), moved) for t in noisy]
+    moved = movement_of([t for t in companion_traces if t.against is None]) if info.kind is ReferenceKind.POSE else {}
+    noisy = [with_motor_noise(_with_more_noise(t, ages, companion_traces), driven) for t in noisy]
+    noisy = [with_movement_noise(t, moved) for t in noisy]
     traces = tuple(simulated_ideal(with_heave_noise(t, info), offsets) for t in noisy)
     warnings = (
         *not_undone(list(channels), real),
@@ -166,7 +169,7 @@ def _learned(
         *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),
     )
     duration = max((float(t.t[-1] - t.t[0]) for t in single + pairs), default=_span(channels))
-    single_nominal = tuple(t for t in usual if t.against is None)
+    single_nominal = tuple(t for t in companion_traces if t.against is None)
     refused = (*(refusals(info, (c.sensor for c in channels)) if useless else ()), *sound.refused)
     alone = info.kind is ReferenceKind.ESTIMATOR and not made.companions
     return GapProblem(
@@ -217,14 +220,16 @@ def _settled(trace: Trace, ages: Mapping[Sensor, float]) -> Trace:
     return trace if age is None else without_aged_samples(trace, age)
 
 
-def _louder(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequence[Trace]) -> Trace:
+def _with_more_noise(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequence[Trace]) -> Trace:
     if trace.against is None:
         return trace
-    alike = [t for t in nominal if t.sensor is trace.sensor]
+    same_sensor = [t for t in nominal if t.sensor is trace.sensor]
     age = ages.get(trace.sensor)
     if age is not None:
-        return with_age_noise(trace, age, alike)
-    return trace if trace.sensor is Sensor.MAG else with_sway_noise(trace, [t for t in alike if t.against is not None])
+        return with_age_noise(trace, age, same_sensor)
+    if trace.sensor is Sensor.MAG:
+        return trace
+    return with_sway_noise(trace, [t for t in same_sensor if t.against is not None])
 
 
 def _of_one_rate(
@@ -236,17 +241,17 @@ def _of_one_rate(
     return {s: noise for s, noise in total.items() if s not in other}
 
 
-def told_by(single: tuple[Trace, ...], pairs: tuple[Trace, ...]) -> tuple[Trace, ...]:
+def informative(single: tuple[Trace, ...], pairs: tuple[Trace, ...]) -> tuple[Trace, ...]:
     """Without those whose reference was drawn through their own few samples, where another instance tells more."""
     paired = {pair.sensor for pair in pairs}
-    return tuple(t for t in single if t.followed or t.sensor is not Sensor.GYRO or t.sensor not in paired)
+    return tuple(t for t in single if t.rate_known or t.sensor is not Sensor.GYRO or t.sensor not in paired)
 
 
 def nominal_traces(recording: Recording, ideal: Ideal | None) -> Checked:
     """What is sound of a nominal recording: each instance against the reference, and against each other."""
     single = () if ideal is None else single_traces(recording, sensors_of(recording), ideal)
     pairs = differences(recording, ideal, single)
-    return checked(told_by(single, pairs) + pairs)
+    return checked(informative(single, pairs) + pairs)
 
 
 def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, ResidualSpectrum], dict[Sensor, ResidualSpectrum]]:
@@ -262,10 +267,10 @@ def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, ResidualSpectrum], 
 def single_traces(real: Recording, channels: list[Channel], ideal: Ideal) -> tuple[Trace, ...]:
     """Each of `channels` beside what an ideal sensor of its kind read, where that is known."""
     made = [trace_of(c, ideal.readings[c.sensor], ideal, real) for c in channels if c.sensor in ideal.readings]
-    return tuple(replace(t, followed=_followed(t, ideal.info)) for t in made if t.observed.sum() > 1)
+    return tuple(replace(t, rate_known=_rate_known(t, ideal.info)) for t in made if t.observed.sum() > 1)
 
 
-def _followed(trace: Trace, reference: ReferenceInfo) -> bool:
+def _rate_known(trace: Trace, reference: ReferenceInfo) -> bool:
     """A re-estimated trajectory follows forces up to its bandwidth, and turns as fast as the gyroscope was logged."""
     if math.isinf(reference.bandwidth_hz) or trace.sensor is Sensor.MAG:
         return True

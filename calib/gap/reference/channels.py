@@ -1,11 +1,141 @@
-"""Which channel of every instance is looked at."""
+"""Which channel of every instance is compared, and at which stage: at the sensor, against the calibration in force.
+
+A correction in force has the form ``corrected = L (sensor - offset - p(T))``. What it removes is no gap: an ideal
+sensor is one for which it is exact. What it scales is undone, so that an effect reads as it acts on the sensor, and as
+a simulator takes it: ``R L^-1 corrected``, with ``R`` the mounting, in body axes. A simulator's log flown with the same
+calibration is treated in the same way, and its offset from the ideal is part of the simulator.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping, Sequence
 
-from mavcal.calib.gap.reference.calibrated import TRIADS
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.errors import FirmwareError, InvalidInputError
+from mavcal.calib.firmware import body_from_sensor, calibration_in_force, compass_offset_changes
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+
+TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+_BEFORE_S, _AFTER_S = 0.5, 0.2
+"""Around a change of an offset: the autopilot says it late, and means over a moment have both."""
+_FILTERS = {Sensor.ACCEL: "INS_ACCEL_FILTER", Sensor.GYRO: "INS_GYRO_FILTER"}
+
+
+def corrected(recording: Recording) -> Recording:
+    """`recording` with the raw sensors of a vehicle whose calibration is known corrected, in body axes.
+
+    Tables and vehicles without a known calibration stay as they are, and so do sensors whose correction depends on a
+    temperature: bare, they are what their table says. A compass whose offset in force changed is kept as long as it had
+    one offset, over the longest such time.
+    """
+    if not _known(recording):
+        return recording
+    changes = compass_offset_changes(recording)
+    return recording.with_channels(
+        _corrected(c, recording)
+        if c.sensor in TRIADS and c.stage == Stage.RAW and len(c)
+        else _of_one_offset(c, changes)
+        for c in recording.channels
+    )
+
+
+def offset_changed(channels: Sequence[Channel], recording: Recording) -> tuple[str, ...]:
+    """A warning for each compass that lost a part of its readings, because its offset in force changed there."""
+    changes = compass_offset_changes(recording) if _known(recording) else {}
+    said = []
+    for channel in channels:
+        if channel.sensor is Sensor.MAG and channel.stage != Stage.RAW and (moments := changes.get(channel.instance)):
+            when = ", ".join(f"{t:.1f} s" for t in moments)
+            said.append(
+                f"the autopilot changed the offset of compass {channel.instance + 1} at {when}: it is looked at from "
+                f"{channel.t[0]:.1f} to {channel.t[-1]:.1f} s"
+            )
+    return tuple(said)
+
+
+def _of_one_offset(channel: Channel, changes: Mapping[int, Sequence[float]]) -> Channel:
+    """A corrected compass without what its firmware wrote with other offsets."""
+    moments = changes.get(channel.instance, ()) if channel.sensor is Sensor.MAG else ()
+    if channel.stage == Stage.RAW or not moments or not len(channel):
+        return channel
+    edges = [-math.inf, *moments, math.inf]
+    parts = [channel.between(low + _AFTER_S, high - _BEFORE_S) for low, high in itertools.pairwise(edges)]
+    return max(parts, key=len)
+
+
+def sensor_from_corrected(channel: Channel, recording: Recording) -> Array:
+    """``R L^-1`` (3, 3): what brings corrected readings, and ideal ones, to the sensor's scale in body axes.
+
+    The identity for what is not corrected, or not known.
+    """
+    about = _model(channel, recording) if channel.stage != Stage.RAW else None
+    if about is None:
+        return np.eye(3)
+    model, mounting = about
+    return np.asarray(mounting @ np.linalg.inv(model.matrix), dtype=np.float64)
+
+
+def not_undone(channels: Sequence[Channel], recording: Recording) -> tuple[str, ...]:
+    """A warning, if the scale of a correction in force on any of `channels` is not known."""
+    unknown = [c for c in channels if c.stage != Stage.RAW and _model(c, recording) is None]
+    if not unknown:
+        return ()
+    names = ", ".join(f"{c.sensor.value} {c.instance + 1}" for c in unknown)
+    return (f"the calibration in force on {names} is not known: what is found there is stated as it was logged",)
+
+
+def _known(recording: Recording) -> bool:
+    return recording.identity.autopilot in {"ardupilot", "px4"} and bool(recording.parameters)
+
+
+def _corrected(channel: Channel, recording: Recording) -> Channel:
+    about = _model(channel, recording)
+    if about is None or about[0].polynomial is not None:
+        return channel
+    return dataclasses.replace(channel, values=about[0].apply(channel.values), stage=Stage.CORRECTED)
+
+
+def _model(channel: Channel, recording: Recording) -> tuple[TriadModel, Array] | None:
+    if not _known(recording) or channel.sensor not in TRIADS:
+        return None
+    parameters = recording.parameters.at(float(channel.t[len(channel) // 2]))
+    autopilot = recording.identity.autopilot
+    try:
+        model = calibration_in_force(autopilot, parameters, channel.sensor, channel.instance)
+        mounting = body_from_sensor(autopilot, parameters, channel.sensor, channel.instance)
+    except (FirmwareError, InvalidInputError):
+        return None
+    return (model, mounting) if abs(np.linalg.det(model.matrix)) > 1e-6 else None
+
+
+def filter_in_force(channel: Channel, recording: Recording) -> float | None:
+    """Cut-off, Hz, of the two-pole filter that ArduPilot's filtered channels went through; None: none, or unknown."""
+    name = _FILTERS.get(channel.sensor)
+    if channel.stage != Stage.FILTERED or recording.identity.autopilot != "ardupilot" or name is None:
+        return None
+    cutoff = float(recording.parameters.final().get(name, 0.0))
+    return cutoff if cutoff > 0.0 else None
+
+
+def filter_delay(cutoff: float | None) -> float:
+    """Seconds by which that filter is late at low frequencies, ``sqrt(2) / (2 pi cutoff)``; 0 without one."""
+    return 0.0 if cutoff is None else math.sqrt(2.0) / (2.0 * math.pi * cutoff)
+
+
+def filter_gain(hz: Array, cutoff: float | None) -> Array:
+    """Amplitude that a two-pole Butterworth filter leaves of a tone at `hz`; 1 without one."""
+    if cutoff is None:
+        return np.ones_like(hz)
+    return np.asarray(1.0 / np.sqrt(1.0 + (hz / cutoff) ** 4))
+
 
 _CLOSE = 0.05
 """Share of a step by which time stamps of two instances may differ and still be one sample of both."""
@@ -49,8 +179,8 @@ def with_common_channels(real: Recording, other: Recording) -> tuple[Recording, 
         covered = {c.instance for c in real.channels if c.sensor == sensor and _kind(c) in common}
         if covered == set(real.instances(sensor)):
             dropped |= {(sensor, kind) for kind in (ours | theirs) - common}
-    kept = ([c for c in r.channels if (c.sensor, _kind(c)) not in dropped] for r in (real, other))
-    first, second = (r.with_channels(channels) for r, channels in zip((real, other), kept, strict=True))
+    common_channels = ([c for c in r.channels if (c.sensor, _kind(c)) not in dropped] for r in (real, other))
+    first, second = (r.with_channels(channels) for r, channels in zip((real, other), common_channels, strict=True))
     return first, second
 
 

@@ -11,7 +11,7 @@ from scipy.signal.windows import hann
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.correlation import correlation, turn_of, uncorrelated_axes
+from mavcal.calib.gap.reference.align import correlation, turn_of, uncorrelated_axes
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Recording, Sensor
 
@@ -21,7 +21,7 @@ SHORTEST_S = 5.0  # of samples beside a reference, for any statement
 FEWEST = 48  # of them
 MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}  # rms about the mean from which an ideal sensor moves
 _TURNS_MUCH = 3.0  # times `MOVES`, from which an accelerometer's movement about its mean tells its frame
-_ALIKE = 0.8  # correlation from which readings and reference are the same but for frame or unit
+_SAME = 0.8  # correlation from which readings and reference are the same but for frame or unit
 _UNLIKE = 0.3  # and below which they have nothing in common
 _SLIGHT = 0.02  # share of misfit below which no other frame is looked for: a turn by 11 degrees
 _SIZE = 3.0  # ratio of sizes that no calibration error reaches
@@ -57,14 +57,14 @@ class Checked:
 
 def checked(traces: tuple[Trace, ...]) -> Checked:
     """Each of `traces` that is long enough, alive, and in the frame and unit of its reference."""
-    kept, refused = [], []
+    accepted, refused = [], []
     for trace in traces:
         refusal = refusal_of(trace)
         if refusal is None:
-            kept.append(trace)
+            accepted.append(trace)
         else:
             refused.append(refusal)
-    return Checked(tuple(kept), tuple(dict.fromkeys(refused)))
+    return Checked(tuple(accepted), tuple(dict.fromkeys(refused)))
 
 
 def refusal_of(trace: Trace) -> Refusal | None:
@@ -94,8 +94,8 @@ def _impossible(trace: Trace, name: str, measured: Array, ideal: Array) -> Refus
             at = float(trace.t[trace.observed][row])
             reason = f"{whose} reads {values[row, axis]:.3g} {trace.unit} on {_AXES[axis]} at {at:.3f} s"
             return trace.sensor.value, reason, "damaged rows left out, or the right unit"
-    size, usual = np.abs(measured).max(axis=1), max(float(np.abs(ideal).max()), MOVES[trace.sensor])
-    wild = size > _WILD * max(usual, float(np.median(size)))
+    size, expected = np.abs(measured).max(axis=1), max(float(np.abs(ideal).max()), MOVES[trace.sensor])
+    wild = size > _WILD * max(expected, float(np.median(size)))
     if not 0.0 < wild.mean() < _SELDOM:
         return None
     at = float(trace.t[trace.observed][np.argmax(size)])
@@ -120,7 +120,7 @@ def _dead(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | N
 
 def _unrelated(trace: Trace, name: str) -> Refusal | None:
     """A sensor that does not follow its reference: one of them is dead, or of another movement."""
-    if trace.against is not None or not trace.followed:
+    if trace.against is not None or not trace.rate_known:
         return None
     axes = uncorrelated_axes(trace, MOVES[trace.sensor])
     if not axes.any() or (np.ptp(trace.measured[trace.observed], axis=0)[axes] < _ONE_VALUE).all():
@@ -187,7 +187,7 @@ def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> 
         return None
     length = min(256, len(measured) // 6)
     # Medians over pieces and frequencies: what happens at an edge, once, or as a line is no noise.
-    power = [_usual_power(v, length)[2:-1] for v in (measured, ideal, measured - ideal)]
+    power = [_median_power(v, length)[2:-1] for v in (measured, ideal, measured - ideal)]
     half = len(power[0]) // 2
     own, of_reference, left = (np.median(p[half:], axis=0) for p in power)
     slow = np.median(power[2][: half // 2], axis=0)
@@ -200,7 +200,7 @@ def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> 
     return trace.sensor.value, reason, "a reference that is better than the sensor"
 
 
-def _usual_power(values: Array, length: int) -> Array:
+def _median_power(values: Array, length: int) -> Array:
     """One-sided power of `values` (N, 3) at a sampling rate of one: the median over pieces of `length` less trend.
 
     Welch's periodogram (half overlapping, Hann) of all pieces at once; the median of so many exponential variables of
@@ -222,11 +222,11 @@ def _tells(sensor: Sensor, ideal: Array) -> bool:
 
 def _of_frame(trace: Trace, name: str, measured: Array, ideal: Array, slight: float) -> Refusal | None:
     turn = turn_of(measured, ideal, slight)
-    alike = correlation(measured, ideal @ turn.T)
-    if alike < _ALIKE:
-        if alike >= _UNLIKE or trace.sensor != Sensor.GYRO:
+    similarity = correlation(measured, ideal @ turn.T)
+    if similarity < _SAME:
+        if similarity >= _UNLIKE or trace.sensor != Sensor.GYRO:
             return None
-        reason = f"{name} and its reference have nothing in common (correlation {alike:.2f})"
+        reason = f"{name} and its reference have nothing in common (correlation {similarity:.2f})"
         return trace.sensor.value, reason, "a reference of the same movement, better than the sensor"
     size = float(np.sum(measured * (ideal @ turn.T)) / np.sum(ideal**2))
     if not 1.0 / _SIZE < size < _SIZE:
@@ -300,8 +300,8 @@ def check_times(recordings: Iterable[Recording]) -> None:
         if counted := next((e.text for e in recording.events if e.kind == NO_TIME), None):
             raise InvalidInputError(f"{name}: {counted}")
         unit = next((u for u in _TIMES if min(steps) > _TIMES[u][0]), "")
-        told = f": t looks like {unit}, and is in seconds: --map t=t*{_TIMES[unit][1]}" if unit else ""
-        raise InvalidInputError(f"{name} has a sample every {min(steps):.4g} s{told or ': too slow for any movement'}")
+        hint = f": t looks like {unit}, and is in seconds: --map t=t*{_TIMES[unit][1]}" if unit else ""
+        raise InvalidInputError(f"{name} has a sample every {min(steps):.4g} s{hint or ': too slow for any movement'}")
 
 
 _TIMES = {"nanoseconds": (2e5, "1e-9"), "microseconds": (200.0, "1e-6"), "milliseconds": (_SLOWEST_S, "1e-3")}

@@ -1,12 +1,17 @@
-"""Noise that a recording is expected to have because it has more motor power or moves more than the nominal ones.
+"""Noise that a recording is expected to have because it has more motor power, or moves more, than the nominal ones.
 
 Motors: ArduPilot's SITL shakes the vehicle by a random force in proportion to the throttle (``Aircraft::add_noise``).
 Its inertial units sample that at their own moments. The power of their difference goes with the square of the throttle,
 and is zero on the ground. Another flight with more throttle has more of it, and that is no gap.
 
-Movement: a pose errs by a share of the movement. Stamps that jitter, markers that give way on the vehicle and a body
-that bends leave a residual in proportion to how much moves at a frequency, with no fixed phase: 2 ms of jitter are 6 %
-of a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise, which has none.
+Movement: a pose errs by a share of the movement. Stamps that jitter, markers that give way and a body that bends leave
+a residual in proportion to the movement at each frequency. It has no fixed phase. An example: 2 ms of jitter are 6 % of
+a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
+
+Age of samples: a log writes the latest sample of every unit under one time. Each is older by up to a period of its own
+driver (SITL runs its inertial units at 1000 and 760 Hz). Their difference then has noise in proportion to how fast the
+reading changes, which no steady spectrum holds. A nominal recording shows the variance of that age. Samples in which it
+exceeds the other noise say nothing about the sensor; in the others it is expected.
 """
 
 from __future__ import annotations
@@ -19,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from mavcal.calib.gap.likelihood import fit_amplitudes
+from mavcal.calib.gap.likelihood import AmplitudeFit, fit_amplitudes
 from mavcal.calib.gap.problem import ReferenceInfo, Trace
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, on, pooled, with_more
 from mavcal.calib.recording import Sensor
@@ -27,8 +32,98 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _CHANCE = 1e-4
-"""Chance of steady noise that seems to follow the motors."""
+"""Chance of steady noise that seems to follow the change of the reading."""
 _FEWEST = 64  # samples that say something of noise
+
+
+def slopes_squared(trace: Trace) -> Array:
+    """Square of the change of the reading in a second, (N, 3): mean of the steps to the samples before and after."""
+    known = trace.observed[1:] & trace.observed[:-1]
+    steps = np.where(known[:, None], (np.diff(trace.measured, axis=0) * trace.fs) ** 2, 0.0)
+    total = np.vstack([steps, np.zeros(3)]) + np.vstack([np.zeros(3), steps])
+    return np.asarray(total / np.maximum(np.convolve(known, [1.0, 1.0]), 1.0)[:, None])
+
+
+def age_of(nominal: Sequence[Trace]) -> float:
+    """Variance (s2) of the age of one unit's samples against the other's, the largest of differences `nominal`.
+
+    Zero where the noise does not follow the change of the reading.
+    """
+    return max((_age(trace) for trace in nominal if trace.observed.sum() >= _FEWEST), default=0.0)
+
+
+def _age(trace: Trace) -> float:
+    slopes = slopes_squared(trace)[trace.observed].T.ravel()
+    steady = _fitted(trace, np.zeros(len(slopes)), ())
+    if not slopes.any() or steady is None:
+        return 0.0
+    unit = float(_squares(trace).mean() / slopes.mean())
+    aged = _fitted(trace, np.zeros(len(slopes)), (unit * slopes,))
+    if aged is None or chdtrc(1, max(steady.deviance - aged.deviance, 0.0)) > _CHANCE:
+        return 0.0
+    return unit * float(aged.amplitudes[3])
+
+
+def _squares(trace: Trace) -> Array:
+    """Squares (n, 3) of what the observed samples are off the median."""
+    residual = trace.residual[trace.observed]
+    return np.asarray((residual - np.median(residual, axis=0)) ** 2)
+
+
+def with_sway_noise(trace: Trace, nominal: Sequence[Trace]) -> Trace:
+    """The difference of two instances, with the noise that it has for moving faster than the `nominal` ones.
+
+    At most all that the nominal ones leave is movement between the moments of their samples. As much noise is expected
+    as there is, up to that bound. The movement is what both instances show, without the noise of either. A calmer
+    recording is not expected to have less noise.
+    """
+    before, now = [_common(n) for n in nominal], _common(trace)
+    if trace.against is None or not before:
+        return trace
+    nominal_movement = np.maximum(np.mean(before, axis=0), np.maximum(1e-12 * now, np.finfo(float).tiny))
+    left = np.mean([_squares(n).mean(axis=0) for n in nominal], axis=0)
+    known = trace.observed[1:] & trace.observed[:-1]
+    there = 0.5 * (np.diff(trace.residual, axis=0)[known] ** 2).mean(axis=0)
+    return with_more(trace, np.clip(there - left, 0.0, left * np.maximum(now / nominal_movement - 1.0, 0.0)))
+
+
+def _common(trace: Trace) -> Array:
+    """How much of the fast movement both instances of a difference show, (3,).
+
+    Second differences: manoeuvres are far larger than what changes from one sample to the next, and hide it in the
+    first ones.
+    """
+    known = trace.observed[2:] & trace.observed[1:-1] & trace.observed[:-2]
+    if not known.any():
+        return np.zeros(3)
+    one, other = (np.diff(reading, 2, axis=0)[known] * trace.fs**2 for reading in (trace.measured, trace.ideal))
+    return np.asarray(np.maximum((one * other).mean(axis=0), 0.0))
+
+
+def _fitted(trace: Trace, base: Array, more: Sequence[Array]) -> AmplitudeFit | None:
+    """Steady noise of each axis, in units of its mean square, beside `base` and variances `more`, all (3 n,)."""
+    squares = _squares(trace)
+    if not squares.any(axis=0).all():
+        return None
+    steady = np.kron(np.diag(squares.mean(axis=0)), np.ones(len(squares)))
+    return fit_amplitudes(squares.T.ravel(), np.ones(squares.size), base, [*steady, *more])
+
+
+def without_aged_samples(trace: Trace, age: float) -> Trace:
+    """`trace` without the samples in which an `age` of that variance (s2) is more than the noise beside it."""
+    expected = age * slopes_squared(trace)
+    rest = _fitted(trace, expected[trace.observed].T.ravel(), ())
+    if rest is None:
+        return trace
+    noise = rest.amplitudes * _squares(trace).mean(axis=0)
+    return dataclasses.replace(trace, observed=trace.observed & ~(expected > noise).any(axis=1))
+
+
+def with_age_noise(trace: Trace, age: float, nominal: Sequence[Trace]) -> Trace:
+    """`trace` with the noise that its faster movement adds to what the `nominal` ones show, all of them settled."""
+    nominal_slopes = np.mean([slopes_squared(n)[n.observed].mean(axis=0) for n in nominal], axis=0)
+    more = age * np.maximum(slopes_squared(trace)[trace.observed].mean(axis=0) - nominal_slopes, 0.0)
+    return with_more(trace, more)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -93,7 +188,7 @@ def with_motor_noise(trace: Trace, found: Mapping[Sensor, MotorNoise]) -> Trace:
 
 _ABOUT = 0.3
 """Part of a frequency within which a line of a rotor, whose speed differs, is less than half of what there is."""
-_REST_S, _LOUDER = 2.0, 2.0
+_REST_S, _EXCESS = 2.0, 2.0
 """Seconds with the motors off that tell of noise, and the times by which it must exceed what is expected."""
 _BODY_HZ = 10.0
 """Up to which a vehicle moves as a whole: attitude controllers end there, rotors begin beyond."""
@@ -113,23 +208,23 @@ def _movement(trace: Trace) -> ResidualSpectrum | None:
     return learned(dataclasses.replace(trace, measured=trace.ideal, ideal=0.0 * trace.ideal, observed=everywhere))
 
 
-def with_movement_noise(trace: Trace, usual: Mapping[Sensor, ResidualSpectrum]) -> Trace:
-    """`trace` with the noise expected that it has for moving more than the `usual` of the nominal recordings.
+def with_movement_noise(trace: Trace, nominal: Mapping[Sensor, ResidualSpectrum]) -> Trace:
+    """`trace` with the noise that is expected because it moves more than the `nominal` recordings.
 
-    Of movement and noise together the noise was a share, of at most all: more movement has that share of it. A calmer
-    recording is not expected to be quieter.
+    The noise was a share of movement and noise together, at most all of it: more movement adds that share. A calmer
+    recording is not expected to have less noise.
     """
-    if trace.against is not None or trace.sensor not in usual or (trace.psd is None and trace.sigma is None):
+    if trace.against is not None or trace.sensor not in nominal or (trace.psd is None and trace.sigma is None):
         return trace
     own = _movement(trace)
     if own is None:
         return trace
-    before = usual[trace.sensor]
+    before = nominal[trace.sensor]
     hz = np.unique(np.concatenate([own.hz, before.hz[before.hz < 0.5 * trace.fs], _hz_of(trace)]))
     psd = _psd_of(trace, hz)
     was, now = (on(spectrum, hz, trace.fs, trace.low_pass_hz) for spectrum in (before, own))
-    louder = psd * (1.0 + np.maximum(now - was, 0.0) / (was + psd))
-    return dataclasses.replace(trace, psd=louder, psd_hz=hz, own_psd=_own_on(trace, hz))
+    expected = psd * (1.0 + np.maximum(now - was, 0.0) / (was + psd))
+    return dataclasses.replace(trace, psd=expected, psd_hz=hz, own_psd=_own_on(trace, hz))
 
 
 def with_heave_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
@@ -168,7 +263,7 @@ def _loud_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
     omega = 2.0 * np.pi * np.minimum(hz / trace.fs, 0.5)
     # of steps: each frequency by four times the square of the sine of half of it, over all of them evenly
     expected = np.trapezoid(psd * (4.0 * np.sin(0.5 * omega) ** 2)[:, None], hz, axis=0) / (0.5 * trace.fs)
-    return bool((steps > _LOUDER * expected).any())
+    return bool((steps > _EXCESS * expected).any())
 
 
 def _median_about(hz: Array, values: Array) -> Array:

@@ -14,7 +14,7 @@ from scipy.special import chdtr, chdtrc
 
 from mavcal.calib.gap.likelihood import fit_amplitudes, flicker, random_walk
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.gap.reference.channels import filter_gain
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.reference.correlation import TURNS, correlation, likened, turned_correlation
-from mavcal.calib.gap.reference.ideal import Ideal
-from mavcal.calib.gap.reference.recorded import continuous, true_attitude, true_place
+from mavcal.calib.gap.reference.align import TURNS, correlation, likened, turned_correlation
+from mavcal.calib.gap.reference.ideal import Ideal, continuous, true_attitude, true_place
 from mavcal.calib.gap.reference.signals import LowPassedSignal, Signal, bandwidth, linear, low_passed
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
@@ -26,14 +25,14 @@ GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
 @dataclass(frozen=True)
 class Cutoffs:
-    """Frequencies in Hz up to which turning and moving are taken from a pose; None: all."""
+    """Frequencies in Hz up to which rotation and translation are taken from a pose; None: all."""
 
-    turning: float | None = None
-    moving: float | None = None
+    rotation: float | None = None
+    translation: float | None = None
 
     def lower(self, other: Cutoffs) -> Cutoffs:
         """The lower of each: two recordings are compared as far as both poses tell."""
-        return Cutoffs(_lower(self.turning, other.turning), _lower(self.moving, other.moving))
+        return Cutoffs(_lower(self.rotation, other.rotation), _lower(self.translation, other.translation))
 
 
 def _lower(one: float | None, other: float | None) -> float | None:
@@ -77,16 +76,16 @@ def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTraject
     gyro = _judge(recording, Sensor.GYRO, smooth.t)
     if gyro is not None:
         _check_convention(smooth, gyro, _judge(recording, Sensor.ACCEL, smooth.t))
-        if (cutoff := _lower(bandwidth(smooth.t, rate, likened(gyro, rate)), highest.turning)) is not None:
+        if (cutoff := _lower(bandwidth(smooth.t, rate, likened(gyro, rate)), highest.rotation)) is not None:
             smooth, q, rate = _turned(attitude, cutoff)
-    acceleration, moving = _acceleration(recording, smooth.t, q, highest.moving)
+    acceleration, cutoff_hz = _acceleration(recording, smooth.t, q, highest.translation)
     return PoseTrajectory(
         t=smooth.t,
         attitude=q,
         rate=rate,
         acceleration=acceleration,
         place=true_place(recording),
-        cutoffs=Cutoffs(smooth.cutoff_hz, moving),
+        cutoffs=Cutoffs(smooth.cutoff_hz, cutoff_hz),
         att_sigma_deg=float(np.degrees(2.0 * np.sqrt((smooth.noise**2).sum()))),
         known=_known(attitude, smooth),
     )
@@ -109,8 +108,8 @@ def _check_convention(smooth: LowPassedSignal, gyro: Array, force: Array | None)
     Raises
     ------
     InvalidInputError
-        If its inverse, or its numbers in another order, turn as the gyroscope does and it does not, or if it has
-        nothing in common with it.
+        If only its inverse, or its numbers in another order, turn as the gyroscope does. If it has nothing in common
+        with the gyroscope.
     """
     if np.linalg.eigvalsh(np.cov(gyro.T))[1] < _TURNING**2:
         return  # a turn about one axis is a turn the other way with a sign
@@ -123,19 +122,19 @@ def _check_convention(smooth: LowPassedSignal, gyro: Array, force: Array | None)
     def hangs(q: Array) -> float:
         return 0.0 if force is None else correlation(force, rotation(q).inv().apply(-GRAVITY_NED))
 
-    if correlation(reading, turns(smooth.values)) > _ALIKE:
+    if correlation(reading, turns(smooth.values)) > _SAME:
         return
     made = {what: change(smooth.values) for what, change in _CONVENTIONS.items()}
     others = {what: correlation(reading, turns(q)) for what, q in made.items()}
     what = max(others, key=lambda name: others[name])
     given = turned_correlation(reading, turns(smooth.values))
     need = "give q_w, q_x, q_y, q_z from the body to north-east-down"
-    if others[what] > _ALIKE and hangs(made[what]) >= hangs(smooth.values):
+    if others[what] > _SAME and hangs(made[what]) >= hangs(smooth.values):
         raise InvalidInputError(
             f"the attitude does not turn as the gyroscope does, and would (correlation {others[what]:.2f}) if it were "
             f"{what}: {need}"
         )
-    if given < _STRANGE:
+    if given < _UNRELATED:
         raise InvalidInputError(
             f"the attitude and the gyroscope have nothing in common (correlation {given:.2f}): {need}, of the same "
             "movement"
@@ -149,7 +148,7 @@ _CONVENTIONS: dict[str, Callable[[Array], Array]] = {
 }
 _TURNING = 0.05  # rad/s, standard deviation about a second axis, from which turns tell the convention
 _CONVENTION_HZ = 5.0  # up to which turns are compared
-_ALIKE, _STRANGE = 0.9, 0.3  # correlations from which turns are the same, and below which they have nothing in common
+_SAME, _UNRELATED = 0.9, 0.3  # correlations from which turns are the same, and below which they have nothing in common
 
 
 def _turned(attitude: Signal, cutoff: float | None) -> tuple[LowPassedSignal, Array, Array]:
@@ -211,7 +210,7 @@ def driven(pose: PoseTrajectory, earth: Array | None) -> Ideal:
     }
     if earth is not None:
         readings[Sensor.MAG] = Signal(pose.t[rows], turn.apply(np.tile(earth, (len(pose.t), 1)))[rows])
-    cutoff = pose.cutoffs.turning
+    cutoff = pose.cutoffs.rotation
     band = "" if cutoff is None else f", below {cutoff:.3g} Hz, where its own noise begins"
     still = "" if pose.acceleration is not None else "; no place or velocity was recorded: acceleration is not in it"
     return Ideal(
@@ -241,14 +240,14 @@ def earth_field_of(channels: list[Channel], pose: PoseTrajectory) -> Array | Non
         owner.append(np.full(len(pick), i))
     if not rows:
         return None
-    turns, m, which = np.vstack(rows), np.vstack(values), np.concatenate(owner)
+    turns, m, owners = np.vstack(rows), np.vstack(values), np.concatenate(owner)
     offsets = np.zeros((len(m), 3, 3 * len(channels)))
     for i in range(len(channels)):
-        offsets[which == i, :, 3 * i : 3 * i + 3] = np.eye(3)
-    told_apart = np.linalg.svd(turns.mean(axis=0), compute_uv=False)[0] < _SPREAD
+        offsets[owners == i, :, 3 * i : 3 * i + 3] = np.eye(3)
+    separable = np.linalg.svd(turns.mean(axis=0), compute_uv=False)[0] < _SPREAD
     both = np.concatenate([turns, offsets], axis=2)
     frame = _frame_of(both, m)
-    return None if frame is None else _robust(both if told_apart else turns, m @ frame)[:3]
+    return None if frame is None else _robust(both if separable else turns, m @ frame)[:3]
 
 
 def _frame_of(design: Array, m: Array) -> Array | None:

@@ -18,11 +18,9 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.earth import earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.reference.calibrated import filter_delay, filter_in_force
-from mavcal.calib.gap.reference.channels import sensors_of
-from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.gap.reference.channels import filter_delay, filter_in_force, sensors_of
+from mavcal.calib.gap.reference.ideal import Ideal, continuous, true_attitude
 from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
-from mavcal.calib.gap.reference.recorded import continuous, true_attitude
 from mavcal.calib.gap.reference.signals import Signal, linear, slow
 from mavcal.calib.gap.reference.strapdown import STEPS, Between, Increments
 from mavcal.calib.gap.reference.trajectory import (
@@ -82,8 +80,8 @@ class SmoothedTrajectory:
 def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | None:
     """Ideal sensors along the smoothed trajectory of `recording`; `with_truth`: a simulator's attitude is in it.
 
-    None without GPS velocity, a gyroscope and an accelerometer over the same ten seconds. Of several inertial units,
-    and of several magnetometers, the one is taken with which everything agrees best.
+    None without GPS velocity, a gyroscope and an accelerometer over the same ten seconds. Among
+    several inertial units, and several magnetometers, the one is taken with which everything agrees best.
     """
     found = best_trajectory(recording, with_truth=with_truth)
     return None if found is None else _driven(found)

@@ -1,10 +1,10 @@
 """Instances of one vehicle against each other: a reference that needs neither attitude nor field.
 
 A difference d of two instances says that one has what the other has not, and not which. Their mean s does, however
-badly any reference follows it: what one of them has alone is half in it, ``E[s d] = (var_1 - var_2) / 2`` (the test of
-Pitman 1939 and Morgan 1939 for two variances of a correlated pair), and how the vehicle moves is in s and not in d. In
-the band where d has most power beyond the simulator's recording, by X, the excess of ``2 s d / X`` is 1 if the first
-instance has it, -1 if the second, and 0 if both have as much of it.
+badly any reference follows it. What only one of them has is half in s: ``E[s d] = (var_1 - var_2) / 2``. This is the
+test of Pitman 1939 and Morgan 1939 for two variances of a correlated pair; the movement of the vehicle is in s and not
+in d. Let X be the power of d beyond that in the simulator's recording, in the band where it is largest. There the
+excess of ``2 s d / X`` is 1 if the first instance has it, -1 if the second, and 0 if both have as much.
 
 Below the slowest bands there is too little of either; there it is asked which of both is at the reference.
 """
@@ -23,8 +23,7 @@ from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import FaultyInstances, Trace
-from mavcal.calib.gap.reference.calibrated import TRIADS
-from mavcal.calib.gap.reference.channels import comparable
+from mavcal.calib.gap.reference.channels import TRIADS, comparable
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.simulator import denoised, error_sd
@@ -40,8 +39,8 @@ _EDGE_S = 0.5  # from the ends of a trajectory, where the filters of the units r
 def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...]) -> tuple[Trace, ...]:
     """Every instance of a sensor that has several, against the one that is most like its reference.
 
-    That one is found from the `single` traces; without them it is the one that is nearest to all others. Of two
-    without a single trace nothing says which is at fault: the first is compared with the second.
+    That one is found from the `single` traces; without them it is the one that is nearest to all others. For two
+    instances without a single trace nothing says which is at fault: the first is compared with the second.
     """
     made: list[Trace] = []
     for sensor in TRIADS:
@@ -74,11 +73,11 @@ def _beside_movement(trace: Trace, channel: Channel, base: Channel, real: Record
     found = denoised(base)
     if found is None:
         return trace
-    moving = trace_of(channel, found.signal, None, real)
-    if len(moving.t) != len(trace.t):
+    movement = trace_of(channel, found.signal, None, real)
+    if len(movement.t) != len(trace.t):
         return trace
-    measured = moving.ideal + trace.residual
-    return dataclasses.replace(trace, ideal=moving.ideal, measured=measured, ideal_sd=error_sd(found.noise))
+    measured = movement.ideal + trace.residual
+    return dataclasses.replace(trace, ideal=movement.ideal, measured=measured, ideal_sd=error_sd(found.noise))
 
 
 def _rate(channel: Channel) -> float:
@@ -194,10 +193,10 @@ def _fast(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] | None) -> tuple[i
     if sim is not None and abs(math.log(real[0].fs / sim[0].fs)) > _ONE_RATE:
         return None
     bands = _bands(*real)
-    usual = _bands(*sim) if sim is not None else []
-    usual += [_Band(0.0, 0.0, 0.0, 0)] * (len(bands) - len(usual))
+    nominal_bands = _bands(*sim) if sim is not None else []
+    nominal_bands += [_Band(0.0, 0.0, 0.0, 0)] * (len(bands) - len(nominal_bands))
     best, found = 0.0, None
-    for band, before in zip(bands, usual, strict=False):
+    for band, before in zip(bands, nominal_bands, strict=False):
         excess = band.difference - before.difference
         chance = before.difference * math.sqrt(2.0 / band.count)
         if excess > _MORE * chance and (energy := band.count * excess) > best:

@@ -203,9 +203,9 @@ def low_passed(signal: Signal, cutoff_hz: float | None = None) -> LowPassedSigna
         line = values[0] + (values[-1] - values[0]) * ((t - t[0]) / max(t[-1] - t[0], step))[:, None]
         spectrum = dct(values - line, axis=0, norm="ortho")
         hz = np.arange(len(t)) / (2.0 * step * len(t))
-        kept = spectrum * np.exp2(-((hz / cutoff_hz) ** _STEEP))[:, None]
-        noise = np.sqrt(((spectrum - kept) ** 2).sum(axis=0) / len(t))
-        values = line + idct(kept, axis=0, norm="ortho")
+        passed = spectrum * np.exp2(-((hz / cutoff_hz) ** _STEEP))[:, None]
+        noise = np.sqrt(((spectrum - passed) ** 2).sum(axis=0) / len(t))
+        values = line + idct(passed, axis=0, norm="ortho")
     spline = CubicSpline(t, values, axis=0)
     return LowPassedSignal(t, values, spline(t, 1), spline(t, 2), cutoff_hz, noise)
 

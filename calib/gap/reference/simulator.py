@@ -1,8 +1,8 @@
 """A simulator's readings as a reference: the movement in them without their noise, and their own mean error.
 
-Noise in the reference is an error in the regressors: it makes every column smaller than it is and is, with the other
-sign, in the difference too, so that a filter or a delay that takes some of it away seems to explain the difference
-(Fuller, Measurement Error Models, 1987). Against the best estimate of the movement that is not so: what a Wiener
+Noise in the reference is an error in the regressors (Fuller, Measurement Error Models, 1987): it makes every column
+smaller than it is. It is also in the difference, with the other sign. A filter or a delay that takes some of it away
+then seems to explain the difference. Against the best estimate of the movement that is not so: what a Wiener
 filter leaves out is uncorrelated with what it lets through (regression calibration; Carroll et al., Measurement Error
 in Nonlinear Models, 2006). The price is known: at a frequency that the filter passes by ``g``, noise of power ``s^2``
 leaves ``g s^2`` in the reference.
@@ -33,8 +33,8 @@ _LOWEST = 1 / 8
 """Share of the Nyquist frequency above which the noise is sought: below is where vehicles move."""
 _BLOCKS = 16  # of the coefficients above that, at most
 _FEWEST = 128  # coefficients in a block
-_ALIKE = 3  # blocks, and
-_MOST = 0.5  # share of all, that must agree on the floor: what falls with frequency is movement, or filtered noise
+_FEWEST_BLOCKS = 3  # that must agree on the noise floor, and
+_MOST = 0.5  # share of all: what falls with frequency is movement, or filtered noise
 _BY_CHANCE = 4.0  # standard deviations by which blocks of one floor may differ
 _SURE = 3.0  # and by which a band must be above it to hold movement
 _STEP = 1.08  # ratio of the edges of bands
@@ -60,19 +60,19 @@ def denoised(channel: Channel) -> Denoised | None:
     values[grid.point] = channel.values[grid.sample]
     spectrum = dct(values, axis=0, norm="ortho")
     power = spectrum[1:] ** 2 / grid.observed.mean()
-    floors = [_floor(column) for column in power.T]
-    if any(floor is None for floor in floors):
+    white = [_white_power(column) for column in power.T]
+    if any(level is None for level in white):
         return None
-    floor = np.array(floors, dtype=np.float64)
+    floor = np.array(white, dtype=np.float64)
     edges = _edges(n)
     count = np.diff(edges).astype(np.float64)
     mean = np.add.reduceat(power, edges[:-1] - 1, axis=0) / count[:, None]
     seen = mean > floor * (1.0 + _SURE * np.sqrt(2.0 / count))[:, None]
     gain = np.repeat(np.where(seen, 1.0 - floor / np.maximum(mean, floor), 0.0), np.diff(edges), axis=0)
     gain = np.maximum(gain, _lines(power / floor))
-    kept = np.vstack([np.ones((1, 3)), gain])
+    passed = np.vstack([np.ones((1, 3)), gain])
     gain = np.add.reduceat(gain, edges[:-1] - 1, axis=0) / count[:, None]
-    smooth = idct(spectrum * kept, axis=0, norm="ortho")[grid.point]
+    smooth = idct(spectrum * passed, axis=0, norm="ortho")[grid.point]
     fs = (n - 1) / float(grid.t[-1] - grid.t[0])
     hz = np.sqrt(edges[:-1] * (edges[1:] - 1.0)) * fs / (2.0 * n)
     return Denoised(Signal(grid.stamps, smooth), ResidualSpectrum(hz, floor * (1.0 + gain), count, fs, smooth=True))
@@ -107,15 +107,15 @@ def _error(noise: ResidualSpectrum) -> Array:
     return np.asarray(noise.psd - noise.psd.min(axis=0))
 
 
-def _floor(power: Array) -> float | None:
+def _white_power(power: Array) -> float | None:
     """White noise in coefficients (n - 1,): the mean of the lowest blocks that agree with each other."""
     high = power[int(_LOWEST * len(power)) :]
     blocks = np.array_split(high, max(1, min(_BLOCKS, len(high) // _FEWEST)))
     means = np.sort([block.mean() for block in blocks])
     if not means[0] > 0.0:
         return None
-    alike = means < means[0] * (1.0 + 2.0 * _BY_CHANCE * math.sqrt(2.0 / len(blocks[0])))
-    return float(means[alike].mean()) if alike.sum() >= max(_ALIKE, _MOST * len(blocks)) else None
+    agree = means < means[0] * (1.0 + 2.0 * _BY_CHANCE * math.sqrt(2.0 / len(blocks[0])))
+    return float(means[agree].mean()) if agree.sum() >= max(_FEWEST_BLOCKS, _MOST * len(blocks)) else None
 
 
 def _edges(n: int) -> NDArray[np.intp]:
@@ -123,8 +123,8 @@ def _edges(n: int) -> NDArray[np.intp]:
     edges = [1]
     while edges[-1] < n:
         edges.append(max(edges[-1] + _NARROWEST, round(_STEP * edges[-1])))
-    kept = [e for e in edges if e <= n - _NARROWEST]
-    return np.array([*kept, n] if kept else [1, n], dtype=np.intp)
+    starts = [e for e in edges if e <= n - _NARROWEST]
+    return np.array([*starts, n] if starts else [1, n], dtype=np.intp)
 
 
 _SURE_OF_MEAN = 5.0  # standard errors from which a mean counts

@@ -1,11 +1,11 @@
 """A trajectory re-estimated from a recording: a smoother over gyroscope, accelerometer, GPS velocity and magnetometer.
 
-The candidate effects are inside: biases of gyroscope and accelerometer that may wander and follow the unit's
-temperature, the gyroscope's scale and axes, how the accelerometer is turned, the magnetometer's offset and soft iron,
-its field per ampere and its delay (a compass that averages over its period is late by half of it, and turns otherwise
-bend the field), the delay of the GPS. Gauss-Newton over all nodes at once (multiple shooting): the error state of a
-node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by what the unit
-measured between them, so the normal equations are banded, bordered by the constants.
+The candidate effects are inside. Gyroscope and accelerometer have biases that may wander and follow the unit's
+temperature; the gyroscope has scale and axes, the accelerometer a rotation. The magnetometer has an offset, soft iron,
+a field per ampere and a delay: a compass that averages over its period is late by half of it. The GPS has a delay.
+Without the compass' delay, turns would bend the field. Gauss-Newton over all nodes at once (multiple shooting): the
+error state of a node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by what
+the unit measured between them, so the normal equations are banded, bordered by the constants.
 """
 
 from __future__ import annotations

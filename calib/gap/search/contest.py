@@ -327,8 +327,8 @@ def _marginal(information: Array) -> Array:
 def modulation(model: Model, axis: int, envelope: Array, density: Array) -> float:
     """Twice the log-likelihood by which added noise that follows `envelope` (N,), of mean one, beats a steady one.
 
-    In the bins where the added `density` (n,) is a good part of all power, the residual's power should follow the
-    envelope as far as that part goes.
+    The added `density` (n,) is a good part of all power in some bins. There the residual's power should follow the
+    envelope in that proportion.
     """
     v, c = divmod(axis, 3)
     power = model.noise[axis].power + density
@@ -350,7 +350,7 @@ def modulation(model: Model, axis: int, envelope: Array, density: Array) -> floa
 def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
     """The trace, and the index of the series, that show most of it: of several alike the one with most left over.
 
-    What is sought may have been in one block only. Of two bands the lower one stands for both.
+    What is sought may have been in one block only. The lower one of two bands stands for both.
     """
     found = [
         (abs(weight), v, i)

@@ -1,9 +1,9 @@
 """What an effect is worth beside its price: the marginal likelihood of its amplitudes under a prior of their own size.
 
-A penalty of ``log N`` an amplitude asks the same of a direction that the movement excites and of one that it does not,
-and more of a long recording than of a short one. Here the amplitudes of one unit share a prior ``N(0, s^2)``, and s is
-the size that explains the data best (empirical Bayes; Clyde & George 2000): an amplitude that is seen well costs about
-the logarithm of its own evidence, one that is not seen costs nothing.
+A penalty of ``log N`` an amplitude would be the same for a direction that the movement excites and for one that it does
+not. It would be larger for a long recording than for a short one. Here the amplitudes of one unit share a prior ``N(0,
+s^2)``, and s is the size that explains the data best (empirical Bayes; Clyde & George 2000): an amplitude that is seen
+well costs about the logarithm of its own evidence, one that is not seen costs nothing.
 
 Amplitudes need not be alike in size, and two other priors are tried as well, each for what a choice among them costs:
 that they are alike in what they make of the readings (Zellner 1986), as those of a curve are whose orders take each
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
-from mavcal.calib.gap.effects.shape_ids import family_of, is_part
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.normal_equations import eigh
 from mavcal.calib.gap.search import prices
@@ -47,15 +46,15 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
 def weighed(gram: Array, right: Array, groups: NDArray[np.intp]) -> tuple[float, float]:
     """The :func:`evidence`, and of how many amplitudes the data tell at that size of the prior: from 0 to p."""
     seen = _Directions.of(gram, right, groups)
-    size, worth = seen.alike_in_size()
-    told = float((size * seen.values / (1.0 + size * seen.values)).sum())
-    return max(worth, seen.alike_in_readings(), _only_one(gram, right)), told
+    size, worth = seen.with_common_variance()
+    determined = float((size * seen.values / (1.0 + size * seen.values)).sum())
+    return max(worth, seen.with_g_prior(), _only_one(gram, right)), determined
 
 
 def prior_sd(gram: Array, right: Array, groups: NDArray[np.intp]) -> Array:
     """Standard deviations (p,) of the prior at its best size; zero where the data would rather have no amplitudes."""
     seen = _Directions.of(gram, right, groups)
-    size, worth = seen.alike_in_size()
+    size, worth = seen.with_common_variance()
     return seen.scale * math.sqrt(size) if worth > 0.0 else np.zeros(len(gram))
 
 
@@ -75,17 +74,17 @@ class _Directions:
         values, vectors = eigh(gram * np.outer(scale, scale))
         return cls(scale, np.maximum(values, 0.0), (vectors.T @ (right * scale)) ** 2)  # below zero by rounding only
 
-    def alike_in_size(self) -> tuple[float, float]:
+    def with_common_variance(self) -> tuple[float, float]:
         """The variance of the amplitudes that explains the data best, and twice the log evidence there."""
         if not self.values.any():
             return 0.0, 0.0
         sizes = prices.PRIOR_VARIANCES[:, None] / self.values[-1]
-        told = sizes * self.values
-        worth = (self.square * sizes / (1.0 + told) - np.log1p(told)).sum(axis=1)
+        ratio = sizes * self.values
+        worth = (self.square * sizes / (1.0 + ratio) - np.log1p(ratio)).sum(axis=1)
         best = int(worth.argmax())
         return float(sizes[best, 0]), float(worth[best])
 
-    def alike_in_readings(self) -> float:
+    def with_g_prior(self) -> float:
         """Evidence where every direction that is seen moves the readings by as much."""
         if not self.values.any():
             return -math.inf
@@ -159,10 +158,10 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
     square = np.maximum(amplitudes, 0.0) ** 2
     if not len(square):
         return 0.0
-    alike = float(np.log1p(square.mean() * information).sum())
+    together = float(np.log1p(square.mean() * information).sum())
     lost = float((square * information).sum()) - square * information
     alone = np.log1p(square * information) + lost + _price_of_one(len(square))
-    return min(alike, float(alone.min()))
+    return min(together, float(alone.min()))
 
 
 def price_of_repetition(again: int) -> float:
@@ -175,7 +174,7 @@ def price_of_kind(effect: CatalogueEffect) -> float:
     seems to go with temperature is often there at every temperature that was seen.
     """
     if effect.nameless:
-        return prices.SHAPE_PRICES[family_of(effect.id)] + prices.SHAPE_PART_PRICE * is_part(effect.id)
+        return prices.SHAPE_PRICES[effect.family] + prices.SHAPE_PART_PRICE * effect.part
     if effect.id == REFERENCE:
         return prices.REFERENCE_PRICE
     if Trait.THERMAL in effect.traits:

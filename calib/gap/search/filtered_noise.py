@@ -49,8 +49,8 @@ def filter_evidence(hypothesis: Hypothesis, theta: float, model: Model) -> float
         gains = np.maximum(effect.noise_gain(view.whole.any_trace, view.omega, theta), _LEAST)
         for c in range(3):
             pieces.setdefault((view.label, c), []).append(_compared(model, v, c, gains))
-    told = [_told(np.sum(parts, axis=0)) for parts in pieces.values()]
-    return float(np.sum(told, axis=0).max()) if told else 0.0
+    ratios = [_log_ratio(np.sum(parts, axis=0)) for parts in pieces.values()]
+    return float(np.sum(ratios, axis=0).max()) if ratios else 0.0
 
 
 def _compared(model: Model, v: int, c: int, gains: Array) -> Array:
@@ -67,7 +67,7 @@ def _compared(model: Model, v: int, c: int, gains: Array) -> Array:
     return np.stack([count.sum() * rows, logs, (squares / plain).sum() * rows, after], axis=1)
 
 
-def _told(compared: Array) -> Array:
+def _log_ratio(compared: Array) -> Array:
     """Twice the log-likelihood ratio (R,), the level of the noise being free on either side."""
     count, logs, before, after = compared.T
     return np.where(count > 0.0, logs + count * np.log(np.maximum(before, _TINY) / np.maximum(after, _TINY)), 0.0)

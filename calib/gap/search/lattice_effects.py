@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import CatalogueEffect, LatticeEffect, LatticeEvidence
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import GapProblem, Trace
@@ -34,7 +35,7 @@ def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Latti
             evidence = effect.detect(trace) if effect.sensor is trace.sensor else None
             if evidence is None or nominal_has_samples(effect, evidence, problem.nominal):
                 continue
-            if evidence.two_delta_loglik < problem.floor.lasting.get(trace.sensor, 0.0):
+            if evidence.two_delta_loglik < problem.minimum_gain.lasting.get(trace.sensor, 0.0):
                 continue  # two recordings differ by as much
             found.append(_from_lattice(effect, trace.instances, evidence))
             if evidence.masked.any():
@@ -44,10 +45,17 @@ def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Latti
     return Lattice(tuple(found), masks, variance)
 
 
-def shown_by(lattice: Lattice, effect: EffectEstimate) -> bool:
+def covered_by(lattice: Lattice, effect: EffectEstimate) -> bool:
     """Whether an effect is what the samples show already: themselves, or because coarse levels have one at zero."""
-    alike = {effect.id, effect.id.replace("_dead_band", "_quantisation")}
-    return any(e.id in alike and set(effect.instances) <= set(e.instances) for e in lattice.effects)
+    return any(_explains(e, effect) and set(effect.instances) <= set(e.instances) for e in lattice.effects)
+
+
+def _explains(shown: EffectEstimate, effect: EffectEstimate) -> bool:
+    """Whether an effect of the samples is `effect` itself, or makes its dead band."""
+    if shown.id == effect.id:
+        return True
+    coarse, dead = Trait.COARSE in by_id()[shown.id].traits, Trait.DEAD_BAND in by_id()[effect.id].traits
+    return coarse and dead and shown.sensor is effect.sensor
 
 
 def _each_instance(traces: Sequence[Trace]) -> Iterator[tuple[int, Trace]]:

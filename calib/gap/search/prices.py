@@ -111,7 +111,7 @@ ENTRY_SHARE = 0.3
 Unit: share of that least gain. Source: chosen in development, seeds not recorded.
 """
 OTHER_SENSOR_SHARE = 3e-5
-"""Share below which an effect on another sensor is a flaw of the reference.
+"""Share below which an effect on another sensor is an error of the reference.
 
 Unit: share of the largest gain of all. Source: chosen in development, seeds not recorded.
 """

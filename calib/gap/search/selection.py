@@ -80,8 +80,8 @@ def fitted_about(model: Model, hypothesis: Hypothesis) -> Model:
 def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
     """The effects that the data show; noise that wanders comes last.
 
-    It can take the place of any slow effects on the mean, of two at once of which neither is better alone. It is
-    therefore left out at first, and may join beside them; only then it is asked whether it says more in their place.
+    It can take the place of any slow effects on the mean, even of two at once where neither is better alone. It is
+    therefore left out at first, and may join beside them. Only then is it tested in their place.
 
     Parameters
     ----------
@@ -141,10 +141,11 @@ def _better(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> Chosen
         for t in other.model.noise_terms
         if t.hypothesis.effect.drifts and unsteady_line(t, other.model)
     }
+    named = [t.hypothesis for t in chosen.model.members if not t.hypothesis.effect.nameless]
     gains, taken = last_gains(chosen.model, contest), set()
     part = prices.FLIGHT_SECOND_ORDER_SHARE if of_flights(chosen.model) else prices.SECOND_ORDER_SHARE
     for sensor in {view.sensor for view in chosen.model.setting.views} - skirts:
-        worth = part * max((g for k, (g, _, _) in gains.items() if k[0].startswith(f"{sensor}_")), default=0.0)
+        worth = part * max((gains[h.key][0] for h in named if h.effect.sensor is sensor), default=0.0)
         if _objective_of(other, sensor) < _objective_of(chosen, sensor) - worth:
             taken.add(sensor)
     return _joined(chosen, other, taken) if taken else chosen
@@ -158,8 +159,8 @@ def _objective_of(chosen: ChosenModel, sensor: Sensor) -> float:
 
 def _joined(chosen: ChosenModel, other: ChosenModel, taken: Collection[Sensor]) -> ChosenModel:
     """The effects of `other` on the sensors `taken`, those of `chosen` on the rest."""
-    kept = [s for s in chosen.scores if s.hypothesis.effect.sensor not in taken]
-    scores = (*kept, *(s for s in other.scores if s.hypothesis.effect.sensor in taken))
+    others = [s for s in chosen.scores if s.hypothesis.effect.sensor not in taken]
+    scores = (*others, *(s for s in other.scores if s.hypothesis.effect.sensor in taken))
     pair = (chosen.model, other.model)
     views = chosen.model.setting.views
     own = [pair[views[a // 3].sensor in taken] for a in range(chosen.model.setting.axes)]
@@ -217,7 +218,7 @@ def grown(
 
 
 def _happens(score: ContestScore) -> bool:
-    """Whether it is an event: one that waits for room behind flaws of other sensors spoils their noise meanwhile."""
+    """Whether it is an event: one that waits for room behind errors of other sensors spoils their noise meanwhile."""
     return score.hypothesis.effect.jumps
 
 
@@ -263,9 +264,8 @@ def _best(
 ) -> tuple[ContestScore | None, Model | None]:
     """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
 
-    Noise that wanders may have taken the place of a slow mean, and so may noise that nobody declared, which was fitted
-    while that was in it: what a mean gains beside them says little. With it the model
-    that it joins, if that was fitted.
+    Noise that wanders may have taken the place of a slow mean. So may undeclared noise, which was fitted to the mean as
+    well. What a mean gains beside them says little. The second result is the model that it joins, if that was fitted.
     """
     wandering = any(t.hypothesis.effect.drifts for t in model.noise_terms)
     undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}
@@ -453,7 +453,7 @@ def _member(model: Model, key: Key) -> Hypothesis:
 
 
 def objective(chosen: ChosenModel) -> float:
-    """``-2 log L`` with the price of every effect, and of there being one more: smaller is better."""
+    """``-2 log L`` with the price of every effect, and of the number of effects: smaller is better."""
     return sum(chosen.noise.deviance.values()) + price_of_all(chosen.scores)
 
 

@@ -8,42 +8,42 @@ from dataclasses import dataclass, field
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Hypothesis, Key
-from mavcal.calib.gap.problem import Floor, GapProblem
+from mavcal.calib.gap.problem import GapProblem, MinimumGain
 from mavcal.calib.recording import Sensor
 
 
 @dataclass(frozen=True)
 class GainThresholds:
-    """Twice the log-likelihoods of a :class:`calib.gap.problem.Floor`, and by hypothesis what flaws leave open there.
+    """Twice the log-likelihoods of a :class:`calib.gap.problem.MinimumGain`, and what nuisance effects leave open.
 
-    `own`: what a hypothesis would gain if a part of the flaws were still there
+    `own`: by hypothesis, what it would gain if a part of the nuisance effects were still there
     (:mod:`calib.gap.companion.nuisance_gain`).
     """
 
-    floor: Floor = field(default_factory=Floor)
+    minimum_gain: MinimumGain = field(default_factory=MinimumGain)
     own: Mapping[Key, float] = field(default_factory=dict)
 
     def joining(self, hypothesis: Hypothesis) -> float:
         """Gain below which a hypothesis stays out of the model."""
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
-            return self.floor.noise.get(effect.sensor, 0.0)
+            return self.minimum_gain.noise.get(effect.sensor, 0.0)
         if Trait.LEVEL in effect.traits:
-            return self.floor.level.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
-        return self.floor.joins.get(effect.sensor, 0.0)
+            return self.minimum_gain.level.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
+        return self.minimum_gain.joins.get(effect.sensor, 0.0)
 
-    def telling(self, hypothesis: Hypothesis) -> float:
+    def reporting(self, hypothesis: Hypothesis) -> float:
         """Gain below which a hypothesis in the model is no gap; noise that wanders has taken its part of a shift."""
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
-            return self.floor.loud.get(effect.sensor, 0.0)
+            return self.minimum_gain.loud.get(effect.sensor, 0.0)
         if Trait.LEVEL in effect.traits:
-            return min(self.floor.level.get(effect.sensor, 0.0), self.floor.joins.get(effect.sensor, 0.0))
-        return self.floor.lasting.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
+            return min(self.minimum_gain.level.get(effect.sensor, 0.0), self.minimum_gain.joins.get(effect.sensor, 0.0))
+        return self.minimum_gain.lasting.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
 
     def lasting(self, sensor: Sensor) -> float:
         """Below which what is left over on a sensor is no gap."""
-        return self.floor.lasting.get(sensor, 0.0)
+        return self.minimum_gain.lasting.get(sensor, 0.0)
 
 
 def accepted_difference(problem: GapProblem, each: float) -> dict[Sensor, float]:

@@ -98,8 +98,8 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
     frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
     # A bias that wanders cannot be told from a reference that does.
-    told = [h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.drifts and _seen_by(h))]
-    contest = Contest(told, floors=contest.floors, pace=contest.pace)
+    candidates = [h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.drifts and _seen_by(h))]
+    contest = Contest(candidates, floors=contest.floors, pace=contest.pace)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
     noise = with_tail(setting, start.noise, size, time)

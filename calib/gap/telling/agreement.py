@@ -28,9 +28,9 @@ class EffectAgreement:
 
 
 def agreements(effects: Sequence[EffectEstimate], others: Iterable[EffectEstimate]) -> tuple[EffectAgreement, ...]:
-    """Each of `effects` beside its like among `others`, each of which is the like of one at most.
+    """Each of `effects` beside its counterpart among `others`; each of these is the counterpart of one at most.
 
-    Of several of one kind (steps) the one that is nearest in its parameters counts.
+    Where there are several of one kind (steps), the one with the nearest parameters counts.
     """
     left = list(others)
     found = []

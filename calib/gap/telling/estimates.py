@@ -33,8 +33,8 @@ def estimates_of(chosen: ChosenModel, term: Term | NoiseTerm, widening: float = 
     """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise,
     and what the reference's attitude leaves open (:mod:`calib.gap.worth.attitude_error`).
 
-    A step between levels that do not fit it is no surer than they differ, and its moment no surer than the samples
-    beside it lie apart.
+    A step between levels that do not fit it has at least the error by which they differ from it. The error of its
+    moment is at least the distance of the samples beside it.
     """
     if isinstance(term, NoiseTerm):
         found = chosen.noise.estimates[term.hypothesis.key]

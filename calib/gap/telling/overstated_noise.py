@@ -10,7 +10,7 @@ import numpy as np
 from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.noise_fit import declared
 
-_QUIETER = 0.75
+_MOST_POWER_RATIO = 0.75
 """Ratio of powers from which it is said: below, a drone's own seldom repeats from flight to flight."""
 _SURE = 6.0
 """Standard errors."""
@@ -32,7 +32,7 @@ def overstated_noise(model: Model) -> Iterator[str]:
             counts += power.size
         ratio = squares / counts
         error = math.sqrt(2.0 / counts + 2.0 / (3.0 * view.dof))
-        if ratio < _QUIETER and 1.0 - ratio > _SURE * error:
+        if ratio < _MOST_POWER_RATIO and 1.0 - ratio > _SURE * error:
             instance = next(iter(view.weights)) + 1
             sd = math.sqrt(variance / counts)
             yield (

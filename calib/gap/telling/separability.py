@@ -20,7 +20,7 @@ _ERRORS = 2.0
 
 
 def inseparable(chosen: ChosenModel, reference: ReferenceInfo) -> frozenset[Key]:
-    """Named effects on the mean of which no amplitude exceeds two standard errors, the reference's tilt included."""
+    """Named effects on the mean without an amplitude beyond two standard errors, the reference's tilt included."""
     if reference.kind is not ReferenceKind.ESTIMATOR:
         return frozenset()
     return frozenset(_within(chosen))
@@ -32,11 +32,11 @@ def _within(chosen: ChosenModel) -> Iterator[Key]:
         if effect.nameless or effect.fixed or not effect.parameters:
             continue
         amplitudes = estimates_of(chosen, term)[: len(effect.parameters)]
-        if not any(map(_told, amplitudes)):
+        if not any(map(_undetermined, amplitudes)):
             yield term.hypothesis.key
 
 
-def _told(amplitude: ParameterEstimate) -> bool:
+def _undetermined(amplitude: ParameterEstimate) -> bool:
     """Whether it differs from zero; of one that by itself has no error nothing is known."""
     return not math.isfinite(amplitude.se) or abs(amplitude.value) > _ERRORS * amplitude.se
 

@@ -22,7 +22,7 @@ _OF_MEAN = 0.5
 """Part of the mean excess from which on a window has the noise."""
 _ONE = 3.0
 """Seconds between loud windows up to which they are one burst."""
-_TOLD = 3
+_LISTED = 3
 """Bursts whose times are said."""
 
 
@@ -33,8 +33,8 @@ def bursts(model: Model) -> Iterator[tuple[Key, str]]:
         if not isinstance(effect, NoiseEffect) or effect.drifts or effect.variance is not None or effect.shape:
             continue
         if (spans := _loud(model, term)) is not None:
-            when = ", ".join(f"{start:.0f} to {end:.0f} s" for start, end in spans[:_TOLD])
-            more = f" and {len(spans) - _TOLD} more times" if len(spans) > _TOLD else ""
+            when = ", ".join(f"{start:.0f} to {end:.0f} s" for start, end in spans[:_LISTED])
+            more = f" and {len(spans) - _LISTED} more times" if len(spans) > _LISTED else ""
             yield term.hypothesis.key, f"noise on {effect.sensor.value} from {when}{more} only"
 
 

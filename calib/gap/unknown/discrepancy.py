@@ -22,7 +22,7 @@ from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, coarse, va
 
 Array = NDArray[np.float64]
 
-LOUDER, WAVES = "noise that is louder at times", "a wave that is no sine, of"
+BURSTS, WAVES = "noise that is louder at times", "a wave that is no sine, of"
 """What is said of the bets that win."""
 _CHANCE = 2e-3
 """Chance of all bets together where nothing but white noise is left."""
@@ -45,7 +45,7 @@ _ROUNDS = 40
 _STARTS = ((0.02, 4.0), (0.2, 1.5))
 """Parts of the samples and variances of the louder ones that it begins with, in turn."""
 _PERIODS = 4
-"""Of a wave that the recording has at least."""
+"""Periods of a wave that the recording must have."""
 _PAD = 8
 """Times the length to which a series is filled up: an overtone is k times nearer to its bin than to the next."""
 _OVERTONES = (1, 2, 4, 8, 16)
@@ -80,7 +80,7 @@ def _bets(model: Model, v: int) -> Iterator[Unexplained]:
     white = np.stack([view.whitened(axis) for axis in view.spectra(model.residual[v]) / np.sqrt(power)])
     name = view.sensor.value
     if not varies(model, view):
-        yield Unexplained(bursting(white), f"{LOUDER} on {name}", view.sensor)
+        yield Unexplained(bursting(white), f"{BURSTS} on {name}", view.sensor)
     nats, periods = comb(white)
     yield Unexplained(nats, f"{WAVES} {periods * view.fs / view.n:.3g} Hz on {name}", view.sensor)
 
@@ -117,12 +117,12 @@ def _chains(energy: Array, freedom: NDArray[np.intp]) -> Array:
     `energy` (k, n): sums of `freedom` (k,) squares each. The first state has unit variance.
     """
     width = freedom.min()  # of an axis alone: samples of a block
-    louder, lasts, duty = (a.ravel() for a in np.meshgrid(_RAISED, _LASTS, _DUTY, indexing="ij"))
+    raised, lasts, duty = (a.ravel() for a in np.meshgrid(_RAISED, _LASTS, _DUTY, indexing="ij"))
     end = np.minimum(width / lasts, 1.0)
     begin = np.minimum(end * duty / (1.0 - duty), 1.0)
     calm, loud = (np.broadcast_to(p, (len(energy), len(end))).copy() for p in (1.0 - duty, duty))
-    level = -0.5 * freedom[:, None] * np.log1p(louder)
-    slope = 0.5 * louder / (1.0 + louder)
+    level = -0.5 * freedom[:, None] * np.log1p(raised)
+    slope = 0.5 * raised / (1.0 + raised)
     total = np.zeros_like(calm)
     for now in energy.T:
         ratio = level + slope * now[:, None]
@@ -158,8 +158,8 @@ def _unordered(energy: Array, freedom: int) -> float:
 def comb(white: Array) -> tuple[float, float]:
     """Log of the bet that white series (p, n) have a wave of any form, and how many periods of the likeliest they have.
 
-    At each frequency a wave and its overtones are tried, of amplitudes that are alike under a prior of their own size
-    (periodograms that are summed over overtones: de Jager, Raubenheimer & Swanepoel 1989).
+    At each frequency a wave and its overtones are tried. Their amplitudes share a prior of their own size. Periodograms
+    are summed over overtones as by de Jager, Raubenheimer & Swanepoel 1989.
     """
     width = -(-white.shape[1] // _LONGEST)
     n = white.shape[1] // width
@@ -188,5 +188,5 @@ def comb(white: Array) -> tuple[float, float]:
 
 
 def _mean(bets: Array) -> float:
-    """The log of the mean of bets of which the logs are given."""
+    """The log of the mean of bets, which are given as logs."""
     return float(logsumexp(bets) - math.log(len(bets)))

@@ -32,9 +32,9 @@ _GROUPS = 24
 _AROUND = 50
 """Bins about a line that are its surroundings."""
 _WINDOWS = (64, 256, 1024)
-"""Samples of which short spectra are taken, in turn."""
+"""Lengths of short spectra, in samples."""
 _LENGTHS = (32, 64, 128, 256, 512, 1024)
-"""Samples of which slow deviations are sought, in turn, every half a length."""
+"""Lengths of windows in which slow deviations are sought, in samples; they begin every half a length."""
 _SLOW = 8
 """Bins of such a window that are compared with its others."""
 _SLOWEST = 4
@@ -56,8 +56,8 @@ def excess_power(
 ) -> list[Unexplained]:
     """By sensor, nats that it still shows above the noise, and where; what chance makes is not among them.
 
-    Above `bandwidth_hz` an accelerometer feels movement of which the reference does not know; a sensor that has less
-    than its `floor` left over shows the reference's flaws.
+    Above `bandwidth_hz` an accelerometer feels movement that the reference does not know. A sensor that has less than
+    its `floor` left over shows the reference's errors.
     """
     by_sensor: dict[Sensor, list[_Excess]] = {}
     for v, view in enumerate(model.setting.views):
@@ -74,8 +74,8 @@ def excess_power(
 def _excesses(model: Model, v: int, bandwidth_hz: float) -> list[_Excess]:
     """What noise alone does not explain: in bands of an axis, else in more of it, else for a while."""
     # The error of the reference is known only up to the last of its cosines.
-    followed = model.ridge.columns.parts if model.ridge is not None else {}
-    axes = [c for c in range(3) if 3 * v + c not in followed]
+    turned = model.ridge.columns.parts if model.ridge is not None else {}
+    axes = [c for c in range(3) if 3 * v + c not in turned]
     if not axes:
         return []
     view = model.setting.views[v]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from mavcal.calib.gap.effects.shape_ids import is_shape
+from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, predicted
@@ -22,10 +22,12 @@ _BELIEVED = 0.01
 """Probability below which no effect is named where something without a name is the likelier."""
 _FOLLOWS = 0.3
 """Part of the reference's movement that any sensor shows that is one of it."""
+_COMMON = "clock"
+"""What an effect belongs to that is common to all sensors."""
 _LIVE = "a live sensor, and a reference of the same movement"
 
 
-def not_following(model: Model) -> frozenset[Sensor]:
+def unresponsive_sensors(model: Model) -> frozenset[Sensor]:
     """Sensors that, by the model, show next to nothing of their reference: no scale is minus one, no field turned off.
 
     What scales and fields make of the reference's movement is compared with it, axis by axis.
@@ -38,9 +40,9 @@ def not_following(model: Model) -> frozenset[Sensor]:
         ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
         moved = ideal - ideal.mean(axis=0)
         square = (moved**2).sum(axis=0)
-        kept = square + np.add.reduce([(moved * predicted(term, view)).sum(axis=0) for term in terms])
+        response = square + np.add.reduce([(moved * predicted(term, view)).sum(axis=0) for term in terms])
         moves = square > MOVES[view.sensor] ** 2 * len(moved)
-        if (kept[moves] < _FOLLOWS * square[moves]).any():
+        if (response[moves] < _FOLLOWS * square[moves]).any():
             found.add(view.sensor)
     return frozenset(found)
 
@@ -60,15 +62,17 @@ def without_sensors(problem: GapProblem, sensors: Collection[Sensor]) -> GapProb
     )
 
 
-def nameless(attributions: Iterable[Attribution], withdrawn: Sequence[Unexplained]) -> Iterable[UnnamedCause]:
-    """Effects whose place something else takes far better, which is no effect or did not last: they stand for that."""
-    by_sensor: dict[str, list[Key]] = {}
+def nameless(
+    attributions: Iterable[Attribution], effects: Mapping[Key, CatalogueEffect], withdrawn: Sequence[Unexplained]
+) -> Iterable[UnnamedCause]:
+    """Effects that are far less likely than something unnamed in their place, or than what did not last."""
+    found: dict[str, list[Key]] = {}
     for a in attributions:
-        if is_shape(a.key[0]):
+        effect = effects[a.key]
+        if effect.nameless:
             continue  # it has no name to begin with
         if a.probability < _BELIEVED and (withdrawn or a.unknown_probability > a.probability):
-            by_sensor.setdefault(a.key[0].partition("_")[0], []).append(a.key)
+            found.setdefault(_COMMON if effect.shared else effect.sensor.value, []).append(a.key)
     return [
-        UnnamedCause(tuple(keys), f"a difference on {name} that no effect describes")
-        for name, keys in by_sensor.items()
+        UnnamedCause(tuple(keys), f"a difference on {name} that no effect describes") for name, keys in found.items()
     ]

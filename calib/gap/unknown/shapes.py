@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import EffectParameter, MeanEffect
-from mavcal.calib.gap.effects.shape_ids import family_of, shape_id
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Setting, Term
 from mavcal.calib.gap.problem import Trace
@@ -37,7 +36,7 @@ _STILL = 0.1  # of the rms slope: slower changes have no direction
 _TRAVELS = (0.01, 0.03, 0.1, 0.3)
 """Dead travels, in parts of the reading's range."""
 _POINTS = 20_000
-"""Samples from twice which on only some of a series are looked at for dead travel."""
+"""Samples of a series that are examined for dead travel; a series of twice as many is thinned."""
 _HARMONICS = (2, 3, 4, 5)
 """Overtones, in multiples of the frequency of a wave."""
 _HIGHEST = 0.4  # of the rate: beyond, two bands of one series meet
@@ -105,7 +104,7 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[st
 
 def flexible(hypothesis: Hypothesis) -> bool:
     """Whether it is a broken line, which bends about anything that its covariate drives."""
-    return family_of(hypothesis.effect.id) in _FLEXIBLE
+    return hypothesis.effect.family in _FLEXIBLE
 
 
 def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
@@ -121,8 +120,7 @@ def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
 
 def _shape(trace: Trace, group: _Group, instance: int) -> ShapeHypothesis:
     def made(text: str, rows: Rows, *, part: bool = False) -> Hypothesis:
-        name = shape_id(group.family, text, part=part)
-        return Hypothesis(_effect(name, trace, text, group, rows), (instance,))
+        return Hypothesis(_effect(trace, text, group, rows, part=part), (instance,))
 
     q = 1 if group.each else len(group.signals)
     rows = np.arange(3 * q, dtype=np.intp)
@@ -141,7 +139,7 @@ def _along(trace: Trace, own: Trace, drawn: Array) -> Array:
     return drawn if np.array_equal(trace.t, own.t) else np.interp(trace.t, own.t, drawn)
 
 
-def _effect(name: str, own: Trace, text: str, group: _Group, rows: Rows) -> MeanEffect:
+def _effect(own: Trace, text: str, group: _Group, rows: Rows, *, part: bool) -> MeanEffect:
     """The columns `rows` of a group drawn along the trace `own`; column ``3 q + axis`` is signal q on that axis."""
     sensor = own.sensor
 
@@ -159,13 +157,15 @@ def _effect(name: str, own: Trace, text: str, group: _Group, rows: Rows) -> Mean
     whole = not group.each and len(rows) == 3 * len(group.signals)
     wish = "a recording in which the covariate varies by itself"
     return MeanEffect(
-        name,
+        f"unknown:{'one ' * part}{group.family}:{text}",
         sensor,
         (EffectParameter("amplitude", ""),),
         text,
         wish,
         columns=columns,
         signals=signals if whole else None,
+        family=group.family,
+        part=part,
     )
 
 
@@ -245,9 +245,9 @@ def _products(trace: Trace) -> Iterator[_Group]:
     vectors = dict(_vectors(trace))
     for one, other in (("a", "a"), ("w", "w"), ("a", "w")):
         if one in vectors and other in vectors:
-            which = [(i, j) for i in range(3) for j in range(i if one == other else 0, 3)]
-            signals = np.array([vectors[one][:, i] * vectors[other][:, j] for i, j in which])
-            names = tuple(f"{one}_{_AXES[i]} times {other}_{_AXES[j]}" for i, j in which)
+            pairs = [(i, j) for i in range(3) for j in range(i if one == other else 0, 3)]
+            signals = np.array([vectors[one][:, i] * vectors[other][:, j] for i, j in pairs])
+            names = tuple(f"{one}_{_AXES[i]} times {other}_{_AXES[j]}" for i, j in pairs)
             yield _Group("product", f"products of {one} and {other}", signals, names)
     own = {Sensor.ACCEL: "a", Sensor.GYRO: "w", Sensor.MAG: "m"}[trace.sensor]
     for name, scalar in (*_scalars(trace), ("time", trace.t)):
@@ -305,7 +305,7 @@ def _simplest(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
 def _travels(x: Array) -> Array:
     """Where pointers with play stand between the ends of their travels, -1..1, (travels, N, 3): the play operator.
 
-    Of a long series every few samples are looked at.
+    A long series is thinned to every few samples.
     """
     every = max(1, len(x) // _POINTS)
     half = 0.5 * np.array(_TRAVELS)[:, None] * np.ptp(x, axis=0) + 1e-300

@@ -1,8 +1,8 @@
 """Events that take time: while a magnet is put on, a sensor reads neither what it did before nor what it does after.
 
-A step has no duration. Several of them in a row that stand for one event say that there is one, and so do readings
-beside a step that are not yet, or no longer, on the level that they keep afterwards, or had before; these samples are
-left out, and one step is the difference of the levels.
+A step has no duration. An event has one if several steps in a row stand for it. It also has one if readings beside a
+step are not yet on the level after it, or no longer on the level before it. These samples are left out, and one step is
+the difference of the levels.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ _MATERIAL = 0.03
 """Share of the gap from which on something unknown is said."""
 _LEFT = 0.1
 """The same of what is left over on one sensor: of a long recording no model explains the last hundredth."""
-_BEATING, _ALIKE = 20.0, 0.8
+_BEATING, _SAME_DIRECTION = 20.0, 0.8
 """Periods in a recording by which two waves differ at most, and how alike their directions are, that are one."""
 
 
@@ -46,7 +46,7 @@ class UnnamedCause:
 
 
 def unnamed_causes_in(model: Model, attributions: Sequence[Attribution]) -> tuple[UnnamedCause, ...]:
-    """Every stranger among the terms of a model, and every effect in whose place one is likelier."""
+    """Every unnamed term of a model, and every effect in whose place one is likelier."""
     shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.nameless]
     levels = [UnnamedCause(found.keys, found.text) for found in telegraph_noise(model, attributions)]
     taken = {key for two in levels for key in two.keys}
@@ -98,53 +98,54 @@ def _beats(model: Model) -> list[UnnamedCause]:
 
 
 def _one_wave(model: Model, one: Term, other: Term) -> bool:
-    """Whether two waves of a sensor are alike, and as near as those of one that lasts a part of the recording."""
+    """Whether two waves of a sensor agree in direction and frequency, as one that lasts a part of the recording."""
     if one.hypothesis.instances != other.hypothesis.instances:
         return False
     seen = [v.t for v in model.setting.views if one.hypothesis.touches(v)]
     length = max(float(t[-1]) for t in seen) - min(float(t[0]) for t in seen)
     directions = [np.linalg.svd(t.beta.reshape(2, 3))[2][0] for t in (one, other)]
-    alike = abs(float(directions[0] @ directions[1]))
-    return (other.theta - one.theta) * length < _BEATING and alike > _ALIKE
+    cosine = abs(float(directions[0] @ directions[1]))
+    return (other.theta - one.theta) * length < _BEATING and cosine > _SAME_DIRECTION
 
 
 def unknown_of(
     model: Model,
     attributions: Sequence[Attribution],
-    strangers: Sequence[UnnamedCause],
+    causes: Sequence[UnnamedCause],
     unexplained: Sequence[Unexplained],
     bandwidth_hz: float = math.inf,
     floor: Mapping[Sensor, float] | None = None,
 ) -> Unknown:
-    """What is not of the catalogue: strangers in the model, bands that are left over, and what did not last.
+    """What is not of the catalogue: unnamed causes in the model, bands that are left over, and what did not last.
 
     Each is compared with the gap of its own sensor: a large effect on another one hides nothing.
 
     Parameters
     ----------
-    model, attributions, strangers
+    model, attributions, causes
         The model, what its effects are worth, and which of them have no name.
     unexplained
         What is in no effect of the model.
     bandwidth_hz
         Up to which the reference knows how the vehicle moves.
     floor
-        Twice the nats by sensor that the reference's own flaws make (:mod:`calib.gap.companion.simulated_baseline`).
+        Twice the nats by sensor that the reference's own nuisance effects make
+        (:mod:`calib.gap.companion.simulated_baseline`).
     """
     worth = _Worth.of(model, attributions)
-    strange = worth.but({key for s in strangers for key in s.keys})
-    texts = [s.text for s in strangers]
-    share, part = worth.shares(strange)
+    unnamed = worth.but({key for s in causes for key in s.keys})
+    texts = [s.text for s in causes]
+    share, part = worth.shares(unnamed)
     left = [*excess_power(model, bandwidth_hz, floor or {}), *unsteady(model)]
-    told, bets = {one.sensor for one in left}, bets_of(model)
-    left += [one for one in won(bets) if one.sensor not in told]
+    explained, bets = {one.sensor for one in left}, bets_of(model)
+    left += [one for one in won(bets) if one.sensor not in explained]
     for one in (*left, *unexplained):
         whole, own = (one.nats / (other + one.nats) for other in (worth.whole, worth.on(one.sensor)))
         if whole > _MATERIAL or own > _LEFT:
             texts.append(one.text)
             share += whole * (1.0 - share)
             part = max(part, own)
-    driver = next((s.driver for s in strangers if s.driver is not None), None)
+    driver = next((s.driver for s in causes if s.driver is not None), None)
     return Unknown(part > _MATERIAL, share, "; ".join(dict.fromkeys(texts)), driver, log_odds(bets))
 
 

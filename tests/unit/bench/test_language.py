@@ -14,8 +14,8 @@ CEILING = {
     "page phrase": 2,
     "message long": 0,
     "message phrase": 2,
-    "docstring long": 40,
-    "docstring phrase": 44,
+    "docstring long": 4,
+    "docstring phrase": 7,
 }
 """What is there today. Lower a number when you have rewritten something; `scripts/language FILE` lists what is left."""
 

@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from bench.unknown_roc import Rejected, area, at_most, curve, drawn, read, table
-from mavcal.calib.gap.unknown.discrepancy import LOUDER, WAVES
+from mavcal.calib.gap.unknown.discrepancy import BURSTS, WAVES
 from mavcal.calib.report import to_json
 
 BLANK = Rejected("T5", 1, ("unknown_x",), 200.0, 150.0, (), flag=False, share=0.0, shape="", log_odds=-1.0)
@@ -19,7 +19,7 @@ def case(tier="T5", **changes):
 
 
 SHAPE = case(flag=True, share=0.7, shape="square of current on mag")
-BET = case(flag=True, share=1.0, shape=f"{LOUDER} on gyro", log_odds=11.0)
+BET = case(flag=True, share=1.0, shape=f"{BURSTS} on gyro", log_odds=11.0)
 ROWS = (SHAPE, BET, case(), case(log_odds=2.0), case("T0"), case("T0", log_odds=-2.0), case("T1", log_odds=1.0))
 
 
@@ -27,7 +27,7 @@ def test_what_only_a_bet_says_was_not_said_before():
     assert SHAPE.flag_before
     assert not BET.flag_before
     assert not case(flag=True, shape=f"{WAVES} 3 Hz on mag").flag_before
-    assert case(flag=True, shape=f"{LOUDER} on gyro; dm_x on mag").flag_before
+    assert case(flag=True, shape=f"{BURSTS} on gyro; dm_x on mag").flag_before
 
 
 def test_before_everything_without_a_share_is_alike():

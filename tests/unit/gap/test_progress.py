@@ -87,7 +87,7 @@ def test_the_time_left_is_told_from_the_time_gone_and_never_more_than_the_limit_
 
 def test_steps_go_on_inside_their_stage() -> None:
     told: list[GapProgress] = []
-    pace = GapPace(told=told.append)
+    pace = GapPace(on_progress=told.append)
     pace.begin(GapStage.SELECTION)
     for _ in range(50):
         pace.advance()

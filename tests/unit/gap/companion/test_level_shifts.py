@@ -8,7 +8,7 @@ import pytest
 from mavcal.calib.gap.companion.level_shifts import steps_of
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
-from mavcal.calib.gap.problem import Floor, GapProblem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.problem import GapProblem, MinimumGain, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.noise import learned, with_noise
 from mavcal.calib.recording import Sensor
 
@@ -35,9 +35,9 @@ def compass(seed, magnet=0.0, wander=1.3):
 
 
 def beside_a_nominal_one(trace, nominal):
-    floor = Floor(level={Sensor.MAG: LEVEL}, loud={Sensor.MAG: LOUD})
+    least = MinimumGain(level={Sensor.MAG: LEVEL}, loud={Sensor.MAG: LOUD})
     noisy = with_noise(trace, learned(nominal), None)
-    return GapProblem((noisy,), ReferenceInfo(ReferenceKind.POSE), SECONDS, nominal=(nominal,), floor=floor)
+    return GapProblem((noisy,), ReferenceInfo(ReferenceKind.POSE), SECONDS, nominal=(nominal,), minimum_gain=least)
 
 
 def test_the_largest_step_is_where_the_level_changes():

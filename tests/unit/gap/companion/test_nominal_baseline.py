@@ -44,7 +44,7 @@ def recording(seed, delay=DELAY_S, bias=0.0, pose=True):
 
 
 def learned(nominal):
-    return nominal_baseline_of(lambda known: build(nominal, None, [nominal], flaws=known, flawed=nominal), ALPHA)
+    return nominal_baseline_of(lambda known: build(nominal, None, [nominal], nuisance=known, companion=nominal), ALPHA)
 
 
 @pytest.fixture(scope="module")
@@ -77,10 +77,10 @@ def test_what_only_the_other_has_is_found_in_its_own_size(nominal):
 
 def test_a_bias_is_not_carried_over_but_one_as_large_is_no_gap():
     switched_on = recording(1, 0.0, BIAS)
-    flaws = learned(switched_on)
-    said = next(e for e in flaws.biases if e.sensor is Sensor.GYRO)
+    baseline = learned(switched_on)
+    said = next(e for e in baseline.biases if e.sensor is Sensor.GYRO)
     assert [p.value for p in said.params] == pytest.approx(BIAS, abs=1e-3)
-    changed = beside_nominal(build(recording(2, 0.0), None, [switched_on]), flaws)
+    changed = beside_nominal(build(recording(2, 0.0), None, [switched_on]), baseline)
     gyro = next(t for t in changed.traces if t.sensor is Sensor.GYRO)
     assert gyro.residual.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-3)
     for bias in (np.zeros(3), BIAS, -BIAS):

@@ -1,4 +1,4 @@
-"""A part of the reference's flaws that is still there is no gap, whatever it is taken for."""
+"""A part of the reference's nuisance effects that is still there is no gap, whatever it is taken for."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.unit.gap.synthetic import SIGMA, problem_of
 SCALE = np.array([0.04, -0.02, 0.03])
 
 
-def flaw(part, effect_id="accel_scale", name="scale"):
+def nuisance(part, effect_id="accel_scale", name="scale"):
     estimates = tuple(
         ParameterEstimate(f"{name}.{a}", float(v), 0.001, (v - 0.002, v + 0.002), "")
         for a, v in zip("xyz", SCALE, strict=True)
@@ -41,25 +41,25 @@ def task():
     return problem, bare, Contest(hypotheses)
 
 
-def own(task, *flaws):
+def own(task, *effects):
     _, bare, contest = task
-    return above_nuisance(contest, bare, flaws).floors.own
+    return above_nuisance(contest, bare, effects).floors.own
 
 
 def test_it_is_the_energy_of_the_part_that_is_left_open(task):
     problem, _, _ = task
     expected = float(((problem.traces[0].ideal * SCALE / 3.0) ** 2).sum() / SIGMA[Sensor.ACCEL] ** 2)
-    assert own(task, flaw(1.0 / 3.0))["accel_scale", (0,)] == pytest.approx(expected, rel=0.05)
+    assert own(task, nuisance(1.0 / 3.0))["accel_scale", (0,)] == pytest.approx(expected, rel=0.05)
 
 
 def test_it_grows_with_the_square_of_the_part(task):
-    small, large = own(task, flaw(0.1)), own(task, flaw(0.3))
+    small, large = own(task, nuisance(0.1)), own(task, nuisance(0.3))
     key = ("accel_scale", (0,))
     assert large[key] == pytest.approx(9.0 * small[key], rel=1e-6)
 
 
 def test_what_would_explain_it_less_gains_less_of_it(task):
-    found = own(task, flaw(1.0 / 3.0))
+    found = own(task, nuisance(1.0 / 3.0))
     alike, other = found["accel_temp_scale", (0,)], found["accel_step", (0,)]
     whole = found["accel_scale", (0,)]
     assert whole > alike > other
@@ -67,7 +67,7 @@ def test_what_would_explain_it_less_gains_less_of_it(task):
 
 
 def test_a_residual_like_the_flaw_gains_as_much(task):
-    """The same number from the other side: the part put into the readings, scored against no flaw."""
+    """The same number from the other side: the part put into the readings, scored against no nuisance effect."""
 
     def left(trace):
         return trace.ideal * SCALE / 3.0
@@ -80,13 +80,13 @@ def test_a_residual_like_the_flaw_gains_as_much(task):
         contest = task[2]
         hypothesis = next(h for h in contest.hypotheses if h.key == ("accel_scale", (0,)))
         gains.append(Contest([hypothesis]).score(hypothesis, Beside(model)).gain)
-    expected = own(task, flaw(1.0 / 3.0))["accel_scale", (0,)]
+    expected = own(task, nuisance(1.0 / 3.0))["accel_scale", (0,)]
     assert gains[1] - gains[0] == pytest.approx(expected, rel=0.15)
 
 
 def test_a_flaw_that_cannot_be_tested_here_leaves_nothing_open(task):
-    assert set(own(task, flaw(1.0, "gyro_scale")).values()) == {0.0}
+    assert set(own(task, nuisance(1.0, "gyro_scale")).values()) == {0.0}
 
 
-def test_without_flaws_there_is_nothing(task):
+def test_without_nuisance_effects_there_is_nothing(task):
     assert own(task) == {}

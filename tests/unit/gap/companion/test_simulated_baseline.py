@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.companion.simulated_baseline import Baseline, baseline_of, beside
 from mavcal.calib.gap.diagnose import diagnose
-from mavcal.calib.gap.problem import Floor
+from mavcal.calib.gap.problem import MinimumGain
 from mavcal.calib.gap.schema import GapVerdict
 from mavcal.calib.gap.search import prices
 from mavcal.calib.recording import Sensor
@@ -39,7 +39,7 @@ def simulated() -> Baseline:
     return baseline_of(flight(1, shared), ALPHA)
 
 
-def test_the_simulated_flights_own_flaws_are_named_with_their_size(simulated):
+def test_the_simulated_flights_own_effects_are_named_with_their_size(simulated):
     found = {e.id: e for e in simulated.effects}
     assert set(found) == {"accel_bias", "accel_scale"}
     for name, truth in (("accel_bias", BIAS), ("accel_scale", SCALE)):
@@ -56,7 +56,7 @@ def test_what_both_flights_show_is_no_gap(simulated):
 
 
 def test_what_only_the_real_flight_shows_is_found_in_its_own_size(simulated):
-    problem = dataclasses.replace(beside(flight(3, both), simulated), floor=Floor())
+    problem = dataclasses.replace(beside(flight(3, both), simulated), minimum_gain=MinimumGain())
     report = diagnose(problem, nested=False)
     assert [e.id for e in report.effects] == ["accel_bias"]
     values, errors = (np.array([getattr(p, k) for p in report.effects[0].params]) for k in ("value", "se"))
@@ -64,11 +64,11 @@ def test_what_only_the_real_flight_shows_is_found_in_its_own_size(simulated):
 
 
 def test_what_the_simulated_flight_shows_less_than_the_real_one_must_be_clear(simulated):
-    floor = beside(flight(2, shared), simulated).floor.lasting
+    floor = beside(flight(2, shared), simulated).minimum_gain.lasting
     numbers = flight(2).traces[0].ideal.size
     assert np.expm1(floor[Sensor.ACCEL] / numbers) * numbers >= 0.1 * simulated.gains[Sensor.ACCEL]
     clean = beside(flight(2), baseline_of(flight(1), ALPHA))
-    assert clean.floor.lasting[Sensor.ACCEL] == pytest.approx(0.03 * 3 * len(clean.traces[0].t))
+    assert clean.minimum_gain.lasting[Sensor.ACCEL] == pytest.approx(0.03 * 3 * len(clean.traces[0].t))
 
 
 def turned(trace):
@@ -99,7 +99,7 @@ def late(trace):
     return np.column_stack([np.interp(trace.t - 0.02, trace.t, column) for column in trace.ideal.T]) - trace.ideal
 
 
-def test_noise_that_was_learned_from_the_flight_does_not_hide_its_flaws():
+def test_noise_that_was_learned_from_the_flight_does_not_hide_its_effects():
     clean = problem_of(np.random.default_rng(1), (Sensor.GYRO,), late)
     spectrum = np.tile((clean.traces[0].residual ** 2).mean(axis=0), (2, 1))
     learned = dataclasses.replace(
@@ -134,12 +134,12 @@ def test_a_livelier_flight_must_show_more(simulated):
     fast = dataclasses.replace(trace, ideal=3.0 * trace.ideal, measured=3.0 * trace.measured)
     lively = dataclasses.replace(lively, traces=(fast,))
     assert (
-        beside(lively, simulated).floor.lasting[Sensor.ACCEL]
-        > 1.5 * beside(calm, simulated).floor.lasting[Sensor.ACCEL]
+        beside(lively, simulated).minimum_gain.lasting[Sensor.ACCEL]
+        > 1.5 * beside(calm, simulated).minimum_gain.lasting[Sensor.ACCEL]
     )
 
 
-def test_noise_is_learned_beside_the_flaws(simulated):
+def test_noise_is_learned_beside_the_nuisance_effects(simulated):
     traces = flight(4, shared).traces
     (left,) = simulated.in_ideal(traces)
     assert np.sqrt((left.residual**2).mean()) == pytest.approx(0.05, rel=0.05)

@@ -97,7 +97,7 @@ def test_a_reference_made_from_the_recording_has_its_clock():
     trace = trace_of_waves()
     effect = by_id()["clock_drift"]
     assert effect.missing(trace) is None
-    assert effect.missing(dataclasses.replace(trace, followed=False)) is not None
+    assert effect.missing(dataclasses.replace(trace, rate_known=False)) is not None
 
 
 @pytest.mark.parametrize(("effect_id", "theta"), [("gyro_delay", 0.008), ("gyro_low_pass", 25.0)])

@@ -47,10 +47,16 @@ def test_what_happens_once_can_happen_again_and_has_its_moment_as_shape() -> Non
 
 
 def test_no_module_of_the_diagnosis_goes_by_parts_of_an_effects_id() -> None:
-    parts = re.compile(r"effect(?:_id|\.id)\.(?:endswith|startswith|partition|split)")
-    found = {
-        str(path.relative_to(GAP))
-        for path in GAP.rglob("*.py")
-        if parts.search(path.read_text(encoding="utf-8")) and path.name != "shape_ids.py"
-    }
+    parts = re.compile(r"(?:effect(?:_id|\.id)|key\[0\]|\bk\[0\])\.(?:endswith|startswith|r?partition|split|replace)\(")
+    found = {str(path.relative_to(GAP)) for path in GAP.rglob("*.py") if parts.search(path.read_text(encoding="utf-8"))}
     assert found == set()
+
+
+def test_no_effect_of_the_catalogue_is_nameless() -> None:
+    assert not any(effect.nameless or effect.part for effect in catalogue())
+
+
+def test_jumps_and_tones_are_what_they_are_called() -> None:
+    named = {effect.id: effect for effect in catalogue()}
+    assert {i for i, e in named.items() if e.jumps} == {f"{s}_step" for s in ("accel", "gyro", "mag")}
+    assert {i for i, e in named.items() if e.tonal} == {f"{s}_tone" for s in ("accel", "gyro", "mag")}

@@ -17,9 +17,10 @@ from mavcal.calib.gap.model.joint import setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import Contest
+from mavcal.calib.gap.search.exchange import settled
 from mavcal.calib.gap.search.selection import last_gains, select
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING
-from mavcal.calib.gap.worth.attribution import settled
+from mavcal.calib.gap.worth.attribution import attributed
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -110,8 +111,8 @@ def unsteady(trace):
 def test_an_offset_that_no_block_confirms_is_taken_out_of_the_answer_and_told_of_without_its_name():
     chosen, contest, _ = selected(5, unsteady, "accel_bias", "accel_scale")
     assert {t.hypothesis.effect.id for t in chosen.model.terms} == {"accel_bias", "accel_scale"}
-    told = settled(chosen, contest, ALPHA)
-    answer = _confirmed(_Answer(told.chosen, told.attributions, contest, None), ALPHA, nested=False)
+    found = settled(chosen, contest, ALPHA)
+    answer = _confirmed(_Answer(found.chosen, attributed(found, contest), contest, None), ALPHA, nested=False)
     assert {t.hypothesis.effect.id for t in answer.chosen.model.terms} == {"accel_scale"}
     assert [(one.text, one.sensor) for one in answer.withdrawn] == [(NOT_LASTING, Sensor.ACCEL)]
     assert all(answer.gates[t.hypothesis.key] is True for t in answer.chosen.model.terms)

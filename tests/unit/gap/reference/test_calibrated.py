@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.reference import build
-from mavcal.calib.gap.reference.calibrated import (
+from mavcal.calib.gap.reference.channels import (
     corrected,
     filter_gain,
     filter_in_force,

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.reference.correlation import TURNS, likened, turn_of, turned_correlation
+from mavcal.calib.gap.reference.align import TURNS, likened, turn_of, turned_correlation
 
 
 def movement(seed=1):

@@ -8,7 +8,7 @@ import pytest
 from mavcal.calib import logs
 from mavcal.calib.gap.problem import ReferenceKind
 from mavcal.calib.gap.reference import build
-from mavcal.calib.gap.reference.calibrated import corrected
+from mavcal.calib.gap.reference.channels import corrected
 from mavcal.calib.gap.reference.re_estimated import best_trajectory
 from mavcal.calib.recording import Sensor
 
@@ -41,8 +41,8 @@ def test_an_attitude_is_estimated_better_than_the_firmware_does(flights):
     null = flights("null")
     found = best_trajectory(corrected(null))
     truth = next(c for c in null.reference if c.sensor == Sensor.ATTITUDE)
+    from mavcal.calib.gap.reference.ideal import continuous
     from mavcal.calib.gap.reference.posed import rotation
-    from mavcal.calib.gap.reference.recorded import continuous
     from mavcal.calib.gap.reference.signals import linear
 
     at = rotation(linear(truth.t, continuous(truth.values), found.state.t))

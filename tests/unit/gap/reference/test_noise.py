@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.gap.reference.channels import filter_gain
 from mavcal.calib.gap.reference.noise import learned, pooled, with_noise
 from mavcal.calib.gap.reference.signals import grid_of
 from mavcal.calib.gap.reference.simulator import deviations, simulated_ideal

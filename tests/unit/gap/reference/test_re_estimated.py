@@ -260,9 +260,9 @@ def thinned(recording, step):
 
 def test_a_re_estimated_reference_is_asked_only_for_what_it_follows():
     traces = by_sensor(build(thinned(flight(), 2)))
-    assert not traces[Sensor.ACCEL].followed
-    assert not traces[Sensor.GYRO].followed
-    assert traces[Sensor.MAG].followed
+    assert not traces[Sensor.ACCEL].rate_known
+    assert not traces[Sensor.GYRO].rate_known
+    assert traces[Sensor.MAG].rate_known
     delays = {e.id: e for e in catalogue() if e.id in {"accel_delay", "gyro_low_pass", "mag_delay"}}
     lacks = {name: effect.missing(traces[effect.sensor]) for name, effect in delays.items()}
     assert "does not follow" in lacks["accel_delay"][0]

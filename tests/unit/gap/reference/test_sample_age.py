@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.sample_age import age_of, with_age_noise, with_sway_noise, without_aged_samples
+from mavcal.calib.gap.reference.expected_noise import age_of, with_age_noise, with_sway_noise, without_aged_samples
 from mavcal.calib.recording import Sensor
 
 AGE, NOISE, FS = 1e-3, 1e-3, 25.0

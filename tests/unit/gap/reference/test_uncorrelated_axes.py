@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.align import uncorrelated_axes
 from mavcal.calib.gap.reference.checks import refusal_of
-from mavcal.calib.gap.reference.correlation import uncorrelated_axes
 from mavcal.calib.recording import Sensor
 
 FS, N = 100.0, 6000

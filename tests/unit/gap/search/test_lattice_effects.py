@@ -11,7 +11,7 @@ from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.base import LatticeEffect
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.search.lattice_effects import lattice_of, shown_by
+from mavcal.calib.gap.search.lattice_effects import covered_by, lattice_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -117,7 +117,7 @@ def test_what_the_samples_show_is_not_shown_again_by_the_contest():
     assert named(lattice) == [("gyro_quantisation", (1,)), ("gyro_saturation", (2,))]
 
     def again(effect_id, instances):
-        return shown_by(lattice, estimate(lattice, effect_id, instances))
+        return covered_by(lattice, estimate(lattice, effect_id, instances))
 
     assert again("gyro_dead_band", (1,))  # one of the levels is at zero
     assert not again("gyro_dead_band", (2,))
@@ -126,7 +126,7 @@ def test_what_the_samples_show_is_not_shown_again_by_the_contest():
     assert again("gyro_saturation", (2,))
     assert not again("gyro_saturation", (1,))
     assert not again("gyro_bias", (1,))
-    assert not shown_by(lattice_of(of(*singles()), catalogue()), estimate(lattice, "gyro_dead_band", (1,)))
+    assert not covered_by(lattice_of(of(*singles()), catalogue()), estimate(lattice, "gyro_dead_band", (1,)))
 
 
 def test_a_dead_band_that_the_contest_sees_in_coarse_levels_is_not_reported_beside_them():
@@ -139,5 +139,5 @@ def test_coarse_levels_are_no_dead_band_beside():
     trace = dataclasses.replace(singles()[0], measured=band)
     lattice = lattice_of(of(trace), catalogue())
     assert named(lattice) == [("gyro_dead_band", (1,))]
-    assert shown_by(lattice, lattice.effects[0])
-    assert not shown_by(lattice, estimate(lattice, "gyro_quantisation", (1,)))
+    assert covered_by(lattice, lattice.effects[0])
+    assert not covered_by(lattice, estimate(lattice, "gyro_quantisation", (1,)))

@@ -14,6 +14,7 @@ from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore
+from mavcal.calib.gap.search.exchange import Alternative, Place, _improved, behind, settled
 from mavcal.calib.gap.search.projection import Beside
 from mavcal.calib.gap.search.selection import (
     _better,
@@ -25,7 +26,7 @@ from mavcal.calib.gap.search.selection import (
     select,
     without,
 )
-from mavcal.calib.gap.worth.attribution import Alternative, Place, _behind, _improved, settled
+from mavcal.calib.gap.worth.attribution import attributed
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -37,11 +38,11 @@ def scored(delta, df):
 
 def test_of_causes_that_differ_by_a_second_order_the_one_with_fewer_numbers_is_believed():
     own, second = 1e6, prices.FLIGHT_SECOND_ORDER_SHARE * 1e6
-    assert _behind(own, scored(own + 0.9 * second, 9), 3, second) > 0.0
-    assert _behind(own, scored(own + 1.1 * second, 9), 3, second) < 0.0
-    assert _behind(own, scored(own - 0.05 * second, 3), 9, second) < 0.0
-    assert _behind(own, scored(own - 0.2 * second, 3), 9, second) > 0.0
-    assert _behind(own, scored(own + 1.0, 9), 3, 0.0) == pytest.approx(-1.0)
+    assert behind(own, scored(own + 0.9 * second, 9), 3, second) > 0.0
+    assert behind(own, scored(own + 1.1 * second, 9), 3, second) < 0.0
+    assert behind(own, scored(own - 0.05 * second, 3), 9, second) < 0.0
+    assert behind(own, scored(own - 0.2 * second, 3), 9, second) > 0.0
+    assert behind(own, scored(own + 1.0, 9), 3, 0.0) == pytest.approx(-1.0)
 
 
 A, G = Sensor.ACCEL, Sensor.GYRO
@@ -128,9 +129,10 @@ def test_what_is_known_of_other_places_says_what_looking_again_would():
     assert ids(found.chosen) == {"accel_random_walk", "gyro_temp_linear"}
     half = task.contest.among([h for h in task.contest.hypotheses if not h.effect.id.endswith("_bias")])
     more = settled(found.chosen, task.contest, 1e-3, settled(found.chosen, half, 1e-3))
-    anew = settled(found.chosen, task.contest, 1e-3)
+    again = settled(found.chosen, task.contest, 1e-3)
+    expected = attributed(again, task.contest)
     for one in (found, more):
-        for a, b in zip(one.attributions, anew.attributions, strict=True):
+        for a, b in zip(attributed(one, task.contest), expected, strict=True):
             assert a.key == b.key
             assert a.probability == pytest.approx(b.probability, abs=1e-9)
             assert [r.id for r in a.rivals] == [r.id for r in b.rivals]

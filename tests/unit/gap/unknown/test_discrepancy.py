@@ -11,7 +11,7 @@ from mavcal.calib.gap.model.joint import setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.unknown.discrepancy import LOUDER, WAVES, bets_of, bursting, comb, log_odds, won
+from mavcal.calib.gap.unknown.discrepancy import BURSTS, WAVES, bets_of, bursting, comb, log_odds, won
 from mavcal.calib.recording import Sensor
 
 G, FS, N, SD = Sensor.GYRO, 50.0, 3000, 0.003
@@ -67,7 +67,7 @@ def test_noise_of_another_size_is_no_burst():
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_rare_bursts_of_unknown_moments_are_found(seed):
     (found,) = won(bets(rare_bursts(seed)))
-    assert found.text == f"{LOUDER} on gyro"
+    assert found.text == f"{BURSTS} on gyro"
     assert found.sensor is G
 
 

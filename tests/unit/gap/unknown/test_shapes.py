@@ -14,6 +14,7 @@ from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import starting_noise
 from mavcal.calib.gap.model.views import views_of
+from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.projection import Beside
 from mavcal.calib.gap.search.selection import with_score
@@ -31,6 +32,15 @@ def model_of(sensor=Sensor.ACCEL, gap=None, *, instances=1, seed=1, **over):
 
 def named(model):
     return {h.effect.excited_by: h for shape in shapes_of(model.setting) for h in shape.hypotheses}
+
+
+def test_a_shape_has_a_family_that_has_a_price_and_its_parts_are_parts():
+    found = shapes_of(model_of(instances=2).setting)
+    assert {s.whole.effect.family for s in found} <= set(prices.SHAPE_PRICES)
+    assert all(s.whole.effect.nameless and not s.whole.effect.part for s in found)
+    parts = [h.effect for s in found for h, _ in s.parts]
+    assert all(part.nameless and part.part for part in parts)
+    assert len({h.key for s in found for h in s.hypotheses}) == len(found) + len(parts)
 
 
 def gains(model):

@@ -55,7 +55,7 @@ def test_each_moment_is_said_once_however_many_instances_jump():
     assert "_step" not in report.unknown.shape
 
 
-def test_what_the_references_own_flaws_leave_over_is_not_unknown():
+def test_what_the_references_own_nuisance_leave_over_is_not_unknown():
     def humming(trace):
         return 0.1 * np.sin(2.0 * np.pi * 9.0 * trace.t + 2.0 * np.sin(2.0 * np.pi * 0.7 * trace.t))[:, None]
 
@@ -74,9 +74,9 @@ def test_what_stands_for_several_effects_is_said_once():
     setting = setting_of(views_of(problem_of(np.random.default_rng(4), (Sensor.ACCEL,)), {}, {}))
     model = starting_model(setting, starting_noise(setting))
     texts = ("approach with 10 s on accel, or accel_bias", "3 jumps on accel", "a drift on accel")
-    strangers = [UnnamedCause((("accel_bias", (i,)),), texts[j]) for i, j in enumerate((0, 1, 0))]
+    causes = [UnnamedCause((("accel_bias", (i,)),), texts[j]) for i, j in enumerate((0, 1, 0))]
     found = unknown_of(
-        model, (), strangers, [Unexplained(50.0, texts[1], Sensor.ACCEL), Unexplained(50.0, texts[2], Sensor.ACCEL)]
+        model, (), causes, [Unexplained(50.0, texts[1], Sensor.ACCEL), Unexplained(50.0, texts[2], Sensor.ACCEL)]
     )
     assert found.shape == "; ".join(texts)
 
