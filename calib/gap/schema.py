@@ -35,8 +35,8 @@ A tilt of it reads like 0.5 m/s2 of an accelerometer and 2.6 uT of a compass in 
 that anybody looks for.
 """
 REFERENCE_NEED = (
-    "a recording that speeds up, brakes and turns through all headings with GPS velocity and a compass; or --sim of "
-    "the same trajectory; or a measured pose (q_* or ref_q_* columns)"
+    "a recording that speeds up, brakes and turns through all headings with GPS velocity, a compass and an inertial "
+    "unit faster than 10 Hz; or --sim of the same trajectory; or a measured pose (q_* or ref_q_* columns)"
 )
 """What makes a better reference."""
 RE_ESTIMATED = "estimator"

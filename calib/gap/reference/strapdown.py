@@ -26,8 +26,9 @@ class Increments:
 
     `sampling` (2,) are the standard deviations of angle and velocity over an interval that come of sampling alone: how
     much the sums change when every second sample is left out. It bounds the error, since sampled turns and vibrations
-    alias. `known` (K,) is False for intervals that lie in a hole of the recording. `warm` (K,) is how much warmer than
-    on average the unit is in each interval, in units of :data:`WARM`; 0 where nobody knows, or it hardly changes.
+    alias. An error of slow samples lasts over several intervals and adds up; it is counted as independent errors of the
+    same sum. `known` (K,) is False for intervals that lie in a hole of the recording. `warm` (K,) is how much warmer
+    than on average the unit is in each interval, in units of :data:`WARM`; 0 where nobody knows, or it hardly changes.
     """
 
     t: Array
@@ -50,7 +51,9 @@ class Increments:
         known = np.logical_and.reduce([s.known(x) for s in (gyro, accel) for x in (t[:-1], middle, t[1:])])
         rows = known if known.any() else ~known
         change = [np.sqrt(np.mean((a.sum(axis=1) - b)[rows] ** 2)) for a, b in zip(sums, coarse, strict=True)]
-        return cls(t, dt, sums[0], sums[1], np.array(change), known, _warm(temperature, len(t) - 1))
+        lasting = [np.sqrt(max(1.0, float(np.median(np.diff(s.t))) / dt)) for s in (gyro, accel)]
+        sampling = np.array(change) * lasting
+        return cls(t, dt, sums[0], sums[1], sampling, known, _warm(temperature, len(t) - 1))
 
     def between(
         self, gyro_bias: Array, accel_bias: Array, gyro_matrix: Array | None = None, accel_turn: Rotation | None = None

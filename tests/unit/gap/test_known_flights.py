@@ -224,6 +224,17 @@ def test_a_vehicle_that_flies_differently_has_no_wrong_sensor(
     assert not report.unknown.flag
 
 
+def test_an_inertial_unit_that_was_logged_once_a_second_is_no_reference(shared_data: Path, tmp_path: Path) -> None:
+    """Its attitude is off by up to 8 degrees rms from the one that the vehicle logged."""
+    folder = shared_data / "airframe_flights"
+    real, sim = (packed(folder / f"{file}.ulg.xz", tmp_path) for file in ("p02", "p01"))
+    report = gap.run(real, sim, nested=False)
+    assert report.verdict is GapVerdict.REFERENCE
+    assert report.effects == ()
+    assert not report.unknown.flag
+    assert 4.0 < report.inputs.att_sigma_deg < 10.0
+
+
 def test_of_a_magnet_in_the_room_nothing_is_on_the_sensor(shared_data: Path) -> None:
     report = beside_the_undisturbed(shared_data, "28")
     assert report.effects == ()

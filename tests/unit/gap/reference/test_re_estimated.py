@@ -270,6 +270,21 @@ def test_a_re_estimated_reference_is_asked_only_for_what_it_follows():
     assert lacks["mag_delay"] is None or "does not follow" not in lacks["mag_delay"][0]
 
 
+@pytest.mark.parametrize("seconds", [0.02, 0.2, 1.0])
+def test_the_error_of_slow_samples_adds_up_as_far_as_is_said(seconds):
+    """A band of rates up to 1 Hz, summed over 20 s, beside what samples so far apart make of it."""
+    fine, h, lasting = np.arange(0.0, 400.0, 0.01), 0.1, 200
+    rng = np.random.default_rng(4)
+    hz, phase = rng.uniform(0.02, 1.0, (60, 3)), rng.uniform(0.0, 2.0 * np.pi, (60, 3))
+    rates = np.cos(2.0 * np.pi * hz * fine[:, None, None] + phase).sum(axis=1) / np.sqrt(30.0)
+    step = round(seconds / 0.01)
+    nodes = np.arange(0.0, 398.0, h)
+    true, slow = (Increments.of(*[Signal(fine[::k], 0.01 * rates[::k])] * 2, nodes) for k in (1, step))
+    off = np.cumsum((slow.angle - true.angle).sum(axis=1), axis=0)
+    grown = float(np.sqrt(np.mean((off[lasting:] - off[:-lasting]) ** 2)))
+    assert grown < 1.2 * float(slow.sampling[0]) * np.sqrt(lasting)
+
+
 def test_gyroscopes_of_a_slow_log_are_compared_with_each_other_only():
     gyros = [t for t in build(thinned(flight(instances=2), 2)).traces if t.sensor == Sensor.GYRO]
     assert gyros
