@@ -52,14 +52,14 @@ def test_a_velocity_gives_the_acceleration():
 def test_a_pose_goes_no_further_than_the_one_it_is_compared_with():
     noisy = pose_of(posed(jitter=2e-3))
     exact = pose_of(posed(), noisy.cutoffs)
-    assert exact.cutoffs.turning == noisy.cutoffs.turning
+    assert exact.cutoffs.rotation == noisy.cutoffs.rotation
 
 
 def test_a_noisy_pose_is_used_below_the_frequency_where_it_is_noise():
     exact, noisy = pose_of(posed()), pose_of(posed(jitter=2e-3))
-    assert noisy.cutoffs.turning is not None
-    assert noisy.cutoffs.turning < 10.0
-    assert exact.cutoffs.turning is None or exact.cutoffs.turning > 3.0
+    assert noisy.cutoffs.rotation is not None
+    assert noisy.cutoffs.rotation < 10.0
+    assert exact.cutoffs.rotation is None or exact.cutoffs.rotation > 3.0
     ideal, _ = truth(noisy.t)
     assert np.abs(noisy.rate - ideal[Sensor.GYRO])[50:-50].std() < 0.02
 
