@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.campaign.judge import Ending, Evidence, Stop, doubt_complaints, judge, stop_complaints
+from bench.campaign.judge import Ending, Evidence, Stop, doubt_complaints, held_back, judge, stop_complaints
 from bench.campaign.report import FaultReport, Pinned
 from bench.campaign.scenario import OPTIONS, STOPPING, WIRE, Phase, Scenario, Strike
 from bench.campaign.session import POLL_S, Session, session
@@ -253,16 +253,7 @@ class _FaultRun:
         for fault in faults:
             struck = bool(fault["struck"]) and (fault["kind"] not in WIRE or fault["hits"] > 0)
             self.strikes[fault["kind"]] += struck
-        names = self._pinned_names(state, faults)
-        self.pinned += [pin for name in names if (pin := _pin(name, job)) is not None]
-
-    def _pinned_names(self, state: Json, faults: list[Json]) -> list[str]:
-        """Names whose first PARAM_SET was at the time at which a not_applied struck: a repeated one changes nothing."""
-        times = {t for fault in faults if fault["kind"] == "not_applied" for t in fault["struck"]}
-        first: dict[str, float] = {}
-        for when, name, _ in state["param_set_list"]:
-            first.setdefault(name, when)
-        return [name for name, when in first.items() if when in times]
+        self.pinned += [pin for name in held_back(state, faults) if (pin := _pin(name, job)) is not None]
 
 
 def _pin(name: str, job: Job) -> Pinned | None:

@@ -173,3 +173,14 @@ def doubt_complaints(e: Evidence) -> tuple[str, ...]:
         if not (s["certain"] or by_itself(e, name) or heard or equal(held, s["old"]) or equal(held, s["new"])):
             complaints.append(f"in doubt: {name} is neither old nor new, the vehicle holds {held:.9g}")
     return (*complaints, *_beside(e, listed))
+
+
+def held_back(state: Json, faults: Iterable[Json]) -> list[str]:
+    """Parameters whose first PARAM_SET met a fault "accepted but not applied": a repeated one changes nothing.
+
+    They are told by the count of PARAM_SETs: a busy machine can bring two of them at one time of the vehicle's clock.
+    """
+    names = [name for _, name, _ in state["param_set_list"]]
+    earlier = state["param_sets"] - len(names)
+    met = {fault["nth_set"] - 1 - earlier for fault in faults if fault["kind"] == "not_applied" and fault["struck"]}
+    return [name for k, name in enumerate(names) if k in met and name not in names[:k]]

@@ -182,8 +182,14 @@ class Injector:
         self._site.remove_twins()
 
     def report(self) -> list[dict[str, Any]]:
-        """Every fault asked for, when it struck, and for one on the wire how many frames it has hit in all."""
-        return [{"kind": f.kind, **f.options, "struck": f.struck, **self._hits(f)} for f in self._faults]
+        """Every fault asked for, when it struck, and for one on the wire how many frames it has hit in all.
+
+        `nth_set` counts PARAM_SETs since the start, as ``param_sets`` of the state does; null for another trigger.
+        """
+        return [
+            {"kind": f.kind, **f.options, "nth_set": f.nth_set, "struck": f.struck, **self._hits(f)}
+            for f in self._faults
+        ]
 
     def _hits(self, fault: Fault) -> dict[str, int]:
         if fault.kind not in PERSISTENT:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.campaign.judge import Ending, Evidence, Stop, doubt_complaints, judge, stop_complaints
+from bench.campaign.judge import Ending, Evidence, Stop, doubt_complaints, held_back, judge, stop_complaints
 from bench.campaign.scenario import KINDS, scenarios
 from bench.campaign.truth import Holding, Residual, residuals
 from mavcal.service.simvehicle import SimulatedVehicle
@@ -218,3 +218,17 @@ def test_the_same_seed_draws_the_same_runs_of_every_kind() -> None:
     assert one != scenarios(240, 4)
     assert one[:20] == scenarios(20, 3)
     assert {strike.kind for scenario in one for strike in scenario.strikes} == set(KINDS)
+
+
+def test_a_parameter_is_held_back_by_the_fault_that_met_its_own_set():
+    """Two at one time of the vehicle's clock; the third repeats the second."""
+    sets = [[9.0, "A", 1.0], [9.0, "B", 2.0], [9.5, "B", 2.0], [9.6, "C", 3.0]]
+    state = {"param_sets": 14, "param_set_list": sets}
+
+    def fault(nth: int, *struck: float, kind: str = "not_applied") -> dict[str, Any]:
+        return {"kind": kind, "nth_set": nth, "struck": list(struck)}
+
+    assert held_back(state, [fault(11, 9.0)]) == ["A"]
+    assert held_back(state, [fault(12, 9.0), fault(14)]) == ["B"]
+    assert held_back(state, [fault(13, 9.5)]) == []
+    assert held_back(state, [fault(11, 9.0, kind="foreign_write")]) == []
