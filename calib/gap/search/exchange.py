@@ -35,23 +35,6 @@ from mavcal.calib.gap.search.selection import (
 )
 from mavcal.calib.recording import Sensor
 
-_LESS = 0.1
-"""Part of a second order that an effect of fewer numbers may lose to take another's place: a model is never exact."""
-_WANDERS = 100
-"""Numbers that noise which wanders counts for."""
-FAR = 40.0
-"""Penalised evidence behind an effect beyond which no rival is refined or listed. What pays for fitting anything of its
-kind (wandering noise) may be farther behind, by as much as it pays.
-"""
-_CLEARLY = 1.0
-"""Penalised evidence by which an exchange must be better."""
-_ROUNDS = 3
-"""Exchanges at most."""
-_TRIED = 2
-"""The best of them that are tried before all are given up."""
-_TOGETHER = 0.1
-"""Part of the largest gain by which events that were tried first must be better: a jump at an end is an offset."""
-
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
@@ -94,7 +77,7 @@ def settled(chosen: ChosenModel, contest: Contest, alpha: float, before: Settled
     places = _places(chosen, contest, before.places if before is not None and before.chosen is chosen else {})
     fresh, exchanges = True, 0
     while True:
-        other = _improved(chosen, places, level, contest) if exchanges < _ROUNDS else None
+        other = _improved(chosen, places, level, contest) if exchanges < prices.MOST_EXCHANGES else None
         if other is None and fresh:
             return SettledModel(chosen, places)
         if other is None:
@@ -131,7 +114,7 @@ def _improved(chosen: ChosenModel, places: Mapping[Key, Place], level: float, co
 
     Every exchange is judged beside the others as they are fitted to that moment, and they may have leant on what goes.
     """
-    for worth, key, score in _exchanges(chosen, places, level, contest)[:_TRIED]:
+    for worth, key, score in _exchanges(chosen, places, level, contest)[: prices.EXCHANGES_TRIED]:
         if contest.pace.ends():
             break
         other = grown(_exchanged(chosen, key, score), contest, level)
@@ -164,7 +147,9 @@ def steadily(chosen: ChosenModel, start: Model, contest: Contest, alpha: float) 
     best = other if objective(other) < objective(chosen) else chosen
     jumps = [h for h in steady if h.effect.jumps and h.effect.sensor in drifting]
     events = _events_first(start, jumps, without_drift, level)
-    if events is not None and objective(events) < objective(best) - _TOGETHER * largest_gain(chosen, contest):
+    if events is not None and objective(events) < objective(best) - prices.EVENT_GAIN_SHARE * largest_gain(
+        chosen, contest
+    ):
         best = events
     return replace(best, tests=chosen.tests, first=chosen.first)
 
@@ -192,7 +177,11 @@ def _exchanges(
         second = second_order(chosen, place.own)
         for score in (other.score for other in place.others):
             gain = -behind(place.own, score, freedom_of(chosen, key), second)
-            if score.p < level and score.gain >= contest.floors.joining(score.hypothesis) and gain > _CLEARLY:
+            if (
+                score.p < level
+                and score.gain >= contest.floors.joining(score.hypothesis)
+                and gain > prices.EXCHANGE_GAIN
+            ):
                 found.append((gain, max(second, prices.SECOND_ORDER_SHARE * place.own), key, score))
     return [exchange[1:] for exchange in sorted(found, key=lambda exchange: -exchange[0])]
 
@@ -209,13 +198,13 @@ def freedom_of(chosen: ChosenModel, key: Key) -> int:
 
 def _freedom(score: ContestScore) -> int:
     """Numbers of an effect; noise that wanders takes the place of anything slow, and has more than any other."""
-    return score.df + (_WANDERS if score.hypothesis.effect.drifts else 0)
+    return score.df + (prices.WANDERING_NOISE_NUMBERS if score.hypothesis.effect.drifts else 0)
 
 
 def behind(own: float, score: ContestScore, freedom: int, second: float) -> float:
     """Evidence by which a rival is behind an effect; more degrees of freedom explain more of a `second` order."""
     more = _freedom(score) - freedom if freedom else 0
-    return own - score.delta + (second if more > 0 else -_LESS * second if more < 0 else 0.0)
+    return own - score.delta + (second if more > 0 else -prices.SECOND_ORDER_LOSS * second if more < 0 else 0.0)
 
 
 def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known: Sequence[Alternative]) -> Place:
@@ -247,9 +236,9 @@ def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known:
     ]
     scores = [_less(noise_score(rival, bare), stiff) for rival in rivals if isinstance(rival.effect, NoiseEffect)]
     coarse = contest.scores([rival for rival in rivals if not isinstance(rival.effect, NoiseEffect)], beside)
-    scores += contest.assured(coarse, beside, own_delta - FAR)
+    scores += contest.assured(coarse, beside, own_delta - prices.RIVAL_REACH)
     for score in scores:
-        near = own_delta - score.delta < FAR + price_of_kind(score.hypothesis.effect)
+        near = own_delta - score.delta < prices.RIVAL_REACH + price_of_kind(score.hypothesis.effect)
         kappa = _imitated(contest, beside, own_columns, term, score, energy=energy, own_gain=own_gain) if near else 0.0
         found.append(Alternative(score, kappa))
     return Place(tuple(found), own_delta)

@@ -229,6 +229,43 @@ LINE_NEIGHBOURS = 40
 
 Unit: frequencies. Source: chosen in development, seeds not recorded.
 """
+# Exchanges of effects
+
+RIVAL_REACH = 40.0
+"""Penalised evidence behind an effect beyond which no rival is refined or listed; wandering noise adds its own price.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+EXCHANGE_GAIN = 1.0
+"""Penalised evidence by which an exchange must be better.
+
+Unit: deviance. Source: chosen in development, seeds not recorded.
+"""
+MOST_EXCHANGES = 3
+"""Exchanges at most.
+
+Unit: exchanges. Source: chosen in development, seeds not recorded.
+"""
+EXCHANGES_TRIED = 2
+"""The best exchanges that are tried before all are given up.
+
+Unit: exchanges. Source: chosen in development, seeds not recorded.
+"""
+SECOND_ORDER_LOSS = 0.1
+"""Second order that an effect of fewer numbers may lose to take another's place: a model is never exact.
+
+Unit: share of the second order. Source: chosen in development, seeds not recorded.
+"""
+WANDERING_NOISE_NUMBERS = 100
+"""Numbers that noise which wanders counts for.
+
+Unit: numbers. Source: chosen in development, seeds not recorded.
+"""
+EVENT_GAIN_SHARE = 0.1
+"""Share by which events that were tried first must be better: a jump at an end is an offset.
+
+Unit: share of the largest gain. Source: chosen in development, seeds not recorded.
+"""
 # The wandering attitude of the reference
 
 WANDER_SIZES_DEG = np.geomspace(0.0025, 3.0, 11)

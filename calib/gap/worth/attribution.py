@@ -10,9 +10,10 @@ import numpy as np
 
 from mavcal.calib.gap.model.hypotheses import Hypothesis, Key
 from mavcal.calib.gap.schema import Rival
+from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.evidence import price_of_kind
-from mavcal.calib.gap.search.exchange import FAR, Alternative, Place, SettledModel, behind, freedom_of, second_order
+from mavcal.calib.gap.search.exchange import Alternative, Place, SettledModel, behind, freedom_of, second_order
 from mavcal.calib.gap.search.selection import last_gains
 
 _SECOND = 8.0
@@ -24,7 +25,7 @@ _STANDS_IN = 0.8
 _NEAR = 12.0
 """Penalised evidence within which a rival is listed."""
 _SAME = 0.98
-"""Part of the evidence of an effect from which a rival is listed as well, though not beyond `FAR`."""
+"""Part of the evidence of an effect from which a rival is listed as well, though not beyond `prices.RIVAL_REACH`."""
 _EVEN = 0.5
 """Probability of what has no name from which on it is likelier than every name together."""
 
@@ -89,7 +90,9 @@ def _judged(own: Hypothesis, place: Place, freedom: int, second: float) -> tuple
             same.append(weight)  # the same name in another form
         else:
             (unknown if is_unknown else weights).append(weight)
-        near = max(_NEAR, min((1.0 - _SAME) * place.own, FAR)) + price_of_kind(other.score.hypothesis.effect)
+        near = max(_NEAR, min((1.0 - _SAME) * place.own, prices.RIVAL_REACH)) + price_of_kind(
+            other.score.hypothesis.effect
+        )
         if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and delta < near:
             rivals.append(Rival(other.score.hypothesis.effect.id, other.kappa, delta, own.effect.fix))
     best: dict[str, Rival] = {}
