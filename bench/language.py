@@ -32,7 +32,7 @@ _WORD = re.compile(r"[A-Za-z‹][\w'’›-]*")
 _DATA = re.compile(r"\||\b(?:INSERT|DELETE|SELECT) |^[0-9a-f]{2} [A-Z]")
 """Texts that no person reads as sentences: tables, statements of a database."""
 _LITERAL = re.compile(r"::$|\.\. code-block:: \w+$")
-"""What a block of code, of formulas or of columns follows."""
+"""Introduces a block of code, formulas or columns."""
 _DRAWN = re.compile(r"={4}|\+--|[│├└─]|^\s*>>>|^\s*\* ", re.MULTILINE)
 _PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
 

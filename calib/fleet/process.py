@@ -5,7 +5,7 @@ start to start, `e` the measurement's own noise with its known standard deviatio
 known; it is integrated over on a grid, with the marginal likelihood of all three axes together. The prior is
 log-uniform in their size, and leans to the walk, which foretells worse.
 
-What is believed of the drift beforehand decides what a few measurements foretell (decision 22). If every drift is as
+The prior of the drift decides what a few measurements predict (decision 22). If every drift is as
 likely as any other, none is ever zero, and every sensor leaves its limit. If its typical size is unknown, zero is near.
 """
 

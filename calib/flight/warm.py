@@ -98,7 +98,7 @@ def logs_of(recordings: Sequence[Recording]) -> tuple[Log, ...]:
 
 
 def no_temperature(recording: Recording) -> str:
-    """What to do without a temperature: log it from the vehicle, or name the column of a table."""
+    """Advice for a recording without a temperature: log it on the vehicle, or name the column of a table."""
     if recording.identity.autopilot is None:
         return "the table has no temperature: name its column, --map temperature=COLUMN"
     return (

@@ -1,4 +1,4 @@
-"""What a hypothesis would gain if a part of the reference's nuisance effects were still there.
+"""The gain of a hypothesis if part of the reference's nuisance effects were still there.
 
 A baseline takes off the effects that another recording showed. In this one they are a little different: a hypothesis
 that would explain the difference is no gap.

@@ -1,4 +1,4 @@
-"""What a simulated flight already shows against its own ideal: errors of the reference and traits of the simulator.
+"""Differences of a simulated flight from its own ideal: errors of the reference and traits of the simulator.
 
 Where the simulator flew another flight (GAP 3.5b c), both logs are compared with an ideal sensor. The gap is what only
 the real one has: what the simulated one shows is put into the ideal reading of the real.

@@ -87,7 +87,7 @@ class CatalogueEffect:
     traits
         Properties by which the search, the prices and the report treat it.
     family
-        Of a shape that the catalogue does not have: what its price goes by. Empty for an effect with a name.
+        Kind of a shape that the catalogue does not have; it sets the price. Empty for an effect with a name.
     part
         Whether it is one of the many amplitudes of such a shape, and was chosen among them.
     hidden

@@ -34,7 +34,7 @@ def clipped_column(trace: Trace, limit: float) -> Array:
 
 
 def dead_column(trace: Trace, width: float) -> Array:
-    """What a sensor that reads zero within +-`width` takes from the ideal reading."""
+    """Difference from the ideal reading of a sensor that reads zero within +-`width`."""
     return np.where(np.abs(trace.ideal) < width, -trace.ideal, 0.0)[None]
 
 

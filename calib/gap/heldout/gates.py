@@ -44,7 +44,7 @@ def gate_of(
     """Passed where held-out data are described better; withdrawn where they are not although they should.
 
     An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats: one near the limit of detection may gain
-    nothing although it is true. What happened in one block only cannot be predicted from the others. A drift of
+    nothing although it is true. An event of a single block cannot be predicted from the others. A drift of
     the bias in one block says nothing about the next.
     """
     total = float(gains.sum())
