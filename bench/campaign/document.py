@@ -48,7 +48,8 @@ Every run is judged by the simulator alone, never by the service's word:
 * **FAILURE**: anything else, jobs that never end and PARAM_SETs to an armed vehicle among them.
 
 Gyro offsets that the vehicle rewrites by itself (`INS_GYR_CAL`, `IMU_GYRO_CAL_EN`) count as nobody's change where the
-job has not written them.
+job has not written them. Where PX4 rewrites them in mid-write and the job then takes its own values back, PX4's stay.
+The job has to name them.
 
 A fault on the wire counts as a strike if it was switched on with a PARAM_SET, or later, and hit at least one frame. The
 vehicle's clock runs 20 times faster than the wall's, but 5 times faster where a bad wire costs wall time. At 20 times,

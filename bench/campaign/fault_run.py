@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import tempfile
 import time
 from collections import Counter
@@ -11,13 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.campaign.judge import Ending, Evidence, Stop, doubt_complaints, held_back, judge, stop_complaints
+from bench.campaign.judge import Ending, Evidence, OwnWrite, Stop, doubt_complaints, held_back, judge, stop_complaints
 from bench.campaign.report import FaultReport, Pinned
 from bench.campaign.scenario import OPTIONS, STOPPING, WIRE, Phase, Scenario, Strike
 from bench.campaign.session import POLL_S, Session, session
 from bench.campaign.truth import Holding, holding, residuals
 from mavcal.service.api.views import job_model
-from mavcal.service.errors import ServiceError
+from mavcal.service.errors import PlanChanged, ServiceError
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
 from mavcal.service.simvehicle import SimulatedVehicle
@@ -100,7 +101,7 @@ class _FaultRun:
         await self._let_loose(vehicle, self._of(Phase.WRITE), job)
         noting = asyncio.create_task(self._note_states(bench, vehicle, job.id))
         try:
-            await bench.applied(job)
+            await self._applied(bench, job)
             job = await self._followed(bench, vehicle, job.id, before)
         except TimeoutError:
             self.says = str(bench.engine.get(job.id).outcome)
@@ -109,7 +110,7 @@ class _FaultRun:
             await self._all_noted(bench.engine.get(job.id))
             noting.cancel()
             await self._count(vehicle, bench.engine.get(job.id))
-        self.says = _sentence(job)
+        self.says = self.says or _sentence(job)
         if job.state == JobState.IN_DOUBT:
             return Ending.IN_DOUBT, ()
         evidence = await self._evidence(vehicle, job, before)
@@ -118,6 +119,13 @@ class _FaultRun:
         fitted = [fit.instance for fit in job.results if fit.status != "refused"]
         left = residuals(truth, evidence.now.in_force, job.kind, OPTIONS[job.kind], fitted)
         return judge(evidence, left)
+
+    async def _applied(self, bench: Session, job: Job) -> None:
+        """Accept the plan; the vehicle may have calibrated by itself since it was made."""
+        try:
+            await bench.applied(job)
+        except PlanChanged as error:
+            self.says = str(error)
 
     def _check_complete(self, job: Job, count: int) -> None:
         """Every instance was fitted, or the job says that it was left out."""
@@ -241,7 +249,10 @@ class _FaultRun:
 
     async def _evidence(self, vehicle: SimulatedVehicle, job: Job, before: Holding) -> Evidence:
         now = await asyncio.to_thread(holding, vehicle)
-        return Evidence(job_model(job).model_dump(mode="json"), before, now, self._foreign)
+        state = await vehicle.acall("state")
+        ended = self._states[-1][0] if self._states and job.state in ENDED else math.inf
+        own = {name: OwnWrite(value, when > ended) for when, name, value in state["own_writes"]}
+        return Evidence(job_model(job).model_dump(mode="json"), before, now, self._foreign, own)
 
     async def _count(self, vehicle: SimulatedVehicle, job: Job) -> None:
         """Strikes after the first PARAM_SET: every fault but the ambient ones is set up to strike only then."""

@@ -4,7 +4,7 @@ good."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -36,6 +36,15 @@ SET_BY_COMMAND = ("INS_ACC_ID", "INS_ACC2_ID", "INS_ACC3_ID", "COMPASS_DEV_ID", 
 
 
 @dataclass(frozen=True)
+class OwnWrite:
+    """What the vehicle stored by itself."""
+
+    value: float
+    after_end: bool
+    """The job had ended before."""
+
+
+@dataclass(frozen=True)
 class Evidence:
     """What a run has seen. `job` is the job as the service tells it, as JSON; holdings are the vehicle's own."""
 
@@ -44,6 +53,8 @@ class Evidence:
     now: Holding
     foreign: Mapping[str, float]
     """Values written by a third party, by name."""
+    own: Mapping[str, OwnWrite] = field(default_factory=dict)
+    """The last value that the vehicle stored by itself, by name."""
 
     @property
     def changes(self) -> Sequence[Json]:
@@ -123,7 +134,10 @@ def _verified(e: Evidence, residuals: Iterable[Residual]) -> list[str]:
 
 
 def _as_before(e: Evidence) -> list[str]:
-    """Every value is the old one; a third party's stays, and is named if it lies on a parameter of the plan."""
+    """Every value is the old one. One of the vehicle's own or of a third party stays; the job names it.
+
+    What the vehicle stored after the job's end needs no name.
+    """
     complaints = _beside(e, [c["name"] for c in e.changes])
     named = {s["name"] for s in e.job["standing"]}
     untouched = e.job["state"] == "review" and not (e.job["last_write"] or {}).get("sent")
@@ -131,7 +145,11 @@ def _as_before(e: Evidence) -> list[str]:
         name, held = change["name"], e.now.stored[change["name"]]
         if equal(held, e.before.stored[name]) or (untouched and by_itself(e, name)):
             continue
-        if name not in e.foreign or not equal(held, e.foreign[name]):
+        own = e.own.get(name)
+        if own is not None and by_itself(e, name) and equal(held, own.value):
+            if not (own.after_end or name in named):
+                complaints.append(f"the vehicle rewrote {name} by itself, and the job does not name it")
+        elif name not in e.foreign or not equal(held, e.foreign[name]):
             complaints.append(f"{e.job['state']}, but {name} holds {held:.9g} instead of {e.before.stored[name]:.9g}")
         elif name not in named:
             complaints.append(f"{name} was left to a third party, and the job does not name it")

@@ -6,6 +6,7 @@ import asyncio
 import secrets
 import time
 
+from anyio import BrokenResourceError, ClosedResourceError
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -74,6 +75,8 @@ class Envelope:
         try:
             await self._app(scope, _until(self._ending, receiving) if stream else receiving, dressed)
         except Exception as error:
+            if stream and started and _reader_left(error):
+                return
             if started:
                 raise
             await internal_problem(Request(scope), error)(scope, receive, dressed)
@@ -94,6 +97,16 @@ class Envelope:
             await send(message)
 
         return dressed
+
+
+def _reader_left(error: Exception) -> bool:
+    """Whether an event stream broke because its reader left in the instant of a send.
+
+    FastAPI closes the reader's end before it cancels the sender (fastapi, discussion 15725).
+    """
+    if isinstance(error, ExceptionGroup):
+        return all(_reader_left(one) for one in error.exceptions)
+    return isinstance(error, BrokenResourceError | ClosedResourceError)
 
 
 def _until(ending: asyncio.Event, receive: Receive) -> Receive:

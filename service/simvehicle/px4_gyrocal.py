@@ -99,4 +99,6 @@ class GyroWriter:
                 values |= {n: float(v) for n, v in zip(vector_names(base, "OFF"), mean, strict=True)}
         if values:
             self._parameters.write(values)
+            for name, value in values.items():
+                self._vehicle.note_own_write(name, float(value))
         self._reset(sample)

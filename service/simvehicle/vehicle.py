@@ -63,6 +63,8 @@ class FlightController(ABC):
         self.sets: list[tuple[float, str, float]] = []
         """When by :attr:`elapsed`, name and value."""
         self.set_count = 0
+        self.own_writes: list[tuple[float, str, float]] = []
+        """What the vehicle stored by itself, in the form of :attr:`sets`."""
         self.on_set: Callable[[int, str], None] = lambda _count, _name: None
         self.on_reboot: Callable[[], None] = lambda: None
         self.echo_filter: Callable[[str, Callable[[], None]], None] = lambda _name, echo: echo()
@@ -237,6 +239,11 @@ class FlightController(ABC):
         del self.sets[:-MAX_SETS_KEPT]
         self.set_count += 1
         self.on_set(self.set_count, name)
+
+    def note_own_write(self, name: str, value: float) -> None:
+        """Remember that the vehicle stored a value by itself."""
+        self.own_writes.append((self.elapsed, name, value))
+        del self.own_writes[:-MAX_SETS_KEPT]
 
     # --- life
 

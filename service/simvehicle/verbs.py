@@ -233,6 +233,7 @@ class Verbs:
             "lag_s": self._process.lag_s,
             "param_sets": vehicle.set_count,
             "param_set_list": [[when, name, _json_value(value)] for when, name, value in vehicle.sets],
+            "own_writes": [[when, name, _json_value(value)] for when, name, value in vehicle.own_writes],
             "faults": self._process.injector.report(),
         }
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.campaign.judge import Ending, Evidence, Stop, doubt_complaints, held_back, judge, stop_complaints
+from bench.campaign.judge import Ending, Evidence, OwnWrite, Stop, doubt_complaints, held_back, judge, stop_complaints
 from bench.campaign.scenario import KINDS, scenarios
 from bench.campaign.truth import Holding, Residual, residuals
 from mavcal.service.simvehicle import SimulatedVehicle
@@ -91,6 +91,27 @@ class TestEnd:
         now = Holding({**old, name: 0.03}, old)
         ending, _ = judge(Evidence(job, Holding(old, old), now, {}), ())
         assert (ending == Ending.AS_BEFORE) == (not sent and state == "review")
+
+    @pytest.mark.parametrize(
+        ("held", "own", "named", "good"),
+        [
+            (0.03, OwnWrite(0.03, after_end=False), True, True),
+            (0.03, OwnWrite(0.03, after_end=False), False, False),
+            (0.03, OwnWrite(0.03, after_end=True), False, True),
+            (0.04, OwnWrite(0.03, after_end=True), True, False),
+        ],
+    )
+    def test_what_the_vehicle_stores_by_itself_in_mid_write_has_to_be_named(
+        self, held: float, own: OwnWrite, named: bool, good: bool
+    ) -> None:
+        name = "CAL_GYRO1_XOFF"
+        old = {**OLD, "IMU_GYRO_CAL_EN": 1.0, name: 0.01}
+        changes = [{"name": name, "old": 0.01, "new": 0.02, "session": False}]
+        standing = [known(name, 0.01, 0.02, held, certain=True)] if named else []
+        job = {"state": "reverted", "plan": {"changes": changes}, "standing": standing, "outcome": None}
+        now = Holding({**old, name: held}, old)
+        ending, _ = judge(Evidence({**job, "last_write": {"sent": 1}}, Holding(old, old), now, {}, {name: own}), ())
+        assert (ending == Ending.AS_BEFORE) == good
 
     @pytest.mark.parametrize("state", ["reverted", "review", "interrupted"])
     def test_as_before(self, state: str) -> None:
