@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN_AT_REST
 from mavcal.calib.firmware.plan import ParameterKind, Value, Verification, WritePlan
 from mavcal.calib.firmware.values import shown
 from mavcal.service.errors import WriteFailed
@@ -143,7 +144,7 @@ def as_heard(record: WriteRecord, heard: Mapping[str, Value], doubt: str | None 
     for sent in record.sent:
         value = heard.get(sent.name, sent.confirmed)
         confirmed = sent.confirmed is not None and value is not None and same(value, sent.confirmed, sent.kind)
-        note = "set by somebody else" if sent.name in record.left else doubt or ""
+        note = f"set by {who_sets(sent.name)}" if sent.name in record.left else doubt or ""
         if freed and not sent.session and sent.name not in record.left:
             note = "; ".join(filter(None, (note, f"the vehicle may change it since {freed[0]} was put back")))
         certain = confirmed and doubt is None and (sent.session or not freed)
@@ -152,13 +153,19 @@ def as_heard(record: WriteRecord, heard: Mapping[str, Value], doubt: str | None 
     return tuple(found)
 
 
-def who_else(record: WriteRecord) -> str:
+def who_sets(name: str) -> str:
+    """Who may have set a parameter while nothing restarted: PX4 rewrites its gyro offsets at rest."""
+    return EITHER if name in REWRITTEN_AT_REST else SOMEBODY
+
+
+def who_else(record: WriteRecord, plan: WritePlan) -> str:
     """Who may have set a value that is neither old nor new.
 
-    After a restart the vehicle may have calibrated itself, also once a session setting was put back that kept it from
-    that; and nobody listened while the service was away.
+    PX4 rewrites its gyro offsets at rest. After a restart the vehicle may have calibrated itself, also once a session
+    setting was put back that kept it from that. Nobody listened while the service was away.
     """
     freed = any(s.session and s.name in record.undone | record.restored for s in record.sent)
     later = record.interrupted or record.rolling_back == BY_OPERATOR
     alone = later or record.restarted or record.reboot_announced or record.rebooted
-    return EITHER if freed or alone else SOMEBODY
+    at_rest = any(change.name in REWRITTEN_AT_REST for change in plan.changes)
+    return EITHER if freed or alone or at_rest else SOMEBODY

@@ -1,7 +1,8 @@
 """Capture: switch streams on, read calibration parameters, and feed frames to the procedure until it is done.
 
 The segment of the telemetry log begins before the parameters are read and ends after they were read again. It can
-therefore be fitted by itself at any time.
+therefore be fitted by itself at any time. Samples from before the reading are left out: the vehicle may have rewritten
+its calibration between them and the reading.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass, field
 
 from mavcal.calib.errors import ProcedureError
 from mavcal.calib.firmware.in_force.fingerprint import matters
+from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.stream.rates import requested_streams
@@ -24,7 +26,7 @@ from mavcal.service.errors import CaptureEnded, DiskFull, LinkDown, ParameterTim
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.digest import LiveDigest, changed, read_range
 from mavcal.service.jobs.handle import JobHandle, counting
-from mavcal.service.jobs.needs import DRIFT_KINDS, read_needed
+from mavcal.service.jobs.needs import read_needed
 from mavcal.service.jobs.port import JobVehicle
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.spans import captured, close_span, open_span

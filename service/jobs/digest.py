@@ -18,6 +18,8 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware import sensor_ids
 from mavcal.calib.firmware.compose.foresee import STREAMED_INSTANCES
 from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN, matters
+from mavcal.calib.firmware.in_force.known import KnownCalibration
+from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS, needed
 from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
@@ -79,6 +81,7 @@ class LiveDigest:
         self._assembler = Assembler(identity, parameters)
         self._undo = Undo(identity, parameters)
         self._prefixes = CALIBRATION_PREFIXES.get(identity.autopilot or "", ())
+        self._known = KnownCalibration([name for name in parameters if name.startswith(self._prefixes)])
         self._parameters = dict(parameters)
         self._kind, self._options, self._created_at = kind, options, created_at
         self._waiting: list[Recording] = []
@@ -123,7 +126,7 @@ class LiveDigest:
         self.restarted |= any(event.kind == "reboot" for event in chunk.events)
         ends = [float(c.t[-1]) for c in chunk.channels if len(c) and c.sensor in (Sensor.ACCEL, Sensor.GYRO)]
         self.last_time = max([self.last_time, *ends])
-        raw = self._undo.feed(chunk)
+        raw = self._known.feed(self._undo.feed(chunk))
         if self._procedure is not None:
             return self._procedure.feed(raw)
         self._waiting.append(raw)
@@ -226,8 +229,16 @@ def fit_segments(request: JobFitRequest) -> Fitted:
     parameters = recording.parameters.final()
     context = context_of(request.kind, recording.identity, parameters, field_of(recording, request.created_at))
     answers = [OperatorAnswer(t, value) for t, value in request.answers]
-    outcome = replay(request.kind, request.options, context, undo(recording), answers)
+    known = KnownCalibration(_read_at_first(request.kind, recording.identity, parameters))
+    outcome = replay(request.kind, request.options, context, known.feed(undo(recording)), answers)
     return Fitted(outcome, parameters)
+
+
+def _read_at_first(kind: str, identity: Identity, parameters: Mapping[str, Value]) -> list[str]:
+    """The calibration parameters that the capture read before it fed its procedure."""
+    autopilot = identity.autopilot or ""
+    names = needed(autopilot, specification(kind).sensors, parameters, drift=kind in DRIFT_KINDS)
+    return [name for name in names if name in parameters and name.startswith(CALIBRATION_PREFIXES[autopilot])]
 
 
 def recording_of(spans: Sequence[LogSpan], system: int | None) -> Recording:

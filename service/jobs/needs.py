@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 
-from mavcal.calib.firmware.in_force.needed import needed
+from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS, needed
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult
@@ -13,9 +13,6 @@ from mavcal.service.errors import PlanChanged
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.port import JobVehicle, ParameterReading
 from mavcal.service.jobs.write import read_values
-
-DRIFT_KINDS = frozenset({"thermal"})
-"""Jobs that write temperature coefficients."""
 
 
 async def read_needed(

@@ -17,6 +17,7 @@ from mavcal.calib.firmware.in_force.fingerprint import fingerprint, matters
 from mavcal.calib.firmware.plan import Change, ParameterKind, Value, Verification, WritePlan, snapshot_sha256
 from mavcal.calib.firmware.values import shown
 from mavcal.service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed
+from mavcal.service.jobs.account import who_sets
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.guard import WriteGuard
 from mavcal.service.jobs.handle import JobHandle, counting, waiting
@@ -81,7 +82,7 @@ class Writing:
         ------
         WriteFailed
             As soon as the vehicle states a value that is neither ours nor the one `instead_of` which it is written:
-            somebody else has set it, and is not overwritten by a repetition.
+            somebody else or the vehicle has set it, and is not overwritten by a repetition.
         WriteStopped, ParameterError
         """
         self.heard.pop(name, None)
@@ -100,7 +101,7 @@ class Writing:
             if foreign.done():
                 setting.cancel()
                 await self.ask_who()
-                raise WriteFailed(f"somebody else set {name} to {shown(foreign.result())} meanwhile")
+                raise WriteFailed(f"{who_sets(name)} set {name} to {shown(foreign.result())} meanwhile")
             return setting.result().value
         finally:
             forget()

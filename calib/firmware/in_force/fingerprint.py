@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from types import MappingProxyType
 from typing import Final
 
@@ -59,13 +59,15 @@ def fingerprint(identity: Identity, parameters: Mapping[str, Value]) -> Fingerpr
     )
 
 
-def _rewritten() -> frozenset[str]:
-    slots = [ardupilot_imu_names(Sensor.GYRO, slot) for slot in range(ARDUPILOT_IMU_SLOTS)]
-    slots += [px4_names(Sensor.GYRO, slot) for slot in range(PX4_SLOTS)]
+def _offsets(slots: Iterable[Mapping[Role, str]]) -> frozenset[str]:
     return frozenset(row[role] for row in slots for role in (*OFFSET, Role.TEMPERATURE) if role in row)
 
 
-REWRITTEN: Final = _rewritten()
+REWRITTEN_AT_REST: Final = _offsets(px4_names(Sensor.GYRO, slot) for slot in range(PX4_SLOTS))
+"""Gyro offsets that a vehicle may rewrite at any time while it is still."""
+REWRITTEN: Final = REWRITTEN_AT_REST | _offsets(
+    ardupilot_imu_names(Sensor.GYRO, slot) for slot in range(ARDUPILOT_IMU_SLOTS)
+)
 """Gyro offsets and their temperatures, which a vehicle rewrites by itself (FLIGHT_CONTROLLERS 1.3, 1.4).
 
 ArduPilot does so at every start (INS_GYR_CAL = 1), PX4 at rest (IMU_GYRO_CAL_EN = 1).

@@ -15,6 +15,8 @@ from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.recording import Sensor
 
+DRIFT_KINDS = frozenset({"thermal"})
+"""Jobs that write temperature coefficients."""
 STREAMED = 3
 """Instances that either firmware streams."""
 _OF_PX4 = ("SENS_", "IMU_")

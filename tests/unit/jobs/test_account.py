@@ -27,6 +27,7 @@ from mavcal.service.jobs.account import (
     reverted,
     succeeded,
     who_else,
+    who_sets,
 )
 from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep, fold
 from mavcal.service.jobs.model import Failure, Holds, Result
@@ -133,7 +134,17 @@ STOPPED, BACKWARD = JournalStep.STOPPED, JournalStep.ROLL_BACK
     ],
 )
 def test_who_may_have_set_a_value(steps: tuple[tuple[JournalStep, dict[str, Any]], ...], who: str) -> None:
-    assert who_else(fold(rows(ACCEPTED, send("A"), echo("A"), *steps))) == who
+    assert who_else(fold(rows(ACCEPTED, send("A"), echo("A"), *steps)), plan_of(2)) == who
+
+
+@pytest.mark.parametrize(
+    ("name", "who"), [("CAL_GYRO2_YOFF", EITHER), ("INS_GYR2OFFS_Y", SOMEBODY), ("CAL_ACC2_YOFF", SOMEBODY)]
+)
+def test_px4_rewrites_its_gyro_offsets_at_rest(name: str, who: str) -> None:
+    plan = WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, (Change(name, 0.25, 0.5, REAL, "offset", sd=1e-4),))
+    record = fold(rows(ACCEPTED, send(name), (JournalStep.LEFT, {"name": name, "value": 0.125})))
+    assert (who_sets(name), who_else(record, plan)) == (who, who)
+    assert as_heard(record, {name: 0.125})[0].note == f"set by {who}"
 
 
 def test_standing_is_certain_only_where_the_vehicle_confirmed_and_nothing_else_was_heard() -> None:

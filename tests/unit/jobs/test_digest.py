@@ -248,3 +248,48 @@ def test_answers_of_before_a_restart_are_handed_on_with_their_times() -> None:
     digest._procedure = cast(TickedProcedure, procedure)
     digest.schedule([(1.5, "finish"), (2.5, "skip")])
     assert procedure.scheduled == [OperatorAnswer(1.5, "finish"), OperatorAnswer(2.5, "skip")]
+
+
+def imu(k: int, gyro_mrad_s: int) -> Any:
+    return dialect.MAVLink_raw_imu_message(20_000 * k, 0, 0, -1000, gyro_mrad_s, 0, 0, 0, 0, 0, id=0, temperature=3000)
+
+
+def test_samples_from_before_the_calibration_was_read_do_not_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The vehicle may have rewritten its offset between them and the reading."""
+    beat = dialect.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
+    before, after = [imu(k, 40) for k in range(1, 500)], [imu(k, 0) for k in range(500, 1000)]
+    frames = heard(beat, *before, param_value("INS_GYR_ID", 1.0), param_value("INS_GYROFFS_X", 0.03125), *after)
+    counted: list[Recording] = []
+
+    class Listening:
+        time = 0.0
+        outcome = None
+
+        def feed(self, chunk: Recording) -> tuple[Step, ...]:
+            counted.append(chunk)
+            return ()
+
+        def schedule(self, answers: object) -> None:
+            pass
+
+    monkeypatch.setattr(digest_module, "create", lambda *_: Listening())
+    live = LiveDigest("gyro", {}, ARDUPILOT, {"INS_GYR_ID": 1, "INS_GYROFFS_X": 0.03125}, 0.0)
+    for start in range(0, len(frames), 7):
+        live.feed(frames[start : start + 7])
+
+    path = tmp_path / "a.tlog"
+    data = b"".join(int(2e4 * k).to_bytes(8, "big") + frame.raw for k, frame in enumerate(frames))
+    path.write_bytes(data)
+    monkeypatch.setattr(digest_module, "replay", lambda *args: counted.append(args[3]))
+    fit_segments(JobFitRequest("gyro", {}, (LogSpan(path, 0, len(data), hashlib.sha256(data).hexdigest()),), 1, 0.0))
+
+    *chunks, whole = counted
+    seen = [
+        np.concatenate([c.values[:, 0] for chunk in some for c in chunk.find(Sensor.GYRO, 0)])
+        for some in (chunks, [whole])
+    ]
+    assert len(seen[0]) == len(seen[1]) > 400
+    for values in seen:
+        assert np.ptp(values) == 0.0

@@ -146,6 +146,17 @@ async def test_a_repetition_is_given_up_before_somebody_else_is_asked_for(make_b
     assert vehicle._listeners == []
 
 
+async def test_px4_itself_may_have_rewritten_a_gyro_offset(make_bench: MakeBench) -> None:
+    bench, name = make_bench(), "CAL_GYRO0_XOFF"
+    bench.vehicle.parameters[name] = ParameterReading(name, 0.0, REAL)
+    vehicle = hanging(bench)
+    setting = asyncio.ensure_future(bench.attempt().set(name, 0.5, REAL, instead_of=0.0))
+    await until(lambda: vehicle.said == ["set"])
+    vehicle._tell(ParameterReading(name, 0.25, REAL))
+    with pytest.raises(WriteFailed, match=f"the vehicle itself or somebody else set {name} to 0.25 meanwhile"):
+        await setting
+
+
 async def test_a_set_that_is_cancelled_is_over_when_it_says_so(make_bench: MakeBench) -> None:
     bench = make_bench()
     vehicle = hanging(bench)
