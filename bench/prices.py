@@ -1,8 +1,9 @@
 """``python -m bench.prices``: changes each price of the search by 30 % down and up, and counts the answers that change.
 
 Cases are development cases of the withheld-effect check: singles, mixtures, unknown errors and nulls in turn. An answer
-is its verdict and the instances of every effect that it names. A price that a diagnosis never reads cannot change its
-answer, so only the prices that it reads are varied. A price that changes no answer may go.
+is its verdict and the instances of every effect that it names. Where a diagnosis reads a price for the first time, its
+process forks: one child goes on with less, one with more. A child whose search ends as its parent's did ends there,
+unless its price is read later too. A price that changes no answer may go.
 
 200 cases take many hours. ``--keep FILE`` holds a line a case: the same command goes on where it was stopped.
 ``--page`` writes ``docs/prices.md`` from the cases that are there.
@@ -12,20 +13,27 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import tempfile
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 from mavcal.calib import gap, logs
+from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.search import prices
+from mavcal.calib.recording import Recording
 from mavcal.calib.withheld_check import Case, Tier, make_case
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "prices.md"
@@ -49,13 +57,114 @@ class Varied:
     prices: Mapping[str, Sequence[tuple[bool, bool]]]
 
 
+SearchEnd = tuple[tuple[tuple[Key, float], ...], frozenset[Key]]
+"""The effects that a search chose with their gains, and those that are no gap."""
+
+
+_DIAGNOSIS = import_module("mavcal.calib.gap.diagnose")
+"""The module; its package shows the function of the same name."""
+
+
+class _Plain:
+    """Notes how the search of a diagnosis ends, and which prices are read after it."""
+
+    def __init__(self) -> None:
+        self.end: SearchEnd | None = None
+        self.late: set[str] = set()
+
+    def read(self, name: str) -> None:
+        if self.end is not None:
+            self.late.add(name)
+
+    def searched(self, end: SearchEnd) -> None:
+        self.end = end
+
+
+class _Fork:
+    """Divides a diagnosis at the first reading of each price: what comes before is the same for every value of it.
+
+    `unchanged` is what a child says whose diagnosis must end as the `plain` one did.
+    """
+
+    def __init__(self, only: Sequence[str], plain: _Plain, unchanged: tuple[bool, bool]) -> None:
+        self._open = set(only or names())
+        self._plain, self._unchanged = plain, unchanged
+        self._pipe: int | None = None
+        """Where a child's answer goes; None in the parent."""
+        self._varied = ""
+        self.changed: dict[str, list[tuple[bool, bool]]] = {}
+
+    def read(self, name: str) -> None:
+        """A price is about to be read: the parent comes back with it as it was, each child with another one."""
+        if name not in self._open:
+            return
+        self._open.remove(name)
+        value = vars(prices)[name]
+        for factor in FACTORS:
+            answer = self._told_by_child()
+            if self._pipe is not None:
+                self._open.clear()
+                self._varied = name
+                setattr(prices, name, scaled(value, factor))
+                return
+            self.changed.setdefault(name, []).append(answer)
+
+    def searched(self, end: SearchEnd) -> None:
+        """A child ends here if nothing can be different any more."""
+        if end == self._plain.end and self._varied not in self._plain.late:
+            self.end_child(self._unchanged)
+
+    def _told_by_child(self) -> Any:
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.close(reading)
+            self._pipe = writing
+            return None
+        os.close(writing)
+        with os.fdopen(reading) as told:
+            text = told.read()
+        if os.waitpid(child, 0)[1] != 0:
+            raise RuntimeError("a diagnosis with another price failed: its traceback stands above")
+        return tuple(json.loads(text))
+
+    def end_child(self, answer: tuple[bool, bool]) -> None:
+        """A child hands its answer on and ends; the parent goes on."""
+        if self._pipe is not None:
+            os.write(self._pipe, json.dumps(answer).encode())
+            os._exit(0)
+
+    def fail_child(self) -> None:
+        """The same for a child that failed."""
+        if self._pipe is not None:
+            traceback.print_exc()
+            os._exit(1)
+
+
 class _ReadPrices(ModuleType):
-    """The module of prices, which notes the names that are read."""
+    """The module of prices, which says when one is read."""
 
     def __getattribute__(self, name: str) -> Any:
         if name.isupper():
-            super().__getattribute__("read").add(name)
+            super().__getattribute__("watch").read(name)
         return super().__getattribute__(name)
+
+
+@contextmanager
+def watched(watch: _Plain | _Fork) -> Iterator[None]:
+    """In here `watch` hears of every price that is read, and of the end of a search."""
+    settled = _DIAGNOSIS._settled
+
+    def told(*args: Any) -> Any:
+        answer = settled(*args)
+        gains = tuple((score.hypothesis.key, score.gain) for score in answer.chosen.scores)
+        watch.searched((gains, answer.tolerated))
+        return answer
+
+    vars(prices)["watch"] = watch
+    prices.__class__ = _ReadPrices
+    with patch.object(_DIAGNOSIS, "_settled", told):
+        yield
 
 
 def names() -> tuple[str, ...]:
@@ -75,36 +184,42 @@ def scaled(value: Any, factor: float) -> Any:
 
 
 def varied(tier: Tier, seed: int, only: Sequence[str] = ()) -> Varied:
-    """Diagnose a case with the prices as they are, then with each price that was read changed by each factor.
+    """Diagnose a case with the prices as they are, and with each price that is read changed by each factor.
 
     For a process of its own: it changes the table of prices.
     """
-    vars(prices)["read"] = read = set[str]()
-    prices.__class__ = _ReadPrices
     case = make_case(tier, seed)
-    before = named(case)
-    changed: dict[str, list[tuple[bool, bool]]] = {}
-    for name in [name for name in only or names() if name in frozenset(read)]:
-        value = getattr(prices, name)
-        for factor in FACTORS:
-            setattr(prices, name, scaled(value, factor))
-            after = named(case)
-            changed.setdefault(name, []).append((after != before, right(case, after)))
-        setattr(prices, name, value)
-    return Varied(tier.value, seed, right(case, before), changed)
+    real, sim = recordings(case)
+    plain = _Plain()
+    with watched(plain):
+        before = named(case, real, sim)
+    fork = _Fork(only, plain, (False, right(case, before)))
+    try:
+        with watched(fork):
+            after = named(case, real, sim)
+        fork.end_child((after != before, right(case, after)))
+    except BaseException:
+        fork.fail_child()
+        raise
+    return Varied(tier.value, seed, right(case, before), fork.changed)
 
 
 Answer = tuple[str, bool, tuple[tuple[str, tuple[int, ...]], ...]]
 """Verdict, whether something unknown is left, and the effects that are named with their instances."""
 
 
-def named(case: Case) -> Answer:
-    """The answer to a case."""
+def recordings(case: Case) -> tuple[Recording, Recording]:
+    """The real and the simulated recording of a case."""
     with tempfile.TemporaryDirectory() as folder:
         paths = {side: Path(folder) / f"{side}.npz" for side in ("real", "sim")}
         for side, columns in (("real", case.real), ("sim", case.sim)):
             np.savez(paths[side], allow_pickle=False, **columns)
-        report = gap.run(logs.read(paths["real"]), logs.read(paths["sim"]), nested=False, without=case.without)
+        return logs.read(paths["real"]), logs.read(paths["sim"])
+
+
+def named(case: Case, real: Recording, sim: Recording) -> Answer:
+    """The answer to a case."""
+    report = gap.run(real, sim, nested=False, without=case.without)
     effects = tuple(sorted((e.id, tuple(e.instances)) for e in report.effects))
     return report.verdict.value, report.unknown.flag, effects
 

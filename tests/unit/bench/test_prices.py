@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from bench import prices as bench
 from mavcal.calib.gap.search import prices
+from mavcal.calib.withheld_check import make_case
 
 
 @pytest.mark.parametrize("name", bench.names())
@@ -63,6 +65,21 @@ def test_only_prices_that_a_diagnosis_reads_are_varied(tmp_path: Path) -> None:
     assert case.right
     assert list(case.prices) == [read]
     assert getattr(prices, read) == 16.0  # the process that varied it is gone
+
+
+@pytest.mark.long  # six diagnoses
+def test_a_divided_diagnosis_answers_as_one_that_had_the_price_from_the_beginning() -> None:
+    [(tier, seed)] = bench.chosen(1)
+    [found] = bench.all_varied([(tier, seed)], ["THERMAL_PRICE", "EFFECT_COUNT_PRICE"], 1)
+    case = make_case(tier, seed)
+    real, sim = bench.recordings(case)
+    before = bench.named(case, real, sim)
+    for name, answers in found.prices.items():
+        value = getattr(prices, name)
+        for factor, answer in zip(bench.FACTORS, answers, strict=True):
+            with patch.object(prices, name, bench.scaled(value, factor)):
+                after = bench.named(case, real, sim)
+            assert answer == (after != before, bench.right(case, after))
 
 
 def test_every_kind_of_case_has_its_share() -> None:
