@@ -171,18 +171,24 @@ def _walking(
     """`state`, or with a gyroscope whose bias wanders as much as its own readings say beside the aiding.
 
     A bias that wanders more than a smoother grants turns the attitude: axes, scales and the Earth's field would seem
-    to be wrong.
+    to be wrong. A crash says nothing of it: intervals that are not believed have no voice.
     """
-    evidence = log_evidence(imu, aiding, state, matrices=matrices, drifts=drifts)
+    strained = _strained(state, imu, state.between(imu))
+    calm = dataclasses.replace(imu, known=imu.known & ~strained) if strained.any() else imu
+    best = smooth(calm, aiding, state, matrices=matrices, drifts=drifts) if strained.any() else state
+    evidence = log_evidence(calm, aiding, best, matrices=matrices, drifts=drifts)
     for _ in range(_WALKS):
-        walk = state.walk.copy()
+        walk = best.walk.copy()
         walk[GYRO_BIAS] *= _FURTHER
-        other = smooth(imu, aiding, dataclasses.replace(state, walk=walk), matrices=matrices, drifts=drifts)
-        gained = log_evidence(imu, aiding, other, matrices=matrices, drifts=drifts) - evidence
+        other = smooth(calm, aiding, dataclasses.replace(best, walk=walk), matrices=matrices, drifts=drifts)
+        gained = log_evidence(calm, aiding, other, matrices=matrices, drifts=drifts) - evidence
         if not other.plausible or 2.0 * gained < _WARMER:
             break
-        state, evidence = other, evidence + gained
-    return state
+        best, evidence = other, evidence + gained
+    if best.walk is state.walk:
+        return state
+    freed = dataclasses.replace(state, walk=best.walk)
+    return smooth(imu, aiding, freed, matrices=matrices, drifts=drifts) if strained.any() else best
 
 
 def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:
@@ -286,7 +292,7 @@ def _driven(found: SmoothedTrajectory) -> Ideal:
     fine_t = imu.t[0] + imu.dt / STEPS * np.arange(len(slip) * STEPS)
     q = np.stack([s.as_quat() for s in steps], axis=1).reshape(-1, 4)[:, [3, 0, 1, 2]]
     rate = (between.rate + slip[:, None, :] / imu.dt).reshape(-1, 3)
-    held = np.repeat(~_strained(found, between), STEPS)
+    held = np.repeat(~_strained(state, imu, between), STEPS)
     attitude = Signal(fine_t, continuous(q))
     if not held.any():  # nowhere do trajectory and inertial unit agree: the attitude is known nowhere
         return Ideal(dataclasses.replace(_info(found), att_sigma_deg=np.inf), {}, attitude)
@@ -301,9 +307,8 @@ def _driven(found: SmoothedTrajectory) -> Ideal:
     return Ideal(_info(found), readings, attitude)
 
 
-def _strained(found: SmoothedTrajectory, between: Between) -> NDArray[np.bool_]:
+def _strained(state: TrajectoryState, imu: Increments, between: Between) -> NDArray[np.bool_]:
     """Intervals about which the trajectory and the inertial unit contradict each other: a crash, a clipped sensor."""
-    state, imu = found.state, found.imu
     here, there = state.attitude[:-1], state.attitude[1:]
     turned = (there.inv() * here * between.turn).as_rotvec()
     moved = state.velocity[:-1] + here.apply(between.velocity) + GRAVITY_NED * imu.dt - state.velocity[1:]

@@ -249,14 +249,14 @@ class _Normal:
 
     @property
     def log_determinant(self) -> float:
-        """Of the whole matrix, nodes and constants."""
+        """Log of the determinant of the whole matrix, nodes and constants."""
         flat_border = self.border.reshape(-1, CONSTANTS)
         inner = self.corner - flat_border.T @ cho_solve_banded((self._factor, True), flat_border)
         return 2.0 * float(np.log(self._factor[0]).sum()) + float(np.linalg.slogdet(inner)[1])
 
     @cached_property
     def _factor(self) -> Array:
-        """Of the nodes' part, by Cholesky; the equations are complete by then."""
+        """Cholesky factor of the nodes' part; the equations are complete by then."""
         return np.asarray(cholesky_banded(self._banded(), lower=True))
 
     def _banded(self) -> Array:

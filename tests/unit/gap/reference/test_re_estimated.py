@@ -218,7 +218,9 @@ def test_no_axes_are_turned_to_explain_a_crash():
         else c
         for c in whole.channels
     ]
-    assert best_trajectory(whole.with_channels(crash)).state.constants[11:] == pytest.approx(np.zeros(30), abs=1e-5)
+    state = best_trajectory(whole.with_channels(crash)).state
+    assert state.constants[11:] == pytest.approx(np.zeros(30), abs=1e-5)
+    assert np.array_equal(state.walk, WALK)
 
 
 def test_the_delay_of_the_firmwares_own_filters_is_no_delay_of_other_sensors():
