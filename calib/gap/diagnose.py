@@ -273,7 +273,8 @@ def _withdrawn(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
 def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapReport:
     """Everything that is said of a problem and of the answer to it."""
     chosen, model = answer.chosen, answer.chosen.model
-    unnamed = (s for s in unnamed_causes_in(model, answer.gap) if not answer.tolerated.issuperset(s.keys))
+    found = unnamed_causes_in(model, answer.gap, task.problem.minimum_gain.lasting)
+    unnamed = (s for s in found if not answer.tolerated.issuperset(s.keys))
     members = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
     causes = (*unnamed, *nameless(answer.gap, members, answer.withdrawn))
     unknown = _unknown(task, answer, causes)

@@ -26,11 +26,13 @@ from mavcal.calib.gap.reference.strapdown import STEPS, Between, Increments
 from mavcal.calib.gap.reference.trajectory import (
     EARTH,
     GYRO,
+    GYRO_BIAS,
     ITERATIONS,
     LATE_GPS,
     WALK,
     Aiding,
     TrajectoryState,
+    log_evidence,
     smooth,
     start_at,
 )
@@ -57,7 +59,8 @@ _MODEL_SD, _GUESS_SD = 1.0, 20.0  # of the Earth's field, uT
 _CLOSE = 200.0  # twice the log-likelihood by which one unit may fit worse than another: an offset costs some sixty
 _LATE_S, _MOSTLY = 0.002, 0.5  # a delay between gyroscopes, and the part of their difference that it may leave
 _MEAN_S = 0.1  # over which their readings are averaged before
-_WARMER = 40.0  # twice the log-likelihood by which biases that follow the temperature must fit better
+_WARMER = 40.0  # twice the log-likelihood by which biases that follow the temperature, or wander, must fit better
+_FURTHER, _WALKS = 10.0, 4  # times that a gyroscope's bias may wander more, and how often in a row that is tried
 _GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3  # of a magnetometer's mean gain, where that field is known and where it is not
 
 
@@ -146,18 +149,46 @@ def _first_to_tell(
 
 
 def _refined(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTrajectory:
-    """With scales and axes that may differ, and biases that follow the temperature where that says much more.
+    """With scales and axes that may differ, and biases that follow the temperature or walk where that says much more.
 
     As it was if they were turned to explain something else, like a crash.
     """
     state = smooth(found.imu, aiding, found.state)
     free = smooth(found.imu, aiding, state, matrices=True)
-    best = free if free.plausible else state
+    best, drifts = free if free.plausible else state, False
     if found.imu.warm.any():
         warm = smooth(found.imu, aiding, state, matrices=True, drifts=True)
         if warm.plausible and warm.cost < best.cost - _WARMER:
-            best = warm
+            best, drifts = warm, True
+    if aiding.truth is None:
+        best = _walking(found.imu, aiding, best, matrices=best is not state, drifts=drifts)
     return dataclasses.replace(found, state=best)
+
+
+def _walking(
+    imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool, drifts: bool
+) -> TrajectoryState:
+    """`state`, or with a gyroscope whose bias wanders as much as its own readings say beside the aiding.
+
+    A bias that wanders more than a smoother grants turns the attitude: axes, scales and the Earth's field would seem
+    to be wrong. A crash says nothing of it: intervals that are not believed have no voice.
+    """
+    strained = _strained(state, imu, state.between(imu))
+    calm = dataclasses.replace(imu, known=imu.known & ~strained) if strained.any() else imu
+    best = smooth(calm, aiding, state, matrices=matrices, drifts=drifts) if strained.any() else state
+    evidence = log_evidence(calm, aiding, best, matrices=matrices, drifts=drifts)
+    for _ in range(_WALKS):
+        walk = best.walk.copy()
+        walk[GYRO_BIAS] *= _FURTHER
+        other = smooth(calm, aiding, dataclasses.replace(best, walk=walk), matrices=matrices, drifts=drifts)
+        gained = log_evidence(calm, aiding, other, matrices=matrices, drifts=drifts) - evidence
+        if not other.plausible or 2.0 * gained < _WARMER:
+            break
+        best, evidence = other, evidence + gained
+    if best.walk is state.walk:
+        return state
+    freed = dataclasses.replace(state, walk=best.walk)
+    return smooth(imu, aiding, freed, matrices=matrices, drifts=drifts) if strained.any() else best
 
 
 def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:
@@ -261,7 +292,7 @@ def _driven(found: SmoothedTrajectory) -> Ideal:
     fine_t = imu.t[0] + imu.dt / STEPS * np.arange(len(slip) * STEPS)
     q = np.stack([s.as_quat() for s in steps], axis=1).reshape(-1, 4)[:, [3, 0, 1, 2]]
     rate = (between.rate + slip[:, None, :] / imu.dt).reshape(-1, 3)
-    held = np.repeat(~_strained(found, between), STEPS)
+    held = np.repeat(~_strained(state, imu, between), STEPS)
     attitude = Signal(fine_t, continuous(q))
     if not held.any():  # nowhere do trajectory and inertial unit agree: the attitude is known nowhere
         return Ideal(dataclasses.replace(_info(found), att_sigma_deg=np.inf), {}, attitude)
@@ -276,9 +307,8 @@ def _driven(found: SmoothedTrajectory) -> Ideal:
     return Ideal(_info(found), readings, attitude)
 
 
-def _strained(found: SmoothedTrajectory, between: Between) -> NDArray[np.bool_]:
+def _strained(state: TrajectoryState, imu: Increments, between: Between) -> NDArray[np.bool_]:
     """Intervals about which the trajectory and the inertial unit contradict each other: a crash, a clipped sensor."""
-    state, imu = found.state, found.imu
     here, there = state.attitude[:-1], state.attitude[1:]
     turned = (there.inv() * here * between.turn).as_rotvec()
     moved = state.velocity[:-1] + here.apply(between.velocity) + GRAVITY_NED * imu.dt - state.velocity[1:]

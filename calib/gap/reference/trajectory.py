@@ -11,6 +11,7 @@ the unit measured between them, so the normal equations are banded, bordered by 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ from mavcal.calib.gap.reference.strapdown import Between, Increments
 Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
+GYRO_BIAS = slice(6, 9)
+"""Where it is in the state of a node."""
 OFFSET, PER_AMPERE, EARTH = slice(0, 3), slice(3, 6), slice(6, 9)
 LATE_GPS, LATE_MAG = 9, 10
 SOFT_IRON, GYRO, ACCEL = slice(11, 17), slice(17, 26), slice(26, 29)
@@ -90,7 +93,8 @@ class Aiding:
 class TrajectoryState:
     """State at the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (41,), noise of the aiding.
 
-    `att_sd` (rad) and `constants_sd` (41,) say how well attitude and constants are known.
+    `att_sd` (rad) and `constants_sd` (41,) say how well attitude and constants are known; `walk` (12,) are the standard
+    deviations of what a node's state does by itself, per root second.
     """
 
     t: Array
@@ -104,6 +108,7 @@ class TrajectoryState:
     cost: float = np.inf
     att_sd: float = np.inf
     constants_sd: Array = field(default_factory=lambda: np.full(CONSTANTS, np.inf))
+    walk: Array = field(default_factory=lambda: WALK)
 
     @property
     def earth(self) -> Array:
@@ -181,6 +186,18 @@ def smooth(
     return replace(state, cost=cost, att_sd=att_sd, constants_sd=constants_sd)
 
 
+def log_evidence(
+    imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool = False, drifts: bool = False
+) -> float:
+    """Log of the likelihood of everything that was measured, whatever the trajectory (Laplace), but for a constant.
+
+    It compares walks: a free one fits no worse than a narrow one, but it had more to choose from.
+    """
+    prior = _prior(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
+    normal = _normal_equations(imu, aiding, state, prior)
+    return -0.5 * (normal.cost + normal.log_determinant + 2.0 * float(np.log(prior).sum()))
+
+
 def _prior(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
     """Standard deviations of the constants a priori, (41,)."""
     sd = CONSTANT.copy()
@@ -223,12 +240,24 @@ class _Normal:
     def solved(self, node_right: Array, constant_right: Array) -> tuple[Array, Array]:
         """Nodes (n, 12, k) and constants (41, k) for right sides of that shape."""
         n = len(self.diagonal)
-        factor = (cholesky_banded(self._banded(), lower=True), True)
+        factor = (self._factor, True)
         flat_border = self.border.reshape(n * NODE, CONSTANTS)
         inner = cho_solve_banded(factor, np.hstack([flat_border, node_right.reshape(n * NODE, -1)]))
         over, plain = inner[:, :CONSTANTS], inner[:, CONSTANTS:]
         c = np.linalg.solve(self.corner - flat_border.T @ over, constant_right - flat_border.T @ plain)
         return (plain - over @ c).reshape(n, NODE, -1), c
+
+    @property
+    def log_determinant(self) -> float:
+        """Log of the determinant of the whole matrix, nodes and constants."""
+        flat_border = self.border.reshape(-1, CONSTANTS)
+        inner = self.corner - flat_border.T @ cho_solve_banded((self._factor, True), flat_border)
+        return 2.0 * float(np.log(self._factor[0]).sum()) + float(np.linalg.slogdet(inner)[1])
+
+    @cached_property
+    def _factor(self) -> Array:
+        """Cholesky factor of the nodes' part; the equations are complete by then."""
+        return np.asarray(cholesky_banded(self._banded(), lower=True))
 
     def _banded(self) -> Array:
         n = len(self.diagonal)
@@ -280,7 +309,7 @@ def _tie(normal: _Normal, imu: Increments, between: Between, state: TrajectorySt
     f[:, :3, 6:9] = -dt * np.eye(3)
     f[:, 3:6, :3] = -matrix @ _cross(between.velocity)
     f[:, 3:6, 9:] = -dt * matrix
-    variance = np.tile(WALK**2 * dt, (len(matrix), 1))
+    variance = np.tile(state.walk**2 * dt, (len(matrix), 1))
     variance[:, :6] += np.where(imu.known[:, None], np.repeat(imu.sampling**2, 3), _LOST**2)
     weight = 1.0 / variance
     weighted = f * weight[:, :, None]

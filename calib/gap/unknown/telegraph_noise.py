@@ -6,7 +6,7 @@ tells it from both is that only two levels occur: each axis is a Markov chain of
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,13 +47,19 @@ class TelegraphNoise:
     text: str
 
 
-def telegraph_noise(model: Model, attributions: Sequence[Attribution]) -> tuple[TelegraphNoise, ...]:
-    """Effects of a model, alone or all of a sensor together, that stand for jumps to and fro."""
+def telegraph_noise(
+    model: Model, attributions: Sequence[Attribution], floor: Mapping[Sensor, float] | None = None
+) -> tuple[TelegraphNoise, ...]:
+    """Effects of a model, alone or all of a sensor together, that stand for jumps to and fro.
+
+    Jumps that gain less than the `floor` of their sensor are what two recordings differ by anyway.
+    """
     found: list[TelegraphNoise] = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
         places = [(term, a.key) for a in attributions if (term := _slow(model, a.key, sensor)) is not None]
-        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _better(model, [term])]
-        if not better and len(places) > 1 and _better(model, [term for term, _ in places]):
+        least = max(_BETTER, (floor or {}).get(sensor, 0.0))
+        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _better(model, [term], least)]
+        if not better and len(places) > 1 and _better(model, [term for term, _ in places], least):
             better = [tuple(key for _, key in places)]
         text = f"jumps to and fro between two levels on {sensor.value}"
         found += (TelegraphNoise(keys, text) for keys in better)
@@ -74,13 +80,14 @@ def _slow(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
     return term if isinstance(term, Term) or term.hypothesis.effect.drifts else None
 
 
-def _better(model: Model, terms: Sequence[Term | NoiseTerm]) -> bool:
+def _better(model: Model, terms: Sequence[Term | NoiseTerm], least: float) -> bool:
     """Whether two levels on each axis are far likelier than `terms`, the others being as they are.
 
     Over all series that the terms change: what a few levels take of one of them is no match for an effect that
-    explains them all.
+    explains them all. A constant is no jump: the terms have one on each axis, too, and what the levels gain beyond
+    theirs must be at least `least`.
     """
-    own, chains, jumping = 0.0, 0.0, False
+    own, chains, switched, jumping = 0.0, 0.0, 0.0, False
     for v, view in enumerate(model.setting.views):
         if not any(term.hypothesis.touches(view) for term in terms):
             continue
@@ -92,10 +99,12 @@ def _better(model: Model, terms: Sequence[Term | NoiseTerm]) -> bool:
         own += _worth(model, v, series, rest)
         if view.first or view.count < _FEWEST or _turned(model, v) or coarse(view):
             continue
-        gain, jumps = _chains(series, rest)
-        jumping = jumping or bool(((jumps > _JUMPS) & (gain > _BETTER)).any())
+        gain, constant, jumps = _chains(series, rest)
+        own += _constant(model, v)
+        jumping = jumping or bool(((jumps > _JUMPS) & (gain - constant > _BETTER)).any())
+        switched += float((gain - constant).sum())
         chains += float(gain.sum())
-    return jumping and chains > own + _BETTER
+    return jumping and switched > least and chains > own + _BETTER
 
 
 def _worth(model: Model, v: int, series: Array, rest: Array) -> float:
@@ -106,15 +115,26 @@ def _worth(model: Model, v: int, series: Array, rest: Array) -> float:
     return float((bare - np.log(full) - view.spectra(model.residual[v]) ** 2 / full).sum())
 
 
-def _chains(series: Array, rest: Array) -> tuple[Array, Array]:
-    """:func:`two_levels` of a series (n, 3); nothing where the noise of its averages is not white."""
+def _constant(model: Model, v: int) -> float:
+    """Twice the log-likelihood that a constant on each axis would gain beside a model."""
+    lowest = model.setting.views[v].spectra(model.residual[v])[:, 0]
+    return float(sum(y**2 / noise.power[0] for y, noise in zip(lowest, model.noise[3 * v : 3 * v + 3], strict=True)))
+
+
+def _chains(series: Array, rest: Array) -> tuple[Array, Array, Array]:
+    """Gain and jumps of :func:`two_levels` of a series (n, 3), and between them the gain of a constant level.
+
+    Nothing where the noise of its averages is not white.
+    """
     width = -(-len(series) // _WINDOWS)
     count = len(series) // width
     slow = rest[:, :count]
     if (slow.max(axis=1) > _FLAT * slow.min(axis=1)).any():
-        return np.zeros(3), np.zeros(3)
+        return np.zeros(3), np.zeros(3), np.zeros(3)
     means = series[: count * width].reshape(count, width, 3).mean(axis=1)
-    return two_levels(means, slow.max(axis=1) / width)  # no more than the spectrum grants the effects
+    variance = slow.max(axis=1) / width  # no more than the spectrum grants the effects
+    gain, jumps = two_levels(means, variance)
+    return gain, count * means.mean(axis=0) ** 2 / variance, jumps
 
 
 def _without(noise: AxisNoise, names: Collection[str]) -> Array:

@@ -45,10 +45,15 @@ class UnnamedCause:
     driver: HiddenDriver | None = None
 
 
-def unnamed_causes_in(model: Model, attributions: Sequence[Attribution]) -> tuple[UnnamedCause, ...]:
-    """Every unnamed term of a model, and every effect in whose place one is likelier."""
+def unnamed_causes_in(
+    model: Model, attributions: Sequence[Attribution], floor: Mapping[Sensor, float] | None = None
+) -> tuple[UnnamedCause, ...]:
+    """Every unnamed term of a model, and every effect in whose place one is likelier.
+
+    `floor`: twice the nats by sensor that two recordings differ by anyway.
+    """
     shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.nameless]
-    levels = [UnnamedCause(found.keys, found.text) for found in telegraph_noise(model, attributions)]
+    levels = [UnnamedCause(found.keys, found.text) for found in telegraph_noise(model, attributions, floor)]
     taken = {key for two in levels for key in two.keys}
     drifts = [
         UnnamedCause((found.key,), found.text, found.driver)

@@ -16,7 +16,7 @@ from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.re_estimated import _typical, best_trajectory
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.strapdown import WARM, Increments
-from mavcal.calib.gap.reference.trajectory import ACCEL_DRIFT, GYRO_DRIFT
+from mavcal.calib.gap.reference.trajectory import ACCEL_DRIFT, CONSTANTS, GYRO_BIAS, GYRO_DRIFT, NODE, WALK, _Normal
 from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 
 from .test_recorded import by_sensor, channel
@@ -161,6 +161,44 @@ def test_a_temperature_that_drives_nothing_frees_nothing():
     assert np.abs(found.state.constants[GYRO_DRIFT.start :]).max() < 1e-6
 
 
+def test_a_bias_that_wanders_does_not_bend_the_trajectory():
+    recording, each = flight(), 2e-3
+    rng = np.random.default_rng(11)
+
+    def wandering(c):
+        step = each * np.sqrt(1.0 / RATE) * rng.standard_normal(c.values.shape)
+        return dataclasses.replace(c, values=c.values + np.cumsum(step, axis=0)) if c.sensor == Sensor.GYRO else c
+
+    found = best_trajectory(recording.with_channels(map(wandering, recording.channels)))
+    error = error_deg(found)
+    assert np.sqrt((error**2).mean()) < 2.0 * np.degrees(found.state.att_sd)
+    assert np.abs(found.state.gyro_matrix - np.eye(3)).max() < 0.012
+    assert found.state.walk[GYRO_BIAS] == pytest.approx(1e-3)  # of 1e-5, 1e-4, 1e-3 and 1e-2 the nearest
+
+
+def test_a_bias_that_stays_is_given_no_more_freedom():
+    assert np.array_equal(best_trajectory(flight(gyro_bias=(0.01, -0.015, 0.008))).state.walk, WALK)
+
+
+def test_the_determinant_is_that_of_the_whole_matrix():
+    rng, n = np.random.default_rng(2), 3
+    size = n * NODE + CONSTANTS
+    root = rng.normal(size=(size, size))
+    whole = root @ root.T + size * np.eye(size)
+    for i in range(n):
+        for j in range(n):
+            if abs(i - j) > 1:
+                whole[i * NODE : (i + 1) * NODE, j * NODE : (j + 1) * NODE] = 0.0
+    normal = _Normal(n)
+    for i in range(n):
+        own = slice(i * NODE, (i + 1) * NODE)
+        normal.diagonal[i], normal.border[i] = whole[own, own], whole[own, n * NODE :]
+        if i + 1 < n:
+            normal.beside[i] = whole[own, own.stop : own.stop + NODE]
+    normal.corner[:] = whole[n * NODE :, n * NODE :]
+    assert normal.log_determinant == pytest.approx(np.linalg.slogdet(whole)[1])
+
+
 def test_of_two_gyroscopes_the_trajectory_turns_with_the_one_that_is_not_late():
     whole = flight(instances=2)
     first = best_trajectory(whole).instance
@@ -180,7 +218,9 @@ def test_no_axes_are_turned_to_explain_a_crash():
         else c
         for c in whole.channels
     ]
-    assert best_trajectory(whole.with_channels(crash)).state.constants[11:] == pytest.approx(np.zeros(30), abs=1e-5)
+    state = best_trajectory(whole.with_channels(crash)).state
+    assert state.constants[11:] == pytest.approx(np.zeros(30), abs=1e-5)
+    assert np.array_equal(state.walk, WALK)
 
 
 def test_the_delay_of_the_firmwares_own_filters_is_no_delay_of_other_sensors():

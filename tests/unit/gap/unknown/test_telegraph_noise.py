@@ -52,6 +52,41 @@ def test_a_walk_that_is_telegraph_noise_is_one_of_two_levels(seed):
     assert "two levels on gyro" in found.text
 
 
+def test_jumps_below_what_two_recordings_differ_by_are_not_said():
+    change = telegraph(np.random.default_rng(1), [SD, 0.7 * SD, 0.3 * SD], 150.0)
+    model, (walk,) = drifting(change, 1)
+    assert telegraph_noise(model, (walk,), {G: 100.0, Sensor.MAG: 1e6})
+    assert telegraph_noise(model, (walk,), {G: 1e6}) == ()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_constant_of_another_unit_is_no_jump_of_the_one_that_has_a_bias(seed):
+    # A chain of two equal levels takes any constant, and jumps as often as it likes.
+    rng = np.random.default_rng(seed)
+    t = np.arange(N) / FS
+    ideal = 0.3 * np.sin(0.7 * t)[:, None] * [1.0, -0.5, 0.2]
+    offsets = (np.array([2.0, -1.0, 0.5]), np.array([0.5, 0.5, -0.5]))
+    traces = tuple(
+        Trace(
+            G,
+            (i,),
+            t,
+            ideal + SD * (rng.normal(size=ideal.shape) + offset),
+            ideal,
+            np.ones(N, dtype=bool),
+            sigma=np.full(3, SD),
+        )
+        for i, offset in enumerate(offsets)
+    )
+    problem = GapProblem(traces, ReferenceInfo(ReferenceKind.ESTIMATOR, 1.0), N / FS)
+    setting = setting_of(views_of(problem, {}, {}))
+    assert len(setting.views) == 2
+    bias = Hypothesis(forward_models()["gyro_bias"][-1], (0,))
+    start = refitted(starting_model(setting, starting_noise(setting))).model
+    model = with_residual(dataclasses.replace(start, terms=(Term(bias, SD * offsets[0], np.nan),)))
+    assert telegraph_noise(model, (Attribution(bias.key, 1e4, 3, 1.0, 0.9, 0.0, ()),)) == ()
+
+
 @pytest.mark.parametrize("size", [0.02, 0.1])
 def test_a_walk_that_is_one_has_more_than_two_levels(size):
     for seed in range(10):
