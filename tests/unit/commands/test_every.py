@@ -2,13 +2,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-from contextlib import asynccontextmanager
 from types import SimpleNamespace
 
 import click
 import pytest
 
-from mavcal.service import core
 from mavcal.service.commands import every
 from mavcal.service.commands.every import Acted, Found, Whom, one_of, run_every, vehicles_of, with_each
 from mavcal.service.errors import VehicleArmed, VehicleSilent
@@ -22,20 +20,6 @@ A, B = "udpin:0.0.0.0:14550", "tcp:b:5760"
 def quick(monkeypatch):
     """Links are not listened to for further vehicles."""
     monkeypatch.setattr(every, "LISTEN_S", 0.0)
-
-
-@pytest.fixture
-def runs(monkeypatch):
-    """Makes `running_service` give a certain service."""
-
-    def give(service):
-        @asynccontextmanager
-        async def running(_settings):
-            yield service
-
-        monkeypatch.setattr(core, "running_service", running)
-
-    return give
 
 
 def found(result):
@@ -133,7 +117,9 @@ async def test_nothing_is_done_where_no_vehicle_is(make_service, screen, runs):
     assert isinstance(came, VehicleSilent)
 
 
-async def test_a_run_that_is_cancelled_by_no_signal_raises(make_service, screen, runs):
+@pytest.fixture
+def cancelled(make_service, screen, runs):
+    """A run over one vehicle that is cancelled in the middle."""
     service = make_service()
     service.joined(A, "v1")
     runs(service)
@@ -141,8 +127,17 @@ async def test_a_run_that_is_cancelled_by_no_signal_raises(make_service, screen,
     async def act(_service, _vehicle):
         raise asyncio.CancelledError
 
+    return lambda: with_each(None, Whom((A,), every=False, wait_s=1.0), act, screen)
+
+
+async def test_a_run_that_is_cancelled_by_no_signal_raises(cancelled):
     with pytest.raises(asyncio.CancelledError):
-        await with_each(None, Whom((A,), every=False, wait_s=1.0), act, screen)
+        await cancelled()
+
+
+@pytest.mark.usefixtures("signalled")
+async def test_a_run_that_a_signal_ended_has_its_exit_code(cancelled):
+    assert await cancelled() == 128 + 15
 
 
 @pytest.fixture

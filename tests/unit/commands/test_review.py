@@ -4,6 +4,7 @@ import asyncio
 import json
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,6 +22,7 @@ from mavcal.service.jobs.states import JobState
 from tests.unit.api.samples import FINGERPRINT
 from tests.unit.commands.doubles import FakeVehicle, plain
 
+SETTINGS = SimpleNamespace(connect=("tcp:v:1",), log_json=False)
 CHANGE = Change("CAL_GYRO0_XOFF", None, 0.25, ParameterKind.REAL32, "offset", sd=0.0125, unit="rad/s")
 PLAN = WritePlan(FINGERPRINT, "0" * 64, (CHANGE,))
 EMPTY = WritePlan(FINGERPRINT, "0" * 64, ())
@@ -267,8 +269,49 @@ def test_the_exit_code_is_that_of_what_was_asked_for(monkeypatch, came, wish, co
 
     monkeypatch.setattr(review, "_job", ended)
     monkeypatch.setattr("mavcal.service.logs.configure_logging", lambda **_: None)
+    assert run_job(SETTINGS, None, wish) == code
 
-    class Settings:
-        log_json = False
 
-    assert run_job(Settings, None, wish) == code
+async def test_a_job_begins_once_the_vehicle_is_heard_and_nothing_is_in_doubt(make_service, screen, runs, monkeypatch):
+    Typist(monkeypatch)
+    service = make_service(plain("old", JobState.QUEUED))
+    service.joined("tcp:v:1", "v1")
+    runs(service)
+
+    async def begin(_service, vehicle):
+        assert (vehicle.id, service.jobs.done) == ("v1", [("cancel", "old")])
+        service.jobs.jobs["j"] = review_of(PLAN)
+        return service.jobs.jobs["j"]
+
+    job = await review._job(SETTINGS, begin, JobWish(write=False), screen)
+    assert (job.id, job.state) == ("j", JobState.REVIEW)
+    assert screen.lines[0] == "px4 1.17.0 as v1"
+
+
+@pytest.fixture
+def cancelled(make_service, screen, runs):
+    """A run that is cancelled before its job has begun."""
+    service = make_service()
+    service.joined("tcp:v:1", "v1")
+    runs(service)
+
+    async def begin(_service, _vehicle):
+        raise asyncio.CancelledError
+
+    return lambda: review._job(SETTINGS, begin, JobWish(write=False), screen)
+
+
+async def test_a_run_that_is_cancelled_by_no_signal_raises(cancelled):
+    with pytest.raises(asyncio.CancelledError):
+        await cancelled()
+
+
+@pytest.mark.usefixtures("signalled")
+async def test_a_run_that_a_signal_ended_has_its_exit_code(cancelled):
+    assert await cancelled() == 128 + 15
+
+
+async def test_a_job_that_waits_in_review_without_a_plan_is_left(run, monkeypatch):
+    Typist(monkeypatch)
+    _, done = await run(plain("j", JobState.REVIEW), JobWish(write=True))
+    assert done == []
