@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 from types import SimpleNamespace
 
 import click
@@ -10,6 +11,7 @@ from mavcal.service.commands import campaign_run
 from mavcal.service.commands.campaign_run import VehicleWish, resumed
 from mavcal.service.errors import EndpointError, JobUnknown
 from mavcal.service.jobs.campaigns import CAMPAIGN
+from mavcal.service.jobs.items import Item, ItemOutcome, row_from_item
 from mavcal.service.jobs.states import JobState
 from tests.unit.commands.doubles import plain
 
@@ -117,3 +119,65 @@ async def test_a_stopped_campaign_takes_its_captures_with_it_and_nothing_else(ma
     await campaign_run._put_down(service, "c")
     assert service.jobs.campaigns.asked == [("interrupt", "c")]
     assert service.jobs.done == [("cancel", "capture")]
+
+
+class Ending:
+    """The store of a service whose campaign has one item that is done."""
+
+    def __init__(self, store):
+        self.close = store.close
+
+    async def do(self, read):
+        return read()
+
+    def items(self, job_id, limit):
+        return [row_from_item(job_id, Item(1, "v1", outcome=ItemOutcome.DONE))]
+
+
+@pytest.fixture
+def run(make_service, screen, runs):
+    """Runs a campaign over one vehicle; `begin` makes it."""
+
+    async def of(begin):
+        service = make_service()
+        service.joined(A, "v1")
+        service.jobs.campaigns, service.store = Campaigns(), Ending(service.store)
+        runs(service)
+        return service, await campaign_run._run(None, lambda *given: begin(service, *given), VehicleWish((A,)), screen)
+
+    return of
+
+
+def begun(state):
+    async def begin(service, _service, chosen):
+        assert chosen == ("v1",)
+        service.jobs.jobs["c"] = plain("c", state, kind=CAMPAIGN)
+        return service.jobs.jobs["c"]
+
+    return begin
+
+
+async def test_a_campaign_ends_with_its_items_told_and_the_old_rates_back(run, screen):
+    service, code = await run(begun(JobState.SUCCEEDED))
+    assert (code, service.jobs.done) == (0, [("tidied",)])
+    assert screen.lines == ["campaign c", "succeeded: "]
+
+
+async def stopped(_jobs, _screen):
+    raise asyncio.CancelledError
+
+
+@pytest.mark.usefixtures("signalled")
+async def test_a_campaign_that_a_signal_stops_can_be_resumed(run, screen, monkeypatch):
+    monkeypatch.setattr(campaign_run, "followed", stopped)
+    service, code = await run(begun(JobState.RUNNING))
+    assert code == 128 + 15
+    assert service.jobs.campaigns.asked == [("interrupt", "c")]
+    assert screen.lines[-1] == "stopped: `mavcal campaign resume c` goes on with it"
+    assert ("tidied",) in service.jobs.done
+
+
+async def test_a_campaign_that_something_else_cancels_raises(run, monkeypatch):
+    monkeypatch.setattr(campaign_run, "followed", stopped)
+    with pytest.raises(asyncio.CancelledError):
+        await run(begun(JobState.RUNNING))

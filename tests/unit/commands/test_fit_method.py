@@ -17,6 +17,7 @@ from mavcal.calib.recording import Identity, ParameterEntry, ParameterTimeline, 
 from mavcal.service.commands import fit_method
 from mavcal.service.commands.fit_method import command_of
 from tests.unit.api import samples
+from tests.unit.commands.test_review import BLOCKED, PLAN
 
 THERMAL = samples.fit()  # one offset is not determined
 FIT = replace(
@@ -209,6 +210,36 @@ def test_parameters_of_an_unknown_vehicle_are_refused_before_the_fit(ran, tmp_pa
         method("a.csv", "--export", str(tmp_path / "imu.param"))
     assert method.options is None
     assert method("a.csv", "--export", str(tmp_path / "imu.h"))[0] == 0  # an array of C is of no vehicle
+
+
+@pytest.fixture
+def composed(monkeypatch):
+    """Fits are composed into this plan, and the fingerprint is that of the recording."""
+
+    def as_plan(plan):
+        def compose(fits, parameters, fingerprint):
+            assert (len(fits), parameters) == (1, {"INS_GYR_ID": 7})
+            assert fingerprint.autopilot == "ardupilot"
+            return plan
+
+        monkeypatch.setattr("mavcal.calib.firmware.compose.plan.compose", compose)
+
+    return as_plan
+
+
+def test_parameters_of_the_vehicle_of_the_recording_are_written_and_counted(ran, composed, tmp_path):
+    out = tmp_path / "imu.params"
+    composed(PLAN)
+    code, _, said = ran(FIT)("a.csv", "--export", str(out))
+    assert (code, said) == (0, f"{out}: 1 parameters\n")
+    assert PLAN.changes[0].name in out.read_text()
+
+
+def test_a_plan_that_is_blocked_is_not_exported(ran, composed, tmp_path):
+    composed(BLOCKED)
+    code, _, said = ran(FIT)("a.csv", "--export", str(tmp_path / "imu.params"))
+    assert code == 1
+    assert said == "mavcal: not exported: The offset is too large.\n"
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -57,7 +57,7 @@ async def test_a_second_line_before_the_question_is_gone_is_lost_and_breaks_noth
 class Terminal:
     """A standard input; `lines` are read from it one after the other, and then it is closed."""
 
-    def __init__(self, monkeypatch, *lines, there=True):
+    def __init__(self, monkeypatch, *lines, there=True, closed=True):
         self.there = there
         monkeypatch.setattr(module.sys, "stdin", self)
 
@@ -65,7 +65,8 @@ class Terminal:
             reader = make()._stream_reader
             for line in lines:
                 reader.feed_data(line)
-            reader.feed_eof()
+            if closed:
+                reader.feed_eof()
 
         monkeypatch.setattr(asyncio.BaseEventLoop, "connect_read_pipe", connected)
 
@@ -105,3 +106,11 @@ async def test_no_terminal_is_not_read(monkeypatch, answers, answer):
         await asyncio.sleep(0)
         assert not typed.there
     assert answers == []
+
+
+async def test_nobody_listens_once_the_job_has_ended(monkeypatch, answer):
+    Terminal(monkeypatch, closed=False)
+    async with keyboard(answer):
+        await asyncio.sleep(0)
+        assert len(asyncio.all_tasks()) == 2
+    assert asyncio.all_tasks() == {asyncio.current_task()}
