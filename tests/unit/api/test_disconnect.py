@@ -40,10 +40,15 @@ class Work:
         return 7
 
 
+async def settled():
+    """Let whoever can go on do so."""
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+
 async def begun(client, work, body=None):
     running = asyncio.ensure_future(while_connected(client.request, work, body))
-    for _ in range(3):
-        await asyncio.sleep(0)
+    await settled()
     return running
 
 
@@ -93,9 +98,9 @@ async def test_a_body_is_read_whole_before_the_client_is_watched():
 
     running = await begun(client, reading(), body)
     client.sends(b"one", more=True)
+    await settled()
     client.sends(b"two")
-    for _ in range(5):
-        await asyncio.sleep(0)
+    await settled()
     assert [chunk for chunk in read if chunk] == [b"one", b"two"]
     assert body.whole.is_set()
     client.leaves()
