@@ -171,3 +171,21 @@ def test_the_overlay_shows_the_seconds_that_move_most():
     assert {"real", "simulated", "simulated with the effects"} <= set(words(overlay(made)))
     assert overlay(replace(made, ideal=None)) == ""
     assert overlay(replace(made, modelled=np.zeros((N, 3)))) == ""
+
+
+def test_the_strip_counts_in_units_of_the_noise():
+    step = column(np.where(T > 10.0, 0.05, 0.0))  # five times the noise of one axis of three
+    t, before = series_plots._energy(series(step), series(step).residual)
+    _, after = series_plots._energy(series(step), series(step).residual - step)
+    np.testing.assert_allclose(after, 1.0, atol=0.5)
+    np.testing.assert_allclose(before[t > 10.5], np.sqrt(1.0 + 25.0 / 3.0), rtol=0.25)
+    np.testing.assert_allclose(before[t < 9.5], after[t < 9.5])
+    assert t[0] == pytest.approx(T[:8].mean(), abs=0.05)
+    assert len(t) == 120
+
+
+def test_before_and_after_are_both_drawn():
+    made = series(column(WARM))
+    for picture in (spectrum_plot(made), allan_plot(made)):
+        assert {"real less simulated", "with the effects"} <= set(words(picture))
+        assert len(list(ElementTree.fromstring(picture).iter("polyline"))) == 2
