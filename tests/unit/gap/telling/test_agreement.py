@@ -61,6 +61,8 @@ def test_an_effect_agrees_with_the_same_one_of_the_same_instances() -> None:
         assert (found.other, found.holds) == (None, False)
     [found] = agreements([mine], [told(0.31), told(0.9)])
     assert (found.other, found.holds) == (told(0.31), True)
+    assert agreements([mine], [told(0.327)])[0].holds  # by 1.9 standard errors of the difference
+    assert not agreements([mine], [told(0.33)])[0].holds  # by 2.1
     [found] = agreements([mine], [told(0.9)])
     assert (found.other, found.holds) == (told(0.9), False)  # it is there, and differs
 
