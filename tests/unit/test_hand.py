@@ -95,7 +95,7 @@ class Prompted:
     """Hands that look at the jobs of one vehicle whenever it is told; time is what it is told as well."""
 
     def __init__(self, monkeypatch, *jobs, hand=Hand.AUTO):
-        self.jobs, self.now = list(jobs), 0.0
+        self.jobs, self.now = list(jobs), 1000.0
         self.hands = SimulatedHands(lambda: [vehicle(hand)], lambda: self.jobs)
         monkeypatch.setattr(
             module, "asyncio", SimpleNamespace(get_running_loop=lambda: self, to_thread=asyncio.to_thread)
