@@ -33,7 +33,7 @@ TEXT = st.text(max_size=20)
 TIMES = st.none() | st.floats(0.0, 1e10)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(
     st.builds(
         Item,
@@ -85,6 +85,14 @@ def test_a_vehicle_that_cannot_be_had_is_skipped_and_all_else_has_failed(error, 
     assert (end.outcome, end.code) == (outcome, code)
     assert end.text[0].isupper()
     assert end.text.endswith(".")
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [("it has none.", "It has none."), ("Is it there?", "Is it there?"), ("a.b is no file", "A.b is no file.")],
+)
+def test_a_reason_is_one_sentence(said: str, told: str) -> None:
+    assert ended_by(InvalidInputError(said)).text == told
 
 
 def test_what_is_to_be_done_still_is_open() -> None:

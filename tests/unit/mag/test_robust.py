@@ -66,6 +66,17 @@ def test_the_start_is_near_the_majority(compass: Any, rng: Any, share: float) ->
     assert np.mean(far == disturbed) > 0.9
 
 
+def test_samples_inside_the_surface_are_outliers_too(compass: Any, rng: Any) -> None:
+    """A driver that halves a reading now and then."""
+    samples = compass.read(compass.everywhere(rng, 1000), rng)
+    samples[::25] = 0.5 * (samples[::25] - compass.truth.offset) + compass.truth.offset
+    found, cloud = start(samples)
+    offset, shape = in_ut(found.ellipsoid, cloud)
+    np.testing.assert_allclose(offset, compass.truth.offset, atol=0.3)
+    np.testing.assert_allclose(shape, compass.truth.shape, atol=0.5)
+    assert found.outliers
+
+
 @pytest.mark.parametrize("far", [5.0, 20.0, 40.0])
 def test_one_wild_sample_is_an_outlier_and_moves_nothing(compass: Any, rng: Any, far: float) -> None:
     samples = compass.read(compass.everywhere(rng, 500), rng)
