@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import datetime
 import json
 from types import SimpleNamespace
 
@@ -73,6 +74,15 @@ def test_a_serial_port_that_may_not_be_opened_is_a_warning(monkeypatch, ports, o
     assert doctor._serial() == DoctorFinding("serial", verdict, said)
 
 
+@pytest.fixture
+def middle_of_2026(monkeypatch):
+    """It is the second of July: 182 days of the year have gone."""
+    now = datetime.datetime(2026, 7, 2, 12, 0, tzinfo=datetime.UTC)
+    clock = SimpleNamespace(now=lambda tz: now.astimezone(tz))
+    monkeypatch.setattr(doctor, "datetime", SimpleNamespace(datetime=clock, UTC=datetime.UTC))
+
+
+@pytest.mark.usefixtures("middle_of_2026")
 @pytest.mark.parametrize(("valid", "verdict", "word"), [(True, "pass", "covers"), (False, "warn", "ended before")])
 def test_a_model_of_the_field_that_has_ended_is_a_warning(monkeypatch, valid, verdict, word):
     asked = []
@@ -84,10 +94,11 @@ def test_a_model_of_the_field_that_has_ended_is_a_warning(monkeypatch, valid, ve
     monkeypatch.setattr("mavcal.calib.earth.earth_field", field)
     found = doctor._magnetic_model()
     assert (found.verdict, word in found.text) == (verdict, True)
-    [year] = asked
-    assert doctor.datetime.datetime.now(tz=doctor.datetime.UTC).year <= year + 1e-3
+    assert asked == [pytest.approx(2026 + 182 / 365.25)]
+    assert found.text.endswith("2026.50")
 
 
+@pytest.mark.usefixtures("middle_of_2026")
 def test_a_model_that_cannot_be_read_fails(monkeypatch):
     def broken(*_):
         raise InvalidInputError("no coefficients")

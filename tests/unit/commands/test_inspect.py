@@ -79,6 +79,12 @@ def test_a_channel_is_told_with_rate_mean_and_length(inspected):
     assert "  0 parameters, 0 changes, 0 events" in lines
 
 
+def test_a_flight_is_told_with_its_health_and_a_bench_without(inspected):
+    flight, bench = (inspected({"a.bin": one}, "a.bin") for one in (FLIGHT, BENCH))
+    assert flight[1] == health(FLIGHT).summary
+    assert health(FLIGHT).summary not in bench
+
+
 def test_a_recording_of_a_bench_has_no_health(inspected):
     assert json.loads(inspected({"b.csv": BENCH}, "b.csv", "--json")[0])["health"] is None
     assert json.loads(inspected({"a.bin": FLIGHT}, "a.bin", "--json")[0])["health"] is not None

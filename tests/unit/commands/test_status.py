@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
 
@@ -65,7 +66,9 @@ def test_a_vehicle_that_is_silent_makes_the_exit_code(monkeypatch, tmp_path, fou
     monkeypatch.setattr(status, "_status", told)
     monkeypatch.setattr("mavcal.service.logs.configure_logging", lambda **_: None)
     arguments = ["--connect", URL, "--data-dir", str(tmp_path), "--json"]
-    assert CliRunner().invoke(status.command, arguments, standalone_mode=False).return_value == code
+    result = CliRunner().invoke(status.command, arguments, standalone_mode=False)
+    assert result.return_value == code
+    assert json.loads(result.stdout) == {"vehicles": found}
 
 
 SETTINGS = SimpleNamespace(connect=(URL,), log_json=False)
