@@ -106,6 +106,7 @@ def test_the_shape_of_one_effect_is_what_the_others_leave():
     made = replace(made, covariates={"current": CURRENT})
     labels = [float(w) for w in words(shape_plot(made, "a")) if re.fullmatch(r"-?[\d.]+", w or "")]
     assert max(labels) < 25.0  # the step of 50 uT is not drawn
+    assert min(labels) == 0.0  # before it is the effect, which is positive; after it nothing
 
 
 def test_means_of_bins_have_their_intervals():
