@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -124,18 +126,46 @@ def test_wrong_use_is_said_before_anything_is_computed(monkeypatch, tmp_path, ar
         raise result.exception
 
 
-@pytest.mark.parametrize(("found", "code"), [(report(BIAS), 0), (report(), 1)])
-def test_the_exit_code_says_whether_anything_was_tested(monkeypatch, tmp_path, found, code):
-    """The diagnosis gets the pace, the digests and what was read, and its answer is told."""
-    handed = {}
-
-    def run(real, sim, nominal, *, inputs, pace):
-        handed.update(sim=sim, nominal=nominal, inputs=inputs, limit=pace.limit_s)
-        return found
-
-    monkeypatch.setattr("mavcal.calib.gap.run", run)
+@pytest.fixture
+def diagnosed(monkeypatch, tmp_path):
+    """Runs the command on a table that is diagnosed so; what the diagnosis was handed."""
     file = tmp_path / "a.csv"
     file.write_text("t,accel_x,accel_y,accel_z\n" + "".join(f"{k / 50},0,0,-9.8\n" for k in range(60)))
-    result = CliRunner().invoke(command, ["--real", str(file), "--limit-s", "2.5"], standalone_mode=False)
-    assert (result.return_value, result.exception) == (code, None)
+
+    def run(found, *arguments):
+        handed = {}
+
+        def diagnosis(real, sim, nominal, *, inputs, pace):
+            handed.update(sim=sim, nominal=nominal, inputs=inputs, limit=pace.limit_s)
+            return found
+
+        monkeypatch.setattr("mavcal.calib.gap.run", diagnosis)
+        result = CliRunner().invoke(command, ["--real", str(file), *arguments], standalone_mode=False)
+        assert result.exception is None
+        return result, handed
+
+    return run
+
+
+@pytest.mark.parametrize(("found", "code"), [(report(BIAS), 0), (report(), 1)])
+def test_the_exit_code_says_whether_anything_was_tested(diagnosed, found, code):
+    result, handed = diagnosed(found, "--limit-s", "2.5")
+    assert result.return_value == code
     assert (handed["sim"], handed["nominal"], set(handed["inputs"]), handed["limit"]) == (None, (), {"real"}, 2.5)
+    assert result.stdout.startswith(f"{found.verdict.value}: ")
+
+
+def test_json_has_the_report_and_what_was_exported_and_the_page_is_written(diagnosed, tmp_path, monkeypatch):
+    monkeypatch.setattr("mavcal.calib.gap_report.gap_to_html", lambda _, title: f"<h1>{title}</h1>")
+    page, remedy = tmp_path / "a.html", tmp_path / "a.parm"
+    result, handed = diagnosed(report(BIAS), "--report", str(page), "--export", str(remedy), "--json")
+    told = json.loads(result.stdout)
+    assert (told["verdict"], told["exports"][0]["file"], handed["limit"]) == ("explained", "a.parm", math.inf)
+    assert page.read_text() == "<h1>Sim-to-real gap of a.csv</h1>"
+    assert "SIM_ACC1_BIAS_X" in remedy.read_text()
+
+
+def test_a_subcommand_needs_no_recording(monkeypatch):
+    monkeypatch.setattr("mavcal.calib.gap.run", None)
+    result = CliRunner().invoke(command, ["selftest", "--score-only"], standalone_mode=False)
+    assert "--score-only needs --answers FILE" in str(result.exception)

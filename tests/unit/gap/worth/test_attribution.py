@@ -82,6 +82,7 @@ def test_the_likeliest_of_what_has_no_name_counts_once():
 
 def test_noise_that_the_instances_do_not_show_is_no_rival():
     assert judged(other(ROTATION, 0.0, p=1.0)) == judged()
+    assert probability(other(ROTATION, 0.0, p=1.0), other(SCALE, 0.0)) == pytest.approx(0.5)  # the next one is
 
 
 def test_beside_a_second_order_differences_count_for_less():
