@@ -144,7 +144,9 @@ def check_real_samples(array: NDArray[Any], minimum: int, *, may_repeat: bool = 
 
 def _check_finite(array: NDArray[Any]) -> None:
     # One pass and no mask in memory: the sum is finite only if every number is (an overflow is refused as well).
-    if np.isfinite(array.sum(dtype=np.float64) if len(array) else 0.0):
+    with np.errstate(over="ignore"):
+        total = array.sum(dtype=np.float64)
+    if np.isfinite(total):
         return
     bad = int(np.count_nonzero(~np.isfinite(array).all(axis=1)))
     if bad:

@@ -173,7 +173,7 @@ def load_settings(**overrides: Any) -> Settings:
         raise click.UsageError(f"the settings are not valid: {faults} (`mavcal config schema` lists them)") from None
     except SettingsError as error:
         raise click.UsageError(f'{error}: lists in the environment are JSON, as ["udpin:0.0.0.0:14550"]') from None
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise click.UsageError(f"mavcal.toml is not valid TOML: {error}") from None
     except OSError as error:
         raise click.UsageError(f"mavcal.toml cannot be read: {error.strerror}") from None

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from typing import Any
+
+import pytest
+
+from mavcal.service import core
+from mavcal.service.commands import headless
+from mavcal.service.jobs.model import Job
+from tests.unit.commands.doubles import FakeService, KeptScreen
+
+
+@pytest.fixture
+def screen() -> KeptScreen:
+    return KeptScreen()
+
+
+@pytest.fixture
+def make_service() -> Iterator[Callable[..., Any]]:
+    """Makes services of given jobs, whose stores are closed in the end."""
+    made: list[FakeService] = []
+
+    def make(*jobs: Job, **more: Any) -> Any:
+        made.append(FakeService(*jobs, **more))
+        return made[-1]
+
+    yield make
+    for service in made:
+        service.store.close()
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Makes `running_service` give a certain service."""
+
+    def give(service: Any) -> None:
+        @asynccontextmanager
+        async def running(_settings: Any) -> AsyncIterator[Any]:
+            yield service
+
+        monkeypatch.setattr(core, "running_service", running)
+
+    return give
+
+
+@pytest.fixture
+def signalled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever cancels a run was a signal: number 15."""
+
+    @contextmanager
+    def stoppable() -> Iterator[list[int]]:
+        yield [15]
+
+    monkeypatch.setattr(headless, "stoppable", stoppable)

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import click
+import pytest
+
+from mavcal.calib.procedures.protocol import Progress
+from mavcal.service.commands import campaign_told
+from mavcal.service.commands.campaign_archive import is_of_folder
+from mavcal.service.commands.campaign_told import Telling, followed, show_items, tell
+from mavcal.service.errors import JobUnknown
+from mavcal.service.jobs.campaigns import CAMPAIGN
+from mavcal.service.jobs.items import Item, ItemOutcome, row_from_item
+from mavcal.service.jobs.model import Failure, Result
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import JobRow
+from tests.unit.commands.doubles import plain
+
+DONE = Item(1, "v1", "boat", ItemOutcome.DONE, "pass", "It may fly.", result={"preflight": {"x": 1}}, starts=2)
+WARNED = Item(2, "v2", "", ItemOutcome.WARNED, "warn", "The compass is old.", job_id="j7")
+FAILED = Item(3, "v3", "", ItemOutcome.FAILED, "x", "It broke.")
+
+
+def campaign(state=JobState.SUCCEEDED, **more):
+    return plain("c", state, kind=CAMPAIGN, vehicle_id=None, **{"outcome": Result("2 of 3 are done."), **more})
+
+
+def rows(*items):
+    return [row_from_item("c", item) for item in items]
+
+
+async def test_a_campaign_is_looked_at_until_it_goes_on_no_more(screen, monkeypatch):
+    looks = []
+
+    async def sleep(seconds):
+        looks.append(seconds)
+
+    monkeypatch.setattr(campaign_told.asyncio, "sleep", sleep)
+    running = campaign(JobState.RUNNING, outcome=None)
+    half = replace(running, progress=Progress(1.0, 2.0, "items", "checking"))
+    jobs = [running, half, half, campaign()]
+    assert (await followed(lambda: jobs.pop(0), screen)).state is JobState.SUCCEEDED
+    assert (len(looks), screen.shares) == (3, [0.5, 0.5])
+
+
+def test_what_is_not_done_has_a_line(screen):
+    assert tell(campaign(), rows(DONE, WARNED, FAILED), Telling(), screen) == 1
+    assert [" ".join(line.split()) for line in screen.lines] == [
+        "warned v2: The compass is old.",
+        "failed v3: It broke.",
+        "succeeded: 2 of 3 are done.",
+    ]
+
+
+def test_an_item_is_called_as_a_person_calls_it(screen):
+    tell(campaign(), rows(replace(FAILED, name="tug")), Telling(), screen)
+    assert "tug: It broke." in screen.lines[0]
+
+
+@pytest.mark.parametrize(
+    ("count", "more"), [(20, []), (23, ["    3 more are not done: `mavcal campaign items c` lists them"])]
+)
+def test_a_long_list_is_cut_and_says_where_the_rest_is(screen, count, more):
+    many = [replace(FAILED, number=k, subject=f"v{k}") for k in range(1, count + 1)]
+    tell(campaign(), rows(*many), Telling(), screen)
+    assert screen.lines[20:] == [*more, "succeeded: 2 of 3 are done."]
+
+
+@pytest.mark.parametrize(
+    ("items", "options", "code"),
+    [
+        ((DONE,), {}, 0),
+        ((DONE, WARNED), {}, 3),
+        ((DONE, WARNED, FAILED), {}, 1),
+        ((replace(WARNED, outcome=ItemOutcome.REVIEW),), {}, 0),
+        ((replace(WARNED, outcome=ItemOutcome.REVIEW),), {"apply": True}, 1),
+    ],
+)
+def test_the_exit_code_is_that_of_the_items(screen, items, options, code):
+    assert tell(campaign(options=options), rows(*items), Telling(), screen) == code
+
+
+def test_a_campaign_that_failed_is_no_success_whatever_its_items_are(screen):
+    failed = campaign(JobState.FAILED, outcome=Failure("x", "The disk is full", "free some space"))
+    assert tell(failed, rows(DONE), Telling(), screen) == 1
+    assert screen.lines == ["failed: The disk is full. Free some space."]
+
+
+def test_a_campaign_without_an_outcome_says_its_state(screen):
+    tell(campaign(JobState.CANCELLED, outcome=None), rows(DONE), Telling(), screen)
+    assert screen.lines == ["cancelled: "]
+
+
+def test_json_counts_the_items_and_leaves_their_results_out(screen, capsys):
+    tell(campaign(options={"task": "preflight"}), rows(DONE, WARNED), Telling(as_json=True), screen)
+    told = json.loads(capsys.readouterr().out)
+    assert (told["id"], told["state"], told["options"]) == ("c", "succeeded", {"task": "preflight"})
+    assert told["counts"] == {"done": 1, "warned": 1}
+    assert [(i["number"], i["outcome"], i["job_id"]) for i in told["items"]] == [(1, "done", None), (2, "warned", "j7")]
+    assert not {"result", "starts"} & set(told["items"][0])
+    assert len(screen.lines) == 1
+
+
+def test_the_table_is_written_and_counted(screen, tmp_path, capsys):
+    file = tmp_path / "out.csv"
+    tell(campaign(), rows(DONE, WARNED), Telling(file), screen)
+    lines = file.read_text().splitlines()
+    assert [row["outcome"] for row in csv.DictReader(lines)] == ["done", "warned"]
+    assert capsys.readouterr().err == f"{file}: 2 items\n"
+
+
+def test_a_table_that_cannot_be_written_is_said(screen, tmp_path):
+    with pytest.raises(click.ClickException, match="cannot be written: No such file"):
+        tell(campaign(), rows(DONE), Telling(tmp_path / "none" / "out.csv"), screen)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    store = SqliteStore(tmp_path)
+    of_folder, of_vehicles = {"folder": "/logs"}, {"task": "preflight"}
+    for name, kind, options in (("c", CAMPAIGN, of_vehicles), ("f", CAMPAIGN, of_folder), ("j", "gyro", of_folder)):
+        store.save_job(JobRow(name, None, kind, "succeeded", 1.0, 2.0, {"options": options}))
+    store.save_job(JobRow("damaged", None, CAMPAIGN, "succeeded", 1.0, 2.0, {}))
+    store.add_items(rows(DONE, WARNED, FAILED))
+    store.close()
+    return tmp_path
+
+
+def test_items_are_listed_with_all_that_they_hold(folder, capsys):
+    assert show_items(folder, "c", (), None, as_json=False) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [line[:2] for line in lines] == [["item", "outcome"], ["1", "done"], ["2", "warned"], ["3", "failed"]]
+    assert lines[1][2:] == ["boat", "It", "may", "fly."]
+    assert lines[2][2:4] == ["j7", "v2"]
+    assert show_items(folder, "c", (), None, as_json=True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["items"][0]["result"] == {"preflight": {"x": 1}}
+
+
+def test_items_are_chosen_by_outcome_for_the_table_as_well(folder, capsys):
+    show_items(folder, "c", ("warned", "failed"), folder / "out.csv", as_json=True)
+    assert [item["number"] for item in json.loads(capsys.readouterr().out)["items"]] == [2, 3]
+    assert len((folder / "out.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize("name", ["gone", "j"])
+def test_what_is_no_campaign_has_no_items(folder, name):
+    with pytest.raises(JobUnknown, match=name):
+        show_items(folder, name, (), None, as_json=False)
+    with pytest.raises(JobUnknown, match=name):
+        is_of_folder(folder, name)
+
+
+def test_a_campaign_through_files_is_told_from_one_of_vehicles(folder):
+    assert [is_of_folder(folder, name) for name in ("c", "f", "damaged")] == [False, True, False]

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import asyncio
+import json
+from types import SimpleNamespace
+
+import click
+import pytest
+
+from mavcal.service.commands import every
+from mavcal.service.commands.every import Acted, Found, Whom, one_of, run_every, vehicles_of, with_each
+from mavcal.service.errors import VehicleArmed, VehicleSilent
+from mavcal.service.jobs.states import JobState
+from tests.unit.commands.doubles import FakeVehicle, plain
+
+A, B = "udpin:0.0.0.0:14550", "tcp:b:5760"
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Links are not listened to for further vehicles."""
+    monkeypatch.setattr(every, "LISTEN_S", 0.0)
+
+
+def found(result):
+    return [(one.connect, None if one.vehicle is None else one.vehicle.id) for one in result]
+
+
+async def test_one_vehicle_an_endpoint(make_service, screen):
+    service = make_service()
+    service.joined(A, "v1", "v2")
+    service.joined(B, "v3")
+    assert found(await vehicles_of(service, Whom((A, B, A), every=False, wait_s=1.0), screen)) == [(A, "v1"), (B, "v3")]
+
+
+async def test_all_of_a_link_with_all(make_service, screen):
+    service = make_service()
+    service.joined(A, "v1", "v2", "nameless")
+    service.vehicles.get("nameless").identity.known = False
+    assert found(await vehicles_of(service, Whom((A,), every=True, wait_s=1.0), screen)) == [(A, "v1"), (A, "v2")]
+
+
+async def test_without_an_endpoint_the_links_that_are_open_count(make_service, screen):
+    service = make_service()
+    service.joined(A, "v1")
+    service.joined(B, "v2")
+    assert found(await vehicles_of(service, Whom((), every=True, wait_s=1.0), screen)) == [(A, "v1"), (B, "v2")]
+
+
+async def test_without_any_link_it_is_wrong_use(make_service, screen):
+    with pytest.raises(click.UsageError, match="give --connect"):
+        await vehicles_of(make_service(), Whom((), every=True, wait_s=1.0), screen)
+
+
+async def test_a_unit_that_two_links_reach_counts_once(make_service, screen):
+    service = make_service()
+    first = service.joined(A, "v1")
+    service.links.known[B] = first
+    assert found(await vehicles_of(service, Whom((A, B), every=True, wait_s=1.0), screen)) == [(A, "v1")]
+
+
+async def test_a_silent_link_is_told_and_the_others_count(make_service, screen):
+    service = make_service()
+    service.joined(A)
+    service.joined(B, "v1")
+    silent, heard = await vehicles_of(service, Whom((A, B), every=True, wait_s=0.0), screen)
+    assert isinstance(silent.error, VehicleSilent)
+    assert silent.document["error"]["code"] == "vehicle-silent"
+    assert heard.document == {"connect": B, "vehicle_id": "v1"}
+
+
+def test_without_all_an_endpoint_is_needed():
+    with pytest.raises(click.UsageError, match="--connect URL, or --all"):
+        Whom((), every=False, wait_s=1.0).settings(None)
+
+
+@pytest.mark.parametrize(("urls", "kept"), [((), ("tcp:kept:1",)), ((A,), ())])
+def test_the_endpoints_of_the_settings_count_where_none_is_given(monkeypatch, tmp_path, urls, kept):
+    monkeypatch.setenv("MAVCAL_CONNECT", '["tcp:kept:1"]')
+    settings = Whom(urls, every=True, wait_s=1.0).settings(tmp_path)
+    assert (settings.connect, settings.data_dir) == (kept, tmp_path)
+
+
+def test_one_endpoint_and_no_other_number():
+    assert one_of([A]) == A
+    for urls in ([], [A, B]):
+        with pytest.raises(click.UsageError):
+            one_of(urls)
+
+
+async def test_each_vehicle_is_acted_on_after_its_earlier_jobs_were_ended(make_service, screen, runs):
+    service = make_service(plain("old", JobState.RUNNING))
+    service.joined(A, "v1")
+    service.joined(B, "v2")
+    runs(service)
+
+    async def act(_service, vehicle):
+        assert service.jobs.done == [("cancel", "old")]
+        if vehicle.id == "v2":
+            raise VehicleArmed("it is armed")
+        return vehicle.id
+
+    (_, first), (where, second) = await with_each(None, Whom((A, B), every=False, wait_s=1.0), act, screen)
+    assert (first, where.connect) == ("v1", B)
+    assert isinstance(second, VehicleArmed)
+
+
+async def test_nothing_is_done_where_no_vehicle_is(make_service, screen, runs):
+    service = make_service()
+    service.joined(A)
+    runs(service)
+
+    async def act(_service, _vehicle):
+        raise AssertionError
+
+    [(_, came)] = await with_each(None, Whom((A,), every=False, wait_s=0.0), act, screen)
+    assert isinstance(came, VehicleSilent)
+
+
+@pytest.fixture
+def cancelled(make_service, screen, runs):
+    """A run over one vehicle that is cancelled in the middle."""
+    service = make_service()
+    service.joined(A, "v1")
+    runs(service)
+
+    async def act(_service, _vehicle):
+        raise asyncio.CancelledError
+
+    return lambda: with_each(None, Whom((A,), every=False, wait_s=1.0), act, screen)
+
+
+async def test_a_run_that_is_cancelled_by_no_signal_raises(cancelled):
+    with pytest.raises(asyncio.CancelledError):
+        await cancelled()
+
+
+@pytest.mark.usefixtures("signalled")
+async def test_a_run_that_a_signal_ended_has_its_exit_code(cancelled):
+    assert await cancelled() == 128 + 15
+
+
+@pytest.fixture
+def tells(monkeypatch):
+    """Runs the command with these outcomes; the exit code."""
+
+    def run(*came, as_json=False):
+        async def each(*_):
+            return came[0] if isinstance(came[0], int) else list(came)
+
+        monkeypatch.setattr(every, "with_each", each)
+        monkeypatch.setattr("mavcal.service.logs.configure_logging", lambda **_: None)
+        return run_every(SimpleNamespace(log_json=False), Whom((A,), every=True, wait_s=1.0), None, as_json=as_json)
+
+    return run
+
+
+GOOD = (Found(A, FakeVehicle("v1")), Acted(good=True, text="level: succeeded", document={"job": "j"}))
+BAD = (Found(B, FakeVehicle("v2")), VehicleArmed("it is armed"))
+GONE = (Found(B, error=VehicleSilent("nobody")), VehicleSilent("nobody"))
+
+
+def test_every_vehicle_has_a_line(tells, capsys):
+    assert tells(GOOD, BAD, GONE) == 1
+    assert capsys.readouterr().out.splitlines() == [
+        f"{A} v1: level: succeeded",
+        f"{B} v2: it is armed",
+        f"{B}: nobody",
+    ]
+
+
+def test_every_vehicle_is_told_as_json(tells, capsys):
+    assert tells(GOOD, BAD, as_json=True) == 1
+    assert json.loads(capsys.readouterr().out)["vehicles"] == [
+        {"connect": A, "vehicle_id": "v1", "job": "j"},
+        {"connect": B, "vehicle_id": "v2", "error": {"code": "vehicle-armed", "detail": "it is armed"}},
+    ]
+
+
+def test_the_exit_code_says_whether_all_are_good_or_which_signal_came(tells):
+    assert tells(GOOD) == 0
+    assert tells(GOOD, (GOOD[0], Acted(good=False, text="no"))) == 1
+    assert tells(143) == 143

@@ -1,0 +1,171 @@
+"""What the command line says of a gap report and of a remedy that was tried."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from mavcal.calib.gap.schema import GapVerdict, LocatedGap, NotTestable, Regime, Rival, Shrink, Unknown
+from mavcal.service.commands import gap
+from mavcal.service.commands.gap import command
+from tests.unit.gap.export.making import effect, report
+
+BIAS = effect("accel_bias", bias=(0.3, 0.0, -0.1))
+CELL = LocatedGap("accel.x", 2, Regime("temperature", (20.0, 24.0), "degC"), 0.125, 0.5, "m/s2", 1e-9)
+GONE = NotTestable("mag_delay", "There is no compass.", "a compass")
+
+
+@pytest.fixture
+def said(capsys):
+    def of(found, verified=None):
+        gap._show(found, verified)
+        return capsys.readouterr().out.splitlines()
+
+    return of
+
+
+def beginning(lines, word):
+    return [line for line in lines if line.startswith(word)]
+
+
+def test_the_verdict_comes_first_and_the_reference_is_named(said):
+    lines = said(report())
+    assert lines[0].startswith("no_gap: No difference beyond the noise")
+    assert lines[-1] == "reference: sim. ref_* columns"
+
+
+def test_an_effect_is_told_with_its_parameters_and_its_rivals(said):
+    rival = Rival("accel_rotation", 0.9, 3.0, "turn it on its side")
+    lines = said(report(replace(BIAS, confusable_with=(rival,))))
+    [first] = [number for number, line in enumerate(lines) if "(accel_bias), probability 0.99" in line]
+    shown = [" ".join(line.split()) for line in lines[first + 1 : first + 5]]
+    assert shown[0] == "bias.x 0.3 +- 0.003001 m/s2"
+    assert shown[3] == "could be accel_rotation; told apart by: turn it on its side"
+
+
+def test_how_far_the_gap_shrinks_is_said_where_there_are_effects(said):
+    assert beginning(said(report(BIAS)), "How far the gap shrinks could not be measured")
+    shrink = Shrink(2.0, 0.5, 0.0, "declared_noise", 0.75, None, nested=True)
+    assert beginning(said(replace(report(BIAS), shrink=shrink)), "On data that were held out, adding")
+    assert not beginning(said(report()), "How far")
+
+
+def test_what_is_not_explained_has_its_share(said):
+    unknown = Unknown(flag=True, share=0.125, shape="")
+    [line] = beginning(said(replace(report(BIAS), unknown=unknown)), "not explained")
+    assert line == "not explained: a rest (12 % of the gap)"
+    [line] = beginning(said(replace(report(), unknown=replace(unknown, shape="a ramp"))), "not explained")
+    assert "a ramp" in line
+    assert not beginning(said(replace(report(), unknown=replace(unknown, flag=False))), "not explained")
+
+
+def test_the_worst_places_are_named_and_no_more(said):
+    cells = tuple(replace(CELL, instance=k) for k in range(1, 6))
+    lines = beginning(said(replace(report(BIAS), where=cells)), "where")
+    assert [line.split("of instance ")[1][0] for line in lines] == ["1", "2", "3"]
+    assert lines[1] == ("where: accel.x of instance 2, temperature 20..24 degC: rms 0.5 m/s2, 0.125 nats a sample")
+
+
+@pytest.mark.parametrize(("count", "more"), [(8, []), (9, ["not testable: 1 more, see --json"])])
+def test_a_long_list_of_what_is_not_testable_is_cut(said, count, more):
+    lines = beginning(said(replace(report(), not_testable=(GONE,) * count)), "not testable")
+    assert lines == ["not testable: mag_delay: There is no compass.; needed: a compass"] * 8 + more
+
+
+def test_sensors_that_were_not_compared_and_warnings_are_said(said):
+    lost = NotTestable("gyro", "It is in another frame.", "the same frame")
+    lines = said(replace(report(BIAS), not_testable=(lost,), warnings=("It is short.",)))
+    assert lines[1].startswith("Not compared, at least in part: gyroscope")
+    assert lines[-1] == "! It is short."
+
+
+def test_a_remedy_is_told_with_what_is_left_and_what_came_in(said):
+    nats = SimpleNamespace(nats=0.25, ci95=(0.2, 0.3))
+    left = SimpleNamespace(id="accel_bias", instances=(1, 2), share=0.031, agrees=False)
+    verified = SimpleNamespace(
+        remaining=nats,
+        before=SimpleNamespace(nats=4.0),
+        rest=SimpleNamespace(verdict=GapVerdict.PARTLY_EXPLAINED),
+        effects=[left, SimpleNamespace(**{**vars(left), "agrees": True})],
+        added=[SimpleNamespace(id="gyro_bias")],
+        warnings=("It is short.",),
+    )
+    lines = said(report(BIAS), verified)
+    begin = lines.index("with the remedy: 0.25 nats a number are left (0.2 to 0.3), of 4; partly_explained")
+    assert lines[begin + 1 : begin + 5] == [
+        "  accel_bias of instance 1, 2: 3.1 % of its evidence is left",
+        "  accel_bias of instance 1, 2: 3.1 % of its evidence is left; the new flight has it within its errors",
+        "  gyro_bias is in the simulator and not in the vehicle, or was hidden before",
+        "! It is short.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "Missing option '--real'"),
+        (("--real", "a.csv", "--export", "a.txt"), "a.txt"),
+        (("--real", "a.csv", "--report", "none/a.html"), "there is no folder none"),
+        (("--real", "gone.csv"), "there is no file gone.csv"),
+        (("--real", "a.csv", "--limit-s", "0"), "--limit-s|not in the range"),
+        (("--real", "a.csv", "--sim-map", "x"), "is not NAME=COLUMN"),
+    ],
+)
+def test_wrong_use_is_said_before_anything_is_computed(monkeypatch, tmp_path, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("mavcal.calib.gap.run", None)
+    result = CliRunner().invoke(command, arguments, standalone_mode=False)
+    assert isinstance(result.exception, click.UsageError)
+    with pytest.raises(click.UsageError, match=said):
+        raise result.exception
+
+
+@pytest.fixture
+def diagnosed(monkeypatch, tmp_path):
+    """Runs the command on a table that is diagnosed so; what the diagnosis was handed."""
+    file = tmp_path / "a.csv"
+    file.write_text("t,accel_x,accel_y,accel_z\n" + "".join(f"{k / 50},0,0,-9.8\n" for k in range(60)))
+
+    def run(found, *arguments):
+        handed = {}
+
+        def diagnosis(real, sim, nominal, *, inputs, pace):
+            handed.update(sim=sim, nominal=nominal, inputs=inputs, limit=pace.limit_s)
+            return found
+
+        monkeypatch.setattr("mavcal.calib.gap.run", diagnosis)
+        result = CliRunner().invoke(command, ["--real", str(file), *arguments], standalone_mode=False)
+        assert result.exception is None
+        return result, handed
+
+    return run
+
+
+@pytest.mark.parametrize(("found", "code"), [(report(BIAS), 0), (report(), 1)])
+def test_the_exit_code_says_whether_anything_was_tested(diagnosed, found, code):
+    result, handed = diagnosed(found, "--limit-s", "2.5")
+    assert result.return_value == code
+    assert (handed["sim"], handed["nominal"], set(handed["inputs"]), handed["limit"]) == (None, (), {"real"}, 2.5)
+    assert result.stdout.startswith(f"{found.verdict.value}: ")
+
+
+def test_json_has_the_report_and_what_was_exported_and_the_page_is_written(diagnosed, tmp_path, monkeypatch):
+    monkeypatch.setattr("mavcal.calib.gap_report.gap_to_html", lambda _, title: f"<h1>{title}</h1>")
+    page, remedy = tmp_path / "a.html", tmp_path / "a.parm"
+    result, handed = diagnosed(report(BIAS), "--report", str(page), "--export", str(remedy), "--json")
+    told = json.loads(result.stdout)
+    assert (told["verdict"], told["exports"][0]["file"], handed["limit"]) == ("explained", "a.parm", math.inf)
+    assert page.read_text() == "<h1>Sim-to-real gap of a.csv</h1>"
+    assert "SIM_ACC1_BIAS_X" in remedy.read_text()
+
+
+def test_a_subcommand_needs_no_recording(monkeypatch):
+    monkeypatch.setattr("mavcal.calib.gap.run", None)
+    result = CliRunner().invoke(command, ["selftest", "--score-only"], standalone_mode=False)
+    assert "--score-only needs --answers FILE" in str(result.exception)

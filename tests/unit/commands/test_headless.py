@@ -1,0 +1,221 @@
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+
+import pytest
+
+from mavcal.service.commands import headless
+from mavcal.service.commands.headless import (
+    Earlier,
+    earlier,
+    follow,
+    heard,
+    is_of,
+    put_down,
+    recovered,
+    show_event,
+    tidied,
+    told_of,
+)
+from mavcal.service.errors import VehicleSilent
+from mavcal.service.jobs.journal import JournalStep
+from mavcal.service.jobs.model import Failure, Result
+from mavcal.service.jobs.recovery import unfinished
+from mavcal.service.jobs.states import JobState
+from tests.unit.commands.doubles import FakeVehicle, plain
+
+URL = "udpin:0.0.0.0:14550"
+DONE = Result("It is written.")
+SENT = {"name": "INS_GYROFFS_X", "old": 0.0, "new": 0.5, "kind": "real32", "session": False}
+
+
+def sent(service, job_id):
+    """The journal of a job that has sent one parameter."""
+    service.store.add_journal(job_id, 0.0, JournalStep.SEND.value, SENT)
+
+
+async def test_the_vehicle_of_this_link_is_heard_and_no_other(make_service, screen):
+    service = make_service()
+    service.joined("tcp:elsewhere:1", "v2")
+    service.joined(URL, "v1")
+    vehicle = await heard(service, URL, 1.0, screen)
+    assert vehicle.id == "v1"
+    assert service.links.opened == [(URL, {"remember": False, "trusted": True})]
+    assert screen.lines == []
+
+
+@pytest.mark.parametrize(("reason", "said"), [("", "within 0 s: check"), ("refused", "within 0 s (refused): check")])
+async def test_a_silent_link_is_named_with_its_reason(make_service, screen, reason, said):
+    service = make_service()
+    service.joined(URL).reason = reason
+    with pytest.raises(VehicleSilent, match=URL) as raised:
+        await heard(service, URL, 0.0, screen)
+    assert said in str(raised.value)
+
+
+async def test_what_is_waited_for_is_said_once_for_every_reason(make_service, screen, monkeypatch):
+    monkeypatch.setattr(headless, "QUIET_S", 0.0)
+    service = make_service()
+    link = service.joined(URL)
+
+    async def wait(_link):
+        for link.reason in ("", "refused", ""):
+            for _ in range(4):
+                await asyncio.sleep(0)
+        return FakeVehicle()
+
+    service.vehicles.wait_for_vehicle = wait
+    await heard(service, URL, 30.0, screen)
+    assert screen.lines == [
+        f"waiting up to 30 s for a vehicle on {URL}",
+        f"waiting up to 30 s for a vehicle on {URL} (refused)",
+    ]
+
+
+@pytest.mark.parametrize("end", [JobState.SUCCEEDED, JobState.FAILED, JobState.REVIEW])
+async def test_a_job_is_followed_until_nothing_goes_on_by_itself(make_service, screen, end):
+    job, other = plain("j", JobState.RUNNING), plain("k", JobState.RUNNING)
+    service = make_service(job, other)
+    service.jobs.steps = [
+        (job, "prompt", {"text": "Turn it."}),
+        (other, "prompt", {"text": "not of this job"}),
+        (plain("k", JobState.FAILED), "state", {}),
+        (job, "progress", {"current": 1.0, "target": 4.0}),
+        (job, "prompt", {}),
+        (job, "warning", {"text": "It is warm."}),
+        (plain("j", end), "state", {}),
+        (job, "prompt", {"text": "too late"}),
+    ]
+    assert (await follow(service, "j", screen)).state is end
+    assert screen.lines == ["  > Turn it.", "    note: It is warm."]
+    assert screen.shares == [0.25]
+
+
+async def test_a_job_that_stays_in_doubt_is_left_after_a_while(make_service, screen):
+    doubt = plain("j", JobState.IN_DOUBT)
+    service = make_service(plain("j", JobState.APPLYING))
+    sent(service, "j")
+    service.jobs.steps = [(doubt, "state", {})]
+    assert await follow(service, "j", screen, doubt_s=0.0) is doubt
+    assert screen.lines[0] == "job j (gyro) is in doubt"
+    assert screen.lines[1].startswith("INS_GYROFFS_X: 0 before, 0.5 intended")
+
+
+async def test_a_job_that_is_in_doubt_from_the_beginning_is_left_after_a_while_too(make_service, screen):
+    doubt = plain("j", JobState.IN_DOUBT)
+    assert await follow(make_service(doubt), "j", screen, doubt_s=0.0) is doubt
+
+
+async def test_a_job_that_leaves_the_doubt_is_waited_for(make_service, screen):
+    service = make_service(plain("j", JobState.IN_DOUBT))
+    going_on = plain("j", JobState.VERIFYING)
+    service.jobs.steps = [
+        (going_on, "state", {}),
+        (going_on, "", {}),
+        (plain("j", JobState.SUCCEEDED), "state", {}),
+    ]
+    assert (await follow(service, "j", screen, doubt_s=0.0)).state is JobState.SUCCEEDED
+
+
+def test_an_event_that_nobody_reads_shows_nothing(screen):
+    show_event("state", {"state": "running"}, screen)
+    assert (screen.lines, screen.shares) == ([], [])
+
+
+async def test_what_earlier_runs_left_on_this_vehicle_is_cancelled_or_followed(make_service, screen):
+    capture = plain("a", JobState.RUNNING)
+    write = plain("b", JobState.IN_DOUBT)
+    foreign = plain("c", JobState.IN_DOUBT, vehicle_id="v2")
+    service = make_service(capture, write, foreign, plain("d", JobState.FAILED), plain("e", JobState.REVIEW))
+    service.joined(URL, "v1", "v2")
+    sent(service, "b")
+    left = earlier(service)
+    assert [found.job.id for found in left.found] == ["a", "b", "c"]
+    service.jobs.steps = [(plain("b", JobState.REVERTED, outcome=DONE), "state", {})]
+    told = await recovered(service, service.vehicles.get("v1"), left, screen)
+    assert [(found.job.id, found.job.state) for found in told] == [
+        ("a", JobState.CANCELLED),
+        ("b", JobState.REVERTED),
+    ]
+    assert service.jobs.done == [("cancel", "a")]
+    assert screen.lines == [
+        "job a (gyro) was interrupted before it wrote anything: it is cancelled",
+        "    job a (gyro) is cancelled",
+        "job b (gyro) was interrupted while it wrote INS_GYROFFS_X: it is finished or taken back first",
+        "    job b (gyro) is reverted. It is written.",
+    ]
+
+
+async def test_the_recovery_begins_with_the_events_after_the_start(make_service, screen):
+    service = make_service(plain("b", JobState.IN_DOUBT))
+    service.joined(URL, "v1")
+    heard_after = []
+
+    async def subscribe(_job, after):
+        heard_after.append(after)
+        service.jobs.jobs["b"] = plain("b", JobState.REVERTED)
+        yield SimpleNamespace(job_id="b", kind="state", data={})
+
+    service.jobs.subscribe = subscribe
+    left = Earlier((unfinished(service.store, service.jobs.get("b")),), 17)
+    await recovered(service, service.vehicles.get("v1"), left, screen)
+    assert heard_after == [17]
+
+
+def test_a_job_is_of_the_vehicle_that_the_registry_has_under_its_id(make_service):
+    service = make_service()
+    service.joined(URL, "v1")
+    vehicle = service.vehicles.get("v1")
+    assert is_of(service, plain("j", JobState.REVIEW), vehicle)
+    assert not is_of(service, plain("j", JobState.REVIEW), FakeVehicle("v1"))  # another one that says the same
+    assert not is_of(service, plain("j", JobState.REVIEW, vehicle_id="gone"), vehicle)
+    assert not is_of(service, plain("j", JobState.REVIEW, vehicle_id=None), vehicle)
+
+
+def test_a_recovered_job_is_told_with_its_parameters(make_service):
+    failure = Failure("in-doubt", "It fell silent", "switch it on")
+    service = make_service(plain("j", JobState.IN_DOUBT, outcome=failure))
+    sent(service, "j")
+    told = told_of(unfinished(service.store, service.jobs.get("j")))
+    assert {name: told[name] for name in ("id", "kind", "vehicle_id", "state")} == {
+        "id": "j",
+        "kind": "gyro",
+        "vehicle_id": "v1",
+        "state": "in_doubt",
+    }
+    assert told["outcome"]["code"] == "in-doubt"
+    assert [(p["name"], p["old"], p["new"]) for p in told["parameters"]] == [("INS_GYROFFS_X", 0.0, 0.5)]
+
+
+async def test_a_vehicle_that_does_not_confirm_its_rates_is_not_waited_for_longer():
+    async def never():
+        await asyncio.Event().wait()
+
+    await tidied(SimpleNamespace(jobs=SimpleNamespace(tidied=never)), 0.0)
+
+
+@pytest.mark.parametrize("state", [JobState.QUEUED, JobState.WAITING_FOR_OPERATOR, JobState.FITTING])
+async def test_a_stopped_run_cancels_what_has_written_nothing(make_service, screen, state):
+    service = make_service(plain("j", state))
+    await put_down(service, "j", URL, screen)
+    assert service.jobs.done == [("cancel", "j"), ("tidied",)]
+    assert screen.lines == ["stopped: job j (gyro) was cancelled, nothing was written"]
+
+
+async def test_a_stopped_run_leaves_a_plan_in_review(make_service, screen):
+    service = make_service(plain("j", JobState.REVIEW))
+    await put_down(service, "j", URL, screen)
+    assert service.jobs.done == [("tidied",)]
+    assert screen.lines == ["stopped: job j (gyro) is review"]
+
+
+@pytest.mark.parametrize(("wrote", "said"), [(True, "INS_GYROFFS_X may hold new values"), (False, "nothing was sent")])
+async def test_a_stopped_run_says_what_a_write_leaves_behind(make_service, screen, wrote, said):
+    service = make_service(plain("j", JobState.VERIFYING))
+    if wrote:
+        sent(service, "j")
+    await put_down(service, "j", URL, screen)
+    assert service.jobs.done == [("tidied",)]
+    assert screen.lines[0].startswith(f"stopped while job j (gyro) is verifying: {said}")
+    assert f"`mavcal recover --connect {URL}`" in screen.lines[1]

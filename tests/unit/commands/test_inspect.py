@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from mavcal.calib.errors import UnreadableError
+from mavcal.calib.health.report import health
+from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage
+from mavcal.service.commands import inspect
+from mavcal.service.commands.inspect import command
+
+T = np.arange(500) / 50.0
+ACCEL = Channel(Sensor.ACCEL, 0, T, np.tile([0.0, 0.0, -9.8], (500, 1)), "m/s2", Stage.RAW, "IMU")
+FLIGHT = Recording((ACCEL,), source="a.bin")
+BENCH = replace(FLIGHT, segments=(Segment("x-up", 0.0, 1.0),))
+
+
+@pytest.fixture
+def inspected(tmp_path, monkeypatch):
+    """Runs the command on recordings by name of their file; an error stands for one that cannot be read."""
+
+    def run(recordings, *arguments):
+        def read(file, **_):
+            found = recordings[file.name]
+            if isinstance(found, Exception):
+                raise found
+            return found
+
+        monkeypatch.setattr("mavcal.calib.logs.read", read)
+        for name in recordings:
+            (tmp_path / name).touch()
+        monkeypatch.chdir(tmp_path)
+        result = CliRunner().invoke(command, arguments, standalone_mode=False)
+        if result.exception is not None:
+            raise result.exception
+        return result.stdout.splitlines()
+
+    return run
+
+
+def test_a_table_has_a_line_a_log_and_one_that_cannot_be_read_is_a_line_too(inspected):
+    logs = {"flight.bin": FLIGHT, "b.csv": BENCH, "broken.ulg": UnreadableError("it has no header")}
+    lines = inspected(logs, "--table", *logs, "gone.bin")
+    heads = [line.split() for line in lines]
+    assert [head[0] for head in heads] == [*logs, "gone.bin"]
+    assert [head[1] for head in heads[1:]] == ["bench", "unreadable", "unreadable"]
+    assert lines[2].endswith("it has no header")
+    assert lines[3].endswith("there is no file gone.bin")
+    assert heads[0][1:] == f"{health(FLIGHT).verdict.value} {health(FLIGHT).summary}".replace("_", " ").split()
+    [line] = inspected(logs, "--table", "--json", "flight.bin", "broken.ulg")
+    told = json.loads(line)["logs"]
+    assert [row["verdict"] for row in told] == [health(FLIGHT).verdict.value, "unreadable"]
+
+
+def test_several_logs_are_a_table_or_a_mistake(inspected):
+    with pytest.raises(click.UsageError, match="one FILE at a time"):
+        inspected({"a.bin": FLIGHT, "b.bin": FLIGHT}, "a.bin", "b.bin")
+
+
+def test_a_page_is_written_of_a_flight_and_not_of_a_bench(inspected, tmp_path):
+    inspected({"a.bin": FLIGHT}, "a.bin", "--report", "out.html")
+    assert "Sensor health of a.bin" in (tmp_path / "out.html").read_text()
+    with pytest.raises(click.UsageError, match="--report is for flights"):
+        inspected({"b.csv": BENCH}, "b.csv", "--report", "bench.html")
+    assert not (tmp_path / "bench.html").exists()
+
+
+def test_a_channel_is_told_with_rate_mean_and_length(inspected):
+    lines = inspected({"b.csv": BENCH}, "b.csv")
+    [channel] = [line.split() for line in lines if line.startswith("  accel[0]")]
+    assert channel[1:4] == ["IMU", "raw", "500"]
+    assert " ".join(channel[4:]) == "50.00 Hz mean 0 0 -9.8, length 9.8 +- 0 m/s2"
+    assert "  0 parameters, 0 changes, 0 events" in lines
+
+
+def test_a_flight_is_told_with_its_health_and_a_bench_without(inspected):
+    flight, bench = (inspected({"a.bin": one}, "a.bin") for one in (FLIGHT, BENCH))
+    assert flight[1] == health(FLIGHT).summary
+    assert health(FLIGHT).summary not in bench
+
+
+def test_a_recording_of_a_bench_has_no_health(inspected):
+    assert json.loads(inspected({"b.csv": BENCH}, "b.csv", "--json")[0])["health"] is None
+    assert json.loads(inspected({"a.bin": FLIGHT}, "a.bin", "--json")[0])["health"] is not None
+
+
+def finding(verdict, text):
+    return {"verdict": verdict, "text": text}
+
+
+def test_a_sensor_is_told_with_what_speaks_against_it_or_the_first_thing_found(capsys):
+    good = {"verdict": "ok", "name": "gyro 1", "findings": [finding("ok", "It is quiet."), finding("ok", "It moves.")]}
+    bad = {
+        "verdict": "cannot_say",
+        "name": "accel 2",
+        "findings": [finding("ok", "fine"), finding("suspicious", "It clips."), finding("faulty", "It is dead.")],
+    }
+    inspect._show_health({"summary": "All in all.", "action": "", "sensors": [good, bad], "lacks": ["a compass"]})
+    lines = capsys.readouterr().out.splitlines()
+    assert [" ".join(line.split()) for line in lines] == [
+        "All in all.",
+        "ok gyro 1 It is quiet.",
+        "cannot say accel 2 It clips.",
+        "It is dead.",
+        "not logged: a compass",
+        "",
+    ]
+    assert lines[2].index("It clips.") == lines[3].index("It is dead.")
+
+
+def test_the_next_action_follows_the_summary(capsys):
+    inspect._show_health({"summary": "All in all.", "action": "Look at it.", "sensors": [], "lacks": []})
+    assert capsys.readouterr().out.splitlines()[1] == "Next: Look at it."
+
+
+def test_a_flight_is_told_with_its_rests_limits_and_next_steps(capsys):
+    limit = {"warn": 0.5, "fail": 1.0, "unit": "deg/s"}
+    item = {"verdict": "warn", "name": "bias", "subject": "gyro 1", "text": "It drifts.", "limit": limit}
+    flight = {
+        "verdict": "warn",
+        "motors_known_by": "throttle",
+        "rests": [{"start": 0.0, "end": 4.0}, {"start": 10.0, "end": 16.0}],
+        "flown": [{"start": 4.0, "end": 10.0}],
+        "items": [item, {**item, "limit": None}],
+    }
+    step = SimpleNamespace(command="mavcal fit gyro-rest", method="gyro-rest", reason="It rests.")
+    steps = [{**vars(step), "worthwhile": worth} for worth in (True, False)]
+    inspect._show_flight(flight, steps)
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert lines == [
+        "inertial sensors: warn; 2 rests of 10 s, motors on for 6 s (known by throttle)",
+        "warn bias gyro 1 It drifts. [warn 0.5, fail 1 deg/s]",
+        "warn bias gyro 1 It drifts.",
+        "next: mavcal fit gyro-rest: It rests.",
+        "not: gyro-rest: It rests.",
+    ]

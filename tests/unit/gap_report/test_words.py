@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.progress import GapStage
+from mavcal.calib.gap.schema import (
+    RE_ESTIMATED,
+    USELESS_DEG,
+    GapVerdict,
+    Gates,
+    LocatedGap,
+    MultipleTesting,
+    NotTestable,
+    Regime,
+    Shrink,
+    Unknown,
+)
+from mavcal.calib.gap_report.words import (
+    closed_sentence,
+    effect_phrase,
+    held_out,
+    interval,
+    not_compared,
+    number,
+    quantity,
+    regime,
+    sensor_name,
+    sim_patch,
+    verdict_sentence,
+)
+from tests.unit.gap.export.making import effect, report
+
+BIAS = effect("accel_bias", bias=(0.3, 0.0, -0.1))
+
+
+def useless(found, sigma=USELESS_DEG + 1.0):
+    inputs = replace(found.inputs, reference_kind=RE_ESTIMATED, att_sigma_deg=sigma)
+    return replace(found, inputs=inputs, verdict=GapVerdict.REFERENCE)
+
+
+@pytest.mark.parametrize("verdict", GapVerdict)
+def test_every_verdict_is_a_sentence_of_its_own(verdict):
+    said = {verdict_sentence(replace(report(), verdict=each)) for each in GapVerdict}
+    assert len(said) == len(GapVerdict)
+    assert verdict_sentence(replace(report(), verdict=verdict)).endswith(".")
+
+
+@pytest.mark.parametrize("verdict", [GapVerdict.UNKNOWN, GapVerdict.NO_GAP, GapVerdict.NOT_TESTABLE])
+def test_effects_are_listed_where_they_explain_something(verdict):
+    assert "(accel_bias)" in verdict_sentence(report(BIAS))
+    assert "(accel_bias)" in verdict_sentence(replace(report(BIAS), verdict=GapVerdict.PARTLY_EXPLAINED))
+    assert "(accel_bias)" not in verdict_sentence(replace(report(BIAS), verdict=verdict))
+    assert "(accel_bias)" not in verdict_sentence(report(BIAS), listed=False)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "said"), [(GapVerdict.PARTLY_EXPLAINED, "no time to try"), (GapVerdict.NOT_TESTABLE, "no time for an")]
+)
+def test_a_diagnosis_that_ended_early_says_so(verdict, said):
+    whole = replace(report(), verdict=verdict)
+    assert said not in verdict_sentence(whole)
+    assert said in verdict_sentence(replace(whole, left_out=(GapStage.SELECTION.value,)))
+    assert said not in verdict_sentence(replace(whole, left_out=(GapStage.BLOCKS.value,)))  # which only judges it
+
+
+def test_a_useless_reference_says_how_badly_it_is_known_and_what_helps():
+    said = verdict_sentence(useless(report()))
+    assert f"known to {USELESS_DEG + 1.0:.1f} degrees only, {USELESS_DEG:g} are needed" in said
+    assert "--sim of the same trajectory" in said
+    contradicted = verdict_sentence(useless(report(), math.nan))
+    assert "contradicts the inertial unit" in contradicted
+    assert "nan" not in contradicted
+
+
+def test_beside_a_useless_reference_units_are_still_compared():
+    tested = replace(useless(report()), multiple_testing=MultipleTesting(10, 0.005))
+    assert "the units of the vehicle show no difference" in verdict_sentence(tested)
+    assert "units of the vehicle" not in verdict_sentence(useless(report()))
+    for found in (replace(tested, unknown=Unknown(flag=True)), replace(tested, effects=(BIAS,))):
+        assert "only what units of the vehicle show against each other" in verdict_sentence(found)
+    assert "(accel_bias)" in verdict_sentence(replace(tested, effects=(BIAS,)))
+
+
+def test_a_reference_that_is_good_enough_is_no_finding_by_itself():
+    found = replace(report(), verdict=GapVerdict.REFERENCE)
+    assert verdict_sentence(found) == "No difference beyond the error of the reference was found."
+    assert verdict_sentence(replace(found, effects=(BIAS,))).startswith("What differs is the reference")
+
+
+def test_sensors_that_were_not_compared_are_named_once():
+    lost = [NotTestable(name, "It is silent.", "its samples") for name in ("gyro", "mag", "gyro", "accel_bias")]
+    found = replace(report(BIAS), not_testable=tuple(lost))
+    assert not_compared(found).startswith("Not compared, at least in part: gyroscope, magnetometer;")
+    assert not_compared(replace(found, verdict=GapVerdict.NOT_TESTABLE)) == ""  # which says it
+    assert not_compared(useless(found)) == ""
+    assert not_compared(report(BIAS)) == ""
+
+
+@pytest.mark.parametrize(
+    ("instances", "said"), [((1,), "accelerometer 1"), ((1, 2, 3), "accelerometers 1, 2, 3"), ((2,), "accelerometer 2")]
+)
+def test_sensors_are_counted(instances, said):
+    assert sensor_name(replace(BIAS, instances=instances)) == said
+
+
+@pytest.mark.parametrize("known", catalogue(), ids=lambda known: known.id)
+def test_every_effect_of_the_catalogue_has_plain_words(known):
+    said = effect_phrase(replace(BIAS, id=known.id))
+    assert said.startswith(known.plain)
+    assert said.endswith(f"({known.id})")
+    assert ("accelerometer 1" in said.removeprefix(known.plain)) is not known.shared
+
+
+def test_an_effect_of_another_version_is_told_by_its_name():
+    assert effect_phrase(replace(BIAS, id="accel_new_thing")) == "accel new thing, accelerometer 1 (accel_new_thing)"
+
+
+@pytest.mark.parametrize(
+    ("blocks", "said"), [(None, "not held out"), (True, "holds on held-out"), (False, "does not hold on held-out")]
+)
+def test_held_out_blocks_confirm_or_not(blocks, said):
+    assert held_out(replace(BIAS, gates=Gates(blocks))).startswith(said)
+
+
+def test_a_patch_leaves_out_what_it_does_not_change():
+    patch = {"SIM_ACC1_BIAS_X": 0.3, "SIM_ACC1_BIAS_Y": 0.0, "SIM_ACC1_BIAS_Z": -0.1234567}
+    assert sim_patch(replace(BIAS, sim_patch=patch)) == "SIM_ACC1_BIAS_X 0.3, SIM_ACC1_BIAS_Z -0.123457"
+    assert sim_patch(BIAS) == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (None, "not known"),
+        (math.nan, "not known"),
+        (math.inf, "unbounded"),
+        (-math.inf, "unbounded"),
+        (1 / 3, "0.3333"),
+    ],
+)
+def test_a_number_that_is_none_is_said_in_words(value, said):
+    assert number(value) == said
+    assert quantity(value, "uT") == f"{said} uT"
+
+
+@settings(max_examples=50)
+@given(st.floats(-1e200, 1e200))
+def test_a_number_is_told_to_four_digits(value):
+    assert float(number(value)) == pytest.approx(value, rel=1e-3, abs=1e-300)
+
+
+@pytest.mark.parametrize("unit", ["", "1"])
+def test_a_pure_number_has_no_unit(unit):
+    assert quantity(0.5, unit) == "0.5"
+
+
+@pytest.mark.parametrize(("low", "high"), [(-math.inf, 1.0), (0.0, math.inf), (math.nan, 1.0), (0.0, 1e301)])
+def test_an_interval_without_an_end_is_none(low, high):
+    assert interval(low, high) == "not determined by itself"
+    assert interval(-0.1, 0.25) == "-0.1 to 0.25"
+
+
+SHRINK = Shrink(2.0, 0.5, 0.25, "declared_noise", 0.857, (0.8, 0.9), nested=True)
+
+
+def test_how_far_the_gap_shrinks_has_its_interval_and_its_floor():
+    said = closed_sentence(SHRINK)
+    assert "closes 85.7 % of the gap (95 % interval 0.800 to 0.900): from 2 to 0.5 nats" in said
+    assert "the floor being 0.25 (declared noise)" in said
+    assert "interval" not in closed_sentence(replace(SHRINK, ci95=None))
+
+
+def test_what_cannot_shrink_is_said():
+    assert closed_sentence(None).endswith("too short to hold parts of it back.")
+    assert closed_sentence(replace(SHRINK, closed=None)) == (
+        "Nothing measurable to close: 2 nats a sample before, 0.5 after."
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "limits", "unit", "said"),
+    [
+        ("all", (0.0, 1.0), "", "whole recording"),
+        ("temperature", (20.0, 24.0), "degC", "temperature 20..24 degC"),
+        ("throttle", (0.5, 0.5), "1", "throttle 0.5"),
+        ("band", (0.0, 12.5), "Hz", "band 0..12.5 Hz"),
+        ("time", (-1e-15, 10.0), "s", "time 0..10 s"),
+    ],
+)
+def test_a_regime_is_where_it_lies(kind, limits, unit, said):
+    assert regime(LocatedGap("accel.x", 1, Regime(kind, limits, unit), 1.0, 1.0, "m/s2", 1e-9)) == said

@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+import pytest
+
+from mavcal.calib.recording import Sensor
+from mavcal.calib.review.effect import SensorEffect
+from mavcal.calib.review.headline import amount, headline_of, text_of
+
+
+def off(before, after=0.1, *, instance=0, quantity="rate at rest", unit="deg/s"):
+    return SensorEffect(Sensor.GYRO, instance, quantity, unit, before, after, None)
+
+
+def test_the_sensor_that_gains_most_is_named_first():
+    """By how many times better it becomes, not by the number, which has another unit elsewhere."""
+    heading = off(40.0, 20.0, quantity="heading", unit="deg")
+    assert headline_of([heading, off(1.0)]).startswith("Rate at rest is wrong by up to 1 deg/s")
+    assert headline_of([heading, off(0.11)]).startswith("Heading is wrong by up to 40 deg")
+
+
+def test_sensors_of_one_kind_are_told_by_the_worst_of_them():
+    said = headline_of([off(1.0, 0.1), off(3.0, 0.2, instance=1), off(90.0, 60.0, quantity="heading", unit="deg")])
+    assert said == "Rate at rest is wrong by up to 3 deg/s, and will be good to 0.2 deg/s."
+
+
+@pytest.mark.parametrize(("done", "verb"), [(False, "will be known"), (True, "is known")])
+def test_what_was_never_calibrated_will_be_known(done, verb):
+    effects = [off(None, 0.1), off(None, 0.3, instance=1)]
+    assert headline_of(effects, done=done) == f"Rate at rest {verb} to 0.3 deg/s."
+    assert text_of(effects[0], done=done) == f"rate at rest {verb} to 0.1 deg/s"
+
+
+def test_one_that_is_known_goes_before_those_that_are_not():
+    assert headline_of([off(None, 9.0), off(1.0, instance=1)]).startswith("Rate at rest is wrong by up to 1 deg/s")
+
+
+def test_nothing_left_is_no_division_by_zero():
+    assert headline_of([off(1.0, 0.0)]) == "Rate at rest is wrong by up to 1 deg/s, and will be good to 0 deg/s."
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(0.01234, "0.012 uT"), (99.4, "99 uT"), (100.0, "100 uT"), (1234.5, "1234 uT"), (0.0, "0 uT")]
+)
+def test_an_amount_has_two_digits_and_no_exponent(value, said):
+    assert amount(value, "uT") == said
