@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
+from bench.common_faults import changed, walk, white
 from bench.gap_recordings import broad_recording
 from mavcal.calib import gap, logs
 from mavcal.calib.blind.real import halves, injected
@@ -224,37 +225,24 @@ def test_a_vehicle_that_flies_differently_has_no_wrong_sensor(
     assert not report.unknown.flag
 
 
-def in_every_unit(recording: Recording, sensor: Sensor, each: Callable[[Channel], NDArray[np.float64]]) -> Recording:
-    """The same with something added to all units of a sensor, and of each its own."""
-    return recording.with_channels(
-        dataclasses.replace(c, values=c.values + each(c)) if c.sensor is sensor else c for c in recording.channels
-    )
-
-
 def test_what_all_units_have_is_named_on_all_of_them(shared_data: Path, tmp_path: Path) -> None:
     """Gyroscopes that wander bent the trajectory: a misalignment, a scale, the Earth's field and the reference."""
-    folder, rng = shared_data / "airframe_flights", np.random.default_rng(7)
-
-    def wander(c: Channel) -> NDArray[np.float64]:
-        steps = 1e-3 * np.sqrt(np.diff(c.t, prepend=c.t[0]))[:, None] * rng.standard_normal(c.values.shape)
-        return np.asarray(np.cumsum(steps, axis=0))
-
+    folder = shared_data / "airframe_flights"
     real, sim = (packed(folder / f"{file}.bin.xz", tmp_path) for file in ("d10", "d01sim"))
-    for sensor, each, known in (
-        (Sensor.GYRO, wander, {"gyro_random_walk": [1, 2]}),
-        (Sensor.MAG, lambda c: rng.standard_normal(c.values.shape), {"mag_noise": [1, 2, 3]}),
+    for sensor, fault, known in (
+        (Sensor.GYRO, walk(1e-3), {"gyro_random_walk": [1, 2]}),
+        (Sensor.MAG, white(1.0), {"mag_noise": [1, 2, 3]}),
     ):
-        report = gap.run(in_every_unit(real, sensor, each), sim, nested=False)
+        report = gap.run(changed(real, sensor, fault), sim, nested=False)
         assert {e.id: list(e.instances) for e in report.effects} == known
         assert not report.unknown.flag
 
 
 def test_noise_of_every_compass_hides_no_offset_of_one(shared_data: Path) -> None:
     """A difference of two flights was "jumps to and fro between two levels", in place of the offset."""
-    folder, rng = shared_data / "sitl_flights", np.random.default_rng(7)
+    folder = shared_data / "sitl_flights"
     real, sim = (logs.read(folder / f"{name}.bin") for name in ("bias", "null"))
-    real = in_every_unit(real, Sensor.MAG, lambda c: rng.standard_normal(c.values.shape))
-    report = gap.run(real, sim, nested=False)
+    report = gap.run(changed(real, Sensor.MAG, white(1.0)), sim, nested=False)
     own = {effect_id: instances for effect_id, (instances, _, _) in FLIGHTS["bias"].items()}
     assert {e.id: list(e.instances) for e in report.effects} == own | {"mag_noise": [1, 2, 3]}
     assert not report.unknown.flag
