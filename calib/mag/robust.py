@@ -34,6 +34,8 @@ _TRIALS = 150  # a tenth of the subsets is clean at 20 % of outliers, one in twe
 _SCORED = 300
 _MAJORITY = 1 << 15  # samples that are enough to know where the majority lies
 _PLAUSIBLE = 0.02  # of the radius: noise that a compass has; beyond, outliers may hide in the majority's spread
+_ROUND = 1.5  # longest radius over shortest: beyond, a few far samples may bend the ellipsoid through themselves
+_PART = 0.2  # of the radius: samples that cover a sphere lie a whole radius from their middle
 _MANY = 0.1  # fraction of outliers from which on the concentration steps are not trusted alone
 _CLEARLY = 0.7  # noise left by another start, relative, from which on that one is taken
 
@@ -54,7 +56,8 @@ def find_start(cloud: Cloud, whole: Moments, smallest_sd: float, model: MagModel
     """An ellipsoid of the form `model` near the majority of `cloud`, in its scale; `whole` are its moments.
 
     Adjusted least squares on all samples; if that leaves outliers, on those within three standard deviations, again
-    and again; if too many drop out that way, on the best of many small subsets.
+    and again. If too many drop out that way, or a far sample may have bent the first one through itself, on the best
+    of many small subsets.
 
     Raises
     ------
@@ -67,17 +70,28 @@ def find_start(cloud: Cloud, whole: Moments, smallest_sd: float, model: MagModel
     residuals = at_first.residuals
     sd = robust_sd(residuals[:: max(1, len(residuals) // _MAJORITY)], floor)
     clean = max(float(residuals.max()), -float(residuals.min())) <= OUTLIER * sd
-    if clean and (sd <= _PLAUSIBLE * first.mean_radius or _looks_normal(residuals)):
-        return Start(first, noise_sd, outliers=False, first=at_first)
-    best = first
+    fits = clean and (sd <= _PLAUSIBLE * first.mean_radius or _looks_normal(residuals))
+    bent = first.radii[2] > _ROUND * first.radii[0] or _swollen(cloud, first)
+    best, plain = first, Start(first, noise_sd, outliers=False, first=at_first)
+    if fits and not bent:
+        return plain
     if not clean:
         best, sd = _concentrated(cloud, first, floor, model)
-    if sd > _PLAUSIBLE * best.mean_radius or np.mean(np.abs(distances_from(cloud, best)) > OUTLIER * sd) > _MANY:
+    spread = sd > _PLAUSIBLE * best.mean_radius
+    if bent or spread or np.mean(np.abs(distances_from(cloud, best)) > OUTLIER * sd) > _MANY:
         other, other_sd = _concentrated(cloud, _consensus(cloud, best, model), floor, model)
         if other_sd < _CLEARLY * sd:
             best, sd = other, other_sd
+    if fits and best is first:
+        return plain
     residuals = distances_from(cloud, best)
     return Start(best, sd, outliers=bool(np.abs(residuals).max() > OUTLIER * sd))
+
+
+def _swollen(cloud: Cloud, ellipsoid: Ellipsoid) -> bool:
+    """Whether most samples lie in a small part of `ellipsoid`, which far ones may have drawn out to themselves."""
+    seen = cloud.take(slice(None, None, max(1, len(cloud) // _MAJORITY))).scaled()
+    return float(np.median(np.linalg.norm(seen - np.median(seen, axis=0), axis=1))) < _PART * ellipsoid.mean_radius
 
 
 def _looks_normal(residuals: Array) -> bool:

@@ -36,6 +36,23 @@ def test_the_noise_of_the_majority_is_found_whatever_the_outliers_are(seed: int,
     assert robust_sd(residuals, 1e-9) == pytest.approx(0.3, rel=0.12 if far > 4.0 else 0.3)
 
 
+@settings(max_examples=25)
+@given(st.integers(0, 1000), st.sampled_from([150.0, 300.0, 500.0, 1000.0, 3000.0]), st.integers(1, 3))
+def test_a_few_wild_samples_do_not_bend_the_start_through_themselves(seed: int, size: float, count: int) -> None:
+    """A glitch of the bus: its sample hangs the first least squares on itself and then passes as clean."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(500, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    offset, shape = np.array([20.0, -30.0, 10.0]), np.array([[47.0, 2.0, 1.0], [2.0, 50.0, -0.6], [1.0, -0.6, 53.0]])
+    samples = directions @ shape + offset + 0.5 * rng.normal(size=(500, 3))
+    samples[:count] = size * directions[:count]
+    found, cloud = start(samples)
+    where, _ = in_ut(found.ellipsoid, cloud)
+    np.testing.assert_allclose(where, offset, atol=0.4)
+    assert found.noise_sd * cloud.scale == pytest.approx(0.5, rel=0.25)
+    assert found.outliers
+
+
 def test_exact_data_have_the_noise_of_their_rounding() -> None:
     assert robust_sd(np.zeros(100), 1e-7) == 1e-7
     assert robust_sd(np.array([0.0, 0.0, 0.0, 5.0]), 1e-7) == 1e-7
