@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
+import click
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -18,6 +21,20 @@ FACES = (
     Rotation.from_euler("y", 90, degrees=True),
     Rotation.from_euler("y", -90, degrees=True),
 )
+
+
+@pytest.fixture(autouse=True)
+def _help_option_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command keeps the help option of its first run: one that was run alone would not know ``-h`` afterwards."""
+    invoke = CliRunner.invoke
+
+    def invoked(self: CliRunner, command: click.Command, *arguments: Any, **options: Any) -> Result:
+        try:
+            return invoke(self, command, *arguments, **options)
+        finally:
+            command._help_option = None
+
+    monkeypatch.setattr(CliRunner, "invoke", invoked)
 
 
 def channel(
