@@ -56,8 +56,8 @@ def find_start(cloud: Cloud, whole: Moments, smallest_sd: float, model: MagModel
     """An ellipsoid of the form `model` near the majority of `cloud`, in its scale; `whole` are its moments.
 
     Adjusted least squares on all samples; if that leaves outliers, on those within three standard deviations, again
-    and again. If too many drop out that way, or a far sample may have bent the first one through itself, on the best
-    of many small subsets.
+    and again. The best of many small subsets is tried if too many drop out that way. It is tried, too, if a far sample
+    may have bent the first ellipsoid through itself.
 
     Raises
     ------
