@@ -126,7 +126,7 @@ class Report:
         named = {v: [c.id.value for c in self.checks if c.verdict == v] for v in Verdict}
         if self.verdict == Verdict.PASS:
             return f"All {len(self.checks)} checks pass: this vehicle would arm now."
-        said = [f"{', '.join(ids)} {words}" for v, words in _WORDS if (ids := named[v])]
+        said = [f"{', '.join(ids)} {one if len(ids) == 1 else more}" for v, one, more in _WORDS if (ids := named[v])]
         return f"{len(named[Verdict.PASS])} of {len(self.checks)} checks pass; {'; '.join(said)}."
 
     def check(self, of: CheckId) -> Check:
@@ -135,9 +135,9 @@ class Report:
 
 
 _WORDS = (
-    (Verdict.FAIL, "failed"),
-    (Verdict.WARN, "deserve a look"),
-    (Verdict.UNKNOWN, "could not be checked"),
+    (Verdict.FAIL, "failed", "failed"),
+    (Verdict.WARN, "deserves a look", "deserve a look"),
+    (Verdict.UNKNOWN, "could not be checked", "could not be checked"),
 )
 
 

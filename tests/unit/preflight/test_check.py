@@ -70,6 +70,15 @@ def test_the_summary_names_what_failed() -> None:
     assert "accel_force failed" in Report((failed, unknown(CheckId.VIBRATION, "not heard"))).summary
 
 
+def test_one_check_deserves_a_look_and_two_deserve_one() -> None:
+    turned, shaking = (
+        judged(of, (measure(1.1, 0.2),), good="", remedy="Look.")
+        for of in (CheckId.COMPASS_DIRECTION, CheckId.VIBRATION)
+    )
+    assert "compass_direction deserves a look" in Report((turned,)).summary
+    assert "compass_direction, vibration deserve a look" in Report((turned, shaking)).summary
+
+
 def test_the_page_lists_every_check_and_limit_as_the_code_has_them() -> None:
     page = PAGE.read_text(encoding="utf-8")
     assert checks() in page
