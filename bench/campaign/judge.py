@@ -37,7 +37,7 @@ SET_BY_COMMAND = ("INS_ACC_ID", "INS_ACC2_ID", "INS_ACC3_ID", "COMPASS_DEV_ID", 
 
 @dataclass(frozen=True)
 class OwnWrite:
-    """What the vehicle stored by itself."""
+    """A parameter value that the vehicle stored unasked."""
 
     value: float
     after_end: bool
@@ -136,7 +136,7 @@ def _verified(e: Evidence, residuals: Iterable[Residual]) -> list[str]:
 def _as_before(e: Evidence) -> list[str]:
     """Every value is the old one. One of the vehicle's own or of a third party stays; the job names it.
 
-    What the vehicle stored after the job's end needs no name.
+    A value that the vehicle stored after the job's end need not be named.
     """
     complaints = _beside(e, [c["name"] for c in e.changes])
     named = {s["name"] for s in e.job["standing"]}

@@ -1,8 +1,8 @@
 """Capture: switch streams on, read calibration parameters, and feed frames to the procedure until it is done.
 
 The segment of the telemetry log begins before the parameters are read and ends after they were read again. It can
-therefore be fitted by itself at any time. Where the gyro is measured, samples from before the reading are left out: the
-vehicle may have rewritten its offsets between them and the reading.
+therefore be fitted by itself at any time. Samples from before the reading are left out: the vehicle may have rewritten
+its calibration between them and the reading.
 """
 
 from __future__ import annotations

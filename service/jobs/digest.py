@@ -7,7 +7,7 @@ closed segments, which gives the same digits whenever it is repeated.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -81,7 +81,7 @@ class LiveDigest:
         self._assembler = Assembler(identity, parameters)
         self._undo = Undo(identity, parameters)
         self._prefixes = CALIBRATION_PREFIXES.get(identity.autopilot or "", ())
-        self._known = KnownCalibration(_rewritten(kind, parameters))
+        self._known = KnownCalibration([name for name in parameters if name.startswith(self._prefixes)])
         self._parameters = dict(parameters)
         self._kind, self._options, self._created_at = kind, options, created_at
         self._waiting: list[Recording] = []
@@ -229,19 +229,16 @@ def fit_segments(request: JobFitRequest) -> Fitted:
     parameters = recording.parameters.final()
     context = context_of(request.kind, recording.identity, parameters, field_of(recording, request.created_at))
     answers = [OperatorAnswer(t, value) for t, value in request.answers]
-    autopilot, sensors = recording.identity.autopilot or "", specification(request.kind).sensors
-    read = parameters.keys() & needed(autopilot, sensors, parameters, drift=request.kind in DRIFT_KINDS)
-    known = KnownCalibration(_rewritten(request.kind, read))
+    known = KnownCalibration(_read_at_first(request.kind, recording.identity, parameters))
     outcome = replay(request.kind, request.options, context, known.feed(undo(recording)), answers)
     return Fitted(outcome, parameters)
 
 
-def _rewritten(kind: str, read: Iterable[str]) -> list[str]:
-    """The parameters, read by a capture first, that the vehicle may have rewritten just before.
-
-    A job whose result does not depend on them begins at once.
-    """
-    return [name for name in read if name in REWRITTEN and matters(name, specification(kind).measured)]
+def _read_at_first(kind: str, identity: Identity, parameters: Mapping[str, Value]) -> list[str]:
+    """The calibration parameters that the capture read before it fed its procedure."""
+    autopilot = identity.autopilot or ""
+    names = needed(autopilot, specification(kind).sensors, parameters, drift=kind in DRIFT_KINDS)
+    return [name for name in names if name in parameters and name.startswith(CALIBRATION_PREFIXES[autopilot])]
 
 
 def recording_of(spans: Sequence[LogSpan], system: int | None) -> Recording:

@@ -72,7 +72,7 @@ class Operator:
             self._once("tumble", "tumble", rate_dps=self._tumble_dps)
         elif prompt["step"] == "turn" and prompt["axis"] is not None:
             self._turn(prompt["axis"], prompt["turns"])
-        elif prompt["step"] == "place":
+        elif prompt["step"] == "place" or (prompt["step"] == "hold_still" and prompt["pose"] is not None):
             self._once(("place", prompt["pose"]), "hold", pose=prompt["pose"], tilt_deg=0.0, tremor_deg=0.0)
         elif prompt["step"] == "warm_up":
             self._once("warm_up", "warm_up", **self._warm_up)

@@ -64,7 +64,7 @@ class FlightController(ABC):
         """When by :attr:`elapsed`, name and value."""
         self.set_count = 0
         self.own_writes: list[tuple[float, str, float]] = []
-        """What the vehicle stored by itself, in the form of :attr:`sets`."""
+        """Values that the vehicle stored unasked, in the form of :attr:`sets`."""
         self.on_set: Callable[[int, str], None] = lambda _count, _name: None
         self.on_reboot: Callable[[], None] = lambda: None
         self.echo_filter: Callable[[str, Callable[[], None]], None] = lambda _name, echo: echo()

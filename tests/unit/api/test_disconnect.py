@@ -10,7 +10,7 @@ from mavcal.service.api.disconnect import Body, while_connected
 
 
 class Client:
-    """Whoever asks: what comes from it is what it is told to send."""
+    """A client that sends what the test tells it to."""
 
     def __init__(self):
         self.messages = asyncio.Queue()

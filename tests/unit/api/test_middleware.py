@@ -15,7 +15,7 @@ from tests.clock import ManualClock
 
 
 class Guard:
-    """Lets everybody in unless it is told to raise; notes whose key was asked for."""
+    """A guard that admits every request unless it has an error to raise; it notes whose key was checked."""
 
     def __init__(self):
         self.foreign = self.unknown = None
@@ -37,7 +37,7 @@ async def fine(_scope, _receive, send):
 
 
 class Asked:
-    """What an envelope around `app` answers to requests."""
+    """The answers of an envelope around `app`."""
 
     def __init__(self, app, **settings):
         self.guard, self.ending = Guard(), asyncio.Event()
@@ -273,7 +273,7 @@ def clock(monkeypatch):
 
 
 class Trickle:
-    """A body of which pieces come when they are given."""
+    """A request body whose pieces arrive when the test gives them."""
 
     def __init__(self):
         self.pieces = asyncio.Queue()

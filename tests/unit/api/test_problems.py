@@ -28,7 +28,7 @@ def request(path="/api/v1/jobs/j", root="", **more):
 
 @pytest.fixture
 def answered():
-    """What the application answers to an exception: the response and its document."""
+    """The response of the application to an exception, and its document."""
     app = FastAPI()
     install_problem_handlers(app)
 
