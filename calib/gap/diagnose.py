@@ -336,8 +336,17 @@ def _effects(
         for a in answer.gap
         if a.key not in denied
     )
-    wander = () if answer.wander is None else (wandering_reference(answer.wander, answer.attributions),)
-    return (*task.lattice.effects, *wander, *(e for e in found if not covered_by(task.lattice, e)))
+    wander = _unstated_wander(task, answer)
+    own = () if wander is None else (wandering_reference(wander, answer.attributions),)
+    return (*task.lattice.effects, *own, *(e for e in found if not covered_by(task.lattice, e)))
+
+
+def _unstated_wander(task: _Task, answer: _Answer) -> WanderFit | None:
+    """The reference's own error, unless a re-estimated trajectory states as much of itself."""
+    wander, reference = answer.wander, task.problem.reference
+    if wander is None or reference.kind is not ReferenceKind.ESTIMATOR:
+        return wander
+    return wander if wander.size_deg > reference.att_sigma_deg else None
 
 
 def _verdict(task: _Task, effects: tuple[EffectEstimate, ...], unknown: Unknown, *, small: bool) -> GapVerdict:

@@ -61,7 +61,7 @@ def nominal_baseline_of(
     baseline, before = NominalBaseline(()), 0.0
     for _ in range(_ROUNDS):
         problem = learned(baseline.in_ideal)
-        found = steady_effects(problem, alpha, GainThresholds(), _OF_ONE_RECORDING)
+        found = steady_effects(problem, alpha, GainThresholds(), _OF_ONE_RECORDING).supported
         gain = sum(one.gain for one in found)
         baseline = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
         if abs(gain - before) <= _SETTLED * before:

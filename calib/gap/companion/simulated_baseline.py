@@ -24,15 +24,20 @@ _DIFFERENT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Effects of a simulated flight, and the `reference` that it was compared with.
+    """What a simulated flight shows, and the `reference` that it was compared with.
 
-    By sensor: `gains` of the largest effect, and `changes` by all of them, as a sum of squares over the flight. Effects
-    that gain less than `accepted_difference` were not looked for.
+    `effects` are expected in another flight too. All that were `found` say how far two flights differ.
+
+    By sensor: `gains` of the largest effect; `changes` by all that were found, as a sum of squares over the flight;
+    `movement`, the mean square of the ideal readings about their mean. Effects that gain less than
+    `accepted_difference` were not looked for.
     """
 
     effects: tuple[EffectEstimate, ...]
+    found: tuple[EffectEstimate, ...]
     gains: Mapping[Sensor, float]
     changes: Mapping[Sensor, float]
+    movement: Mapping[Sensor, float]
     accepted_difference: Mapping[Sensor, float]
     reference: ReferenceInfo
 
@@ -50,12 +55,12 @@ def baseline_of(problem: GapProblem, alpha: float) -> Baseline:
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
     found = steady_effects(problem, alpha, GainThresholds(MinimumGain(small, small, small, small)))
     largest = {t.sensor: 0.0 for t in problem.traces}
-    for one in found:
+    for one in found.found:
         for sensor in one.sensors:
             largest[sensor] = max(largest[sensor], one.gain)
-    effects = tuple(one.effect for one in found)
-    changed, _ = with_effects(problem, effects, shared=True)
-    return Baseline(effects, largest, _changes(problem, changed), small, problem.reference)
+    effects, every = (tuple(one.effect for one in which) for which in (found.supported, found.found))
+    changes = _changes(problem, every)
+    return Baseline(effects, every, largest, changes, _movement(problem), small, problem.reference)
 
 
 def _undeclared(trace: Trace) -> Trace:
@@ -68,11 +73,38 @@ def _undeclared(trace: Trace) -> Trace:
 def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     """`problem` compared with a simulator that has what its own flight shows."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
-    livelier = _changes(problem, changed)
+    livelier = _changes(problem, baseline.found)
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
-    least = {s: max(small[s], _nuisance_gain(problem, baseline, livelier, s)) for s in small}
+    own = {s: _nuisance_gain(problem, baseline, livelier, s) for s in small}
+    moves = _movement(problem)
+    level = {s: max(small[s], own[s]) for s in small}
+    least = {s: max(_of_movement(problem, small[s], moves, baseline.movement, s), own[s]) for s in small}
     reference = _of_both(problem.reference, baseline.reference)
-    return replace(changed, minimum_gain=MinimumGain(least, least, least, least), reference=reference)
+    return replace(changed, minimum_gain=MinimumGain(least, least, level, least), reference=reference)
+
+
+def _of_movement(
+    problem: GapProblem, small: float, moves: Mapping[Sensor, float], before: Mapping[Sensor, float], sensor: Sensor
+) -> float:
+    """The accepted difference `small` of a flight that moves more than the simulated one did.
+
+    A reference errs in proportion to the movement: by its scale, its timing and its bandwidth. Evidence grows with the
+    square. A calmer flight is not expected to differ less.
+    """
+    calm = before.get(sensor, 0.0)
+    if not 0.0 < calm < moves.get(sensor, 0.0):
+        return small
+    return max(small, _evidence(problem, small * moves[sensor] / calm, sensor))
+
+
+def _movement(problem: GapProblem) -> dict[Sensor, float]:
+    """By sensor, the mean square of what ideal sensors read about their mean; the largest of its instances."""
+    found: dict[Sensor, float] = {}
+    for trace in problem.traces:
+        if trace.against is None:
+            square = float(trace.ideal[trace.observed].var(axis=0).sum())
+            found[trace.sensor] = max(found.get(trace.sensor, 0.0), square)
+    return found
 
 
 def _of_both(real: ReferenceInfo, simulated: ReferenceInfo) -> ReferenceInfo:
@@ -86,20 +118,26 @@ def _nuisance_gain(problem: GapProblem, baseline: Baseline, livelier: Mapping[Se
     """Twice the log-likelihood that what a simulated flight's nuisance effects leave open has in this one.
 
     A livelier flight shows more of them. Their parameters are as uncertain as a part of their own evidence, and as what
-    was too little to be asked for beside them. They are common to all instances; noise that is fitted again grows to
-    meet them, so that evidence counts as ``n log(1 + gain / n)``.
+    was too little to be asked for beside them. They are common to all instances. Noise that is fitted again grows to
+    meet them: evidence counts as ``n log(1 + gain / n)``.
     """
     there = baseline.changes.get(sensor, 0.0)
     if there == 0.0:
         return 0.0
     part = max(_DIFFERENT * baseline.gains.get(sensor, 0.0), baseline.accepted_difference.get(sensor, 0.0))
     gain = max(1.0, livelier.get(sensor, 0.0) / there) * part
+    return _evidence(problem, gain, sensor)
+
+
+def _evidence(problem: GapProblem, gain: float, sensor: Sensor) -> float:
+    """A `gain` beside noise that is fitted again."""
     numbers = max(3 * len(t.t) for t in problem.traces if t.sensor is sensor)
     return numbers * math.log1p(gain / numbers)
 
 
-def _changes(problem: GapProblem, changed: GapProblem) -> dict[Sensor, float]:
+def _changes(problem: GapProblem, effects: tuple[EffectEstimate, ...]) -> dict[Sensor, float]:
     """By sensor, sum of squares of what effects change of the ideal readings."""
+    changed, _ = with_effects(problem, effects, shared=True)
     total: dict[Sensor, float] = {}
     for before, after in zip(problem.traces, changed.traces, strict=True):
         step = (after.ideal - before.ideal)[before.observed]

@@ -5,22 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Key, hypotheses_of
-from mavcal.calib.gap.model.joint import setting_of, starting_model
+from mavcal.calib.gap.model.joint import Model, setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.selection import ChosenModel, last_gains, reduced, select
+from mavcal.calib.gap.search.selection import ChosenModel, last_gains, reduced, select, without
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.telling.estimates import estimates_of
+from mavcal.calib.gap.worth.attitude_error import below_reference
 from mavcal.calib.recording import Sensor
+
+_BY_CHANCE = 0.005
+"""Chance above which an effect is as large as the reference's own error makes it."""
+_FURTHER = 1.2
+"""Times what is left without an effect, above which it takes the readings further away."""
+_TINY = 1e-30
+"""Variance of a series that stands still."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,19 +42,37 @@ class SteadyEffect:
     sensors: tuple[Sensor, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class SteadyEffects:
+    """Effects that are `found` in a flight, and those that are `supported`: another flight is expected to have them.
+
+    Both are empty where nothing is found; they are the same where nothing is doubted.
+    """
+
+    found: tuple[SteadyEffect, ...] = ()
+    supported: tuple[SteadyEffect, ...] = ()
+
+
 @one_diagnosis()
 def steady_effects(
     problem: GapProblem, alpha: float, thresholds: GainThresholds, without: Sequence[str] = ()
-) -> list[SteadyEffect]:
+) -> SteadyEffects:
     """Steady effects on the mean that are significant beside each other, and above what recordings differ by anyway."""
     views = split(views_of(problem, {}, {}))
     hypotheses, _ = hypotheses_of([e for e in catalogue() if _carried(e) and e.id not in without], views)
     if not views or not hypotheses:
-        return []
+        return SteadyEffects()
     setting = setting_of(views)
     contest = Contest(hypotheses, floors=thresholds)
     chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
     chosen = reduced(chosen, _indifferent(chosen, contest))
+    found = _reported(chosen, contest)
+    doubted = _unsupported(chosen)
+    return SteadyEffects(found, _reported(reduced(chosen, doubted), contest) if doubted else found)
+
+
+def _reported(chosen: ChosenModel, contest: Contest) -> tuple[SteadyEffect, ...]:
+    """The effects of a model with their estimates."""
     gains = {key: gain for key, (gain, _, _) in last_gains(chosen.model, contest).items()}
     found = []
     for term in chosen.model.terms:
@@ -52,9 +80,10 @@ def steady_effects(
         instances = tuple(i + 1 for i in term.hypothesis.instances)
         evidence = EffectEvidence(gain, len(term.values), 0.0, 1.0, 0.0)
         estimate = EffectEstimate(effect.id, effect.sensor, instances, estimates_of(chosen, term), evidence)
+        views = chosen.model.setting.views
         seen = dict.fromkeys(v.sensor for v in views if effect.shared or v.sensor is effect.sensor)
         found.append(SteadyEffect(estimate, gain, tuple(seen)))
-    return found
+    return tuple(found)
 
 
 def _indifferent(chosen: ChosenModel, contest: Contest) -> list[Key]:
@@ -66,6 +95,30 @@ def _indifferent(chosen: ChosenModel, contest: Contest) -> list[Key]:
         if gains[term.hypothesis.key][0] < max(map(contest.floors.lasting, touched)):
             small.append(term.hypothesis.key)
     return small
+
+
+def _unsupported(chosen: ChosenModel) -> list[Key]:
+    """Effects that the reference's own error makes, or that take the readings further away from their ideal.
+
+    In another flight, which moves where this one did not, either of them would put something into the ideal that no
+    sensor has. The second kind fits noise: whitened samples weigh fast movement, which a re-estimated trajectory does
+    not follow.
+    """
+    model = chosen.model
+    left = _size(model)
+    further = [t.hypothesis.key for t in model.terms if left > _FURTHER * _size(without(model, t.hypothesis.key))]
+    return [*dict.fromkeys([*below_reference(model, chosen.joint, _BY_CHANCE), *further])]
+
+
+def _size(model: Model) -> float:
+    """Sum of squares of what is left about its mean, in units of the variance of each series.
+
+    An offset may stand in for a mean that another effect changes.
+    """
+    return sum(
+        float((left.var(axis=0) / np.maximum(view.residual.var(axis=0), _TINY)).sum() * len(left))
+        for view, left in zip(model.setting.views, model.residual, strict=True)
+    )
 
 
 def _carried(effect: CatalogueEffect) -> bool:

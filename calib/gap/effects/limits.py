@@ -34,8 +34,12 @@ def clipped_column(trace: Trace, limit: float) -> Array:
 
 
 def dead_column(trace: Trace, width: float) -> Array:
-    """Difference from the ideal reading of a sensor that reads zero within +-`width`."""
-    return np.where(np.abs(trace.ideal) < width, -trace.ideal, 0.0)[None]
+    """Difference from the ideal reading of a sensor that reads zero within +-`width`.
+
+    Nothing where the reference does not say what to read: there it would take the reference's own noise away.
+    """
+    size = np.abs(trace.ideal)
+    return np.where((size < width) & (size >= trace.ideal_blur), -trace.ideal, 0.0)[None]
 
 
 def _noise(trace: Trace) -> float:
@@ -72,7 +76,7 @@ def widths(trace: Trace) -> Array:
     """Half widths to try, ascending, in the unit of the readings."""
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())
     tried = _at_energies(size, np.cumsum(size**2), _noise(trace))
-    beyond = tried[tried > _BLURRED * trace.ideal_sd]
+    beyond = tried[tried > max(_BLURRED * trace.ideal_sd, trace.ideal_blur)]
     return beyond if len(beyond) else size[-1:]
 
 

@@ -15,20 +15,24 @@ from mavcal.calib.gap.reference.best_reference import BestReferences, best_refer
 from mavcal.calib.gap.reference.channels import corrected, not_undone, offset_changed, sensors_of
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.expected_noise import (
-    age_of,
     motor_noise_of,
     movement_of,
-    with_age_noise,
     with_heave_noise,
     with_motor_noise,
     with_movement_noise,
     with_sway_noise,
-    without_aged_samples,
 )
-from mavcal.calib.gap.reference.ideal import Ideal, continuous, trace_of
+from mavcal.calib.gap.reference.ideal import Ideal, continuous, trace_of, with_unit_noise
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
 from mavcal.calib.gap.reference.redundant import differences, faulty_instances_of
 from mavcal.calib.gap.reference.resolution import steps_of, with_simulated_step
+from mavcal.calib.gap.reference.sample_age import (
+    age_noise_of,
+    age_of,
+    with_age_noise,
+    with_aged_noise,
+    without_aged_samples,
+)
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.simulator import deviations, error_sd, simulated_ideal, with_error
 from mavcal.calib.recording import Channel, Recording, Sensor
@@ -145,6 +149,7 @@ def _learned(
         ]
     ages = ages_of([t for _, found in judged for t in found.traces])
     clean = [(n, tuple(_settled(t, ages) for t in found.traces)) for n, found in judged]
+    info = _info(chosen)
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))
     total, own = noise_of([trace for n, traces in clean for trace in traces if n is not sim or not of_readings])
     total |= {s: with_error(total[s], noise) if s in total else noise for s, noise in of_readings.items()}
@@ -153,13 +158,14 @@ def _learned(
     rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
     total = _of_one_rate(total, of_readings, sound.traces)
     rounded = [replace(t, ideal_sd=error_sd(n)) if (n := of_readings.get(t.sensor)) else t for t in rounded]
+    rounded = [with_unit_noise(t, info) for t in rounded]
     companion_traces = [trace for _, its in clean for trace in its]
     noisy = [with_noise(_settled(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
     driven = motor_noise_of(companion_traces)
-    info = _info(chosen)
     moved = movement_of([t for t in companion_traces if t.against is None]) if info.kind is ReferenceKind.POSE else {}
     noisy = [with_motor_noise(_with_more_noise(t, ages, companion_traces), driven) for t in noisy]
-    noisy = [with_movement_noise(t, moved) for t in noisy]
+    aged = {} if info.kind is ReferenceKind.POSE else age_noise_of(companion_traces)
+    noisy = [with_aged_noise(with_movement_noise(t, moved), aged) for t in noisy]
     traces = tuple(simulated_ideal(with_heave_noise(t, info), offsets) for t in noisy)
     warnings = (
         *not_undone(list(channels), real),

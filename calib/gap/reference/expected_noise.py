@@ -8,10 +8,7 @@ Movement: a pose errs by a share of the movement. Stamps that jitter, markers th
 a residual in proportion to the movement at each frequency. It has no fixed phase. An example: 2 ms of jitter are 6 % of
 a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
 
-Age of samples: a log writes the latest sample of every unit under one time. Each is older by up to a period of its own
-driver (SITL runs its inertial units at 1000 and 760 Hz). Their difference then has noise in proportion to how fast the
-reading changes, which no steady spectrum holds. A nominal recording shows the variance of that age. Samples in which it
-exceeds the other noise say nothing about the sensor; in the others it is expected.
+The age of samples: :mod:`calib.gap.reference.sample_age`.
 """
 
 from __future__ import annotations
@@ -24,50 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from mavcal.calib.gap.likelihood import AmplitudeFit, fit_amplitudes
+from mavcal.calib.gap.likelihood import fit_amplitudes
 from mavcal.calib.gap.problem import ReferenceInfo, Trace
-from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, on, pooled, with_more
+from mavcal.calib.gap.reference.noise import (
+    ResidualSpectrum,
+    hz_of,
+    learned,
+    on,
+    own_on,
+    pooled,
+    psd_of,
+    squares_of,
+    with_more,
+)
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
 _CHANCE = 1e-4
-"""Chance of steady noise that seems to follow the change of the reading."""
+"""Chance of steady noise that seems to follow the motor power."""
 _FEWEST = 64  # samples that say something of noise
-
-
-def slopes_squared(trace: Trace) -> Array:
-    """Square of the change of the reading in a second, (N, 3): mean of the steps to the samples before and after."""
-    known = trace.observed[1:] & trace.observed[:-1]
-    steps = np.where(known[:, None], (np.diff(trace.measured, axis=0) * trace.fs) ** 2, 0.0)
-    total = np.vstack([steps, np.zeros(3)]) + np.vstack([np.zeros(3), steps])
-    return np.asarray(total / np.maximum(np.convolve(known, [1.0, 1.0]), 1.0)[:, None])
-
-
-def age_of(nominal: Sequence[Trace]) -> float:
-    """Variance (s2) of the age of one unit's samples against the other's, the largest of differences `nominal`.
-
-    Zero where the noise does not follow the change of the reading.
-    """
-    return max((_age(trace) for trace in nominal if trace.observed.sum() >= _FEWEST), default=0.0)
-
-
-def _age(trace: Trace) -> float:
-    slopes = slopes_squared(trace)[trace.observed].T.ravel()
-    steady = _fitted(trace, np.zeros(len(slopes)), ())
-    if not slopes.any() or steady is None:
-        return 0.0
-    unit = float(_squares(trace).mean() / slopes.mean())
-    aged = _fitted(trace, np.zeros(len(slopes)), (unit * slopes,))
-    if aged is None or chdtrc(1, max(steady.deviance - aged.deviance, 0.0)) > _CHANCE:
-        return 0.0
-    return unit * float(aged.amplitudes[3])
-
-
-def _squares(trace: Trace) -> Array:
-    """Squares (n, 3) of what the observed samples are off the median."""
-    residual = trace.residual[trace.observed]
-    return np.asarray((residual - np.median(residual, axis=0)) ** 2)
 
 
 def with_sway_noise(trace: Trace, nominal: Sequence[Trace]) -> Trace:
@@ -81,7 +54,7 @@ def with_sway_noise(trace: Trace, nominal: Sequence[Trace]) -> Trace:
     if trace.against is None or not before:
         return trace
     nominal_movement = np.maximum(np.mean(before, axis=0), np.maximum(1e-12 * now, np.finfo(float).tiny))
-    left = np.mean([_squares(n).mean(axis=0) for n in nominal], axis=0)
+    left = np.mean([squares_of(n).mean(axis=0) for n in nominal], axis=0)
     known = trace.observed[1:] & trace.observed[:-1]
     there = 0.5 * (np.diff(trace.residual, axis=0)[known] ** 2).mean(axis=0)
     return with_more(trace, np.clip(there - left, 0.0, left * np.maximum(now / nominal_movement - 1.0, 0.0)))
@@ -98,32 +71,6 @@ def _common(trace: Trace) -> Array:
         return np.zeros(3)
     one, other = (np.diff(reading, 2, axis=0)[known] * trace.fs**2 for reading in (trace.measured, trace.ideal))
     return np.asarray(np.maximum((one * other).mean(axis=0), 0.0))
-
-
-def _fitted(trace: Trace, base: Array, more: Sequence[Array]) -> AmplitudeFit | None:
-    """Steady noise of each axis, in units of its mean square, beside `base` and variances `more`, all (3 n,)."""
-    squares = _squares(trace)
-    if not squares.any(axis=0).all():
-        return None
-    steady = np.kron(np.diag(squares.mean(axis=0)), np.ones(len(squares)))
-    return fit_amplitudes(squares.T.ravel(), np.ones(squares.size), base, [*steady, *more])
-
-
-def without_aged_samples(trace: Trace, age: float) -> Trace:
-    """`trace` without the samples in which an `age` of that variance (s2) is more than the noise beside it."""
-    expected = age * slopes_squared(trace)
-    rest = _fitted(trace, expected[trace.observed].T.ravel(), ())
-    if rest is None:
-        return trace
-    noise = rest.amplitudes * _squares(trace).mean(axis=0)
-    return dataclasses.replace(trace, observed=trace.observed & ~(expected > noise).any(axis=1))
-
-
-def with_age_noise(trace: Trace, age: float, nominal: Sequence[Trace]) -> Trace:
-    """`trace` with the noise that its faster movement adds to what the `nominal` ones show, all of them settled."""
-    nominal_slopes = np.mean([slopes_squared(n)[n.observed].mean(axis=0) for n in nominal], axis=0)
-    more = age * np.maximum(slopes_squared(trace)[trace.observed].mean(axis=0) - nominal_slopes, 0.0)
-    return with_more(trace, more)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -220,11 +167,11 @@ def with_movement_noise(trace: Trace, nominal: Mapping[Sensor, ResidualSpectrum]
     if own is None:
         return trace
     before = nominal[trace.sensor]
-    hz = np.unique(np.concatenate([own.hz, before.hz[before.hz < 0.5 * trace.fs], _hz_of(trace)]))
-    psd = _psd_of(trace, hz)
+    hz = np.unique(np.concatenate([own.hz, before.hz[before.hz < 0.5 * trace.fs], hz_of(trace)]))
+    psd = psd_of(trace, hz)
     was, now = (on(spectrum, hz, trace.fs, trace.low_pass_hz) for spectrum in (before, own))
     expected = psd * (1.0 + np.maximum(now - was, 0.0) / (was + psd))
-    return dataclasses.replace(trace, psd=expected, psd_hz=hz, own_psd=_own_on(trace, hz))
+    return dataclasses.replace(trace, psd=expected, psd_hz=hz, own_psd=own_on(trace, hz))
 
 
 def with_heave_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
@@ -240,14 +187,14 @@ def with_heave_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
     own = learned(trace)
     if own is None:
         return trace
-    hz = np.unique(np.concatenate([_hz_of(trace), own.hz]))
-    psd, felt = _psd_of(trace, hz), on(own, hz, trace.fs, trace.low_pass_hz)
+    hz = np.unique(np.concatenate([hz_of(trace), own.hz]))
+    psd, felt = psd_of(trace, hz), on(own, hz, trace.fs, trace.low_pass_hz)
     heaves, shakes = (hz > bandwidth) & (hz < _BODY_HZ), hz > max(bandwidth, _BODY_HZ)
     psd[heaves] = np.maximum(psd[heaves], felt[heaves])
     if not _loud_at_rest(trace, hz, psd):
         between_lines = np.exp(_median_about(hz, np.log(felt)))
         psd[shakes] = np.maximum(psd[shakes], between_lines[shakes])
-    return dataclasses.replace(trace, psd=psd, psd_hz=hz, own_psd=_own_on(trace, hz))
+    return dataclasses.replace(trace, psd=psd, psd_hz=hz, own_psd=own_on(trace, hz))
 
 
 def _loud_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
@@ -270,20 +217,3 @@ def _median_about(hz: Array, values: Array) -> Array:
     """Medians of `values` (K, 3) over frequencies within a part of each: what lies between lines."""
     low, high = np.searchsorted(hz, hz * (1.0 - _ABOUT)), np.searchsorted(hz, hz * (1.0 + _ABOUT))
     return np.array([np.median(values[a : max(b, a + 1)], axis=0) for a, b in zip(low, high, strict=True)])
-
-
-def _hz_of(trace: Trace) -> Array:
-    return np.zeros(0) if trace.psd_hz is None else trace.psd_hz
-
-
-def _psd_of(trace: Trace, hz: Array) -> Array:
-    if trace.psd is None:
-        assert trace.sigma is not None
-        return np.tile(trace.sigma**2, (len(hz), 1))
-    return np.column_stack([np.interp(hz, _hz_of(trace), column) for column in trace.psd.T])
-
-
-def _own_on(trace: Trace, hz: Array) -> Array | None:
-    if trace.own_psd is None:
-        return None
-    return np.column_stack([np.interp(hz, _hz_of(trace), column) for column in trace.own_psd.T])

@@ -6,6 +6,7 @@ A recorded reference is in ``ref_*`` columns, or is the readings of a simulator 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,6 +22,11 @@ from mavcal.calib.gap.reference.simulator import denoised
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
+
+_QUIET_S = 1.0
+"""Length of the stretches; the quietest tells the noise of a reading."""
+_BLURRED = 5.0
+"""Standard deviations of that noise, within which a reading says nothing of movement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +117,22 @@ def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: 
     )
     body = {} if ideal is None else ideal.body(at_points[keep])
     return dataclasses.replace(trace, **body, **_vehicle(recording, channel, trace.t))
+
+
+def with_unit_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
+    """`trace` with the size of reading that is noise of the inertial unit inside the reference.
+
+    The trajectory follows that unit between its other measurements. At rest this is all that moves in the ideal
+    reading; a flight without rest bounds it by its quietest second.
+    """
+    bandwidth = {Sensor.ACCEL: reference.bandwidth_hz, Sensor.GYRO: reference.turns_hz}.get(trace.sensor, math.inf)
+    width = max(2, round(_QUIET_S * trace.fs))
+    count = len(trace.t) // width
+    if trace.against is not None or math.isinf(bandwidth) or not count:
+        return trace
+    parts = trace.ideal[: count * width].reshape(count, width, 3)
+    quietest = float(parts.std(axis=1).max(axis=1).min())
+    return dataclasses.replace(trace, ideal_blur=_BLURRED * quietest)
 
 
 def _span(observed: NDArray[np.bool_]) -> slice:

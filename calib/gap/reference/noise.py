@@ -250,3 +250,29 @@ def on(noise: ResidualSpectrum, hz: Array, fs: float, low_pass_hz: float | None)
     change = (filter_gain(at, low_pass_hz) / filter_gain(at, noise.low_pass_hz)) ** 2 * (fs / noise.fs)
     logs = np.log(noise.psd[known] * change[:, None])
     return np.asarray(np.exp(np.column_stack([np.interp(np.log(hz), np.log(at), column) for column in logs.T])))
+
+
+def hz_of(trace: Trace) -> Array:
+    """Frequencies (K,) at which the noise of `trace` is known; none where it is white or not known."""
+    return np.zeros(0) if trace.psd_hz is None else trace.psd_hz
+
+
+def psd_of(trace: Trace, hz: Array) -> Array:
+    """The noise (K, 3) that is known of `trace`, at `hz` (K,); it has a spectrum or a `sigma`."""
+    if trace.psd is None:
+        assert trace.sigma is not None
+        return np.tile(trace.sigma**2, (len(hz), 1))
+    return np.column_stack([np.interp(hz, hz_of(trace), column) for column in trace.psd.T])
+
+
+def own_on(trace: Trace, hz: Array) -> Array | None:
+    """The same of the sensor alone; None where that is not known."""
+    if trace.own_psd is None:
+        return None
+    return np.column_stack([np.interp(hz, hz_of(trace), column) for column in trace.own_psd.T])
+
+
+def squares_of(trace: Trace) -> Array:
+    """Squares (n, 3) of what the observed samples are off the median."""
+    residual = trace.residual[trace.observed]
+    return np.asarray((residual - np.median(residual, axis=0)) ** 2)

@@ -69,7 +69,10 @@ def misattributed_noise(model: Model) -> tuple[MisattributedNoise, ...]:
 
 
 def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
-    """Whether the axes' drifts are correlated (Bartlett): then something drives them together."""
+    """Whether the axes' drifts are correlated (Bartlett): then something drives them together.
+
+    An axis that reads the same as its reference has no drift, and drives nothing.
+    """
     view = model.setting.views[v]
     y, own = [], []
     for c in range(3):
@@ -82,9 +85,13 @@ def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
         return None
     low = np.array(y)[:, bins]
     norm = np.sqrt((low**2).sum(axis=1))
-    correlation = (low @ low.T) / np.outer(norm, norm)
-    statistic = -(len(bins) - 1.0 - 11.0 / 6.0) * math.log(max(float(np.linalg.det(correlation)), 1e-300))
-    p = float(chdtrc(3, statistic))
+    live = norm > 0.0
+    k = int(live.sum())
+    if k < 2:
+        return None
+    correlation = (low[live] @ low[live].T) / np.outer(norm[live], norm[live])
+    statistic = -(len(bins) - 1.0 - (2.0 * k + 5.0) / 6.0) * math.log(max(float(np.linalg.det(correlation)), 1e-300))
+    p = float(chdtrc(k * (k - 1) // 2, statistic))
     if p > _DRIVEN:
         return None
     scale = np.array([math.sqrt(float(model.noise[3 * v + c].power[bins].mean())) for c in range(3)])

@@ -64,19 +64,22 @@ def _moved(model: Model, joint: Joint) -> Array:
 
     The attitude is off by a rotation of standard deviation :attr:`View.att_sd` about each axis. Half of its variance is
     constant, half grows evenly over the recording; :attr:`View.inside_sd` are those of what was estimated with it.
-    They move the amplitudes by ``C X' W R`` (first order), `R` being the readings' change with them. Nothing where the
-    error is itself in the model.
+    They move the amplitudes by ``C X' W R`` (first order), `R` being the readings' change with them. Where the attitude
+    that wanders is itself in the model, what was estimated with it is left.
     """
     count = len(joint.covariance)
     known = all(view.att_sd == 0.0 for view in model.setting.views if view.reference_error)
-    if known or model.ridge is not None or not count:
+    if known or not count:
         return np.zeros((count, 0))
     blocks = [jacobian(term, model.setting) for term in model.terms]
-    gram = normal_equations([*blocks, _errors(model.setting)], model.y, model.weight).gram
+    if model.ridge is not None:
+        blocks.append(model.ridge.columns)
+    errors = _errors(model.setting, tilts=model.ridge is None)
+    gram = normal_equations([*blocks, errors], model.y, model.weight).gram
     return np.asarray(joint.covariance @ gram[:count, count:])
 
 
-def _errors(setting: Setting) -> HypothesisColumns:
+def _errors(setting: Setting, *, tilts: bool) -> HypothesisColumns:
     """What readings change by each error of one standard deviation."""
     times = [view.t for view in setting.views]
     first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
@@ -84,7 +87,8 @@ def _errors(setting: Setting) -> HypothesisColumns:
     for v, view in enumerate(setting.views):
         if view.reference_error:
             block = np.zeros((_ERRORS, view.n, 3))
-            block[_TILTS] = math.sqrt(0.5) * view.att_sd * _turned(view, first, last)
+            if tilts:
+                block[_TILTS] = math.sqrt(0.5) * view.att_sd * _turned(view, first, last)
             if view.inside_sd and view.sensor is Sensor.GYRO:
                 block[_MATRIX] = _by_matrix(view)
             if view.inside_sd and view.sensor is Sensor.MAG:

@@ -67,7 +67,7 @@ def test_what_the_simulated_flight_shows_less_than_the_real_one_must_be_clear(si
     floor = beside(flight(2, shared), simulated).minimum_gain.lasting
     numbers = flight(2).traces[0].ideal.size
     assert np.expm1(floor[Sensor.ACCEL] / numbers) * numbers >= 0.1 * simulated.gains[Sensor.ACCEL]
-    clean = beside(flight(2), baseline_of(flight(1), ALPHA))
+    clean = beside(flight(2), baseline_of(flight(2), ALPHA))
     assert clean.minimum_gain.lasting[Sensor.ACCEL] == pytest.approx(0.03 * 3 * len(clean.traces[0].t))
 
 
@@ -137,6 +137,22 @@ def test_a_livelier_flight_must_show_more(simulated):
         beside(lively, simulated).minimum_gain.lasting[Sensor.ACCEL]
         > 1.5 * beside(calm, simulated).minimum_gain.lasting[Sensor.ACCEL]
     )
+
+
+def test_a_flight_that_moves_more_may_differ_more_but_not_in_its_level():
+    """A reference errs in proportion to the movement; an offset is as easily seen in either flight."""
+    calm = flight(2)
+    trace = calm.traces[0]
+    fast = dataclasses.replace(trace, ideal=3.0 * trace.ideal, measured=3.0 * trace.ideal + trace.residual)
+    lively = dataclasses.replace(calm, traces=(fast,))
+    plain = baseline_of(flight(2), ALPHA)
+    before, after = beside(calm, plain).minimum_gain, beside(lively, plain).minimum_gain
+    numbers = trace.ideal.size
+    assert before.lasting[Sensor.ACCEL] == pytest.approx(prices.FLIGHT_DIFFERENCE * numbers)
+    assert after.lasting[Sensor.ACCEL] == pytest.approx(numbers * np.log1p(9.0 * prices.FLIGHT_DIFFERENCE))
+    assert after.level[Sensor.ACCEL] == before.level[Sensor.ACCEL]
+    calmer = beside(calm, baseline_of(lively, ALPHA)).minimum_gain
+    assert calmer.lasting[Sensor.ACCEL] == before.lasting[Sensor.ACCEL]
 
 
 def test_noise_is_learned_beside_the_nuisance_effects(simulated):

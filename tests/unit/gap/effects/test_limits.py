@@ -107,3 +107,22 @@ def test_noise_of_the_reference_is_no_limit():
     )
     assert widths(trace).min() > 0.05
     assert limits(trace).max() < np.abs(ideal).max() - 0.05
+
+
+def test_noise_inside_the_reference_is_no_dead_band():
+    """A reference that follows another unit has its noise: to set it to zero at rest would explain that noise."""
+    trace = with_sigma(make(Sensor.GYRO, fs=50.0))
+    noise = 1e-3 * np.random.default_rng(3).standard_normal(trace.ideal.shape)
+    still = np.zeros_like(trace.ideal)
+    still[len(still) // 2 :] = trace.ideal[len(still) // 2 :]
+    exact = dataclasses.replace(trace, ideal=still + noise, measured=still, sigma=np.full(3, 1e-4))
+    effect = forward_models()["gyro_dead_band"][-1]
+
+    def gain(t):
+        level = float((t.residual**2).sum())
+        return max(level - amplitudes(effect, t, theta)[2] for theta in effect.shape.grid(t)) / level
+
+    assert gain(exact) > 0.3
+    blurred = dataclasses.replace(exact, ideal_blur=5e-3)
+    assert widths(blurred).min() > 5e-3
+    assert gain(blurred) < 0.05

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.expected_noise import age_of, with_age_noise, with_sway_noise, without_aged_samples
+from mavcal.calib.gap.reference.expected_noise import with_sway_noise
+from mavcal.calib.gap.reference.noise import learned, on
+from mavcal.calib.gap.reference.sample_age import (
+    age_noise_of,
+    age_of,
+    with_age_noise,
+    with_aged_noise,
+    without_aged_samples,
+)
 from mavcal.calib.recording import Sensor
 
 AGE, NOISE, FS = 1e-3, 1e-3, 25.0
@@ -79,3 +87,54 @@ def test_two_units_differ_more_in_gusts_and_noise_of_one_of_them_is_no_gust():
         with_sway_noise(noisy, [calm]).psd is None
         or with_sway_noise(noisy, [calm]).psd.mean() < 0.1 * noisy.residual.var()
     )
+
+
+def flight_of(swings, seed=0, age=AGE):
+    """A gyroscope beside a reference that turns by `swings` rad/s about x, y, z; samples are late by `age` (sd)."""
+    made = pair(seed, 1.0)
+    rng = np.random.default_rng(seed + 100)
+    ideal = made.ideal * np.asarray(swings)
+    slope = np.gradient(ideal, 1.0 / FS, axis=0)
+    late = slope * age * rng.standard_normal((len(made.t), 1))
+    measured = ideal + late + 1e-5 * rng.standard_normal(ideal.shape)
+    return dataclasses.replace(made, measured=measured, ideal=ideal, against=None)
+
+
+def declared(trace, spectrum):
+    """`trace` with the noise that another flight has."""
+    return dataclasses.replace(trace, psd=spectrum.psd, psd_hz=spectrum.hz)
+
+
+def excess(trace):
+    """Power there over the power expected, by axis."""
+    there = learned(trace)
+    return there.dof @ (there.psd / on(dataclasses.replace(there, psd=expected(trace, there.hz)), there.hz, FS, None))
+
+
+def expected(trace, hz):
+    return np.column_stack([np.interp(hz, trace.psd_hz, column) for column in trace.psd.T])
+
+
+def test_an_axis_that_another_flight_did_not_turn_is_expected_to_be_as_late_as_those_that_it_did():
+    calm, lively = flight_of((1.0, 1.0, 0.0)), flight_of((4.0, 1.0, 3.0), 1)
+    plain = declared(lively, learned(calm))
+    made = with_aged_noise(plain, age_noise_of([calm]))
+    count = learned(lively).dof.sum()
+    assert (excess(plain) / count)[[0, 2]].min() > 10.0
+    assert (excess(made) / count).max() < 3.0
+    assert made.psd[:, 1] == pytest.approx(expected(plain, made.psd_hz)[:, 1], rel=0.3)
+
+
+def test_a_calmer_flight_is_not_expected_to_be_quieter_by_its_age():
+    calm, lively = flight_of((1.0, 1.0, 1.0)), flight_of((3.0, 3.0, 3.0), 1)
+    plain = declared(calm, learned(lively))
+    assert with_aged_noise(plain, age_noise_of([lively])) is plain
+
+
+def test_noise_that_does_not_follow_the_movement_says_nothing_of_age():
+    assert age_noise_of([flight_of((1.0, 1.0, 1.0), s, age=0.0) for s in range(10)]) == {}
+
+
+def test_pairs_and_single_units_have_an_age_of_their_own():
+    found = age_noise_of([flight_of((1.0, 1.0, 1.0)), dataclasses.replace(flight_of((1.0, 1.0, 1.0), 1), against=0)])
+    assert set(found) == {(Sensor.GYRO, True), (Sensor.GYRO, False)}

@@ -20,11 +20,11 @@ from mavcal.calib.recording import Sensor
 G, FS, N, SD = Sensor.GYRO, 50.0, 2000, 0.003
 
 
-def model_of(change, *, rounding=0.0, seed=0, n=N, **over):
+def model_of(change, *, rounding=0.0, seed=0, n=N, live=(1.0, 1.0, 1.0), **over):
     rng = np.random.default_rng(seed)
     t = np.arange(n) / FS
     ideal = 0.3 * np.sin(0.7 * t)[:, None] * [1.0, -0.5, 0.2]
-    measured = ideal + SD * rng.normal(size=ideal.shape) + change
+    measured = ideal + (SD * rng.normal(size=ideal.shape) + change) * live
     if rounding:
         measured = np.round(measured / rounding) * rounding
     trace = Trace(G, (0,), t, measured, ideal, np.ones(n, dtype=bool), **{"sigma": np.full(3, SD), **over})
@@ -109,6 +109,21 @@ def test_a_walk_that_the_axes_share_has_one_driver(seed):
     found = np.array(driver.direction)
     assert abs(found @ direction) / np.linalg.norm(direction) == pytest.approx(1.0, abs=0.05)
     assert "hidden scalar driver" in misattributed_noise(model)[0].text
+
+
+@pytest.mark.parametrize("live", [(1.0, 0.0, 0.0), (1.0, 1.0, 0.0)])
+def test_axes_that_read_the_same_as_their_reference_are_driven_by_nothing(live):
+    """Compasses of a simulator agree to the last digit; the correlation with such an axis is no number."""
+    for seed in range(5):
+        model, term = wandering(model_of(walk(seed + 50), seed=seed, live=live))
+        assert coherent(model, 0, term) is None
+
+
+def test_two_axes_that_one_driver_moves_are_told_beside_one_without_a_residual():
+    model, term = wandering(model_of(walk(20)[:, :1] * [0.8, -0.6, 0.0], live=(1.0, 1.0, 0.0)))
+    driver = coherent(model, 0, term)
+    assert driver is not None
+    assert abs(np.array(driver.direction) @ [0.8, -0.6, 0.0]) == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -46,3 +46,35 @@ def test_a_bias_beside_a_tilt_is_as_uncertain_as_the_tilt():
 
 def test_a_reference_that_is_exact_adds_nothing():
     assert all(p.se < 1.5 * WHITE for p in estimated(kind=ReferenceKind.SIM))
+
+
+def beside_a_wandering_attitude(stated_deg, kind=ReferenceKind.ESTIMATOR):
+    """All sensors beside an attitude that wanders by 0.5 degrees, and a gyroscope with crossed axes."""
+    reference = ReferenceInfo(kind, stated_deg, gyro_sd=(0.02,) * 9, field_sd=(0.3,) * 3)
+    slow = np.random.default_rng(7).standard_normal((4, 3))
+
+    def error(flight, sensor):
+        if sensor is Sensor.GYRO:
+            return 0.0
+        t = flight["t"]
+        turn = math.radians(0.5) * sum(np.sin(0.1 * np.pi * (k + 1) * t)[:, None] * slow[k] for k in range(4))
+        return np.cross(flight["force" if sensor is Sensor.ACCEL else "field"], turn)
+
+    def crossed(trace):
+        if trace.sensor is not Sensor.GYRO:
+            return 0.0
+        return trace.ideal @ np.array([[0.0, 0.01, 0.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.0]])
+
+    problem = problem_of(
+        np.random.default_rng(3), (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG), crossed, reference=reference, error=error
+    )
+    return diagnose(problem, nested=False)
+
+
+def test_what_a_re_estimated_trajectory_states_of_itself_is_no_finding():
+    report = beside_a_wandering_attitude(stated_deg=1.5)
+    assert [e.id for e in report.effects] == []
+
+
+def test_an_attitude_that_wanders_more_than_it_states_is_a_finding():
+    assert "reference_attitude" in [e.id for e in beside_a_wandering_attitude(stated_deg=0.05).effects]
