@@ -98,7 +98,7 @@ class _Answer:
     @cached_property
     def tolerated(self) -> frozenset[Key]:
         """Effects by which two recordings differ anyway, or that the reference's own error makes: they are no gap."""
-        thresholds, gains = self.contest.floors, {a.key: a.gain for a in self.attributions}
+        thresholds, gains = self.contest.thresholds, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
         small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.reporting(h))
         return self.small | small | below_reference(self.chosen.model, self.chosen.joint, _BY_CHANCE)
@@ -190,7 +190,7 @@ def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: Ga
     hypotheses, missing = hypotheses_of(effects, views, problem.worse)
     start = starting_model(setting, starting_noise(setting))
     bare = refitted(start).model
-    contest = Contest(hypotheses, floors=GainThresholds(problem.minimum_gain), pace=pace)
+    contest = Contest(hypotheses, thresholds=GainThresholds(problem.minimum_gain), pace=pace)
     contest = above_nuisance(contest, start, problem.nuisance)
     return _Task(problem, lattice, bare, contest, missing)
 

@@ -113,7 +113,7 @@ def _with_steps(
     jumps = [h for h in contest.hypotheses if h.effect.jumps and h.effect.sensor is sensor]
     drifts = [t.hypothesis.key for t in chosen.model.noise_terms if _drifts(t, sensor)]
     bare = reduced(chosen, drifts) if drifts else chosen
-    found = grown(bare, contest.among(jumps).without_floors(), level)
+    found = grown(bare, contest.among(jumps).without_thresholds(), level)
     small = [t.hypothesis.key for t in _jumps(found, sensor) if max(s.at(t.theta) for s in own) < least]
     found = reduced(found, small) if small else found
     steps = [t.hypothesis for t in _jumps(found, sensor)]
@@ -121,7 +121,7 @@ def _with_steps(
         return chosen
     without = reduced(found, [h.key for h in steps])
     gain = sum(without.noise.deviance.values()) - sum(found.noise.deviance.values())
-    return found if gain > min(map(contest.floors.joining, steps)) else chosen
+    return found if gain > min(map(contest.thresholds.joining, steps)) else chosen
 
 
 def _jumps(chosen: ChosenModel, sensor: Sensor) -> list[Term]:

@@ -28,7 +28,9 @@ def above_nuisance(contest: Contest, bare: Model, nuisance: tuple[NuisanceEffect
     effects would gain less.
     """
     own = _gains(contest, bare, nuisance) if nuisance else {}
-    return Contest(contest.hypotheses, floors=GainThresholds(contest.floors.minimum_gain, own), pace=contest.pace)
+    return Contest(
+        contest.hypotheses, thresholds=GainThresholds(contest.thresholds.minimum_gain, own), pace=contest.pace
+    )
 
 
 def _gains(contest: Contest, bare: Model, nuisance: tuple[NuisanceEffect, ...]) -> Mapping[Key, float]:

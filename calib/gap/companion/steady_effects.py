@@ -63,7 +63,7 @@ def steady_effects(
     if not views or not hypotheses:
         return SteadyEffects()
     setting = setting_of(views)
-    contest = Contest(hypotheses, floors=thresholds)
+    contest = Contest(hypotheses, thresholds=thresholds)
     chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
     chosen = reduced(chosen, _indifferent(chosen, contest))
     found = _reported(chosen, contest)
@@ -92,7 +92,7 @@ def _indifferent(chosen: ChosenModel, contest: Contest) -> list[Key]:
     small = []
     for term in chosen.model.terms:
         touched = (v.sensor for v in chosen.model.setting.views if term.hypothesis.touches(v))
-        if gains[term.hypothesis.key][0] < max(map(contest.floors.lasting, touched)):
+        if gains[term.hypothesis.key][0] < max(map(contest.thresholds.lasting, touched)):
             small.append(term.hypothesis.key)
     return small
 

@@ -190,4 +190,4 @@ def with_weight(model: Model) -> Model:
 
 def contest_of(hypotheses: Sequence[Hypothesis], thresholds: GainThresholds) -> Contest:
     """A contest of its own: every fold has other columns, and only as many are kept as one selection asks for."""
-    return Contest(hypotheses, budget=16_000_000, floors=thresholds)
+    return Contest(hypotheses, budget=16_000_000, thresholds=thresholds)

@@ -251,7 +251,7 @@ def _selected_again(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: fl
     level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
     if not few:
         return predictive_loss(refitted(fold.train).model, fold.test)
-    found = select(refitted(fold.train).model, contest_of(few, contest.floors), level)
+    found = select(refitted(fold.train).model, contest_of(few, contest.thresholds), level)
     return predictive_loss(found.model, fold.test)
 
 

@@ -141,13 +141,13 @@ def hypotheses_of(
 
 def _at_fault(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) -> tuple[int, ...] | None:
     """Which instances have what an effect describes; None: nothing says."""
-    told = worse.get(effect.sensor)
-    if effect.shared or told is None:
+    faulty = worse.get(effect.sensor)
+    if effect.shared or faulty is None:
         return None
     noise = isinstance(effect, NoiseEffect)
     if effect.tonal or (noise and not effect.drifts):
-        return told.fast
-    return told.fast if noise and told.slow is None else told.slow
+        return faulty.fast
+    return faulty.fast if noise and faulty.slow is None else faulty.slow
 
 
 def _handicap(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> float:

@@ -111,26 +111,26 @@ class Contest:
         self,
         hypotheses: Sequence[Hypothesis],
         budget: int = 40_000_000,
-        floors: GainThresholds | None = None,
-        kept: ColumnCache | None = None,
+        thresholds: GainThresholds | None = None,
+        cache: ColumnCache | None = None,
         pace: GapPace | None = None,
     ) -> None:
         self.hypotheses = tuple(hypotheses)
-        self.floors = floors or GainThresholds()
+        self.thresholds = thresholds or GainThresholds()
         self.pace = pace or GapPace()
-        self._kept = ColumnCache(budget) if kept is None else kept
+        self._cache = ColumnCache(budget) if cache is None else cache
 
     def among(self, hypotheses: Sequence[Hypothesis]) -> Contest:
         """A contest of other hypotheses on the same setting, which shares the columns that were made."""
-        return Contest(hypotheses, floors=self.floors, kept=self._kept, pace=self.pace)
+        return Contest(hypotheses, thresholds=self.thresholds, cache=self._cache, pace=self.pace)
 
-    def without_floors(self) -> Contest:
+    def without_thresholds(self) -> Contest:
         """The same in which any gain may join that is significant."""
-        return Contest(self.hypotheses, kept=self._kept)
+        return Contest(self.hypotheses, cache=self._cache)
 
     def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> HypothesisColumns:
         """Transformed columns of `hypothesis`, kept."""
-        return self._kept.of(hypothesis, theta, model.setting)
+        return self._cache.of(hypothesis, theta, model.setting)
 
     def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> ContestScore:
         """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
@@ -218,8 +218,8 @@ class Contest:
 def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float, Array]:
     """Gain and amplitudes of an effect beside a model, without linearisation."""
     bare = beside.model
-    kept = tuple(t for i, t in enumerate(bare.terms) if i not in beside.omit)
-    terms = (*kept, Term(hypothesis, beta, math.nan))
+    rest = tuple(t for i, t in enumerate(bare.terms) if i not in beside.omit)
+    terms = (*rest, Term(hypothesis, beta, math.nan))
     model, _ = refined(with_residual(replace(bare, terms=terms)))
     return beside.misfit_alone - misfit(model), model.terms[-1].beta
 

@@ -179,7 +179,7 @@ def _exchanges(
             gain = -behind(place.own, score, freedom_of(chosen, key), second)
             if (
                 score.p < level
-                and score.gain >= contest.floors.joining(score.hypothesis)
+                and score.gain >= contest.thresholds.joining(score.hypothesis)
                 and gain > prices.EXCHANGE_GAIN
             ):
                 found.append((gain, max(second, prices.SECOND_ORDER_SHARE * place.own), key, score))

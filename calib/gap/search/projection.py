@@ -52,8 +52,8 @@ class Beside:
     @cached_property
     def misfit_alone(self) -> float:
         """Misfit of the model without the terms that are left out, the others at their joint maximum."""
-        kept = tuple(t for i, t in enumerate(self.model.terms) if i not in self.omit)
-        return misfit(refined(replace(self.model, terms=kept))[0])
+        rest = tuple(t for i, t in enumerate(self.model.terms) if i not in self.omit)
+        return misfit(refined(replace(self.model, terms=rest))[0])
 
     def projected(self, columns: HypothesisColumns) -> tuple[Array, Array, Array]:
         """Gram matrix, right side and original energies of `columns` with the model's own columns taken out."""
@@ -106,8 +106,8 @@ class Beside:
         gram, right, energy = self.projected(columns)
         basis = existing(gram, energy)
         found = basis.T @ right
-        worth, told = weighed(gram, right, columns.units)
-        return Gain(float(found @ found), basis.shape[1], basis @ found, worth, len(right) - told)
+        worth, known = weighed(gram, right, columns.units)
+        return Gain(float(found @ found), basis.shape[1], basis @ found, worth, len(right) - known)
 
     def free_gains(self, groups: Sequence[HypothesisColumns]) -> list[float]:
         """The gains alone of several groups, which is all that a search for a shape asks for."""

@@ -280,7 +280,7 @@ def _best(
             for s in scores.values()
             if s.p < level
             and s.gain >= (0.0 if hidden(s) else prices.ENTRY_SHARE) * _least(s.hypothesis, model, gains)
-            and s.gain >= contest.floors.joining(s.hypothesis)
+            and s.gain >= contest.thresholds.joining(s.hypothesis)
         ]
         if not good:
             return None, None

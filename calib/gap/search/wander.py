@@ -90,7 +90,7 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
     )
     if worth < price + prices.WANDER_MARGIN - prices.WANDER_SLACK:
         return None
-    least = max((contest.floors.lasting(v.sensor) for v in setting.views if sees(v)), default=0.0)
+    least = max((contest.thresholds.lasting(v.sensor) for v in setting.views if sees(v)), default=0.0)
     if gain < max(prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest), least):
         return None
     if tail(gain, 2, len(prices.WANDER_SIZES_DEG) * len(prices.WANDER_TIMES_S)) * (chosen.tests + 1) > alpha:
@@ -99,7 +99,7 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
     setting = replace(setting, frames=frames)
     # A bias that wanders cannot be told from a reference that does.
     candidates = [h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.drifts and _seen_by(h))]
-    contest = Contest(candidates, floors=contest.floors, pace=contest.pace)
+    contest = Contest(candidates, thresholds=contest.thresholds, pace=contest.pace)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
     noise = with_tail(setting, start.noise, size, time)

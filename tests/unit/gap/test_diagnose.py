@@ -168,7 +168,7 @@ def test_instances_tell_their_own_bias_from_the_error_of_their_reference():
         lambda _trace: np.array([0.03, -0.02, 0.01]),
         instances=2,
         only=0,
-        reference=ReferenceInfo(ReferenceKind.ESTIMATOR, att_sigma_deg=1.0),
+        reference=ReferenceInfo(ReferenceKind.ESTIMATOR, att_sigma_deg=0.3),
         error=wrong,
     )
     report = diagnose(problem, nested=False)

@@ -43,7 +43,7 @@ def task():
 
 def own(task, *effects):
     _, bare, contest = task
-    return above_nuisance(contest, bare, effects).floors.own
+    return above_nuisance(contest, bare, effects).thresholds.own
 
 
 def test_it_is_the_energy_of_the_part_that_is_left_open(task):
