@@ -5,8 +5,9 @@ is its verdict and the instances of every effect that it names. Where a diagnosi
 process forks: one child goes on with less, one with more. A child whose search ends as its parent's did ends there,
 unless its price is read later too. A price that changes no answer may go.
 
-200 cases take many hours. ``--keep FILE`` holds a line a case: the same command goes on where it was stopped.
-``--page`` writes ``docs/prices.md`` from the cases that are there.
+200 cases take many hours. A case whose plain diagnosis takes more than eight seconds is left out, since it would take
+as long again for each price; the next of its kind comes in its place. ``--keep FILE`` holds a line a case: the same
+command goes on where it was stopped. ``--page`` writes ``docs/prices.md`` from the cases that are there.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ import json
 import os
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib import import_module
+from itertools import count, islice
 from multiprocessing import get_context
 from pathlib import Path
 from types import ModuleType
@@ -42,19 +45,22 @@ FIRST_SEED = 70_000
 """Development seeds; sealed ones begin at 1 000 000."""
 TIERS = (Tier.SINGLE, Tier.MIXED, Tier.UNKNOWN, Tier.NULL)
 FACTORS = (0.7, 1.3)
+LONGEST_S = 8.0
+"""Processor time of a plain diagnosis above which a case is left out."""
 
 
 @dataclass(frozen=True)
 class Varied:
     """One case: whether its answer is right, and for each price that it reads what 30 % less and 30 % more do.
 
-    `prices` maps a name to one pair a factor: whether the answer changes, and whether it is right then.
+    `prices` maps a name to one pair a factor: whether the answer changes, and whether it is right then. None: the
+    case takes too long.
     """
 
     tier: str
     seed: int
     right: bool
-    prices: Mapping[str, Sequence[tuple[bool, bool]]]
+    prices: Mapping[str, Sequence[tuple[bool, bool]]] | None
 
 
 SearchEnd = tuple[tuple[tuple[Key, float], ...], frozenset[Key]]
@@ -101,7 +107,7 @@ class _Fork:
         self._open.remove(name)
         value = vars(prices)[name]
         for factor in FACTORS:
-            answer = self._told_by_child()
+            answer = self._answer_of_child()
             if self._pipe is not None:
                 self._open.clear()
                 self._varied = name
@@ -114,7 +120,7 @@ class _Fork:
         if end == self._plain.end and self._varied not in self._plain.late:
             self.end_child(self._unchanged)
 
-    def _told_by_child(self) -> Any:
+    def _answer_of_child(self) -> Any:
         reading, writing = os.pipe()
         child = os.fork()
         if child == 0:
@@ -122,8 +128,8 @@ class _Fork:
             self._pipe = writing
             return None
         os.close(writing)
-        with os.fdopen(reading) as told:
-            text = told.read()
+        with os.fdopen(reading) as pipe:
+            text = pipe.read()
         if os.waitpid(child, 0)[1] != 0:
             raise RuntimeError("a diagnosis with another price failed: its traceback stands above")
         return tuple(json.loads(text))
@@ -155,7 +161,7 @@ def watched(watch: _Plain | _Fork) -> Iterator[None]:
     """In here `watch` hears of every price that is read, and of the end of a search."""
     settled = _DIAGNOSIS._settled
 
-    def told(*args: Any) -> Any:
+    def noted(*args: Any) -> Any:
         answer = settled(*args)
         gains = tuple((score.hypothesis.key, score.gain) for score in answer.chosen.scores)
         watch.searched((gains, answer.tolerated))
@@ -163,7 +169,7 @@ def watched(watch: _Plain | _Fork) -> Iterator[None]:
 
     vars(prices)["watch"] = watch
     prices.__class__ = _ReadPrices
-    with patch.object(_DIAGNOSIS, "_settled", told):
+    with patch.object(_DIAGNOSIS, "_settled", noted):
         yield
 
 
@@ -190,9 +196,11 @@ def varied(tier: Tier, seed: int, only: Sequence[str] = ()) -> Varied:
     """
     case = make_case(tier, seed)
     real, sim = recordings(case)
-    plain = _Plain()
+    plain, began = _Plain(), time.process_time()
     with watched(plain):
         before = named(case, real, sim)
+    if time.process_time() - began > LONGEST_S:
+        return Varied(tier.value, seed, right(case, before), None)
     fork = _Fork(only, plain, (False, right(case, before)))
     try:
         with watched(fork):
@@ -232,12 +240,18 @@ def right(case: Case, answer: Answer) -> bool:
     )
 
 
-def chosen(cases: int) -> list[tuple[Tier, int]]:
-    """Cases of every tier in turn."""
-    return [(TIERS[k % len(TIERS)], FIRST_SEED + k) for k in range(cases)]
+def chosen(cases: int, done: Sequence[Varied]) -> list[tuple[Tier, int]]:
+    """Cases of every tier in turn that are not `done`, more of a tier for those of it that took too long."""
+    left = []
+    for t, tier in enumerate(TIERS):
+        own = {case.seed: case for case in done if case.tier == tier.value}
+        wanted = len(range(t, cases, len(TIERS))) - sum(case.prices is not None for case in own.values())
+        seeds = (seed for seed in count(FIRST_SEED + t, len(TIERS)) if seed not in own)
+        left += [(tier, seed) for seed in islice(seeds, max(wanted, 0))]
+    return sorted(left, key=lambda one: one[1])
 
 
-def kept(path: Path | None) -> list[Varied]:
+def cases_in(path: Path | None) -> list[Varied]:
     """Cases that an earlier run has written."""
     if path is None or not path.exists():
         return []
@@ -254,11 +268,11 @@ def all_varied(cases: Sequence[tuple[Tier, int]], only: Sequence[str], workers: 
 
 def row(name: str, cases: Sequence[Varied]) -> str:
     """A line of the table: cases that read the price, answers that each factor changes, and how many more are right."""
-    reading = [case for case in cases if name in case.prices]
+    reading = [(case, case.prices[name]) for case in cases if case.prices and name in case.prices]
     cells = [f"| `{name}` | {shown(getattr(prices, name))} | {len(reading)} |"]
     for k, _ in enumerate(FACTORS):
-        changed = sum(case.prices[name][k][0] for case in reading)
-        gained = sum(case.prices[name][k][1] - case.right for case in reading)
+        changed = sum(answers[k][0] for _, answers in reading)
+        gained = sum(answers[k][1] - case.right for case, answers in reading)
         cells.append(f" {changed} ({gained:+d}) |")
     return "".join(cells)
 
@@ -281,19 +295,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path, metavar="FILE", help="a JSON line a case; cases in it are not run again")
     parser.add_argument("--page", action="store_true", help="write docs/prices.md")
     args = parser.parse_args(argv)
-    done = kept(args.keep)
-    had = {(case.tier, case.seed) for case in done}
-    left = [(tier, seed) for tier, seed in chosen(args.cases) if (tier.value, seed) not in had]
-    print(f"seeds {FIRST_SEED} to {FIRST_SEED + args.cases - 1}, {len(left)} cases to run", file=sys.stderr)
-    for case in all_varied(left, args.only, args.workers):
-        done.append(case)
-        if args.keep:
-            with args.keep.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(asdict(case)) + "\n")
-    text = table(done, args.only or names())
+    done = cases_in(args.keep)
+    while left := chosen(args.cases, done):
+        print(f"{len(left)} cases to run, seeds {left[0][1]} to {left[-1][1]}", file=sys.stderr)
+        for case in all_varied(left, args.only, args.workers):
+            done.append(case)
+            if args.keep:
+                with args.keep.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(case)) + "\n")
+    varied_cases = [case for case in done if case.prices is not None]
+    text = table(varied_cases, args.only or names())
     print(text)
     if args.page:
-        PAGE.write_text(page(text, done), encoding="utf-8")
+        PAGE.write_text(page(text, varied_cases, len(done) - len(varied_cases)), encoding="utf-8")
     return 0
 
 
@@ -303,16 +317,17 @@ def table(cases: Sequence[Varied], of: Sequence[str]) -> str:
     return "\n".join([head, *(row(name, cases) for name in of)])
 
 
-def page(text: str, cases: Sequence[Varied]) -> str:
-    """``docs/prices.md``."""
-    unchanged = sum(not any(a for c in cases for a, _ in c.prices.get(name, ())) for name in names())
+def page(text: str, cases: Sequence[Varied], left_out: int) -> str:
+    """``docs/prices.md``; `left_out` cases took too long."""
+    unchanged = sum(not any(a for c in cases for a, _ in (c.prices or {}).get(name, ())) for name in names())
     return f"""# What the prices of the search do
 
 Every prior, penalty and threshold of the search stands in `calib/gap/search/prices.py`, with its meaning, unit and
 source. `python -m bench.prices` changes one at a time by 30 % either way and diagnoses development cases: single
 effects, mixtures, unknown errors and nulls in turn, seeds from {FIRST_SEED}.
 
-This table has {len(cases)} cases. With the prices as they are, {sum(c.right for c in cases)} answers name the true
+This table has {len(cases)} cases. {left_out} more are left out, most of them mixtures: one plain diagnosis took over
+{LONGEST_S:g} s of processor time. With the prices as they are, {sum(c.right for c in cases)} answers name the true
 effects and no others. A cell counts the answers that change: verdict, unknown error, or an effect with its instances.
 In brackets: how many more answers are right. {unchanged} of {len(names())} prices change no answer of these cases.
 

@@ -42,18 +42,26 @@ def test_a_row_says_how_many_answers_change_and_how_many_more_are_right() -> Non
     ]
     value = bench.shown(prices.DRIFT_PRICE)
     assert bench.row("DRIFT_PRICE", cases) == f"| `DRIFT_PRICE` | {value} | 2 | 2 (+0) | 1 (-1) |"
-    assert "This table has 3 cases. With the prices as they are, 2 answers name" in bench.page("", cases)
-    assert f"{len(bench.names()) - 1} of {len(bench.names())} prices change no answer" in bench.page("", cases)
+    assert "This table has 3 cases. 2 more are left out" in bench.page("", cases, 2)
+    assert "With the prices as they are, 2 answers name" in bench.page("", cases, 2)
+    assert f"{len(bench.names()) - 1} of {len(bench.names())} prices change no answer" in bench.page("", cases, 2)
 
 
 def test_a_kept_case_is_not_run_again(tmp_path: Path) -> None:
     case = varied(bench.FIRST_SEED, right=True, DRIFT_PRICE=[(False, True), (True, False)])
     path = tmp_path / "kept.jsonl"
     path.write_text(json.dumps(asdict(case)) + "\n")
-    [one] = bench.kept(path)
-    assert (one.seed, one.right, list(one.prices)) == (bench.FIRST_SEED, True, ["DRIFT_PRICE"])
+    [one] = bench.cases_in(path)
+    assert (one.seed, one.right, list(one.prices or ())) == (bench.FIRST_SEED, True, ["DRIFT_PRICE"])
     assert bench.main(["--cases", "1", "--keep", str(path)]) == 0
     assert path.read_text().count("\n") == 1
+
+
+def test_the_next_of_its_kind_comes_for_a_case_that_takes_too_long() -> None:
+    first = bench.FIRST_SEED
+    long = bench.Varied(bench.TIERS[0].value, first, right=True, prices=None)
+    unread = bench.Varied(bench.TIERS[1].value, first + 1, right=True, prices={})
+    assert bench.chosen(3, [long, unread]) == [(bench.TIERS[2], first + 2), (bench.TIERS[0], first + 4)]
 
 
 @pytest.mark.long  # three diagnoses
@@ -61,20 +69,20 @@ def test_only_prices_that_a_diagnosis_reads_are_varied(tmp_path: Path) -> None:
     path = tmp_path / "kept.jsonl"
     read, unread = "DRIFT_PRICE", "FLIGHT_DIFFERENCE"
     assert bench.main(["--cases", "1", "--workers", "1", "--keep", str(path), "--only", read, unread]) == 0
-    [case] = bench.kept(path)
+    [case] = bench.cases_in(path)
     assert case.right
-    assert list(case.prices) == [read]
+    assert list(case.prices or ()) == [read]
     assert getattr(prices, read) == 16.0  # the process that varied it is gone
 
 
 @pytest.mark.long  # six diagnoses
 def test_a_divided_diagnosis_answers_as_one_that_had_the_price_from_the_beginning() -> None:
-    [(tier, seed)] = bench.chosen(1)
+    [(tier, seed)] = bench.chosen(1, [])
     [found] = bench.all_varied([(tier, seed)], ["THERMAL_PRICE", "EFFECT_COUNT_PRICE"], 1)
     case = make_case(tier, seed)
     real, sim = bench.recordings(case)
     before = bench.named(case, real, sim)
-    for name, answers in found.prices.items():
+    for name, answers in (found.prices or {}).items():
         value = getattr(prices, name)
         for factor, answer in zip(bench.FACTORS, answers, strict=True):
             with patch.object(prices, name, bench.scaled(value, factor)):
@@ -83,6 +91,6 @@ def test_a_divided_diagnosis_answers_as_one_that_had_the_price_from_the_beginnin
 
 
 def test_every_kind_of_case_has_its_share() -> None:
-    tiers = [tier for tier, _ in bench.chosen(8)]
+    tiers = [tier for tier, _ in bench.chosen(8, [])]
     assert sorted(map(tiers.count, bench.TIERS)) == [2, 2, 2, 2]
-    assert len({seed for _, seed in bench.chosen(8)}) == 8
+    assert len({seed for _, seed in bench.chosen(8, [])}) == 8
