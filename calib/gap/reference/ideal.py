@@ -128,9 +128,10 @@ def with_unit_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
     bandwidth = {Sensor.ACCEL: reference.bandwidth_hz, Sensor.GYRO: reference.turns_hz}.get(trace.sensor, math.inf)
     width = max(2, round(_QUIET_S * trace.fs))
     count = len(trace.t) // width
-    if trace.against is not None or math.isinf(bandwidth) or not count:
+    seen = trace.observed[: count * width].reshape(count, width).all(axis=1)
+    if trace.against is not None or math.isinf(bandwidth) or not seen.any():
         return trace
-    parts = trace.ideal[: count * width].reshape(count, width, 3)
+    parts = trace.ideal[: count * width].reshape(count, width, 3)[seen]
     quietest = float(parts.std(axis=1).max(axis=1).min())
     return dataclasses.replace(trace, ideal_blur=_BLURRED * quietest)
 
