@@ -97,7 +97,8 @@ def passing(
 ) -> tuple[JumpSpan, ...]:
     """Those after which the level is what it was before: what happened there is in no effect of the model.
 
-    Noise that wanders, and is worth more than the jumps were, is what they stood for.
+    Noise that wanders, and is worth more than the jumps were, is what they stood for. Spans of a sensor that overlap are
+    one.
     """
     jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.jumps]
     drifts = {t.hypothesis.effect.sensor: t.hypothesis.key for t in model.noise_terms if t.hypothesis.effect.drifts}
@@ -108,7 +109,19 @@ def passing(
     def drifted(one: JumpSpan) -> bool:
         return one.sensor in drifts and one.nats < 0.5 * (gains or {}).get(drifts[one.sensor], 0.0)
 
-    return tuple(one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one))
+    return _merged([one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one)])
+
+
+def _merged(spans: Sequence[JumpSpan]) -> tuple[JumpSpan, ...]:
+    """Each with all that overlap it, in the order of their sensors and times."""
+    found: list[JumpSpan] = []
+    for one in sorted(spans, key=lambda span: (span.sensor.value, span.start)):
+        if found and found[-1].sensor is one.sensor and one.start <= found[-1].end:
+            last = found[-1]
+            found[-1] = replace(last, end=max(last.end, one.end), nats=last.nats + one.nats)
+        else:
+            found.append(one)
+    return tuple(found)
 
 
 def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:

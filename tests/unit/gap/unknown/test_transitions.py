@@ -182,3 +182,17 @@ def test_jumps_that_became_a_walk_are_nothing_that_passes(gain, says):
     model = dataclasses.replace(model, noise_terms=(NoiseTerm(walk, np.nan),))
     assert len(passing(left_out, model, {walk.key: gain})) == says
     assert len(passing((dataclasses.replace(left_out[0], sensor=Sensor.MAG),), model, {walk.key: gain})) == 1
+
+
+def test_changes_that_overlap_are_said_once():
+    problem = problem_of(np.random.default_rng(4), (Sensor.GYRO,))
+    setting = setting_of(views_of(problem, {}, {}))
+    model = starting_model(setting, starting_noise(setting))
+    spans = [(Sensor.MAG, 33.8, 39.3), (Sensor.MAG, 143.1, 147.3), (Sensor.MAG, 33.0, 39.1), (Sensor.ACCEL, 38.0, 40.0)]
+    left_out = tuple(JumpSpan(sensor, start, end, nats=10.0) for sensor, start, end in spans)
+    said = [(one.sensor, one.start, one.end, one.nats) for one in passing(left_out, model)]
+    assert said == [
+        (Sensor.ACCEL, 38.0, 40.0, 10.0),
+        (Sensor.MAG, 33.0, 39.3, 20.0),
+        (Sensor.MAG, 143.1, 147.3, 10.0),
+    ]
