@@ -97,8 +97,8 @@ def passing(
 ) -> tuple[JumpSpan, ...]:
     """Those after which the level is what it was before: what happened there is in no effect of the model.
 
-    Noise that wanders, and is worth more than the jumps were, is what they stood for. Spans of a sensor that overlap are
-    one.
+    Noise that wanders, and is worth more than the jumps were, is what they stood for. Overlapping spans of a
+    sensor count as one.
     """
     jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.jumps]
     drifts = {t.hypothesis.effect.sensor: t.hypothesis.key for t in model.noise_terms if t.hypothesis.effect.drifts}
