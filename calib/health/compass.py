@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from itertools import combinations
 from typing import Final
@@ -266,6 +266,29 @@ def _down(channel: Channel, attitude: Channel) -> Array | None:
 
 def _apart(found: dict[int, Channel]) -> Iterator[HealthFinding]:
     """Angle between the fields of two compasses; of three the one that is off both is named."""
+    angles = _angles(found)
+    for instance, channel in found.items():
+        own = {pair: angle for pair, angle in angles.items() if instance in pair}
+        if own:
+            yield _alone(channel, angles) or _beside_others(channel, own, len(found))
+
+
+def _alone(channel: Channel, angles: Mapping[tuple[int, int], float]) -> HealthFinding | None:
+    """A compass that is off all others, which agree much better; None: fewer than two others, or it is not."""
+    own = [angle for pair, angle in angles.items() if channel.instance in pair]
+    among = [angle for pair, angle in angles.items() if channel.instance not in pair]
+    if len(own) < 2 or not among or max(among) > limits.FIELD_ALONE.suspicious / 3.0:
+        return None
+    verdict = judged_value(min(own), 0.0, limits.FIELD_ALONE)
+    if verdict == HealthVerdict.OK:
+        return None
+    others = " and ".join(str(i + 1) for i in sorted({i for pair in angles for i in pair} - {channel.instance}))
+    text = f"its field is {min(own):.0f} deg away from those of compasses {others}, which agree"
+    return _bad("compasses", channel, verdict, text, _CALIBRATE, Compared(min(own), 0.0, limits.FIELD_ALONE))
+
+
+def _angles(found: Mapping[int, Channel]) -> dict[tuple[int, int], float]:
+    """Median angle, deg, between the fields of each two compasses with enough samples."""
     angles: dict[tuple[int, int], float] = {}
     for a, b in combinations(found, 2):
         first, second = found[a], found[b]
@@ -275,20 +298,20 @@ def _apart(found: dict[int, Channel]) -> Iterator[HealthFinding]:
         cosine = np.einsum("ij,ij->i", first.values, beside)
         cosine /= np.maximum(_length(first) * np.linalg.norm(beside, axis=1), 1e-9)
         angles[a, b] = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
-    for instance, channel in found.items():
-        own = {pair: angle for pair, angle in angles.items() if instance in pair}
-        if not own:
-            continue
-        pair, angle = max(own.items(), key=lambda two: two[1])
-        agrees = sum(a <= limits.FIELDS_APART.suspicious for a in own.values())
-        verdict = judged_value(angle, 0.0, limits.FIELDS_APART)
-        other = pair[0] + pair[1] - instance + 1
-        text = f"its field is {angle:.0f} deg away from that of compass {other}"
-        if verdict != HealthVerdict.OK and agrees:
-            verdict, text = HealthVerdict.OK, f"agrees with {agrees} other compass{'es' if agrees > 1 else ''}"
-        elif verdict != HealthVerdict.OK and len(found) == 2:
-            verdict, text = HealthVerdict.SUSPICIOUS, f"{text}; which is off, this comparison cannot say"
-        yield _bad("compasses", channel, verdict, text, _CALIBRATE, Compared(angle, 0.0, limits.FIELDS_APART))
+    return angles
+
+
+def _beside_others(channel: Channel, own: Mapping[tuple[int, int], float], count: int) -> HealthFinding:
+    """A compass beside the one of `count` that it is furthest from; `own` are its angles, deg."""
+    pair, angle = max(own.items(), key=lambda two: two[1])
+    agrees = sum(a <= limits.FIELDS_APART.suspicious for a in own.values())
+    verdict = judged_value(angle, 0.0, limits.FIELDS_APART)
+    text = f"its field is {angle:.0f} deg away from that of compass {sum(pair) - channel.instance + 1}"
+    if verdict != HealthVerdict.OK and agrees:
+        verdict, text = HealthVerdict.OK, f"agrees with {agrees} other compass{'es' if agrees > 1 else ''}"
+    elif verdict != HealthVerdict.OK and count == 2:
+        verdict, text = HealthVerdict.SUSPICIOUS, f"{text}; which is off, this comparison cannot say"
+    return _bad("compasses", channel, verdict, text, _CALIBRATE, Compared(angle, 0.0, limits.FIELDS_APART))
 
 
 def _bad(

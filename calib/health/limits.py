@@ -60,6 +60,9 @@ DIP: Final = HealthLimit(8.0, 25.0, "deg", "three times what crust and attitude 
 FIELDS_APART: Final = HealthLimit(
     15.0, 45.0, "deg", "the sum of what two good units may be off; arming check of ArduPilot"
 )
+FIELD_ALONE: Final = HealthLimit(
+    6.0, 45.0, "deg", "beside two that agree within a third of it: three times what good calibrations differ by, 2 deg"
+)
 CLIPS: Final = HealthLimit.of(flight.CLIPPED)
 VIBRATION: Final = HealthLimit.of(flight.VIBRATION)
 PX4_VIBRATION: Final = HealthLimit(4.905, 9.81, "m/s2", "the colours of PX4's Flight Review: 0.5 and 1 g")

@@ -155,3 +155,30 @@ def test_a_compass_that_never_changes_is_dead_only_where_the_vehicle_was_turned(
     found = of(health(lying), Sensor.MAG)
     assert found.verdict == HealthVerdict.CANNOT_SAY
     assert any(f.action == "Turn the vehicle while it logs." for f in found.findings)
+
+
+def with_field(recording, instance, change):
+    """The same in which a compass reads something more, uT."""
+    return recording.with_channels(
+        dataclasses.replace(c, values=c.values + change) if (c.sensor, c.instance) == (Sensor.MAG, instance) else c
+        for c in recording.channels
+    )
+
+
+def test_of_three_compasses_the_one_that_is_off_both_others_is_suspicious():
+    """7 uT: half of the angle that two good compasses may be apart, but the other two agree within a degree."""
+    made = health(with_field(flight(3, units=3), 1, [5.0, 5.0, 0.0]))
+    alone = next(f for f in of(made, Sensor.MAG, 1).findings if f.check == "compasses")
+    assert alone.verdict == HealthVerdict.SUSPICIOUS
+    assert "away from those of compasses 1 and 3, which agree" in alone.text
+    assert [of(made, Sensor.MAG, i).verdict for i in (0, 2)] == [HealthVerdict.OK] * 2
+
+
+def test_three_compasses_that_all_differ_a_little_are_ok():
+    made = flight(3, units=3)
+    apart = with_field(with_field(made, 1, [4.0, 0.0, 0.0]), 2, [0.0, 4.0, 0.0])
+    for recording in (made, apart):
+        found = health(recording)
+        assert [of(found, Sensor.MAG, i).verdict for i in range(3)] == [HealthVerdict.OK] * 3
+    two = health(with_field(flight(3), 1, [4.0, 0.0, 0.0]))
+    assert [of(two, Sensor.MAG, i).verdict for i in range(2)] == [HealthVerdict.OK] * 2
