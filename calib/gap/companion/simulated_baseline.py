@@ -7,7 +7,7 @@ the real one has: what the simulated one shows is put into the ideal reading of 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from mavcal.calib.gap.companion.steady_effects import steady_effects
@@ -18,6 +18,8 @@ from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.thresholds import GainThresholds, accepted_difference
 from mavcal.calib.recording import Sensor
 
+_CALM = 3.0
+"""Times as much movement (rms) as in the simulated flight, beyond which a report says so."""
 _DIFFERENT = 0.1
 """Part of the evidence of a simulated flight's own nuisance effects that a real one must have beyond them."""
 
@@ -80,7 +82,21 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     level = {s: max(small[s], own[s]) for s in small}
     least = {s: max(_of_movement(problem, small[s], moves, baseline.movement, s), own[s]) for s in small}
     reference = _of_both(problem.reference, baseline.reference)
-    return replace(changed, minimum_gain=MinimumGain(least, least, level, least), reference=reference)
+    warnings = (*changed.warnings, *_too_calm(moves, baseline.movement))
+    minimum_gain = MinimumGain(least, least, level, least)
+    return replace(changed, minimum_gain=minimum_gain, reference=reference, warnings=warnings)
+
+
+def _too_calm(moves: Mapping[Sensor, float], before: Mapping[Sensor, float]) -> Iterator[str]:
+    """By sensor, that the other flight says little of one that moves so much more."""
+    for sensor, square in moves.items():
+        calm = before.get(sensor, 0.0)
+        if 0.0 < _CALM**2 * calm < square:
+            times = math.sqrt(square / calm)
+            yield (
+                f"{sensor}: this flight moves {times:.2g} times as much as the other one: only a large error that goes "
+                "with the movement can be told; fly the simulated vehicle more lively"
+            )
 
 
 def _of_movement(

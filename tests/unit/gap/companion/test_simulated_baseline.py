@@ -155,6 +155,17 @@ def test_a_flight_that_moves_more_may_differ_more_but_not_in_its_level():
     assert calmer.lasting[Sensor.ACCEL] == before.lasting[Sensor.ACCEL]
 
 
+def test_a_simulated_flight_that_is_much_calmer_is_said():
+    calm = flight(2)
+    trace = calm.traces[0]
+    fast = dataclasses.replace(trace, ideal=4.0 * trace.ideal, measured=4.0 * trace.ideal + trace.residual)
+    lively = dataclasses.replace(calm, traces=(fast,))
+    plain = baseline_of(calm, ALPHA)
+    (said,) = beside(lively, plain).warnings
+    assert said.startswith("accel: this flight moves 4 times as much as the other one")
+    assert beside(calm, plain).warnings == ()
+
+
 def test_noise_is_learned_beside_the_nuisance_effects(simulated):
     traces = flight(4, shared).traces
     (left,) = simulated.in_ideal(traces)
