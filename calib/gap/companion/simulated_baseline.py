@@ -146,9 +146,9 @@ def _nuisance_gain(problem: GapProblem, baseline: Baseline, livelier: Mapping[Se
 
 
 def _evidence(problem: GapProblem, gain: float, sensor: Sensor) -> float:
-    """A `gain` beside noise that is fitted again."""
-    numbers = max(3 * len(t.t) for t in problem.traces if t.sensor is sensor)
-    return numbers * math.log1p(gain / numbers)
+    """A `gain` beside noise that is fitted again; zero for a sensor that only the other flight has."""
+    numbers = max((3 * len(t.t) for t in problem.traces if t.sensor is sensor), default=0)
+    return numbers * math.log1p(gain / numbers) if numbers else 0.0
 
 
 def _changes(problem: GapProblem, effects: tuple[EffectEstimate, ...]) -> dict[Sensor, float]:

@@ -155,6 +155,14 @@ def test_a_flight_that_moves_more_may_differ_more_but_not_in_its_level():
     assert calmer.lasting[Sensor.ACCEL] == before.lasting[Sensor.ACCEL]
 
 
+def test_a_sensor_that_only_the_simulated_flight_has_needs_no_evidence(simulated):
+    """A compass that reads one value throughout has no trace, and its simulated counterpart may have effects."""
+    without = problem_of(np.random.default_rng(2), (Sensor.GYRO,))
+    minimum_gain = beside(without, simulated).minimum_gain
+    assert minimum_gain.lasting[Sensor.ACCEL] == 0.0
+    assert minimum_gain.lasting[Sensor.GYRO] > 0.0
+
+
 def test_a_simulated_flight_that_is_much_calmer_is_said():
     calm = flight(2)
     trace = calm.traces[0]
