@@ -328,8 +328,11 @@ effects, mixtures, unknown errors and nulls in turn, seeds from {FIRST_SEED}.
 
 This table has {len(cases)} cases. {left_out} more are left out, most of them mixtures: one plain diagnosis took over
 {LONGEST_S:g} s of processor time. With the prices as they are, {sum(c.right for c in cases)} answers name the true
-effects and no others. A cell counts the answers that change: verdict, unknown error, or an effect with its instances.
-In brackets: how many more answers are right. {unchanged} of {len(names())} prices change no answer of these cases.
+effects and no others.
+
+A cell counts the answers that change: verdict, unknown error, or an effect with its instances. In brackets: how many
+more answers are right. {unchanged} of {len(names())} prices change no answer of these cases. Where few cases read
+a price, or none, it is one of flights or of rare events: this table says nothing of it.
 
 {text}
 """
