@@ -320,7 +320,7 @@ def table(cases: Sequence[Varied], of: Sequence[str]) -> str:
 def page(text: str, cases: Sequence[Varied], left_out: int) -> str:
     """``docs/prices.md``; `left_out` cases took too long."""
     unchanged = sum(not any(a for c in cases for a, _ in (c.prices or {}).get(name, ())) for name in names())
-    return f"""# What the prices of the search do
+    return f"""# Sensitivity of the search to its prices
 
 Every prior, penalty and threshold of the search stands in `calib/gap/search/prices.py`, with its meaning, unit and
 source. `python -m bench.prices` changes one at a time by 30 % either way and diagnoses development cases: single

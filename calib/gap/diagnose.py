@@ -51,12 +51,10 @@ from mavcal.calib.gap.unknown.plausibility import nameless, unresponsive_sensors
 from mavcal.calib.gap.unknown.shape_search import explained
 from mavcal.calib.gap.unknown.transitions import JumpSpan, passing, transitions, without_transitions
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING, UnnamedCause, unknown_of, unnamed_causes_in
-from mavcal.calib.gap.worth.attitude_error import below_reference
+from mavcal.calib.gap.worth.attitude_error import BY_CHANCE, below_reference
 from mavcal.calib.gap.worth.attribution import Attribution, attributed
 from mavcal.calib.recording import Sensor
 
-_BY_CHANCE = 0.005
-"""Chance above which an effect is as large as the reference's own error makes it."""
 _ROUNDS = 3
 """Times that samples during events are left out, after which a selection stands whatever it says."""
 
@@ -101,7 +99,7 @@ class _Answer:
         thresholds, gains = self.contest.thresholds, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
         small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.reporting(h))
-        return self.small | small | below_reference(self.chosen.model, self.chosen.joint, _BY_CHANCE)
+        return self.small | small | below_reference(self.chosen.model, self.chosen.joint, BY_CHANCE)
 
     @property
     def gap(self) -> tuple[Attribution, ...]:

@@ -115,8 +115,8 @@ class Trace:
         in nominal recordings. Where it is known, `sigma` is of that noise alone.
     ideal_sd
         Standard deviation of the noise in `ideal`, of its noisiest axis; 0 where it is exact, or not known.
-    ideal_blur
-        Size of an ideal reading up to which it is the noise of an inertial unit inside the reference; 0: none is.
+    unit_sd
+        Standard deviation of the noise in `ideal` that comes from an inertial unit inside the reference; 0: none does.
         That noise is in the residual too, with the other sign.
     rate_known
         Whether the reference knows how fast the reading changes; False: only its level.
@@ -149,7 +149,7 @@ class Trace:
     own_psd: Array | None = None
     rate_known: bool = True
     ideal_sd: float = 0.0
-    ideal_blur: float = 0.0
+    unit_sd: float = 0.0
 
     @cached_property
     def fs(self) -> float:

@@ -61,7 +61,7 @@ FIELDS_APART: Final = HealthLimit(
     15.0, 45.0, "deg", "the sum of what two good units may be off; arming check of ArduPilot"
 )
 FIELD_ALONE: Final = HealthLimit(
-    6.0, 45.0, "deg", "beside two that agree within a third of it: three times what good calibrations differ by, 2 deg"
+    6.0, 45.0, "deg", "beside others that agree within a third of it; chosen: false alarms are not measured"
 )
 CLIPS: Final = HealthLimit.of(flight.CLIPPED)
 VIBRATION: Final = HealthLimit.of(flight.VIBRATION)

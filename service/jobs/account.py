@@ -154,7 +154,7 @@ def as_heard(record: WriteRecord, heard: Mapping[str, Value], doubt: str | None 
 
 
 def who_sets(name: str) -> str:
-    """Who may have set a parameter without a restart: PX4 rewrites its gyro offsets at rest."""
+    """Return who may have changed this parameter while the vehicle ran. PX4 rewrites its gyro offsets at rest."""
     return EITHER if name in REWRITTEN_AT_REST else SOMEBODY
 
 

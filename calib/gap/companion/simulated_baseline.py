@@ -26,7 +26,7 @@ _DIFFERENT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """What a simulated flight shows, and the `reference` that it was compared with.
+    """Effects found in a simulated flight, and the `reference` that it was compared with.
 
     `effects` are expected in another flight too. All that were `found` say how far two flights differ.
 
@@ -80,26 +80,26 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     own = {s: _nuisance_gain(problem, baseline, livelier, s) for s in small}
     moves = _movement(problem)
     level = {s: max(small[s], own[s]) for s in small}
-    least = {s: max(_of_movement(problem, small[s], moves, baseline.movement, s), own[s]) for s in small}
+    least = {s: max(_scaled_by_movement(problem, small[s], moves, baseline.movement, s), own[s]) for s in small}
     reference = _of_both(problem.reference, baseline.reference)
-    warnings = (*changed.warnings, *_too_calm(moves, baseline.movement))
+    warnings = (*changed.warnings, *_calm_flight_warnings(moves, baseline.movement))
     minimum_gain = MinimumGain(least, least, level, least)
     return replace(changed, minimum_gain=minimum_gain, reference=reference, warnings=warnings)
 
 
-def _too_calm(moves: Mapping[Sensor, float], before: Mapping[Sensor, float]) -> Iterator[str]:
-    """By sensor, that the other flight says little of one that moves so much more."""
+def _calm_flight_warnings(moves: Mapping[Sensor, float], before: Mapping[Sensor, float]) -> Iterator[str]:
+    """Warn of each sensor that the simulated flight hardly moved."""
     for sensor, square in moves.items():
         calm = before.get(sensor, 0.0)
         if 0.0 < _CALM**2 * calm < square:
             times = math.sqrt(square / calm)
             yield (
                 f"{sensor}: this flight moves {times:.2g} times as much as the other one: only a large error that goes "
-                "with the movement can be told; fly the simulated vehicle more lively"
+                "with the movement can be found; make the simulated vehicle move as much as the real one"
             )
 
 
-def _of_movement(
+def _scaled_by_movement(
     problem: GapProblem, small: float, moves: Mapping[Sensor, float], before: Mapping[Sensor, float], sensor: Sensor
 ) -> float:
     """The accepted difference `small` of a flight that moves more than the simulated one did.

@@ -22,11 +22,9 @@ from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.selection import ChosenModel, last_gains, reduced, select, without
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.telling.estimates import estimates_of
-from mavcal.calib.gap.worth.attitude_error import below_reference
+from mavcal.calib.gap.worth.attitude_error import BY_CHANCE, below_reference
 from mavcal.calib.recording import Sensor
 
-_BY_CHANCE = 0.005
-"""Chance above which an effect is as large as the reference's own error makes it."""
 _FURTHER = 1.2
 """Times what is left without an effect, above which it takes the readings further away."""
 _TINY = 1e-30
@@ -107,7 +105,7 @@ def _unsupported(chosen: ChosenModel) -> list[Key]:
     model = chosen.model
     left = _size(model)
     further = [t.hypothesis.key for t in model.terms if left > _FURTHER * _size(without(model, t.hypothesis.key))]
-    return [*dict.fromkeys([*below_reference(model, chosen.joint, _BY_CHANCE), *further])]
+    return [*dict.fromkeys([*below_reference(model, chosen.joint, BY_CHANCE), *further])]
 
 
 def _size(model: Model) -> float:

@@ -39,7 +39,7 @@ def dead_column(trace: Trace, width: float) -> Array:
     Nothing where the reference does not say what to read: there it would take the reference's own noise away.
     """
     size = np.abs(trace.ideal)
-    return np.where((size < width) & (size >= trace.ideal_blur), -trace.ideal, 0.0)[None]
+    return np.where((size < width) & (size >= _BLURRED * trace.unit_sd), -trace.ideal, 0.0)[None]
 
 
 def _noise(trace: Trace) -> float:
@@ -76,7 +76,7 @@ def widths(trace: Trace) -> Array:
     """Half widths to try, ascending, in the unit of the readings."""
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())
     tried = _at_energies(size, np.cumsum(size**2), _noise(trace))
-    beyond = tried[tried > max(_BLURRED * trace.ideal_sd, trace.ideal_blur)]
+    beyond = tried[tried > _BLURRED * max(trace.ideal_sd, trace.unit_sd)]
     return beyond if len(beyond) else size[-1:]
 
 

@@ -25,8 +25,6 @@ Array = NDArray[np.float64]
 
 _QUIET_S = 1.0
 """Length of the stretches; the quietest tells the noise of a reading."""
-_BLURRED = 5.0
-"""Standard deviations of that noise, within which a reading says nothing of movement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +118,7 @@ def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: 
 
 
 def with_unit_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
-    """`trace` with the size of reading that is noise of the inertial unit inside the reference.
+    """`trace` with the noise of the inertial unit inside its reference.
 
     The trajectory follows that unit between its other measurements. At rest this is all that moves in the ideal
     reading; a flight without rest bounds it by its quietest second.
@@ -133,7 +131,7 @@ def with_unit_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
         return trace
     parts = trace.ideal[: count * width].reshape(count, width, 3)[seen]
     quietest = float(parts.std(axis=1).max(axis=1).min())
-    return dataclasses.replace(trace, ideal_blur=_BLURRED * quietest)
+    return dataclasses.replace(trace, unit_sd=quietest)
 
 
 def _span(observed: NDArray[np.bool_]) -> slice:

@@ -100,7 +100,7 @@ class AgeNoise:
 
 
 def age_noise_of(nominal: Sequence[Trace]) -> dict[tuple[Sensor, bool], AgeNoise]:
-    """What units show in `nominal` flights, by sensor and whether alone; without those that show nothing.
+    """Noise by the age of samples in `nominal` flights, by sensor; True: against the trajectory, False: against a unit.
 
     Every axis is as old as the others: one that did not move has the noise of those that did.
     """

@@ -1,4 +1,4 @@
-"""What a flight shows beside its own ideal is carried to another one only where it is sure of it."""
+"""An effect of a nominal flight is expected in another flight only if the nominal flight supports it."""
 
 from __future__ import annotations
 

@@ -123,6 +123,6 @@ def test_noise_inside_the_reference_is_no_dead_band():
         return max(level - amplitudes(effect, t, theta)[2] for theta in effect.shape.grid(t)) / level
 
     assert gain(exact) > 0.3
-    blurred = dataclasses.replace(exact, ideal_blur=5e-3)
+    blurred = dataclasses.replace(exact, unit_sd=1e-3)
     assert widths(blurred).min() > 5e-3
     assert gain(blurred) < 0.05

@@ -26,17 +26,17 @@ def trace_of(sensor=Sensor.GYRO):
 
 
 def test_the_quietest_second_tells_the_noise_of_the_unit_inside():
-    assert with_unit_noise(trace_of(), FOLLOWS).ideal_blur == pytest.approx(5.0 * NOISE, rel=0.2)
+    assert with_unit_noise(trace_of(), FOLLOWS).unit_sd == pytest.approx(NOISE, rel=0.2)
 
 
 def test_a_hole_in_the_recording_is_no_rest():
-    """What fills it does not move, and says nothing of noise."""
+    """The values that fill a hole are constant, so they do not count as a quiet second."""
     trace = trace_of()
     hole = (trace.t > 2.0) & (trace.t < 4.5)
     filled = dataclasses.replace(
         trace, ideal=np.where(hole[:, None], 0.0, trace.ideal), observed=trace.observed & ~hole
     )
-    assert with_unit_noise(filled, FOLLOWS).ideal_blur == pytest.approx(5.0 * NOISE, rel=0.2)
+    assert with_unit_noise(filled, FOLLOWS).unit_sd == pytest.approx(NOISE, rel=0.2)
     nowhere = dataclasses.replace(trace, observed=np.zeros_like(trace.observed))
     assert with_unit_noise(nowhere, FOLLOWS) is nowhere
 
