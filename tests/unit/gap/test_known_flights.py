@@ -113,6 +113,30 @@ def of_one_unit(recording: Recording) -> Recording:
     return recording.with_channels(c for c in recording.channels if c.instance == 0 or c.sensor not in inertial)
 
 
+@pytest.mark.parametrize("removed", [0.0, 0.15], ids=["all axes", "across gravity"])
+def test_a_vehicle_at_rest_says_which_unit_has_a_bias_or_that_it_cannot(shared_data: Path, removed: float) -> None:
+    """The attitude is levelled by the unit that has it: across gravity its tilt hides the bias."""
+    whole = logs.read(shared_data / "sitl_flights" / "bias.bin")
+    began = min(float(c.t[0]) for c in whole.channels)
+    rest = whole.with_channels(c.between(began, began + 30.0) for c in whole.channels)
+    less = np.array([0.0, 0.0, removed])
+    real = rest.with_channels(
+        dataclasses.replace(c, values=c.values - less) if (c.sensor, c.instance) == (Sensor.ACCEL, 0) else c
+        for c in rest.channels
+    )
+    report = gap.run(real, logs.read(shared_data / "sitl_flights" / "null.bin"), (), nested=False)
+    effect = next(e for e in report.effects if e.id == "accel_bias")
+    bias = np.array([p.value for p in effect.params])
+    assert np.abs(bias) == pytest.approx([0.3, 0.2, 0.15 - removed], abs=0.01)
+    if removed:
+        assert effect.evidence.probability <= 0.5
+        assert effect.confusable_with
+    else:
+        assert (effect.instances, np.sign(bias).tolist()) == ((1,), [1.0, -1.0, 1.0])
+        assert effect.evidence.probability > 0.9
+        assert not effect.confusable_with
+
+
 @pytest.mark.parametrize("name", ["mix", "vib_motor_temp"])
 def test_a_vehicle_of_one_unit_shows_it_as_well(shared_data: Path, name: str) -> None:
     """With nothing to compare it with but its own trajectory, which leaves more open and says so."""
