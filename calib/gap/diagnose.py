@@ -41,7 +41,7 @@ from mavcal.calib.gap.search.power import powers_of
 from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.search.wander import WanderFit, wandering
-from mavcal.calib.gap.telling.effect_report import effect_of, on_either_unit, wandering_reference
+from mavcal.calib.gap.telling.effect_report import effect_of, on_either_unit, on_late_unit, wandering_reference
 from mavcal.calib.gap.telling.inputs import inputs_of
 from mavcal.calib.gap.telling.locate import located
 from mavcal.calib.gap.telling.overstated_noise import overstated_noise
@@ -332,7 +332,7 @@ def _effects(
     denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
     doubtful = either_unit(model, BY_CHANCE)
     found = (
-        _effect(answer, a, beside_unknown=beside_unknown, either=a.key in doubtful)
+        _effect(task, answer, a, beside_unknown=beside_unknown, either=a.key in doubtful)
         for a in answer.gap
         if a.key not in denied
     )
@@ -341,14 +341,17 @@ def _effects(
     return (*task.lattice.effects, *own, *(e for e in found if not covered_by(task.lattice, e)))
 
 
-def _effect(answer: _Answer, attribution: Attribution, *, beside_unknown: bool, either: bool) -> EffectEstimate:
+def _effect(
+    task: _Task, answer: _Answer, attribution: Attribution, *, beside_unknown: bool, either: bool
+) -> EffectEstimate:
     """One effect of the model; `either`: nobody can tell which of two units has it."""
     passed = answer.gates.get(attribution.key)
     effect = effect_of(answer.chosen, attribution, passed, beside_unknown=beside_unknown)
-    if not either:
-        return effect
     views = answer.chosen.model.setting.views
-    return on_either_unit(effect, {i + FIRST for view in views if view.sensor is effect.sensor for i in view.weights})
+    units = {i + FIRST for view in views if view.sensor is effect.sensor for i in view.weights}
+    if task.problem.reference.kind is ReferenceKind.ESTIMATOR:
+        effect = on_late_unit(effect, units)
+    return on_either_unit(effect, units) if either else effect
 
 
 def _unstated_wander(task: _Task, answer: _Answer) -> WanderFit | None:
