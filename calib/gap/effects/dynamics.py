@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
 from mavcal.calib.gap.effects.parts import AXES, TUMBLE, on_each_axis, per_axis, spread
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -66,6 +66,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         signals=g_sensitivity_signals,
         plain="a rate that follows the specific force",
         rivals=("gyro_bias", "gyro_vibration_rectification"),
+        term=SensorTerm.G_SENSITIVITY,
     ),
     MeanEffect(
         "accel_lever_arm",

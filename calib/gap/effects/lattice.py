@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, LatticeEffect, LatticeEvidence
 from mavcal.calib.gap.effects.parts import AXES, TRIADS, UNIT
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.resolution import levels_of, noise_of
 from mavcal.calib.recording import Sensor
@@ -252,6 +252,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="coarser steps",
             rivals=(f"{sensor}_noise",),
             traits=frozenset({Trait.COARSE}),
+            term=SensorTerm.RESOLUTION,
         ),
         LatticeEffect(
             f"{sensor}_saturation",
@@ -262,6 +263,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             detect=saturation,
             plain="a range that is too small",
             rivals=(f"{sensor}_hold",),
+            term=SensorTerm.FULL_SCALE,
         ),
         LatticeEffect(
             f"{sensor}_dead_band",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
@@ -122,6 +122,7 @@ _KINDS = (
         _reaches_far,
         "a range that is too small",
         frozenset[Trait](),
+        SensorTerm.FULL_SCALE,
     ),
     (
         "dead_band",
@@ -133,6 +134,7 @@ _KINDS = (
         _crosses_zero,
         "small values read as zero",
         frozenset({Trait.DEAD_BAND}),
+        None,
     ),
 )
 
@@ -151,9 +153,10 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             fixed=True,
             plain=plain,
             traits=traits,
+            term=term,
             rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
         )
-        for name, parameter, grid, column, excites, manoeuvre, missing, plain, traits in _KINDS
+        for name, parameter, grid, column, excites, manoeuvre, missing, plain, traits, term in _KINDS
     )
 
 

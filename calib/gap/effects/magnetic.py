@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.affine import constant
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -175,6 +175,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         plain="magnetised iron on the vehicle",
         rivals=("mag_soft_iron", "mag_motor_current", "mag_earth_field"),
         traits=frozenset({Trait.STEADY, Trait.LEVEL}),
+        term=SensorTerm.HARD_IRON,
     ),
     MeanEffect(
         "mag_soft_iron",
@@ -187,6 +188,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         plain="iron that bends the field",
         rivals=("mag_hard_iron", "mag_rotation", "mag_temp_scale"),
         traits=frozenset({Trait.STEADY, Trait.SIZE}),
+        term=SensorTerm.SOFT_IRON,
     ),
     _motor_current("~late", _PER_AMPERE, _CURRENTS, _no_current, late_current_signal, _LAG),
     _motor_current("~throttle", _FULL_THROTTLE, "throttle that varies", _no_throttle, throttle_signal, _EXPONENT),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.affine import scale_columns
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, moves, per_axis
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
@@ -175,6 +175,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="an offset that follows the temperature",
             rivals=ids("temp_poly", "thermal_lag", "random_walk", offset),
             traits=_TRAITS,
+            term=SensorTerm.TEMPERATURE_CURVE,
         ),
         MeanEffect(
             f"{sensor}_temp_poly",
@@ -189,6 +190,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="an offset that follows the temperature along a curve",
             rivals=ids("temp_linear", "thermal_lag", "random_walk"),
             traits=_TRAITS,
+            term=SensorTerm.TEMPERATURE_CURVE,
         ),
         MeanEffect(
             f"{sensor}_temp_scale",
@@ -202,6 +204,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="a scale that follows the temperature",
             rivals=ids(iron, "temp_linear"),
             traits=_TRAITS,
+            term=SensorTerm.TEMPERATURE_SCALE,
         ),
         MeanEffect(
             f"{sensor}_thermal_lag",
@@ -216,6 +219,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="an offset that follows the temperature late",
             rivals=ids("temp_linear", "temp_poly", "random_walk"),
             traits=_TRAITS,
+            term=SensorTerm.THERMAL_LAG,
             hidden=1,
         ),
     )
