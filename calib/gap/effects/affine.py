@@ -86,6 +86,7 @@ def _matrix_part(
     parameters: tuple[EffectParameter, ...],
     columns: Callable[[Trace, float], Array],
     rivals: tuple[str, ...],
+    *,
     exact: Callable[[Trace, Array], Array] | None = None,
 ) -> CatalogueEffect:
     about = {Sensor.ACCEL: "attitudes", Sensor.GYRO: "turns", Sensor.MAG: "attitudes"}[sensor]
@@ -124,7 +125,7 @@ def _effects() -> tuple[CatalogueEffect, ...]:
     }
     rotations = [
         _matrix_part(
-            "rotation", SensorTerm.ROTATION, s, per_axis("rotation", "rad"), rotation_columns, rivals[s], rotated
+            "rotation", SensorTerm.ROTATION, s, per_axis("rotation", "rad"), rotation_columns, rivals[s], exact=rotated
         )
         for s in TRIADS
     ]
