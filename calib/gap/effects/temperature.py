@@ -22,14 +22,24 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}  # degC, for any statement
+_LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}
+"""Span of the temperature, degC, for any statement. Chosen, not measured: a scale needs more than an offset, and a
+curve or a lag more than a slope."""
 _TRAITS = frozenset({Trait.THERMAL, Trait.LEVEL})
-_GOOD_SPAN = 15.0  # degC, for one that tells the rivals apart
-_BEYOND = 20.0  # degC by which the reference temperature may lie outside what was seen
-_REFERENCES = 13  # temperatures of the grid
-_TRIED = 241  # by their cost
-_MINIMA = 2  # minima of that cost
-_LAGS = np.geomspace(2.0, 180.0, 5)  # s, of a die in its package to a board in its box
+_GOOD_SPAN = 15.0
+"""Span of the temperature, degC, that tells the rivals apart. Source: GAP 8."""
+_BEYOND = 20.0
+"""Kelvin by which the reference temperature may lie outside what was seen. Chosen, not measured: few flights are
+further from the temperature of their calibration."""
+_REFERENCES = 13
+"""Temperatures of the grid. Source: 5 kelvin apart for a span of 20."""
+_TRIED = 241
+"""Temperatures whose cost is computed. Source: twenty to each step of the grid."""
+_MINIMA = 2
+"""Minima of that cost that are tried. Chosen, not measured: it bounds the time."""
+_LAGS = np.geomspace(2.0, 180.0, 5)
+"""Time constants that are tried, s: of a die in its package to a board in its box. Chosen, not measured: neighbours
+differ by a factor of three, and refinement goes between."""
 
 _POWERS = {"per_degc": "", "per_degc2": "2", "per_degc3": "3"}
 

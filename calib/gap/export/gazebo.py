@@ -23,9 +23,12 @@ from mavcal.calib.simulate.sensor import SensorErrors
 Array = NDArray[np.float64]
 
 RATES: Mapping[Sensor, float] = {Sensor.ACCEL: 250.0, Sensor.GYRO: 250.0, Sensor.MAG: 100.0}
-"""Hz, of PX4's models, at which a density becomes the standard deviation of a sample."""
-TESLA = 1e-6  # of a microtesla
-WALK_TIME = 1000.0  # s: correlation time that stands for a walk without end
+"""Hz, of PX4's models, at which a density becomes the standard deviation of a sample. Source: their SDF;
+FLIGHT_CONTROLLERS 7.2 has that of the inertial unit."""
+TESLA = 1e-6
+"""Tesla in a microtesla. Source: definition."""
+WALK_TIME = 1000.0
+"""Correlation time, s, that stands for a walk without end. Chosen, not measured: longer than most flights."""
 _HELD = frozenset({SensorTerm.BIAS, SensorTerm.HARD_IRON, SensorTerm.WHITE_NOISE, SensorTerm.RANDOM_WALK})
 _TAGS = {
     Sensor.ACCEL: ("imu", "linear_acceleration"),

@@ -26,17 +26,24 @@ Array = NDArray[np.float64]
 DEFAULTS: Mapping[str, float] = {
     f"SIM_MAG{n}_OFS_{axis}": offset for n in (1, 2, 3) for axis, offset in zip("XYZ", (5.0, 13.0, -18.0), strict=True)
 }
-"""What a fresh simulator has; everything else of its sensors is ideal."""
+"""What a fresh simulator has; everything else of its sensors is ideal. Source: FLIGHT_CONTROLLERS 7.1."""
 
 MIDDLE = 35.0
-"""degC about which SIM_IMUTn is stated where the simulator has no range of its own (TMIN 0, TMAX 70)."""
+"""degC about which SIM_IMUTn is stated where the simulator has no range of its own (TMIN 0, TMAX 70). Source:
+FLIGHT_CONTROLLERS 7.1."""
 
-COMPASS_RATE = 100.0  # Hz at which SITL draws a compass' noise, before the firmware averages
-_FAR = 1e6  # m: an anomaly of that height is the same everywhere
+COMPASS_RATE = 100.0
+"""Rate, Hz, at which SITL draws a compass' noise, before the firmware averages. Source: ArduPilot's AP_Compass_SITL."""
+_FAR = 1e6
+"""Height, m, of an anomaly that is the same everywhere. Source: FLIGHT_CONTROLLERS 7.1, its field falls as (HGT/(h +
+HGT))^3; at 1 km by 0.3 %."""
 _ON_TOP = ("SIM_MAG_MOT", "SIM_MAG_DELAY", "SIM_IMU_POS")
 """What an effect is added to; other parameters of the whole vehicle are replaced."""
-_ACTIVE = 0.3  # of the strongest axis: the least that counts as a vibration
-_INSTANCES = {Sensor.ACCEL: 5, Sensor.GYRO: 5, Sensor.MAG: 3}  # that the simulator has
+_ACTIVE = 0.3
+"""Share of the strongest axis' amplitude that counts as a vibration. Chosen, not measured: SITL has one amplitude for
+all axes, and a weak axis is nearer to none."""
+_INSTANCES = {Sensor.ACCEL: 5, Sensor.GYRO: 5, Sensor.MAG: 3}
+"""Instances that the simulator has. Source: FLIGHT_CONTROLLERS 7.1."""
 
 _FAMILIES: Mapping[str, tuple[str, ...]] = {
     "accel_bias": ("SIM_ACC#_BIAS",),
