@@ -1,6 +1,6 @@
 """``python -m bench.halves DATA``: both halves of every nominal recording against each other, either way: no gap.
 
-A hand-held recording has its other half as the nominal one, a vehicle's log as the flight that it is held against.
+A hand-held recording has its other half as the nominal one, a vehicle's log as the simulated flight.
 Exit code 1: something is named, or called unknown.
 """
 

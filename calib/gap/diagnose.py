@@ -23,6 +23,7 @@ from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.progress import GapPace, GapStage, with_limit
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import (
+    FIRST,
     EffectEstimate,
     GapReport,
     GapVerdict,
@@ -40,7 +41,7 @@ from mavcal.calib.gap.search.power import powers_of
 from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.search.wander import WanderFit, wandering
-from mavcal.calib.gap.telling.effect_report import effect_of, wandering_reference
+from mavcal.calib.gap.telling.effect_report import effect_of, on_either_unit, on_late_unit, wandering_reference
 from mavcal.calib.gap.telling.inputs import inputs_of
 from mavcal.calib.gap.telling.locate import located
 from mavcal.calib.gap.telling.overstated_noise import overstated_noise
@@ -51,7 +52,7 @@ from mavcal.calib.gap.unknown.plausibility import nameless, unresponsive_sensors
 from mavcal.calib.gap.unknown.shape_search import explained
 from mavcal.calib.gap.unknown.transitions import JumpSpan, passing, transitions, without_transitions
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING, UnnamedCause, unknown_of, unnamed_causes_in
-from mavcal.calib.gap.worth.attitude_error import BY_CHANCE, below_reference
+from mavcal.calib.gap.worth.attitude_error import BY_CHANCE, below_reference, either_unit
 from mavcal.calib.gap.worth.attribution import Attribution, attributed
 from mavcal.calib.recording import Sensor
 
@@ -330,14 +331,28 @@ def _effects(
     denied = {key for cause in causes for key in cause.keys}
     denied |= {t.hypothesis.key for t in model.terms if nominal_has_tone(t, task.problem.nominal)}
     denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
+    doubtful = either_unit(model, BY_CHANCE)
     found = (
-        effect_of(answer.chosen, a, answer.gates.get(a.key), beside_unknown=beside_unknown)
+        _effect(task, answer, a, beside_unknown=beside_unknown, either=a.key in doubtful)
         for a in answer.gap
         if a.key not in denied
     )
     wander = _unstated_wander(task, answer)
     own = () if wander is None else (wandering_reference(wander, answer.attributions),)
     return (*task.lattice.effects, *own, *(e for e in found if not covered_by(task.lattice, e)))
+
+
+def _effect(
+    task: _Task, answer: _Answer, attribution: Attribution, *, beside_unknown: bool, either: bool
+) -> EffectEstimate:
+    """One effect of the model; `either`: nobody can tell which of two units has it."""
+    passed = answer.gates.get(attribution.key)
+    effect = effect_of(answer.chosen, attribution, passed, beside_unknown=beside_unknown)
+    views = answer.chosen.model.setting.views
+    units = {i + FIRST for view in views if view.sensor is effect.sensor for i in view.weights}
+    if task.problem.reference.kind is ReferenceKind.ESTIMATOR:
+        effect = on_late_unit(effect, units)
+    return on_either_unit(effect, units) if either else effect
 
 
 def _unstated_wander(task: _Task, answer: _Answer) -> WanderFit | None:

@@ -176,11 +176,13 @@ class Trace:
 class FaultyInstances:
     """Which of two instances have something: slowly, against the reference that both share, and in fast bands.
 
-    None: nothing says.
+    None: nothing says. `certain`: the slow part was read where the reference's own error does not reach, and the
+    likelihood of the other parts must not overrule it.
     """
 
     slow: tuple[int, ...] | None = None
     fast: tuple[int, ...] | None = None
+    certain: bool = False
 
 
 @dataclass(frozen=True)

@@ -178,6 +178,10 @@ class SequenceStep:
     closed: float
 
 
+_WIDEST = 1.0
+"""Width of the 95 % interval of a share above which it says nothing: the whole gap. Chosen."""
+
+
 @dataclass(frozen=True)
 class Shrink:
     """How far the gap shrinks on data that were held out, in nats a sample.
@@ -195,6 +199,13 @@ class Shrink:
     sequence: tuple[SequenceStep, ...] = ()
     rms: Mapping[str, tuple[float, float, str]] = field(default_factory=dict)
     metric: str = "heldout_nlpd"
+
+    @property
+    def known(self) -> float | None:
+        """`closed` where the held-out blocks agree on it; None where its 95 % interval is wider than the whole gap."""
+        if self.ci95 is not None and self.ci95[1] - self.ci95[0] > _WIDEST:
+            return None
+        return self.closed
 
 
 @dataclass(frozen=True)
@@ -315,7 +326,7 @@ class GapReport:
         return self._summary().html()
 
     def _summary(self) -> Summary:
-        closed = None if self.shrink is None else self.shrink.closed
+        closed = None if self.shrink is None else self.shrink.known
         shrunk = "" if closed is None else f"; the effects close {100.0 * closed:.0f} % of the gap on held-out data"
         found = "1 effect" if len(self.effects) == 1 else f"{len(self.effects)} effects"
         title = f"Gap: {self.verdict.replace('_', ' ')}, {found}{shrunk}"

@@ -115,6 +115,12 @@ def closed_sentence(shrink: Shrink | None) -> str:
         return (
             f"Nothing measurable to close: {number(shrink.before)} nats a sample before, {number(shrink.after)} after."
         )
+    if shrink.known is None and shrink.ci95 is not None:
+        low, high = shrink.ci95
+        return (
+            f"How far the gap shrinks is not known: the 95 % interval of the share is {low:.1f} to {high:.1f}. "
+            "The parts of the recording that were held out disagree; a longer recording says more."
+        )
     interval = "" if shrink.ci95 is None else f" (95 % interval {shrink.ci95[0]:.3f} to {shrink.ci95[1]:.3f})"
     return (
         f"On data that were held out, adding the effects closes {100.0 * shrink.closed:.1f} % of the gap{interval}: "

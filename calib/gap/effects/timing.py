@@ -222,7 +222,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             fixed=True,
             plain="readings that are late",
             rivals=(f"{sensor}_low_pass", "clock_drift"),
-            traits=frozenset({Trait.STEADY}),
+            traits=frozenset({Trait.STEADY, Trait.LATE}),
         ),
         MeanEffect(
             f"{sensor}_low_pass",

@@ -19,6 +19,7 @@ class Trait(Enum):
     SIZE = "it makes the reference's movement larger or smaller"
     COARSE = "it rounds the samples to levels"
     DEAD_BAND = "small readings are zero, as they are on coarse levels"
+    LATE = "its shape is how late readings come, in seconds"
 
 
 class SensorTerm(Enum):

@@ -132,8 +132,10 @@ def hypotheses_of(
         if (common := _together(possible)) is not None:
             sets.append(common)
         times = _REPEATS if effect.repeatable else 1
+        at_fault, certain = _at_fault(effect, worse or {}), _certain(effect, worse or {})
         for instances in sets:
-            at_fault = _at_fault(effect, worse or {})
+            if certain and len(instances) == 1 and instances != at_fault:
+                continue
             handicap, loud = _handicap(effect, instances, at_fault), _loud(effect, instances, at_fault)
             tested += [Hypothesis(effect, instances, again, handicap, loud) for again in range(times)]
     return tuple(tested), tuple(dict.fromkeys(missing))
@@ -148,6 +150,14 @@ def _at_fault(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) 
     if effect.tonal or (noise and not effect.drifts):
         return faulty.fast
     return faulty.fast if noise and faulty.slow is None else faulty.slow
+
+
+def _certain(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) -> bool:
+    """Whether an effect that shifts the mean is on the instances at fault, whatever fits better."""
+    faulty = worse.get(effect.sensor)
+    if faulty is None or faulty.slow is None or effect.shared or isinstance(effect, NoiseEffect):
+        return False
+    return faulty.certain and not effect.tonal
 
 
 def _handicap(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> float:

@@ -131,7 +131,7 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     ideal = None if chosen is None or useless else chosen.ideal
     single = () if ideal is None else single_traces(real, channels, ideal)
     pairs = differences(real, ideal, single)
-    worse = faulty_instances_of(single, _singles_of(sim, chosen))
+    worse = faulty_instances_of(single, _singles_of(sim, chosen), _tilt_sd(chosen))
     single = informative(single, pairs)
     if not single and not pairs and not useless:
         raise InvalidInputError(_NO_OVERLAP) if ideal is not None else IncomparableError(_NO_REFERENCE, need=_NEED)
@@ -198,6 +198,13 @@ def _logged_attitude(real: Recording) -> tuple[Array, Array] | None:
     found = (s for c in real.find(Sensor.ATTITUDE) if (s := Signal.of(c)) is not None)
     best = max(found, key=lambda s: float(s.t[-1] - s.t[0]), default=None)
     return None if best is None else (best.t, continuous(best.values))
+
+
+def _tilt_sd(chosen: BestReferences | None) -> float:
+    """Standard deviation of a re-estimated attitude about an axis, rad; 0 for any other reference."""
+    if chosen is None or chosen.ideal.info.kind is not ReferenceKind.ESTIMATOR:
+        return 0.0
+    return math.radians(chosen.ideal.info.att_sigma_deg)
 
 
 def _info(chosen: BestReferences | None) -> ReferenceInfo:

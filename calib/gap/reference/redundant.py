@@ -129,11 +129,15 @@ _MORE = 4.0
 """Standard errors by which a band must have more power than the simulator's."""
 _ONE_RATE = 0.02
 """By which rates may differ, relative."""
+_TILTS = 3.0
+"""Standard deviations of the reference's tilt that may stand for what two accelerometers differ by across gravity."""
 _CLOSE = 0.05
 """Share of a step by which the times of two instances may differ: beyond, their difference is movement."""
 
 
-def faulty_instances_of(real: Sequence[Trace], sim: Sequence[Trace] = ()) -> dict[Sensor, FaultyInstances]:
+def faulty_instances_of(
+    real: Sequence[Trace], sim: Sequence[Trace] = (), tilt_sd: float = 0.0
+) -> dict[Sensor, FaultyInstances]:
     """By sensor with two instances, which of them has more than it should; absent where nothing says so.
 
     Parameters
@@ -142,14 +146,20 @@ def faulty_instances_of(real: Sequence[Trace], sim: Sequence[Trace] = ()) -> dic
         Each instance against the reference that both share.
     sim
         The same of a simulator's recording.
+    tilt_sd
+        Standard deviation of the reference's attitude about an axis, rad, where it was re-estimated; else 0.
     """
     found = {}
     for sensor in dict.fromkeys(t.sensor for t in real):
         pair = _pair(real, sensor)
         if pair is None:
             continue
-        worse = FaultyInstances(_slow(*pair), _fast(pair, _pair(sim, sensor)))
-        if worse != FaultyInstances():
+        fast = _fast(pair, _pair(sim, sensor))
+        if sensor is Sensor.ACCEL and _hidden_by_tilt(*pair, tilt_sd):
+            worse = FaultyInstances(_along_gravity(*pair), fast, certain=True)
+        else:
+            worse = FaultyInstances(_slow(*pair), fast)
+        if worse.slow is not None or worse.fast is not None:
             found[sensor] = worse
     return found
 
@@ -169,10 +179,45 @@ def _together(one: Trace, other: Trace) -> bool:
 def _slow(one: Trace, other: Trace) -> tuple[int, ...] | None:
     """The one that is off the reference while the other is not."""
     known = _known(one, other)
-    first, second = (_spectra(t.residual[known])[:, :_SLOW] for t in (one, other))
+    return _off_reference((one, other), one.residual[known], other.residual[known])
+
+
+def _hidden_by_tilt(one: Trace, other: Trace, tilt_sd: float) -> bool:
+    """Whether a tilt of the reference may stand for all that two accelerometers differ by across gravity.
+
+    The attitude follows one of them. If that one is off, the other seems to be, with the opposite sign.
+    """
+    known = _known(one, other)
+    apart = one.residual[known] - other.residual[known]
+    force = one.ideal[known]
+    across = (apart - _along(apart, force)[:, None] * _direction(force)).mean(axis=0)
+    return float(np.linalg.norm(across)) < _TILTS * tilt_sd * float(np.linalg.norm(force, axis=1).mean())
+
+
+def _direction(force: Array) -> Array:
+    """Unit vectors along a specific force (n, 3); zero in free fall."""
+    size = np.linalg.norm(force, axis=1, keepdims=True)
+    return np.asarray(np.divide(force, size, out=np.zeros_like(force), where=size > 0.0))
+
+
+def _along(series: Array, force: Array) -> Array:
+    """The part of a series (n, 3) along the specific force, (n,)."""
+    return np.asarray((series * _direction(force)).sum(axis=1))
+
+
+def _along_gravity(one: Trace, other: Trace) -> tuple[int, ...] | None:
+    """The one that is off the reference along gravity, where no tilt reaches to first order."""
+    known = _known(one, other)
+    first, second = (_along(t.residual[known], t.ideal[known])[:, None] for t in (one, other))
+    return _off_reference((one, other), first, second)
+
+
+def _off_reference(traces: tuple[Trace, Trace], first_left: Array, second_left: Array) -> tuple[int, ...] | None:
+    """The one whose slow residual is large while the other's is small; residuals (n, axes)."""
+    first, second = (_spectra(left)[:, :_SLOW] for left in (first_left, second_left))
     apart = float(((first - second) ** 2).sum())
     left = [float((second**2).sum()), float((first**2).sum())]
-    for trace, of_other in zip((one, other), left, strict=True):
+    for trace, of_other in zip(traces, left, strict=True):
         if of_other < _NEAR * apart:
             return trace.instances
     return None
@@ -236,5 +281,5 @@ def _known(one: Trace, other: Trace) -> NDArray[np.bool_]:
 
 
 def _spectra(series: Array) -> Array:
-    """Spectra of a series (n, 3), by axis (3, n)."""
+    """Spectra of a series (n, axes), by axis (axes, n)."""
     return transform(np.ascontiguousarray(series.T))

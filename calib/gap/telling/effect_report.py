@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
+
 import numpy as np
 
+from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.heldout.shrink import dose_of
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
-from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, Gates
+from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, Gates, Rival
 from mavcal.calib.gap.search.selection import ChosenModel
 from mavcal.calib.gap.search.wander import WanderFit, rms_rotation, sees
 from mavcal.calib.gap.telling.estimates import estimates_of
@@ -30,6 +35,35 @@ def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, b
         found.rivals,
         Gates(passed, None, dose.agrees),
     )
+
+
+_EITHER = 0.5
+"""Part of its probability that an effect keeps if either of two units may have it."""
+
+
+def on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
+    """A delay on the unit that has it, of two `units`, which count from 1.
+
+    A re-estimated trajectory follows one of them and is as late. Beside it the other seems to come early, and no sensor
+    reads what has not happened.
+    """
+    if Trait.LATE not in by_id()[effect.id].traits or len(units) != 2 or len(effect.instances) != 1:
+        return effect
+    (delay,) = effect.params
+    low, high = delay.ci95
+    if high >= 0.0:
+        return effect
+    late = replace(delay, value=-delay.value, ci95=(-high, -low))
+    return replace(effect, instances=tuple(set(units) - set(effect.instances)), params=(late,))
+
+
+def on_either_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
+    """`effect` with its doubt: of two `units`, which count from 1, the other may have it instead."""
+    other = next(unit for unit in sorted(units) if unit not in effect.instances)
+    fix = f"turning through all headings and tilts (instance {other} may have it instead, with the opposite sign)"
+    evidence = replace(effect.evidence, probability=_EITHER * effect.evidence.probability)
+    rivals = (Rival(effect.id, 1.0, 0.0, fix), *effect.confusable_with)
+    return replace(effect, evidence=evidence, confusable_with=rivals)
 
 
 def wandering_reference(wander: WanderFit, attributions: tuple[Attribution, ...]) -> EffectEstimate:

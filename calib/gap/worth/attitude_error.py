@@ -8,6 +8,7 @@ samples says nothing of it: a minute of them would state a bias to a part in a t
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from scipy.special import chdtrc
 
 from mavcal.calib.gap.effects.affine import rotation_columns
 from mavcal.calib.gap.effects.magnetic import earth_columns
-from mavcal.calib.gap.model.hypotheses import HypothesisColumns, Key, Part, add_block
+from mavcal.calib.gap.model.hypotheses import HypothesisColumns, Key, Part, add_block, columns_of
 from mavcal.calib.gap.model.joint import Joint, Model, Setting, jacobian, normal_equations
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.recording import Sensor
@@ -49,6 +50,36 @@ def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
         covariance = joint.covariance[own, own] + moved[own] @ moved[own].T
         if moved[own].any() and _chance(values[:free], covariance) > alpha:
             found.add(term.hypothesis.key)
+    return frozenset(found)
+
+
+def either_unit(model: Model, alpha: float) -> frozenset[Key]:
+    """Effects on one of two units that the other may have instead, with the opposite sign.
+
+    The units differ by them for certain. If both had them, the trajectory's own error would be as large with a chance
+    above `alpha`: it cannot say which of both is off.
+    """
+    views = model.setting.views
+    tilt = max((view.att_sd for view in views if view.reference_error), default=0.0)
+    if tilt == 0.0:
+        return frozenset()
+    errors = _errors(model.setting, tilts=model.ridge is None)
+    found = set()
+    for term in model.terms:
+        own = term.hypothesis
+        units = {i for view in views if view.sensor is own.effect.sensor for i in view.weights}
+        if own.effect.shared or len(own.instances) != 1 or len(units) != 2:
+            continue
+        both = replace(own, instances=tuple(sorted(units)))
+        columns = columns_of(both, term.theta, views, model.setting.frames)
+        gram = normal_equations([columns, errors], model.y, model.weight).gram
+        precision, cross = gram[: columns.p, : columns.p], gram[: columns.p, columns.p :]
+        inverse = np.linalg.pinv(precision, hermitian=True)
+        moved = inverse @ cross
+        values = term.values[: columns.p]
+        second_order = (tilt * np.linalg.norm(values)) ** 2 * np.eye(columns.p)
+        if moved.any() and _chance(values, inverse + moved @ moved.T + second_order) > alpha:
+            found.add(own.key)
     return frozenset(found)
 
 

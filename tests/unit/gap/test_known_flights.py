@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from bench.common_faults import changed, walk, white
 from bench.gap_recordings import broad_recording
+from bench.unit_faults import FAULTS, broken, pair
 from mavcal.calib import gap, logs
 from mavcal.calib.blind.real import halves, injected
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict
@@ -111,6 +112,30 @@ def test_what_is_put_into_a_flight_is_found_beside_its_own(shared_data: Path, ch
 def of_one_unit(recording: Recording) -> Recording:
     inertial = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
     return recording.with_channels(c for c in recording.channels if c.instance == 0 or c.sensor not in inertial)
+
+
+@pytest.mark.parametrize("removed", [0.0, 0.15], ids=["all axes", "across gravity"])
+def test_a_vehicle_at_rest_says_which_unit_has_a_bias_or_that_it_cannot(shared_data: Path, removed: float) -> None:
+    """The attitude is levelled by the unit that has it: across gravity its tilt hides the bias."""
+    whole = logs.read(shared_data / "sitl_flights" / "bias.bin")
+    began = min(float(c.t[0]) for c in whole.channels)
+    rest = whole.with_channels(c.between(began, began + 30.0) for c in whole.channels)
+    less = np.array([0.0, 0.0, removed])
+    real = rest.with_channels(
+        dataclasses.replace(c, values=c.values - less) if (c.sensor, c.instance) == (Sensor.ACCEL, 0) else c
+        for c in rest.channels
+    )
+    report = gap.run(real, logs.read(shared_data / "sitl_flights" / "null.bin"), (), nested=False)
+    effect = next(e for e in report.effects if e.id == "accel_bias")
+    bias = np.array([p.value for p in effect.params])
+    assert np.abs(bias) == pytest.approx([0.3, 0.2, 0.15 - removed], abs=0.01)
+    if removed:
+        assert effect.evidence.probability <= 0.5
+        assert effect.confusable_with
+    else:
+        assert (effect.instances, np.sign(bias).tolist()) == ((1,), [1.0, -1.0, 1.0])
+        assert effect.evidence.probability > 0.9
+        assert not effect.confusable_with
 
 
 @pytest.mark.parametrize("name", ["mix", "vib_motor_temp"])
@@ -295,3 +320,14 @@ def test_what_is_put_into_one_of_two_units_is_found_on_that_one(shared_data: Pat
     assert [(e.id, list(e.instances)) for e in report.effects] == [(kind, [1])]
     assert not report.unknown.flag
     assert report.effects[0].evidence.probability > 0.5
+
+
+def test_a_gyroscope_that_is_late_is_named_although_the_trajectory_follows_it(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    real, sim = pair("d02", shared_data, tmp_path)
+    sensor, fault, called = FAULTS["gyroscope delay 20 ms"]
+    (effect,) = gap.run(broken(real, sensor, fault), sim, nested=False).effects
+    assert (effect.id, effect.instances) == (called, (1,))
+    assert effect.params[0].value == pytest.approx(0.02, abs=0.001)
+    assert effect.params[0].ci95[0] > 0.0

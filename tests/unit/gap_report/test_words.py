@@ -176,6 +176,23 @@ def test_how_far_the_gap_shrinks_has_its_interval_and_its_floor():
     assert "interval" not in closed_sentence(replace(SHRINK, ci95=None))
 
 
+def test_a_share_whose_blocks_disagree_is_not_stated():
+    unsure = replace(SHRINK, closed=1.0, ci95=(-12.598, 13.608))
+    assert unsure.known is None
+    said = closed_sentence(unsure)
+    assert "100" not in said
+    assert "-12.6 to 13.6" in said
+    agreed = replace(SHRINK, closed=0.8, ci95=(0.3, 1.3))
+    assert agreed.known == 0.8
+    assert "closes 80.0 %" in closed_sentence(agreed)
+
+
+def test_the_one_line_summary_keeps_silent_where_the_blocks_disagree():
+    told = replace(report(BIAS), shrink=replace(SHRINK, closed=1.0, ci95=(-12.0, 13.0)))
+    assert "close" not in repr(told).splitlines()[0]
+    assert "close 97 %" in repr(replace(told, shrink=replace(SHRINK, closed=0.97, ci95=None))).splitlines()[0]
+
+
 def test_what_cannot_shrink_is_said():
     assert closed_sentence(None).endswith("too short to hold parts of it back.")
     assert closed_sentence(replace(SHRINK, closed=None)) == (

@@ -166,3 +166,47 @@ def test_a_scale_error_goes_with_the_movement_and_says_nothing_of_noise(seed, er
     one, other = instances(seed)
     scaled = dataclasses.replace(one, measured=(1.0 + error) * one.measured)
     assert told((scaled, other), instances(seed + 100)).fast is None
+
+
+TILT = np.radians(2.0)
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+
+
+def at_rest(first, second=(0.0, 0.0, 0.0)):
+    """Two accelerometers at rest with an offset each, beside an attitude that is levelled by the first of them."""
+    rng = np.random.default_rng(9)
+    first, second = np.array(first), np.array(second)
+    levelled = GRAVITY + first * [1.0, 1.0, 0.0]
+    ideal = np.tile(levelled * 9.80665 / np.linalg.norm(levelled), (ROWS, 1))
+    noise = SIGMA * rng.normal(size=(2, ROWS, 3))
+    return tuple(
+        Trace(Sensor.ACCEL, (i,), np.arange(ROWS) / RATE, GRAVITY + own + noise[i], ideal, np.ones(ROWS, dtype=bool))
+        for i, own in enumerate((first, second))
+    )
+
+
+def of_accelerometers(real, tilt_sd=TILT):
+    return faulty_instances_of(real, (), tilt_sd).get(Sensor.ACCEL, FaultyInstances())
+
+
+@pytest.mark.parametrize("second", [(0.0, 0.0, 0.0), (0.0, 0.0, 0.01)])
+def test_of_two_accelerometers_beside_an_uncertain_tilt_gravity_says_which_is_off(second):
+    found = of_accelerometers(at_rest((0.3, -0.2, 0.15), second))
+    assert (found.slow, found.certain) == ((0,), True)
+    assert of_accelerometers(at_rest(second, (0.3, -0.2, 0.15))).slow == (1,)
+
+
+def test_where_the_tilt_hides_all_of_it_nothing_says_which_accelerometer_is_off():
+    assert of_accelerometers(at_rest((0.3, -0.2, 0.0))).slow is None
+
+
+def test_an_attitude_that_is_known_well_says_which_accelerometer_is_off_by_all_axes():
+    real = tuple(dataclasses.replace(t, ideal=np.tile(GRAVITY, (ROWS, 1))) for t in at_rest((0.3, -0.2, 0.0)))
+    for tilt_sd in (0.0, 0.1 * np.hypot(0.3, 0.2) / 9.80665):
+        found = of_accelerometers(real, tilt_sd)
+        assert (found.slow, found.certain) == ((0,), False)
+
+
+def test_in_free_fall_no_tilt_hides_anything():
+    real = tuple(dataclasses.replace(t, ideal=np.zeros((ROWS, 3))) for t in at_rest((0.3, -0.2, 0.0)))
+    assert not of_accelerometers(real).certain

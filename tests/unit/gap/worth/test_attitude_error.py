@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.reference.redundant import faulty_instances_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 TILT_DEG = 0.5
+BIAS_ONLY = tuple(e for e in catalogue() if e.id == "accel_bias")
 BIAS = np.array([0.3, -0.2, 0.15])
 WHITE = SIGMA[Sensor.ACCEL] / math.sqrt(2000.0)
 
@@ -78,3 +82,47 @@ def test_what_a_re_estimated_trajectory_states_of_itself_is_no_finding():
 
 def test_an_attitude_that_wanders_more_than_it_states_is_a_finding():
     assert "reference_attitude" in [e.id for e in beside_a_wandering_attitude(stated_deg=0.05).effects]
+
+
+def two_at_rest(offset, tilt_deg=1.0):
+    """Two accelerometers at rest, of which the first is `offset`, beside an attitude that is levelled by it."""
+    gravity, offset = np.array([0.0, 0.0, -9.80665]), np.array(offset)
+    levelled = gravity + offset * [1.0, 1.0, 0.0]
+    whole = problem_of(
+        np.random.default_rng(11),
+        (Sensor.ACCEL,),
+        instances=2,
+        reference=ReferenceInfo(ReferenceKind.ESTIMATOR, tilt_deg),
+    )
+    traces = []
+    for trace in whole.traces:
+        ideal = np.tile(levelled * 9.80665 / np.linalg.norm(levelled), (len(trace.t), 1))
+        measured = gravity + trace.residual + (offset if trace.instances == (0,) else 0.0)
+        still = np.zeros_like(ideal)
+        upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(trace.t), 1))
+        traces.append(
+            replace(trace, measured=measured, ideal=ideal, force=ideal, rate=still, spin=still, attitude=upright)
+        )
+    worse = faulty_instances_of(traces, (), math.radians(tilt_deg))
+    return diagnose(replace(whole, traces=tuple(traces), worse=worse), effects=BIAS_ONLY, nested=False)
+
+
+def test_of_two_units_the_one_that_is_off_along_gravity_has_the_bias_and_not_the_other():
+    (effect,) = two_at_rest((0.3, -0.2, 0.15), tilt_deg=2.0).effects
+    assert effect.instances == (1,)
+    assert [p.value for p in effect.params] == pytest.approx([0.3, -0.2, 0.15], abs=0.01)
+    assert effect.evidence.probability > 0.7
+
+
+def test_a_bias_that_a_tilt_hides_is_on_either_unit_and_the_report_says_so():
+    (effect,) = two_at_rest((0.3, -0.2, 0.0)).effects
+    assert effect.evidence.probability <= 0.5
+    assert effect.confusable_with[0].id == "accel_bias"
+    other = 3 - effect.instances[0]
+    assert f"instance {other} may have it instead" in effect.confusable_with[0].fix
+
+
+def test_a_unit_that_differs_by_more_than_any_tilt_is_the_one():
+    (effect,) = two_at_rest((0.3, -0.2, 0.0), tilt_deg=0.2).effects
+    assert effect.confusable_with == ()
+    assert effect.evidence.probability > 0.7
