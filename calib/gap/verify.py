@@ -38,7 +38,7 @@ noise remembers."""
 _DRAWS = 400
 """Draws of as many blocks, for an interval. Chosen, not measured: ten lie beyond either end of 95 %."""
 _SEED = 20
-"""Seed of the draws: one gap has one interval. Source: any number does."""
+"""Seed of the draws: one gap has one interval. Chosen, not measured: any number does."""
 _UNSEEN = 12.0
 """Gain, nats in all, that the contest's threshold hides. Chosen, not measured: a deviance of 24, about where detection
 begins (GAP 4.2)."""

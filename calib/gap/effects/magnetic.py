@@ -33,7 +33,7 @@ _NED = "ned"
 _LONGEST_LAG = 0.3
 """Longest lag between current and field, s. Chosen, not measured: current monitors filter over tenths of a second."""
 _LAGS = 25
-"""Lags that are tried, early and late. Source: steps of 25 ms up to `_LONGEST_LAG` on either side."""
+"""Lags that are tried, early and late. Chosen, not measured: steps of 25 ms up to `_LONGEST_LAG` on either side."""
 
 # A gradient of a field without sources in the volume is symmetric (no curl) and has no trace (no divergence).
 GRADIENT = (

@@ -32,9 +32,9 @@ _BEYOND = 20.0
 """Kelvin by which the reference temperature may lie outside what was seen. Chosen, not measured: few flights are
 further from the temperature of their calibration."""
 _REFERENCES = 13
-"""Temperatures of the grid. Source: 5 kelvin apart for a span of 20."""
+"""Temperatures of the grid. Chosen, not measured: 5 kelvin apart for a span of 20."""
 _TRIED = 241
-"""Temperatures whose cost is computed. Source: twenty to each step of the grid."""
+"""Temperatures whose cost is computed. Chosen, not measured: twenty to each step of the grid."""
 _MINIMA = 2
 """Minima of that cost that are tried. Chosen, not measured: it bounds the time."""
 _LAGS = np.geomspace(2.0, 180.0, 5)

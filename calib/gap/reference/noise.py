@@ -43,8 +43,8 @@ _SHRUNK = 12.0
 """Coefficients that speak for the smooth model, against those of a band that differs. Chosen, not measured: a band of
 as many counts half."""
 FEWEST = 64
-"""Samples of a recording that say something of noise, and coefficients of a band that is divided no further. Source: a
-variance of as many is known to 18 % (sqrt(2/64))."""
+"""Samples of a recording that say something of noise, and coefficients of a band that is divided no further. Chosen,
+not measured: a variance of as many is known to 18 % (sqrt(2/64))."""
 UNSTEADY = 1e-4
 """Chance of steady noise that seems to follow something: the motor power, or the change of a reading. Chosen, not
 measured: a recording has some ten series to ask."""
@@ -60,7 +60,7 @@ a hover by some percent."""
 LOWEST_ROTOR_HZ = 5.0
 """Speed, Hz, below which no rotor turns. Chosen, not measured: 300 revolutions a minute carry nothing."""
 _LEAST = 6
-"""Coefficients in the lowest band. Source: a power of as many is known to 58 % (sqrt(2/6))."""
+"""Coefficients in the lowest band. Chosen, not measured: a power of as many is known to 58 % (sqrt(2/6))."""
 _SEEN = 5.0
 """Ratio to the filter's cut-off, beyond which too little is left to be brought back. Chosen, not measured: a filter of
 second order leaves 4 % of the amplitude there."""

@@ -47,8 +47,7 @@ _STRAIN = 8.0
 """Standard deviations from which an interval is not believed. Chosen, not measured: far beyond what normal errors of
 any length of flight reach."""
 _AROUND = 10
-"""Intervals on either side that are not believed either. Source: a second at `STEP_S`; the second is chosen, not
-measured."""
+"""Intervals on either side that are not believed either. Chosen, not measured: a second at `STEP_S`."""
 _FOLLOWED_HZ = 0.2 / STEP_S
 """Up to which a spline through the velocities of the nodes follows an acceleration: a fifth is lost there. Source: that
 loss; its computation is not recorded."""

@@ -35,7 +35,7 @@ _LOWEST = 1 / 8
 _BLOCKS = 16
 """Blocks of the coefficients above that, at most. Chosen, not measured: enough to tell a floor from a slope."""
 _FEWEST = 128
-"""Coefficients in a block. Source: its power is known to 13 % (sqrt(2/128))."""
+"""Coefficients in a block. Chosen, not measured: its power is known to 13 % (sqrt(2/128))."""
 _FEWEST_BLOCKS = 3
 """Blocks that must agree on the noise floor. Chosen, not measured: two agree by chance."""
 _MOST = 0.5
@@ -49,7 +49,7 @@ above it by chance."""
 _STEP = 1.08
 """Ratio of the edges of bands. Chosen, not measured: nine to an octave."""
 _NARROWEST = 8
-"""Coefficients in a band. Source: its power is known to 50 % (sqrt(2/8))."""
+"""Coefficients in a band. Chosen, not measured: its power is known to 50 % (sqrt(2/8))."""
 _LINES = (1, 3, 9, 27)
 """Widths of what stands out of a band, coefficients: lines, and lines that drift. Chosen, not measured: a factor of
 three from one to the next."""

@@ -28,7 +28,7 @@ _BINS = 6
 _BANDS = 8
 """Bands of frequency. Chosen, not measured: a table that a person reads."""
 _FEWEST = 24
-"""Samples in a bin that is tested. Source: a variance of as many is known to 29 % (sqrt(2/24))."""
+"""Samples in a bin that is tested. Chosen, not measured: a variance of as many is known to 29 % (sqrt(2/24))."""
 
 
 @dataclass(frozen=True, eq=False)

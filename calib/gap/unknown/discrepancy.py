@@ -56,7 +56,7 @@ _PAD = 8
 """Times the length to which a series is filled up: an overtone is k times nearer to its bin than to the next. Chosen,
 not measured: an eighth of a bin is near enough for most overtones."""
 _OVERTONES = (1, 2, 4, 8, 16)
-"""Waves in a comb. Source: powers of two; what lies between wins with the next larger one."""
+"""Waves in a comb. Chosen, not measured: powers of two; what lies between wins with the next larger one."""
 _SIZES = np.geomspace(1.0, 200.0, 8)
 """Variances of a wave's amplitude, in those of the noise. Chosen, not measured: a factor of two from one to the
 next."""

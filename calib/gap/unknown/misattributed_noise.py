@@ -127,7 +127,7 @@ def returning(model: Model, v: int, term: NoiseTerm) -> bool:
 _TOGETHER = (([0, 1, 2], ""), ([0], ".x"), ([1], ".y"), ([2], ".z"))
 """Axes that may swell together, and their name: one supply feeds all three."""
 _WINDOWS = (4, 8, 16, 32, 64, 128)
-"""Samples over which energies are summed, in turn. Source: an octave from one to the next."""
+"""Samples over which energies are summed, in turn. Chosen, not measured: an octave from one to the next."""
 _MOST = 0.99
 """Part of the samples whose energy counts as it is. Chosen, not measured: a few large samples are heavy tails and do
 not swell."""
