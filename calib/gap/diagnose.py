@@ -57,7 +57,8 @@ from mavcal.calib.gap.worth.attribution import Attribution, attributed
 from mavcal.calib.recording import Sensor
 
 _ROUNDS = 3
-"""Times that samples during events are left out, after which a selection stands whatever it says."""
+"""Times that samples during events are left out, after which a selection stands whatever it says. Chosen, not measured:
+it bounds the time of a selection that goes to and fro."""
 
 
 @dataclass(frozen=True, eq=False)

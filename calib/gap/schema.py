@@ -28,12 +28,10 @@ Json = dict[str, Any]
 
 SCHEMA = "gap/1"
 _EVEN = 0.5
+"""Probability from which a name is likelier than all else together. Source: even odds."""
 USELESS_DEG = 3.0
-"""Standard deviation of a re-estimated attitude, degrees, from which on no sensor is judged by it.
-
-A tilt of it reads like 0.5 m/s2 of an accelerometer and 2.6 uT of a compass in a field of 50 uT: more than most errors
-that anybody looks for.
-"""
+"""Standard deviation of a re-estimated attitude, degrees, from which no sensor is judged by it. A tilt of it reads like
+0.5 m/s2 of an accelerometer and 2.6 uT of a compass in a field of 50 uT. Source: decision 32."""
 REFERENCE_NEED = (
     "a recording that speeds up, brakes and turns through all headings with GPS velocity, a compass and an inertial "
     "unit faster than 10 Hz; or --sim of the same trajectory; or a measured pose (q_* or ref_q_* columns)"
@@ -42,7 +40,7 @@ REFERENCE_NEED = (
 RE_ESTIMATED = "estimator"
 """Kind of the reference that is made from the recording itself."""
 FIRST = 1
-"""Instances count from 1 in a report."""
+"""Instances count from 1 in a report. Source: GAP 8."""
 
 
 class GapVerdict(StrEnum):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.drawing import Chart, limits_of, thinned
 from mavcal.calib.fit import AXES
+from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.schema import EffectEstimate, SeriesFit
 from mavcal.calib.gap_report.colours import AFTER, BEFORE, FLOOR, MODEL
 
@@ -182,7 +183,8 @@ def strip(series: Sequence[SeriesFit], effects: Sequence[EffectEstimate]) -> lis
             continue
         chart = _strip_chart(fit)
         for effect in effects:
-            if effect.id == f"{fit.sensor.value}_step" and set(effect.instances) & set(fit.instances):
+            own = effect.sensor is fit.sensor and set(effect.instances) & set(fit.instances)
+            if own and effect.id in by_id() and by_id()[effect.id].jumps:
                 chart.mark(next(p.value for p in effect.params if p.name == "time_s"), "step", MODEL)
         drawn.append(chart.drawn())
     return drawn + conditions(series)

@@ -47,10 +47,10 @@ ROOMS = set().union(*LAYERS)
 GAP_LAYERS = (
     {"remembered"},
     {"schema", "likelihood"},
-    {"problem", "progress", "export"},
+    {"problem", "progress"},
     {"reference"},
     {"effects"},
-    {"model"},
+    {"model", "export"},
     {"search"},
     {"heldout", "worth"},
     {"unknown"},

@@ -22,13 +22,17 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _STEP_S = 0.5
-"""Over which readings are averaged first."""
+"""Seconds over which readings are averaged first. Chosen, not measured: noise averages out, and no level is as
+short."""
 _LEVEL_S, _APART_S = 8.0, 2.0
-"""How long a level lasts on either side of a step at least, and what is left out between: hands take their time."""
+"""Seconds that a level lasts at least on either side of a step, and seconds that are left out between. Chosen, not
+measured: hands take a second or two to change something."""
 _SEEN = 0.5
-"""Part of the averages of a level that has to be there."""
+"""Part of the averages of a level that has to be there. Chosen, not measured: with fewer than half a hole decides where
+the level lies."""
 _LARGER = 1.5
-"""Times the largest step of a nominal recording from which on one is not of that kind."""
+"""Ratio to the largest step of a nominal recording, above which a step is of another kind. Source: decision 34; the
+ratio is chosen, not measured: the largest of a few steps varies by as much."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,18 +19,21 @@ simulator's is always the same.
 """
 _OPEN, _OPEN_BIAS = 1.0 / 3.0, 1.5
 """Part of a nuisance effect by which two recordings against poses differ; a bias differs by all of itself, and by the
-error of its estimate.
-"""
+error of its estimate. Source: decision 7 for the third. The other is chosen, not measured: the bias and half as much
+for the error of its estimate."""
 _SMALL_LEVEL = 0.006
-"""Evidence a number, beside `prices.FLIGHT_DIFFERENCE`, of level shifts: they are a few numbers of a spectrum."""
+"""Evidence a number, beside `prices.FLIGHT_DIFFERENCE`, of level shifts: they are a few numbers of a spectrum. Chosen,
+not measured: a fifth of that difference."""
 _SMALL_JOINS = 0.003
-"""The same of what is in the model, so that nothing else takes its place, and not reported."""
+"""The same of what is in the model, so that nothing else takes its place, and not reported. Chosen, not measured: a
+tenth of that difference, so that it joins first."""
 _LOUD = 0.3
-"""Evidence a number of noise of twice the power: 1 - log 2. It differs by as much from minute to minute."""
+"""Evidence a number of noise of twice the power; noise differs by as much from minute to minute. Source: deviance `r -
+1 - log r` of a ratio r of powers, 1 - log 2 at r = 2."""
 _ROUNDS, _SETTLED = 5, 0.1
-"""Times at most that the noise is learned, first with the nuisance effects, then beside them. The second is
-the share by which their gain may still change.
-"""
+"""Times at most that the noise is learned, first with the nuisance effects, then beside them. The second is the
+share by which their gain may still change. Chosen, not measured: five bound the time, and a tenth of a gain decides
+nothing."""
 
 
 @dataclass(frozen=True, eq=False)

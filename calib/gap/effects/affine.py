@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
 from mavcal.calib.gap.effects.parts import AXES, INERTIAL, TRIADS, TUMBLE, UNIT, axiswise, crossed, moves, per_axis
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -68,6 +68,7 @@ def _bias(sensor: Sensor) -> CatalogueEffect:
         plain="a constant offset",
         rivals=rivals[sensor],
         traits=frozenset({Trait.STEADY, Trait.LEVEL}),
+        term=SensorTerm.BIAS,
     )
 
 
@@ -80,10 +81,12 @@ _PLAIN = {
 
 def _matrix_part(
     kind: str,
+    term: SensorTerm,
     sensor: Sensor,
     parameters: tuple[EffectParameter, ...],
     columns: Callable[[Trace, float], Array],
     rivals: tuple[str, ...],
+    *,
     exact: Callable[[Trace, Array], Array] | None = None,
 ) -> CatalogueEffect:
     about = {Sensor.ACCEL: "attitudes", Sensor.GYRO: "turns", Sensor.MAG: "attitudes"}[sensor]
@@ -98,15 +101,22 @@ def _matrix_part(
         rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
         exact=exact,
         plain=_PLAIN[kind],
-        traits=frozenset({Trait.STEADY, Trait.SIZE} if kind == "scale" else {Trait.STEADY}),
+        traits=frozenset({Trait.STEADY, Trait.SIZE} if term is SensorTerm.SCALE else {Trait.STEADY}),
+        term=term,
     )
 
 
 def _effects() -> tuple[CatalogueEffect, ...]:
     cross = tuple(EffectParameter(f"misalignment.{AXES[i]}{AXES[j]}", "1") for i, j in OFF_DIAGONAL)
     biases = [_bias(s) for s in INERTIAL]
-    scales = [_matrix_part("scale", s, per_axis("scale", "1"), scale_columns, ("bias", "temp_scale")) for s in INERTIAL]
-    crossings = [_matrix_part("misalignment", s, cross, misalignment_columns, ("rotation", "bias")) for s in INERTIAL]
+    scales = [
+        _matrix_part("scale", SensorTerm.SCALE, s, per_axis("scale", "1"), scale_columns, ("bias", "temp_scale"))
+        for s in INERTIAL
+    ]
+    crossings = [
+        _matrix_part("misalignment", SensorTerm.MISALIGNMENT, s, cross, misalignment_columns, ("rotation", "bias"))
+        for s in INERTIAL
+    ]
     # A magnetometer's symmetric matrix is its soft iron; what is left of the matrix is the rotation.
     rivals = {
         Sensor.ACCEL: ("misalignment", "bias"),
@@ -114,7 +124,10 @@ def _effects() -> tuple[CatalogueEffect, ...]:
         Sensor.MAG: ("earth_field", "hard_iron"),
     }
     rotations = [
-        _matrix_part("rotation", s, per_axis("rotation", "rad"), rotation_columns, rivals[s], rotated) for s in TRIADS
+        _matrix_part(
+            "rotation", SensorTerm.ROTATION, s, per_axis("rotation", "rad"), rotation_columns, rivals[s], exact=rotated
+        )
+        for s in TRIADS
     ]
     return (*biases, *scales, *crossings, *rotations)
 

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -86,6 +86,8 @@ class CatalogueEffect:
         A phrase in plain words, for readers who do not know the id.
     traits
         Properties by which the search, the prices and the report treat it.
+    term
+        Term of the sensor equation that exports write it to; None: a simulated sensor has no such term.
     family
         Kind of a shape that the catalogue does not have; it sets the price. Empty for an effect with a name.
     part
@@ -108,6 +110,7 @@ class CatalogueEffect:
     form: str = ""
     plain: str = ""
     traits: frozenset[Trait] = frozenset()
+    term: SensorTerm | None = None
     family: str = ""
     part: bool = False
 

@@ -7,14 +7,17 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
 from mavcal.calib.gap.effects.parts import AXES, TUMBLE, on_each_axis, per_axis, spread
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_LEAST_FORCE = 0.3  # m/s2, standard deviation: 3 % of gravity
-_LEAST_LEVER = 0.05  # m/s2 per metre, standard deviation: 2 cm of it are a milligravity's tenth
+_LEAST_FORCE = 0.3
+"""Standard deviation, m/s2, of the specific force below which nothing is said. Chosen, not measured: 3 % of gravity."""
+_LEAST_LEVER = 0.05
+"""Standard deviation, m/s2 per metre of lever, below which nothing is said. Chosen, not measured: a lever of 2 cm then
+shows 1 mm/s2, a tenth of a milligravity."""
 
 
 def g_sensitivity_signals(trace: Trace, _theta: float) -> Array:
@@ -66,6 +69,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         signals=g_sensitivity_signals,
         plain="a rate that follows the specific force",
         rivals=("gyro_bias", "gyro_vibration_rectification"),
+        term=SensorTerm.G_SENSITIVITY,
     ),
     MeanEffect(
         "accel_lever_arm",

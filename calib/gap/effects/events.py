@@ -18,10 +18,15 @@ Array = NDArray[np.float64]
 Screen = Callable[[Trace, Array], Array]
 
 SLOW_S = 1.5
-"""Duration of a step that is no jump."""
-_CANDIDATES = 4  # moments that are tried
-_SEEN = 0.7  # of the samples of a ramp
-_EDGE = 0.01  # of the recording: a step this near to an end is a bias
+"""Duration, s, of a step that is no jump. Chosen, not measured: hands take about as long to put a magnet on."""
+_CANDIDATES = 4
+"""Moments that are tried. Chosen, not measured: it bounds the time; the likeliest ones are among the first."""
+_SEEN = 0.7
+"""Share of a ramp's samples that must be observed. Chosen, not measured: with fewer the hole and not the ramp
+decides."""
+_EDGE = 0.01
+"""Share of the recording: a step this near to an end is a bias. Chosen, not measured: one level would rest on a
+hundredth of the samples."""
 
 
 def after(trace: Trace, moment: float) -> Array:

@@ -14,24 +14,39 @@ from scipy.optimize import brentq
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, LatticeEffect, LatticeEvidence
 from mavcal.calib.gap.effects.parts import AXES, TRIADS, UNIT
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.resolution import levels_of, noise_of
+from mavcal.calib.gap.reference.resolution import EQUAL, levels_of, noise_of
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_EVIDENCE = 30.0  # twice the log-likelihood: one in a million
-_FEWEST = 5  # samples that make a pile, a zero band, a hold
-_FINEST = 0.03  # of the noise; a finer step changes its power by less than 1e-4
-_STEPS = 5  # rows around one in whose mean an ideal reading must go on too: jitter averages out
-_SURROUNDINGS = 51  # rows over which the noise stays the same
-_SAFETY = 1.5  # on the number of repeats by chance, whose noise is an estimate
-_TELLING = 0.2  # chance of a repeat above which a row says nothing: it depends on where in its bin the reading lies
-_RARE = 1e-5  # the least chance of a repeat: a movement that forbids them is known no better
+_EVIDENCE = 30.0
+"""Twice the log-likelihood from which a pattern of samples counts. Chosen, not measured: odds of exp(15), three million
+to one."""
+_FEWEST = 5
+"""Samples that make a pile, a zero band, a hold. Chosen, not measured: fewer equal samples are common by chance."""
+_FINEST = 0.03
+"""Step, in parts of the noise, below which none is reported. Source: a rounding error has the variance q^2/12, here
+less than 1e-4 of the noise."""
+_STEPS = 5
+"""Rows around one in whose mean an ideal reading must go on too: jitter averages out. Chosen, not measured: two on
+either side."""
+_SURROUNDINGS = 51
+"""Rows over which the noise stays the same. Chosen, not measured: a variance of so many is known to 20 %
+(sqrt(2/51))."""
+_SAFETY = 1.5
+"""Factor on the number of repeats by chance, whose noise is an estimate. Chosen, not measured: more than that estimate
+errs by."""
+_TELLING = 0.2
+"""Chance of a repeat above which a row says nothing: it depends on where in its bin the reading lies. Chosen, not
+measured: a chance of one in five surprises nobody."""
+_RARE = 1e-5
+"""The least chance of a repeat: a movement that forbids them is known no better. Chosen, not measured: far below any
+chance that noise of a step's size has."""
 _STANDS = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
-_SAME = 1e-9  # relative difference of equal numbers
+"""Chosen, not measured: more than half of them."""
 
 
 def quantisation(trace: Trace) -> LatticeEvidence | None:
@@ -76,7 +91,7 @@ def saturation(trace: Trace) -> LatticeEvidence | None:
 def _pile(measured: Array, ideal: Array, observed: Mask) -> tuple[Mask, float]:
     """Rows at the largest value and the evidence that it is an end: more of them than below, and ideal beyond."""
     top = float(measured[observed].max(initial=-np.inf))
-    near = _SAME * abs(top)
+    near = EQUAL * abs(top)
     pile = observed & (measured >= top - near)
     count = int(pile.sum())
     if count < _FEWEST or top == 0.0:
@@ -134,7 +149,7 @@ def _zeros(trace: Trace, axis: int) -> tuple[float, float, float, Mask] | None:
         return None
     else:
         width_se = max(width / (beside + 1.0), step)
-    gain = 2.0 * count * math.log(1.0 / _SAME if step == 0.0 else width / (0.5 * step))
+    gain = 2.0 * count * math.log(1.0 / EQUAL if step == 0.0 else width / (0.5 * step))
     return width, width_se, gain, zero
 
 
@@ -252,6 +267,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="coarser steps",
             rivals=(f"{sensor}_noise",),
             traits=frozenset({Trait.COARSE}),
+            term=SensorTerm.RESOLUTION,
         ),
         LatticeEffect(
             f"{sensor}_saturation",
@@ -262,6 +278,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             detect=saturation,
             plain="a range that is too small",
             rivals=(f"{sensor}_hold",),
+            term=SensorTerm.FULL_SCALE,
         ),
         LatticeEffect(
             f"{sensor}_dead_band",

@@ -12,20 +12,28 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_TRIED = 26  # values of a limit or a width, at most
-_LEAST, _MOST = 4.0, 1e6  # evidence of the least and the largest that is tried, times the least
-_BELOW = 0.9  # of the largest reading: an end of the range there leaves some readings alone, an offset none
-_OUTSIDE = 0.02  # of the readings, in a dead band, and beyond it, for anything to be said
+_TRIED = 26
+"""Values of a limit or a width that are tried at most. Chosen, not measured: steps of a factor of 1.7 over the six
+decades of `_MOST`."""
+_LEAST, _MOST = 4.0, 1e6
+"""Evidence of the least value that is tried, and ratio of the largest to it. Chosen, not measured: 4 is two standard
+errors, and a million times as much is beyond doubt."""
+_BELOW = 0.9
+"""Share of the largest reading: an end of the range there leaves some readings alone, an offset none. Chosen, not
+measured: a tenth is beyond any noise."""
+_OUTSIDE = 0.02
+"""Share of the readings that must lie in a dead band, and beyond it, for anything to be said. Chosen, not measured:
+fewer than one in fifty are single moments."""
 _BLURRED = 5.0
 """Standard deviations of the noise in a reference. Nearer than that to zero, or to the end of the range, the reference
-does not say what a sensor should read."""
+does not say what a sensor should read. Source: decision 41."""
 
 
 def clipped_column(trace: Trace, limit: float) -> Array:
@@ -122,6 +130,7 @@ _KINDS = (
         _reaches_far,
         "a range that is too small",
         frozenset[Trait](),
+        SensorTerm.FULL_SCALE,
     ),
     (
         "dead_band",
@@ -133,6 +142,7 @@ _KINDS = (
         _crosses_zero,
         "small values read as zero",
         frozenset({Trait.DEAD_BAND}),
+        None,
     ),
 )
 
@@ -151,9 +161,10 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             fixed=True,
             plain=plain,
             traits=traits,
+            term=term,
             rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
         )
-        for name, parameter, grid, column, excites, manoeuvre, missing, plain, traits in _KINDS
+        for name, parameter, grid, column, excites, manoeuvre, missing, plain, traits, term in _KINDS
     )
 
 

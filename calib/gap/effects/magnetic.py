@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.affine import constant
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.channels import TELLING_CURRENT
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -22,12 +23,17 @@ Array = NDArray[np.float64]
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Row and column of a symmetric matrix' elements, in the order of their names."""
 _SYMMETRIC_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
-_LEAST_CURRENT = 0.5  # A, standard deviation; 0.05 uT/A of it are 0.025 uT, a twentieth of a sensor's noise
-_LEAST_THROTTLE = 0.05  # standard deviation
-_LEAST_PATH = 0.3  # m, standard deviation of the place along its widest direction
+_LEAST_THROTTLE = 0.05
+"""Standard deviation of the throttle, 0..1, from which its field shows. Chosen, not measured: 5 % of full throttle,
+beyond the jitter of a hover."""
+_LEAST_PATH = 0.3
+"""Standard deviation of the place along its widest direction, m. Chosen, not measured: a gradient of 1 uT/m then shows
+0.3 uT."""
 _NED = "ned"
-_LONGEST_LAG = 0.3  # s
-_LAGS = 25  # that are tried, early and late
+_LONGEST_LAG = 0.3
+"""Longest lag between current and field, s. Chosen, not measured: current monitors filter over tenths of a second."""
+_LAGS = 25
+"""Lags that are tried, early and late. Chosen, not measured: steps of 25 ms up to `_LONGEST_LAG` on either side."""
 
 # A gradient of a field without sources in the volume is symmetric (no curl) and has no trace (no divergence).
 GRADIENT = (
@@ -102,7 +108,7 @@ def _no_current(trace: Trace) -> tuple[str, str] | None:
     if trace.current is None:
         return "no current recorded", "a current monitor in the log, currents that vary by >= 0.5 A"
     size = spread(trace.current[:, None], trace.observed)
-    if size < _LEAST_CURRENT:
+    if size < TELLING_CURRENT:
         return f"current varies by {size:.2g} A", "a variation >= 0.5 A: throttle 0-hover-0"
     return None
 
@@ -175,6 +181,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         plain="magnetised iron on the vehicle",
         rivals=("mag_soft_iron", "mag_motor_current", "mag_earth_field"),
         traits=frozenset({Trait.STEADY, Trait.LEVEL}),
+        term=SensorTerm.HARD_IRON,
     ),
     MeanEffect(
         "mag_soft_iron",
@@ -187,6 +194,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         plain="iron that bends the field",
         rivals=("mag_hard_iron", "mag_rotation", "mag_temp_scale"),
         traits=frozenset({Trait.STEADY, Trait.SIZE}),
+        term=SensorTerm.SOFT_IRON,
     ),
     _motor_current("~late", _PER_AMPERE, _CURRENTS, _no_current, late_current_signal, _LAG),
     _motor_current("~throttle", _FULL_THROTTLE, "throttle that varies", _no_throttle, throttle_signal, _EXPONENT),

@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, per_axis
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.channels import filter_gain
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_LONG = 30.0  # s from which on a walk is told from a bias
+_LONG = 30.0
+"""Seconds of data from which a walk is told from a bias. Chosen, not measured: a shorter recording shows little more of
+a walk than its mean."""
 
 
 def white(trace: Trace, omega: Array, _theta: float) -> Array:
@@ -67,6 +69,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="more white noise",
             rivals=(f"{sensor}_rotor_noise", f"{sensor}_quantisation", f"{sensor}_flicker"),
             traits=frozenset({Trait.BROADBAND}),
+            term=SensorTerm.WHITE_NOISE,
         ),
         NoiseEffect(
             f"{sensor}_flicker",
@@ -79,6 +82,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="1/f noise",
             rivals=(f"{sensor}_random_walk", f"{sensor}_noise"),
             traits=frozenset({Trait.WANDERING}),
+            term=SensorTerm.FLICKER,
         ),
         NoiseEffect(
             f"{sensor}_random_walk",
@@ -91,6 +95,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="an offset that wanders",
             rivals=(f"{sensor}_flicker", f"{sensor}_temp_linear", f"{sensor}_step", "reference_attitude"),
             traits=frozenset({Trait.WANDERING}),
+            term=SensorTerm.RANDOM_WALK,
         ),
     )
 

@@ -16,7 +16,8 @@ from mavcal.calib.gap.schema import EffectEstimate
 
 Array = NDArray[np.float64]
 
-_BINS = 1024  # of a spectrum that is made here
+_BINS = 1024
+"""Bins of a spectrum that is made here. Chosen, not measured: finer than the edge of any filter."""
 
 
 def with_effects(

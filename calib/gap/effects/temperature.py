@@ -15,21 +15,31 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.affine import scale_columns
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, moves, per_axis
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}  # degC, for any statement
+_LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}
+"""Span of the temperature, degC, for any statement. Chosen, not measured: a scale needs more than an offset, and a
+curve or a lag more than a slope."""
 _TRAITS = frozenset({Trait.THERMAL, Trait.LEVEL})
-_GOOD_SPAN = 15.0  # degC, for one that tells the rivals apart
-_BEYOND = 20.0  # degC by which the reference temperature may lie outside what was seen
-_REFERENCES = 13  # temperatures of the grid
-_TRIED = 241  # by their cost
-_MINIMA = 2  # minima of that cost
-_LAGS = np.geomspace(2.0, 180.0, 5)  # s, of a die in its package to a board in its box
+_GOOD_SPAN = 15.0
+"""Span of the temperature, degC, that tells the rivals apart. Source: GAP 8."""
+_BEYOND = 20.0
+"""Kelvin by which the reference temperature may lie outside what was seen. Chosen, not measured: few flights are
+further from the temperature of their calibration."""
+_REFERENCES = 13
+"""Temperatures of the grid. Chosen, not measured: 5 kelvin apart for a span of 20."""
+_TRIED = 241
+"""Temperatures whose cost is computed. Chosen, not measured: twenty to each step of the grid."""
+_MINIMA = 2
+"""Minima of that cost that are tried. Chosen, not measured: it bounds the time."""
+_LAGS = np.geomspace(2.0, 180.0, 5)
+"""Time constants that are tried, s: of a die in its package to a board in its box. Chosen, not measured: neighbours
+differ by a factor of three, and refinement goes between."""
 
 _POWERS = {"per_degc": "", "per_degc2": "2", "per_degc3": "3"}
 
@@ -175,6 +185,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="an offset that follows the temperature",
             rivals=ids("temp_poly", "thermal_lag", "random_walk", offset),
             traits=_TRAITS,
+            term=SensorTerm.TEMPERATURE_CURVE,
         ),
         MeanEffect(
             f"{sensor}_temp_poly",
@@ -189,6 +200,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="an offset that follows the temperature along a curve",
             rivals=ids("temp_linear", "thermal_lag", "random_walk"),
             traits=_TRAITS,
+            term=SensorTerm.TEMPERATURE_CURVE,
         ),
         MeanEffect(
             f"{sensor}_temp_scale",
@@ -202,6 +214,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="a scale that follows the temperature",
             rivals=ids(iron, "temp_linear"),
             traits=_TRAITS,
+            term=SensorTerm.TEMPERATURE_SCALE,
         ),
         MeanEffect(
             f"{sensor}_thermal_lag",
@@ -216,6 +229,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             plain="an offset that follows the temperature late",
             rivals=ids("temp_linear", "temp_poly", "random_walk"),
             traits=_TRAITS,
+            term=SensorTerm.THERMAL_LAG,
             hidden=1,
         ),
     )

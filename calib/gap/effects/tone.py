@@ -14,9 +14,12 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_PERIODS = 5  # in a recording, at least: slower ones are drift
-_CANDIDATES = 4  # frequencies that are tried
-_AROUND = 201  # bins whose geometric mean is the background
+_PERIODS = 5
+"""Periods in a recording, at least: slower ones are drift. Chosen, not measured: a polynomial follows fewer as well."""
+_CANDIDATES = 4
+"""Frequencies that are tried. Chosen, not measured: it bounds the time; the strongest are the likeliest."""
+_AROUND = 201
+"""Bins whose geometric mean is the background. Chosen, not measured: one line of any strength hardly changes it."""
 
 
 def wave(trace: Trace, frequency: float) -> Array:

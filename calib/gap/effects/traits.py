@@ -1,4 +1,4 @@
-"""Traits of effects. Prices, the search and the report depend on these traits, never on parts of an id."""
+"""Traits of effects, and terms of the sensor equation. Nothing in the diagnosis depends on parts of an id."""
 
 from __future__ import annotations
 
@@ -20,3 +20,23 @@ class Trait(Enum):
     COARSE = "it rounds the samples to levels"
     DEAD_BAND = "small readings are zero, as they are on coarse levels"
     LATE = "its shape is how late readings come, in seconds"
+
+
+class SensorTerm(Enum):
+    """What an effect changes of :class:`SensorErrors`; exports write it there."""
+
+    BIAS = "offset of an inertial sensor"
+    HARD_IRON = "offset of a magnetometer"
+    SCALE = "diagonal of the matrix"
+    MISALIGNMENT = "matrix beside its diagonal"
+    SOFT_IRON = "symmetric matrix of a magnetometer"
+    ROTATION = "matrix of a rotation"
+    TEMPERATURE_CURVE = "offset that follows the temperature, a polynomial about a reference temperature"
+    TEMPERATURE_SCALE = "scale that follows the temperature about a reference temperature"
+    THERMAL_LAG = "time by which the sensor is behind the thermometer"
+    G_SENSITIVITY = "rate that follows the specific force"
+    WHITE_NOISE = "noise density"
+    FLICKER = "bias instability"
+    RANDOM_WALK = "random walk of the offset"
+    RESOLUTION = "step of the samples"
+    FULL_SCALE = "end of the range"

@@ -29,21 +29,32 @@ from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.channels import filter_gain
+from mavcal.calib.gap.reference.noise import LINE_HZ, LOWEST_ROTOR_HZ
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_RUNNING_HZ = 5.0  # above which a rotor turns
-_RUNNING_THROTTLE = 0.05  # of a motor's output or the throttle, 0..1: above which a motor turns
-_WIDTH = 1.0  # Hz, of a line: what telemetry and a second's wandering leave open
-_LOWEST = 5.0  # Hz, of a vibration at a fixed frequency
-_HARMONICS = (1, 2, 3, 4)  # blades and their second harmonic
-_FOLDED = (1, 2, 3, 4, 5, 6)  # multiples that the sampling may fold
-_DETUNED = (0.98, 1.0, 1.02)  # times the mean speed, that are tried
-_ROTOR = 100.0  # in front of a rotor's orders
-_CANDIDATES = 4  # frequencies that are tried
-_LEAST_VARIATION = 0.1  # of the rotors' power, standard deviation over maximum
+_RUNNING_THROTTLE = 0.05
+"""Output of a motor, or throttle, 0..1, above which a motor turns. Chosen, not measured: below what speed controllers
+idle at."""
+_LOWEST = 5.0
+"""Lowest vibration at a fixed frequency, Hz. Chosen, not measured: below it a vehicle moves as a whole."""
+_HARMONICS = (1, 2, 3, 4)
+"""Orders of a rotor's speed. Source: its unbalance, two or three blades, and the second harmonic of two."""
+_FOLDED = (1, 2, 3, 4, 5, 6)
+"""Orders that the sampling may fold. Chosen, not measured: two more than are seen unfolded, since higher ones are
+weak."""
+_DETUNED = (0.98, 1.0, 1.02)
+"""Ratios to the mean speed that are tried. Chosen, not measured: rotors of one vehicle differ by a few percent in
+hover."""
+_ROTOR = 100.0
+"""Factor by which one number holds a rotor and its order. Source: an encoding; no order reaches a hundred."""
+_CANDIDATES = 4
+"""Frequencies that are tried. Chosen, not measured: it bounds the time; the strongest are the likeliest."""
+_LEAST_VARIATION = 0.1
+"""Standard deviation of the rotors' power over its maximum, from which noise is told to follow it. Chosen, not
+measured: with less, steady noise fits as well."""
 _THROTTLE = "throttle 0-hover-0 twice at one attitude"
 _TELEMETRY = ("no rotor speed, motor output or throttle recorded", "rotor speed in the log")
 
@@ -75,7 +86,7 @@ def drive(trace: Trace) -> Array | None:
 def running(trace: Trace) -> NDArray[np.bool_]:
     """(N,) True while a motor turns."""
     if trace.rotor_hz is not None:
-        return np.asarray((trace.rotor_hz > _RUNNING_HZ).any(axis=1))
+        return np.asarray((trace.rotor_hz > LOWEST_ROTOR_HZ).any(axis=1))
     if trace.motors is not None:
         return np.asarray((trace.motors > _RUNNING_THROTTLE).any(axis=1))
     if trace.throttle is not None:
@@ -87,7 +98,7 @@ def mean_speed(trace: Trace) -> float:
     """Mean speed of the rotors while they turn, Hz; 0 where it is not recorded or they never do."""
     if trace.rotor_hz is None:
         return 0.0
-    turning = trace.rotor_hz[trace.rotor_hz > _RUNNING_HZ]
+    turning = trace.rotor_hz[trace.rotor_hz > LOWEST_ROTOR_HZ]
     return float(turning.mean()) if len(turning) else 0.0
 
 
@@ -115,7 +126,7 @@ def _line_over_all_bins(trace: Trace, frequency: float) -> Array:
     size = np.where(running(trace), size, 0.0) * filter_gain(np.maximum(track, 1e-3), trace.low_pass_hz)
     phase = 2.0 * np.pi * cumulative_trapezoid(track, dx=1.0 / trace.fs, initial=0.0)
     power = 0.5 * (transform(size * np.cos(phase)) ** 2 + transform(size * np.sin(phase)) ** 2)
-    bins = max(3, round(_WIDTH / (0.5 * trace.fs) * len(power)))
+    bins = max(3, round(LINE_HZ / (0.5 * trace.fs) * len(power)))
     smooth = uniform_filter1d(power, bins, mode="reflect")
     return np.asarray(np.maximum(smooth, 0.0), dtype=np.float64)  # a running sum leaves -1e-16
 
@@ -151,7 +162,7 @@ def below(trace: Trace) -> Array:
     speed = mean_speed(trace)
     if speed > 0.0:
         return np.array([h * speed * d for h in _HARMONICS for d in _DETUNED if h * speed < 0.5 * trace.fs])
-    return np.arange(_LOWEST, 0.5 * trace.fs - _WIDTH, 0.5 * _WIDTH)
+    return np.arange(_LOWEST, 0.5 * trace.fs - LINE_HZ, 0.5 * LINE_HZ)
 
 
 def beyond(trace: Trace) -> Array:
@@ -168,7 +179,7 @@ def strongest_bands(trace: Trace, residual: Array) -> Array:
     y = np.where(trace.observed[:, None], residual, 0.0)
     power = np.abs(np.fft.rfft(y - y.mean(axis=0), axis=0)) ** 2
     hz = trace.fs / len(y)
-    band = uniform_filter1d(power, max(1, round(_WIDTH / hz)), axis=0)
+    band = uniform_filter1d(power, max(1, round(LINE_HZ / hz)), axis=0)
     around = np.exp(uniform_filter1d(np.log(band + np.finfo(float).tiny), max(3, round(20.0 / hz)), axis=0))
     ratio = (band / around).max(axis=1)[np.minimum((grid / hz).astype(np.intp), len(power) - 1)]
     return np.sort(grid[np.argsort(ratio)[-_CANDIDATES:]])
@@ -204,7 +215,7 @@ def orders_beyond(trace: Trace) -> Array:
 
 def _orders(trace: Trace, orders: tuple[int, ...], wanted: Callable[[float], bool]) -> Array:
     assert trace.rotor_hz is not None
-    speeds = [float(s[s > _RUNNING_HZ].mean()) if (s > _RUNNING_HZ).any() else 0.0 for s in trace.rotor_hz.T]
+    speeds = [float(s[s > LOWEST_ROTOR_HZ].mean()) if (s > LOWEST_ROTOR_HZ).any() else 0.0 for s in trace.rotor_hz.T]
     found = [_ROTOR * (k + 1) + h for k, s in enumerate(speeds) for h in orders if s > 0.0 and wanted(h * s)]
     return np.array(found, dtype=np.float64)
 

@@ -16,7 +16,7 @@ from mavcal.calib.simulate.document import errors_to_json
 from mavcal.calib.simulate.matlab import OBJECTS, to_matlab
 
 _T_REF = 25.0
-"""Reference temperature of the exported curves, degC."""
+"""Reference temperature of the exported curves, degC. Source: MATLAB's `imuSensor`, whose drifts vanish there."""
 _MEASURED = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.gap.export.state import kind_of, named, sensors_with
+from mavcal.calib.gap.effects.traits import SensorTerm
+from mavcal.calib.gap.export.state import named, sensors_with, term_of
 from mavcal.calib.gap.schema import GapReport
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.recording import FLU_FROM_FRD
@@ -22,10 +23,13 @@ from mavcal.calib.simulate.sensor import SensorErrors
 Array = NDArray[np.float64]
 
 RATES: Mapping[Sensor, float] = {Sensor.ACCEL: 250.0, Sensor.GYRO: 250.0, Sensor.MAG: 100.0}
-"""Hz, of PX4's models, at which a density becomes the standard deviation of a sample."""
-TESLA = 1e-6  # of a microtesla
-WALK_TIME = 1000.0  # s: correlation time that stands for a walk without end
-_HELD = frozenset({"bias", "hard_iron", "noise", "random_walk"})
+"""Hz, of PX4's models, at which a density becomes the standard deviation of a sample. Source: their SDF;
+FLIGHT_CONTROLLERS 7.2 has that of the inertial unit."""
+TESLA = 1e-6
+"""Tesla in a microtesla. Source: definition."""
+WALK_TIME = 1000.0
+"""Correlation time, s, that stands for a walk without end. Chosen, not measured: longer than most flights."""
+_HELD = frozenset({SensorTerm.BIAS, SensorTerm.HARD_IRON, SensorTerm.WHITE_NOISE, SensorTerm.RANDOM_WALK})
 _TAGS = {
     Sensor.ACCEL: ("imu", "linear_acceleration"),
     Sensor.GYRO: ("imu", "angular_velocity"),
@@ -44,7 +48,7 @@ class SdfSnippet:
 def to_sdf(report: GapReport, *, instance: int = 1) -> SdfSnippet:
     """Noise elements for the sensors of `instance` (from 1)."""
     chosen = tuple(e for e in report.effects if instance in e.instances)
-    held = tuple(e for e in chosen if kind_of(e) in _HELD)
+    held = tuple(e for e in chosen if term_of(e) in _HELD)
     sensors = sensors_with(held)
     lost = [f"{named(e)}: Gazebo's sensors have additive noise and offsets only" for e in chosen if e not in held]
     lost += [f"{named(e)}: this file is of instance {instance}" for e in report.effects if instance not in e.instances]

@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES
-from mavcal.calib.gap.export.state import SensorEffects, doubt_text, kind_of, named, sensors_with, value, vector
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
+from mavcal.calib.gap.export.state import SensorEffects, doubt_text, named, sensors_with, term_of, value, vector
 from mavcal.calib.gap.schema import EffectEstimate, GapReport
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.recording import SensorSuite
@@ -24,17 +26,24 @@ Array = NDArray[np.float64]
 DEFAULTS: Mapping[str, float] = {
     f"SIM_MAG{n}_OFS_{axis}": offset for n in (1, 2, 3) for axis, offset in zip("XYZ", (5.0, 13.0, -18.0), strict=True)
 }
-"""What a fresh simulator has; everything else of its sensors is ideal."""
+"""What a fresh simulator has; everything else of its sensors is ideal. Source: FLIGHT_CONTROLLERS 7.1."""
 
 MIDDLE = 35.0
-"""degC about which SIM_IMUTn is stated where the simulator has no range of its own (TMIN 0, TMAX 70)."""
+"""degC about which SIM_IMUTn is stated where the simulator has no range of its own (TMIN 0, TMAX 70). Source:
+FLIGHT_CONTROLLERS 7.1."""
 
-COMPASS_RATE = 100.0  # Hz at which SITL draws a compass' noise, before the firmware averages
-_FAR = 1e6  # m: an anomaly of that height is the same everywhere
+COMPASS_RATE = 100.0
+"""Rate, Hz, at which SITL draws a compass' noise, before the firmware averages. Source: ArduPilot's AP_Compass_SITL."""
+_FAR = 1e6
+"""Height, m, of an anomaly that is the same everywhere. Source: FLIGHT_CONTROLLERS 7.1, its field falls as (HGT/(h +
+HGT))^3; at 1 km by 0.3 %."""
 _ON_TOP = ("SIM_MAG_MOT", "SIM_MAG_DELAY", "SIM_IMU_POS")
 """What an effect is added to; other parameters of the whole vehicle are replaced."""
-_ACTIVE = 0.3  # of the strongest axis: the least that counts as a vibration
-_INSTANCES = {Sensor.ACCEL: 5, Sensor.GYRO: 5, Sensor.MAG: 3}  # that the simulator has
+_ACTIVE = 0.3
+"""Share of the strongest axis' amplitude that counts as a vibration. Chosen, not measured: SITL has one amplitude for
+all axes, and a weak axis is nearer to none."""
+_INSTANCES = {Sensor.ACCEL: 5, Sensor.GYRO: 5, Sensor.MAG: 3}
+"""Instances that the simulator has. Source: FLIGHT_CONTROLLERS 7.1."""
 
 _FAMILIES: Mapping[str, tuple[str, ...]] = {
     "accel_bias": ("SIM_ACC#_BIAS",),
@@ -80,11 +89,12 @@ def with_patches(report: GapReport, base: Mapping[str, float] | None = None) -> 
     `base` are the ``SIM_*`` of the simulator; None: a fresh one's.
     """
     whole = patch(report, base).values
-    biased = {(e.sensor, n) for e in report.effects if kind_of(e) == "bias" for n in e.instances}
+    biased = {(e.sensor, n) for e in report.effects if term_of(e) is SensorTerm.BIAS for n in e.instances}
     effects = []
     for effect in report.effects:
         names = list(patch_of((effect,), report, base).values)
-        if kind_of(effect) in {"temp_linear", "temp_poly"} and biased >= {(effect.sensor, n) for n in effect.instances}:
+        own = {(effect.sensor, n) for n in effect.instances}
+        if term_of(effect) is SensorTerm.TEMPERATURE_CURVE and biased >= own:
             names = [name for name in names if "_BIAS" not in name]
         effects.append(replace(effect, sim_patch={name: whole[name] for name in names if name in whole}))
     return replace(report, effects=tuple(effects))
@@ -192,11 +202,8 @@ def _vibration(effect: EffectEstimate, sensors: SensorEffects, report: GapReport
     """A sine on each axis while the motors run; SIM_ACCn_RND is its amplitude, one for the axes that have it."""
     if not any(p.name == "frequency_hz" for p in effect.params):
         return {}, ["a wave that follows one rotor's speed"]
-    size = (
-        np.hypot(vector(effect, "cos"), vector(effect, "sin"))
-        if kind_of(effect) == "tone"
-        else (np.abs(vector(effect, "amplitude")))
-    )
+    tonal = by_id()[effect.id].tonal
+    size = np.hypot(vector(effect, "cos"), vector(effect, "sin")) if tonal else np.abs(vector(effect, "amplitude"))
     active = size >= _ACTIVE * size.max()
     level = float(np.sqrt(np.mean(size[active] ** 2)))
     frequency = value(effect, "frequency_hz")
@@ -206,7 +213,7 @@ def _vibration(effect: EffectEstimate, sensors: SensorEffects, report: GapReport
     if size[active].max() > 1.2 * size[active].min() or size[~active].any():
         listed = ", ".join(f"{s:.3g}" for s in size)
         lost.append(f"one amplitude for all axes, not ({listed}) m/s2")
-    if kind_of(effect) == "tone":
+    if tonal:
         lost.append("the tone is there only while the motors run")
     return values, lost
 
@@ -274,10 +281,10 @@ def _three(name: str, three: Array) -> dict[str, float]:
 
 def _reason(effect: EffectEstimate) -> str:
     """Why SITL cannot hold it."""
-    kind = kind_of(effect)
-    if kind in {"noise", "flicker", "random_walk", "rotor_noise"}:
+    known = by_id().get(effect.id)
+    if known is not None and known.traits & {Trait.BROADBAND, Trait.WANDERING}:
         return "SITL's noise is uniform and of a fixed size; SIM_ACC_FILE_RW and SIM_GYR_FILE_RW replay a recorded one"
-    if kind in {"misalignment", "rotation"}:
+    if term_of(effect) in {SensorTerm.MISALIGNMENT, SensorTerm.ROTATION}:
         return "SITL has no cross terms of a single sensor"
     if effect.id == "reference_attitude":
         return "an error of the reference, not of a sensor"

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.fit import AXES
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.effects.traits import SensorTerm
 from mavcal.calib.gap.schema import EffectEstimate
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.sensor import SensorErrors
@@ -24,29 +26,14 @@ from mavcal.calib.simulate.sensor import SensorErrors
 Array = NDArray[np.float64]
 
 _SYMMETRIC = ("xx", "yy", "zz", "xy", "xz", "yz")
-_SHAPED = frozenset(
-    {
-        *("bias", "hard_iron", "scale", "misalignment", "soft_iron", "rotation", "temp_linear", "temp_poly"),
-        *(
-            "temp_scale",
-            "thermal_lag",
-            "g_sensitivity",
-            "noise",
-            "flicker",
-            "random_walk",
-            "quantisation",
-            "saturation",
-        ),
-    }
-)
-"""Kinds of effects that :class:`SensorErrors` has a field for."""
-TEMPERATURE_KINDS = frozenset({"temp_linear", "temp_poly", "temp_scale"})
-"""Kinds of effects that are stated at a reference temperature."""
+TEMPERATURE_TERMS = frozenset({SensorTerm.TEMPERATURE_CURVE, SensorTerm.TEMPERATURE_SCALE})
+"""Terms that are stated at a reference temperature."""
 
 
-def kind_of(effect: EffectEstimate) -> str:
-    """The id without its sensor: ``hard_iron`` of ``mag_hard_iron``."""
-    return effect.id.removeprefix(f"{effect.sensor.value}_")
+def term_of(effect: EffectEstimate) -> SensorTerm | None:
+    """The term of the sensor equation that it changes; None if it has none or is not in the catalogue."""
+    known = by_id().get(effect.id)
+    return known.term if known is not None else None
 
 
 def value(effect: EffectEstimate, name: str) -> float:
@@ -108,7 +95,7 @@ def sensors_with(
     groups: dict[tuple[Sensor, int], list[EffectEstimate]] = {}
     rest = []
     for effect in effects:
-        if kind_of(effect) not in _SHAPED:
+        if term_of(effect) is None:
             rest.append(effect)
             continue
         for instance in effect.instances:
@@ -124,23 +111,25 @@ def _with(base: SensorErrors, effects: Sequence[EffectEstimate], t_ref: float) -
     bias, curve = np.zeros(3), np.zeros((3, 3))
     steps: dict[str, Any] = {}
     for effect in effects:
-        kind = kind_of(effect)
-        if kind in {"bias", "hard_iron"}:
-            bias += vector(effect, kind)
-        elif kind in {"scale", "misalignment", "soft_iron", "rotation"}:
-            turn += matrix_of(effect)
-        elif kind in {"temp_linear", "temp_poly"}:
-            at, slopes = _about(effect, t_ref)
-            bias, curve = bias + at, curve + slopes
-        elif kind == "thermal_lag":
-            curve[:, 0] += vector(effect, "per_degc")
-            steps["thermal_lag"] = -value(effect, "lag_s")  # the sensor is behind the thermometer, not before it
-        elif kind == "temp_scale":
-            growth = vector(effect, "scale_per_degc")
-            steps["temperature_scale"] = growth
-            turn += np.diag(growth * (t_ref - value(effect, "t_ref")))
-        else:
-            steps |= _sized(effect, base)
+        match term_of(effect):
+            case SensorTerm.BIAS:
+                bias += vector(effect, "bias")
+            case SensorTerm.HARD_IRON:
+                bias += vector(effect, "hard_iron")
+            case SensorTerm.SCALE | SensorTerm.MISALIGNMENT | SensorTerm.SOFT_IRON | SensorTerm.ROTATION:
+                turn += matrix_of(effect)
+            case SensorTerm.TEMPERATURE_CURVE:
+                at, slopes = _about(effect, t_ref)
+                bias, curve = bias + at, curve + slopes
+            case SensorTerm.THERMAL_LAG:
+                curve[:, 0] += vector(effect, "per_degc")
+                steps["thermal_lag"] = -value(effect, "lag_s")  # the sensor is behind the thermometer, not before it
+            case SensorTerm.TEMPERATURE_SCALE:
+                growth = vector(effect, "scale_per_degc")
+                steps["temperature_scale"] = growth
+                turn += np.diag(growth * (t_ref - value(effect, "t_ref")))
+            case _:
+                steps |= _sized(effect, base)
     degree = max(base.temperature.shape[1], 3)
     temperature = np.zeros((3, degree))
     temperature[:, : base.temperature.shape[1]] = base.temperature
@@ -152,16 +141,16 @@ def _with(base: SensorErrors, effects: Sequence[EffectEstimate], t_ref: float) -
 
 def matrix_of(effect: EffectEstimate) -> Array:
     """What a matrix effect adds to the identity (3, 3)."""
-    kind = kind_of(effect)
-    if kind == "rotation":
+    term = term_of(effect)
+    if term is SensorTerm.ROTATION:
         turn = Rotation.from_rotvec(vector(effect, "rotation")).as_matrix()
         return np.asarray(turn - np.eye(3), dtype=np.float64)
-    if kind == "scale":
+    if term is SensorTerm.SCALE:
         return np.diag(vector(effect, "scale"))
     found = np.zeros((3, 3))
     for i, row in enumerate(AXES):
         for j, column in enumerate(AXES):
-            if kind == "soft_iron":
+            if term is SensorTerm.SOFT_IRON:
                 name = row + column if row + column in _SYMMETRIC else column + row
                 found[i, j] = value(effect, f"soft_iron.{name}")
             else:
@@ -190,17 +179,17 @@ def _about(effect: EffectEstimate, t_ref: float) -> tuple[Array, Array]:
 
 def _sized(effect: EffectEstimate, base: SensorErrors) -> dict[str, Any]:
     """Noise, g-sensitivity, range and resolution; noise is added in power to what the simulator has."""
-    match kind_of(effect):
-        case "noise":
+    match term_of(effect):
+        case SensorTerm.WHITE_NOISE:
             return {"noise_density": np.hypot(base.noise_density, vector(effect, "density"))}
-        case "flicker":
+        case SensorTerm.FLICKER:
             return {"bias_instability": np.hypot(base.bias_instability, vector(effect, "instability"))}
-        case "random_walk":
+        case SensorTerm.RANDOM_WALK:
             return {"random_walk": np.hypot(base.random_walk, vector(effect, "random_walk"))}
-        case "g_sensitivity":
+        case SensorTerm.G_SENSITIVITY:
             rows = [[value(effect, f"g_sensitivity.{r}{c}") for c in AXES] for r in AXES]
             return {"g_sensitivity": np.array(rows)}
-        case "saturation":
+        case SensorTerm.FULL_SCALE:
             return {"full_scale": value(effect, "limit")}
         case _:
             return {"resolution": float(vector(effect, "lsb").max())}

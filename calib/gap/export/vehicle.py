@@ -19,7 +19,7 @@ from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.fit import FitBuilder, FitResult
-from mavcal.calib.gap.export.state import TEMPERATURE_KINDS, doubt_text, kind_of, named, sensors_with, value
+from mavcal.calib.gap.export.state import TEMPERATURE_TERMS, doubt_text, named, sensors_with, term_of, value
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
@@ -36,7 +36,8 @@ _CALIBRATIONS = frozenset(
 """Effects that a firmware's parameters can take away."""
 
 _UNITS = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
-_STEP = 1e-3  # of a standard error: for derivatives
+_STEP = 1e-3
+"""Step of a derivative in standard errors. Source: central differences err by its square, 1e-6."""
 
 
 def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[str, ...]]:
@@ -96,7 +97,7 @@ def _fit(
     mounting = body_from_sensor(autopilot, parameters, sensor, instance)
     t_ref = _reference(effects, force)
     seen = _temperatures(report, sensor, number)
-    if seen is None and any(kind_of(e) in TEMPERATURE_KINDS for e in effects):
+    if seen is None and any(term_of(e) in TEMPERATURE_TERMS for e in effects):
         raise FirmwareError(f"{sensor.value} {number}: the temperatures that it was seen at are not known")
 
     def model(changed: Sequence[EffectEstimate]) -> TriadModel:
@@ -148,7 +149,7 @@ def _reference(effects: Sequence[EffectEstimate], force: TriadModel) -> float:
     """Where drifts are stated: where those in force are, else where the found ones vanish."""
     if force.polynomial is not None:
         return force.polynomial.t_ref
-    return next((value(e, "t_ref") for e in effects if kind_of(e) in TEMPERATURE_KINDS), 35.0)
+    return next((value(e, "t_ref") for e in effects if term_of(e) in TEMPERATURE_TERMS), 35.0)
 
 
 def _covariance(effects: Sequence[EffectEstimate], model: Callable[[Sequence[EffectEstimate]], TriadModel]) -> Array:

@@ -22,15 +22,20 @@ from mavcal.calib.gap.problem import Trace
 Array = NDArray[np.float64]
 
 _LONG = 20_000
-"""Samples from which on a series is split."""
+"""Samples from which on a series is split. Chosen, not measured: shorter series are quick enough as they are."""
 _RATE_HZ = 50.0
+"""Rate of the lower band, Hz. Chosen, not measured: half of it lies above the 10 Hz up to which a vehicle moves as a
+whole."""
 _SAMPLES = 12_000
+"""Samples of the lower band at most; a longer series has a lower rate. Chosen, not measured: four minutes at 50 Hz."""
 _LOWEST_HZ = 20.0
-"""The rate of the lower band: this, but for very long series no more than so many samples, and never below."""
+"""Rate of the lower band at least, Hz. Source: twice the 10 Hz up to which a vehicle moves as a whole."""
 _QUIET = 0.1
-"""Part of the noise above the lower band that the reference may have there; with more the band is made wider."""
+"""Part of the noise above the lower band that the reference may have there; with more the band is made wider. Chosen,
+not measured: a tenth of the noise hardly changes a likelihood."""
 _HOLES = 0.1
-"""Part of the samples that may be lost to averages over a hole."""
+"""Part of the samples that may be lost to averages over a hole. Chosen, not measured: a band that loses more says less
+than the samples."""
 _SERIES = ("measured", "ideal", "force", "rate", "spin", "field", "place", "motors", "rotor_hz")
 _SCALARS = ("temperature", "current", "throttle")
 

@@ -24,9 +24,11 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LITTLE = 1.0
-"""Twice the log-likelihood, to second order, below which a density is not fitted."""
+"""Twice the log-likelihood, to second order, below which a density is not fitted. Source: what a number without meaning
+gains on average (chi-square of one degree)."""
 _DIGITS = 1e-9
-"""Noise of a sample over its reading below which nobody is believed to measure."""
+"""Noise of a sample over its reading below which nobody is believed to measure. Chosen, not measured: a converter of 24
+bits has 6e-8."""
 _NUISANCE: dict[str, Callable[[Array], Array]] = {"white": np.ones_like, "walk": random_walk, "flicker": flicker}
 """What a noise that nobody declared is made of."""
 

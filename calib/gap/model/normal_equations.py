@@ -12,7 +12,8 @@ from mavcal.calib.gap.remembered import remembered
 Array = NDArray[np.float64]
 
 _RANK = 1e-9
-"""Relative eigenvalue of a normalised Gram matrix below which a direction does not exist."""
+"""Relative eigenvalue of a normalised Gram matrix below which a direction does not exist. Source: rounding of a Gram
+matrix, 1e-16 of its size, with a margin."""
 
 
 @remembered(24)

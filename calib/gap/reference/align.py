@@ -21,9 +21,15 @@ from mavcal.calib.recording import Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
 
-_BETTER = 0.25  # share of the misfit that another frame must leave
-_TIED = 1.1  # times the least misfit, within which the frame that turns least is taken
-_UNIT = 3.0  # ratio of sizes from which the unit is another
+_BETTER = 0.25
+"""Share of the misfit that another frame must leave. Chosen, not measured: a calibration error must not look like an
+exchange of axes."""
+_TIED = 1.1
+"""Ratio to the least misfit, within which the frame that turns least is taken. Chosen, not measured: noise makes equal
+frames differ by less than a tenth."""
+ANOTHER_UNIT = 3.0
+"""Ratio of sizes from which the unit is another. Chosen, not measured: no calibration error reaches it, and all
+mistaken units do."""
 
 
 def turn_of(measured: Array, ideal: Array, slight: float = 0.0) -> Array:
@@ -67,7 +73,7 @@ def likened(measured: Array, ideal: Array) -> Array:
     turn = turn_of(measured, ideal)
     turned = measured @ turn
     size = float(np.sum(turned * ideal) / max(float(np.sum(ideal**2)), 1e-300))
-    return turned / size if size > _UNIT or 0.0 < size < 1.0 / _UNIT else turned
+    return turned / size if size > ANOTHER_UNIT or 0.0 < size < 1.0 / ANOTHER_UNIT else turned
 
 
 def correlation(a: Array, b: Array) -> float:
@@ -76,13 +82,23 @@ def correlation(a: Array, b: Array) -> float:
     return float((a * b).sum()) / size if size > 0.0 else 0.0
 
 
-_OVER_S = 0.5  # changes over so long: what wanders is alike by chance, its changes are not
-_LATEST_S = 1.0  # either is late by no more
-_UNLIKE = 0.3  # correlation below which movements have nothing in common
-_LEAST = 0.3  # share of the reference's movement that a sensor of any sort shows, beside noise of any size
-_MOST = 0.8  # and share that is none by chance
-_BY_CHANCE = 3.0  # standard errors
-_FEWEST = 20  # changes that say something
+_OVER_S = 0.5
+"""Seconds over which changes are taken: what wanders is alike by chance, its changes are not. Chosen, not measured: a
+vehicle turns within as long."""
+_LATEST_S = 1.0
+"""Seconds by which either is late at most. Chosen, not measured: twice the longest delay of the catalogue."""
+UNLIKE = 0.3
+"""Correlation below which movements have nothing in common. Chosen, not measured: less than a tenth of the power is
+common then."""
+FOLLOWS = 0.3
+"""Share of the reference's movement that a sensor of any sort shows, beside noise of any size. Chosen, not measured: no
+scale error is as large, and no filter takes as much."""
+_MOST = 0.8
+"""Share of the reference's movement that is none by chance. Chosen, not measured: four fifths are nearly all."""
+_BY_CHANCE = 3.0
+"""Standard errors that a share by chance stays within. Chosen, not measured: one in 370 is larger."""
+_FEWEST = 20
+"""Changes that say something. Chosen, not measured: a correlation of so many has a standard error of 0.22."""
 
 
 def uncorrelated_axes(trace: Trace, moves: float) -> NDArray[np.bool_]:
@@ -116,20 +132,31 @@ def _unrelated(measured: Array, ideal: Array, moves: float, latest: int, apart: 
     lags = np.abs(correlation_lags(len(measured), len(ideal)))
     common = float(np.abs(products[lags <= latest]).max())
     by_chance = min(_BY_CHANCE * math.sqrt(own * its / apart), _MOST * its)
-    return common < _UNLIKE * math.sqrt(own * its) and common < max(_LEAST * its, by_chance)
+    return common < UNLIKE * math.sqrt(own * its) and common < max(FOLLOWS * its, by_chance)
 
 
 SAME = 0.97
-"""Correlation from which the movements of two tables are one."""
+"""Correlation from which the movements of two tables are one. Chosen, not measured: 94 % of the power is common
+then."""
 CLOSED = 0.9995
-"""The same for logs of autopilots: two simulated flights of one mission reach 0.994 in their turn rates."""
-_APART = 0.5  # correlation below which movements are different ones
-_TURNED = 0.9  # the best of 48 frames is more alike by chance than one
-_SAME_LAG_S = 0.02  # by which equal lags may differ
-_RATE_HZ = 50.0  # of the samples whose lag is sought
-_OVERLAP = 0.7  # of the shorter one
-_LONGEST_S = 3600.0  # of a series whose lag is sought
-_STILL = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.05, Sensor.MAG: 3.0}  # standard deviations below which nothing moves
+"""The same for logs of autopilots: two simulated flights of one mission reach 0.994 in their turn rates. Chosen, not
+measured: well above that, and below what one flight reaches with itself."""
+_APART = 0.5
+"""Correlation below which movements are different ones. Chosen, not measured: a quarter of the power is common then."""
+_TURNED = 0.9
+"""Correlation that the best of 48 frames must reach: it is more alike by chance than one. Chosen, not measured: four
+fifths of the power are common then."""
+_SAME_LAG_S = 0.02
+"""Seconds by which equal lags may differ. Source: one sample at the rate of the search, `_RATE_HZ`."""
+_RATE_HZ = 50.0
+"""Rate, Hz, of the samples whose lag is sought. Chosen, not measured: beyond the movement of vehicles, and quick."""
+_OVERLAP = 0.7
+"""Share of the shorter series that must overlap. Chosen, not measured: most of it; one log may begin later."""
+_LONGEST_S = 3600.0
+"""Seconds of a series whose lag is sought. Chosen, not measured: it bounds the time; few flights are longer."""
+_STILL = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.05, Sensor.MAG: 3.0}
+"""Standard deviations below which nothing moves, m/s2, rad/s and uT. Chosen, not measured: noise and gusts at rest stay
+below."""
 
 
 @dataclass(frozen=True)

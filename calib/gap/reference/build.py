@@ -45,8 +45,12 @@ _NEED = (
     "instances of a sensor"
 )
 _NO_OVERLAP = "the recording and its reference have no sensor in common, or do not overlap in time: check their clocks"
-_FAST_HZ = 100.0  # rate of a gyroscope whose turns between samples are hardly more than noise
-_ONE_RATE = 0.02  # by which rates may differ, relative
+_FAST_HZ = 100.0
+"""Rate, Hz, of a gyroscope whose turns between samples are hardly more than noise. Chosen, not measured: ten times the
+10 Hz up to which a vehicle moves as a whole."""
+_ONE_RATE = 0.02
+"""Relative difference up to which two rates are one. Chosen, not measured: clocks and lost samples make less than 2
+%."""
 _OTHER = "the simulator's or a nominal recording"
 _REDUNDANT = "The instances of the vehicle are compared with each other."
 

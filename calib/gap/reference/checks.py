@@ -11,36 +11,61 @@ from scipy.signal.windows import hann
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.align import correlation, turn_of, uncorrelated_axes
+from mavcal.calib.gap.reference.align import ANOTHER_UNIT, UNLIKE, correlation, turn_of, uncorrelated_axes
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Recording, Sensor
 
 Array = NDArray[np.float64]
 
-SHORTEST_S = 5.0  # of samples beside a reference, for any statement
-FEWEST = 48  # of them
-MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}  # rms about the mean from which an ideal sensor moves
-_TURNS_MUCH = 3.0  # times `MOVES`, from which an accelerometer's movement about its mean tells its frame
-_SAME = 0.8  # correlation from which readings and reference are the same but for frame or unit
-_UNLIKE = 0.3  # and below which they have nothing in common
-_SLIGHT = 0.02  # share of misfit below which no other frame is looked for: a turn by 11 degrees
-_SIZE = 3.0  # ratio of sizes that no calibration error reaches
-_FAR_OFF = 6.0  # ratio of whole fields that no iron reaches
-_ONE_VALUE = 1e-12  # range below which a number is one
-_DIGITS = 1e-12  # share of the readings that the computer's rounding makes
-_POSSIBLE = 1e7  # reading that no sensor has in any unit
-_WILD = 50.0  # times all that the reference reads, from which a single reading is damage
-_SELDOM = 0.01  # share of readings
-_SLOWEST_S = 0.7  # between two samples, from which on time is not in seconds, or nothing is left of a movement
-_NOISIER = 10.0  # ratio of noise powers from which the reference is worse than the sensor
+SHORTEST_S = 5.0
+"""Seconds of samples beside a reference, for any statement. Chosen, not measured: a few movements of a vehicle."""
+FEWEST = 48
+"""Samples beside a reference, for any statement. Chosen, not measured: five seconds of a compass at 10 Hz."""
+MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}
+"""Rms about the mean from which an ideal sensor moves, m/s2, rad/s and uT. Chosen, not measured: 3 % of gravity and of
+a field of 50 uT, and 1.7 deg/s."""
+_TURNS_MUCH = 3.0
+"""Times `MOVES`, from which an accelerometer's movement about its mean tells its frame. Chosen, not measured: a tenth
+of gravity."""
+_SAME = 0.8
+"""Correlation from which readings and reference are the same but for frame or unit. Chosen, not measured: two thirds of
+the power are common then."""
+_SLIGHT = 0.02
+"""Share of misfit below which no other frame is looked for. Source: `1 - cos(11 deg)`; the angle is chosen, not
+measured: mountings are off by less."""
+_FAR_OFF = 6.0
+"""Ratio of whole fields that no iron reaches. Chosen, not measured: twice the ratio of the Earth's strongest field to
+its weakest."""
+_ONE_VALUE = 1e-12
+"""Range below which a number is one. Source: rounding, 1e-16 of the readings, with a margin."""
+_DIGITS = 1e-12
+"""Share of the readings that the computer's rounding makes. Source: 1e-16 for each operation, with a margin."""
+_POSSIBLE = 1e7
+"""Reading that no sensor has in any unit. Chosen, not measured: 200 times the Earth's field in nanotesla."""
+_WILD = 50.0
+"""Times all that the reference reads, from which a single reading is damage. Chosen, not measured: a mistaken unit is
+told by all readings."""
+_SELDOM = 0.01
+"""Share of readings up to which they are single. Chosen, not measured: one in a hundred."""
+_SLOWEST_S = 0.7
+"""Seconds between two samples, from which time is not in seconds, or nothing is left of a movement. Chosen, not
+measured: logs have 5 samples a second and more, with a margin."""
+_NOISIER = 10.0
+"""Ratio of noise powers from which the reference is worse than the sensor. Chosen, not measured: three times the
+amplitude."""
 # Ratios of sizes that mistaken units make, and how they are said.
 _FACTORS = {
     Sensor.ACCEL: {1000.0 / 9.80665: "102, as between mg and m/s2", 9.80665: "9.8, as between g and m/s2"},
     Sensor.GYRO: {57.29578: "57.3, as between degrees and radians"},
     Sensor.MAG: {100.0: "a hundred, as between gauss and uT", 10.0: "ten, as between mgauss and uT"},
 }
+"""Ratios of sizes that mistaken units make, and how they are said. Source: definitions of the units."""
 _ANY_FACTOR = {1e6: "a million", 1000.0: "a thousand", 4.0: "four"}
-_WEAKEST_UT, _STRONGEST_UT = 10.0, 130.0  # the Earth's field is 22 to 67 uT, and buildings bend it
+"""Ratios that any sensor may be off by, and how they are said. Source: prefixes of the SI. Four is chosen, not
+measured: two steps of a sensor's range."""
+_WEAKEST_UT, _STRONGEST_UT = 10.0, 130.0
+"""Weakest and strongest field that is the Earth's, uT. Source: it has 22 to 67 uT; a factor of two is left for
+buildings that bend it."""
 _AXES = "xyz"
 
 Refusal = tuple[str, str, str]
@@ -224,12 +249,12 @@ def _of_frame(trace: Trace, name: str, measured: Array, ideal: Array, slight: fl
     turn = turn_of(measured, ideal, slight)
     similarity = correlation(measured, ideal @ turn.T)
     if similarity < _SAME:
-        if similarity >= _UNLIKE or trace.sensor != Sensor.GYRO:
+        if similarity >= UNLIKE or trace.sensor != Sensor.GYRO:
             return None
         reason = f"{name} and its reference have nothing in common (correlation {similarity:.2f})"
         return trace.sensor.value, reason, "a reference of the same movement, better than the sensor"
     size = float(np.sum(measured * (ideal @ turn.T)) / np.sum(ideal**2))
-    if not 1.0 / _SIZE < size < _SIZE:
+    if not 1.0 / ANOTHER_UNIT < size < ANOTHER_UNIT:
         reason = f"{name} is {size:.4g} times its reference: {_factor(size, trace.sensor)}"
         return trace.sensor.value, reason, _unit(trace.sensor)
     if not np.array_equal(turn, np.eye(3)):
@@ -305,4 +330,5 @@ def check_times(recordings: Iterable[Recording]) -> None:
 
 
 _TIMES = {"nanoseconds": (2e5, "1e-9"), "microseconds": (200.0, "1e-6"), "milliseconds": (_SLOWEST_S, "1e-3")}
-"""Median steps from which time is taken for that unit: sensors have some 5 to 5000 samples a second."""
+"""Median steps from which time is taken for that unit: sensors have some 5 to 5000 samples a second. Source: those
+units, and 5 to 5000 samples a second."""

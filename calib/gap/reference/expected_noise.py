@@ -24,6 +24,8 @@ from scipy.special import chdtrc
 from mavcal.calib.gap.likelihood import fit_amplitudes
 from mavcal.calib.gap.problem import ReferenceInfo, Trace
 from mavcal.calib.gap.reference.noise import (
+    FEWEST,
+    UNSTEADY,
     ResidualSpectrum,
     hz_of,
     learned,
@@ -37,10 +39,6 @@ from mavcal.calib.gap.reference.noise import (
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
-
-_CHANCE = 1e-4
-"""Chance of steady noise that seems to follow the motor power."""
-_FEWEST = 64  # samples that say something of noise
 
 
 def with_sway_noise(trace: Trace, nominal: Sequence[Trace]) -> Trace:
@@ -103,7 +101,7 @@ def motor_noise_of(nominal: Sequence[Trace]) -> dict[Sensor, MotorNoise]:
 def _driven(trace: Trace) -> MotorNoise | None:
     power = motor_power(trace)
     rows = trace.observed
-    if power is None or rows.sum() < _FEWEST or not power[rows].any():
+    if power is None or rows.sum() < FEWEST or not power[rows].any():
         return None
     mean = float(power[rows].mean())
     residual = trace.residual[rows]
@@ -119,7 +117,7 @@ def _variance(residual: Array, power: Array) -> float:
     none, ones = np.zeros(len(squares)), np.ones(len(squares))
     steady = fit_amplitudes(squares / unit, ones, none, [ones])
     both = fit_amplitudes(squares / unit, ones, none, [ones, power])
-    follows = chdtrc(1, max(steady.deviance - both.deviance, 0.0)) < _CHANCE
+    follows = chdtrc(1, max(steady.deviance - both.deviance, 0.0)) < UNSTEADY
     return unit * float(both.amplitudes[1]) if follows else 0.0
 
 
@@ -134,11 +132,14 @@ def with_motor_noise(trace: Trace, found: Mapping[Sensor, MotorNoise]) -> Trace:
 
 
 _ABOUT = 0.3
-"""Part of a frequency within which a line of a rotor, whose speed differs, is less than half of what there is."""
+"""Part of a frequency within which a line of a rotor, whose speed differs, is less than half of what there is. Chosen,
+not measured: speeds differ by as much between hover and climb."""
 _REST_S, _EXCESS = 2.0, 2.0
-"""Seconds with the motors off that tell of noise, and the times by which it must exceed what is expected."""
+"""Seconds with the motors off that tell of noise, and the times by which it must exceed what is expected. Chosen, not
+measured: a rest of two seconds has some hundred samples, whose power is known to 15 %."""
 _BODY_HZ = 10.0
-"""Up to which a vehicle moves as a whole: attitude controllers end there, rotors begin beyond."""
+"""Up to which a vehicle moves as a whole: attitude controllers end there, rotors begin beyond. Chosen, not measured:
+the bandwidth of usual attitude controllers."""
 
 
 def movement_of(traces: Sequence[Trace]) -> dict[Sensor, ResidualSpectrum]:

@@ -24,7 +24,8 @@ from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 Array = NDArray[np.float64]
 
 _QUIET_S = 1.0
-"""Length of the stretches; the quietest tells the noise of a reading."""
+"""Length of the stretches; the quietest tells the noise of a reading. Chosen, not measured: it has tens of samples, and
+flights have moments of calm as long."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,22 +18,52 @@ from mavcal.calib.gap.reference.channels import filter_gain
 
 Array = NDArray[np.float64]
 
-_BANDS = 28  # edges of bands, before wide ones are divided
-_COLOURED = 1e-4  # chance of the band furthest from white in white noise, from which on it is not
-_OFF = 1e-3  # chance of a band beside white noise, walk and flicker, from which on it is taken as it is
-_FLOOR = 1e-9  # of the mean power
-_SINGLE = 2.0**-24  # relative error of a single-precision number
-_CLEANED = 6  # times that lines are taken out
-_PARTS = 16  # of a recording, in which its noise should be the same
-_CORNERS = 6  # bands between the frequencies below which drifts are level
-_SHRUNK = 12.0  # coefficients that speak for these, against those of such a band
-_FEWEST = 64  # samples of a recording, and coefficients of a band that is divided no further
-_WHOLE = 0.9  # of the samples observed, from which on a recording has few holes
-_LINE_HZ = 1.0  # width of a line of a rotor
-_HOVERS = 0.08  # by which the speeds of rotors differ from flight to flight, relative
-_SLOW_HZ = 5.0  # below which no rotor turns
-_LEAST = 6  # coefficients in the lowest band
-_SEEN = 5.0  # times the filter's cut-off, beyond which too little is left to be brought back
+_BANDS = 28
+"""Edges of bands, before wide ones are divided. Chosen, not measured: some eight to a decade of frequency."""
+_COLOURED = 1e-4
+"""Chance of the band furthest from white in white noise, below which it is not white. Chosen, not measured: a recording
+has some ten series to ask."""
+_OFF = 1e-3
+"""Chance of a band beside white noise, walk and flicker, below which it is taken as it is. Chosen, not measured: a
+spectrum has some tens of bands."""
+_FLOOR = 1e-9
+"""Share of the mean power that any band has. Source: it guards a division and a logarithm."""
+_SINGLE = 2.0**-24
+"""Relative error of a single-precision number. Source: IEEE 754, half a unit of 24 bits."""
+_CLEANED = 6
+"""Times that lines are taken out. Chosen, not measured: it bounds the time; each takes out the strongest that are
+left."""
+_PARTS = 16
+"""Parts of a recording in which its noise should be the same. Chosen, not measured: some seconds each in a recording of
+a minute."""
+_CORNERS = 6
+"""Bands between the frequencies below which drifts are level. Chosen, not measured: five such frequencies over the
+whole range."""
+_SHRUNK = 12.0
+"""Coefficients that speak for the smooth model, against those of a band that differs. Chosen, not measured: a band of
+as many counts half."""
+FEWEST = 64
+"""Samples of a recording that say something of noise, and coefficients of a band that is divided no further. Chosen,
+not measured: a variance of as many is known to 18 % (sqrt(2/64))."""
+UNSTEADY = 1e-4
+"""Chance of steady noise that seems to follow something: the motor power, or the change of a reading. Chosen, not
+measured: a recording has some ten series to ask."""
+_WHOLE = 0.9
+"""Share of the samples observed, from which a recording has few holes. Chosen, not measured: a tenth of the power is
+lost at most."""
+LINE_HZ = 1.0
+"""Width of a line of a rotor, Hz: what telemetry and a second's wandering leave open. Chosen, not measured: speeds in
+hover wander by about as much."""
+_HOVERS = 0.08
+"""Relative difference of the speeds of rotors from flight to flight. Chosen, not measured: battery, load and air change
+a hover by some percent."""
+LOWEST_ROTOR_HZ = 5.0
+"""Speed, Hz, below which no rotor turns. Chosen, not measured: 300 revolutions a minute carry nothing."""
+_LEAST = 6
+"""Coefficients in the lowest band. Chosen, not measured: a power of as many is known to 58 % (sqrt(2/6))."""
+_SEEN = 5.0
+"""Ratio to the filter's cut-off, beyond which too little is left to be brought back. Chosen, not measured: a filter of
+second order leaves 4 % of the amplitude there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +123,7 @@ class ResidualSpectrum:
         if self.smooth:
             return self
         near = np.abs(np.log(self.hz[:, None] / self.hz)) <= _HOVERS
-        near &= (np.minimum(self.hz[:, None], self.hz) > _SLOW_HZ) | np.eye(len(self.hz), dtype=bool)
+        near &= (np.minimum(self.hz[:, None], self.hz) > LOWEST_ROTOR_HZ) | np.eye(len(self.hz), dtype=bool)
         gain = (filter_gain(self.hz, self.low_pass_hz) ** 2)[:, None]
         psd = np.where(near[:, :, None], (self.psd / gain)[None], 0.0).max(axis=1)
         return dataclasses.replace(self, psd=psd * gain)
@@ -129,7 +159,7 @@ def learned(trace: Trace) -> ResidualSpectrum | None:
     if trace.observed.mean() < _WHOLE:
         residual = residual[trace.observed]
     n = len(residual)
-    if trace.observed.sum() < _FEWEST:
+    if trace.observed.sum() < FEWEST:
         return None
     seen = np.broadcast_to(trace.observed if n == len(trace.t) else np.True_, n)
     residual[~seen] = 0.0
@@ -165,7 +195,7 @@ def digits_of(trace: Trace) -> float:
 
 def _edges(n: int, fs: float) -> NDArray[np.intp]:
     """First coefficients of the bands: evenly spaced in the logarithm, but never wider than a line of a rotor."""
-    widest = max(_FEWEST, round(_LINE_HZ * 2.0 * n / fs))
+    widest = max(FEWEST, round(LINE_HZ * 2.0 * n / fs))
     even = np.unique(np.rint(np.geomspace(_LEAST, n, _BANDS)))
     narrow = np.diff(even) < widest
     first = int(even[narrow.argmin()]) if not narrow.all() else n

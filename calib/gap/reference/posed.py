@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.reference.align import TURNS, correlation, likened, turned_correlation
+from mavcal.calib.gap.reference.align import TURNS, UNLIKE, correlation, likened, turned_correlation
 from mavcal.calib.gap.reference.ideal import Ideal, continuous, true_attitude, true_place
 from mavcal.calib.gap.reference.signals import LowPassedSignal, Signal, bandwidth, linear, low_passed
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
@@ -21,6 +21,7 @@ from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 Array = NDArray[np.float64]
 
 GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
+"""Gravity in north-east-down, m/s2. Source: standard gravity, which both firmwares use (FLIGHT_CONTROLLERS)."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def _check_convention(smooth: LowPassedSignal, gyro: Array, force: Array | None)
             f"the attitude does not turn as the gyroscope does, and would (correlation {others[what]:.2f}) if it were "
             f"{what}: {need}"
         )
-    if given < _UNRELATED:
+    if given < UNLIKE:
         raise InvalidInputError(
             f"the attitude and the gyroscope have nothing in common (correlation {given:.2f}): {need}, of the same "
             "movement"
@@ -146,9 +147,14 @@ _CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "written x y z w": lambda q: q[:, [3, 0, 1, 2]],
     "written z w x y": lambda q: q[:, [1, 2, 3, 0]],
 }
-_TURNING = 0.05  # rad/s, standard deviation about a second axis, from which turns tell the convention
-_CONVENTION_HZ = 5.0  # up to which turns are compared
-_SAME, _UNRELATED = 0.9, 0.3  # correlations from which turns are the same, and below which they have nothing in common
+_TURNING = 0.05
+"""Standard deviation about a second axis, rad/s, from which turns tell the convention. Chosen, not measured: 3 deg/s
+are beyond the noise of any gyroscope."""
+_CONVENTION_HZ = 5.0
+"""Frequency, Hz, up to which turns are compared. Chosen, not measured: poses and gyroscopes both follow vehicles
+there."""
+_SAME = 0.9
+"""Correlation from which turns are the same. Chosen, not measured: four fifths of the power are common then."""
 
 
 def _turned(attitude: Signal, cutoff: float | None) -> tuple[LowPassedSignal, Array, Array]:
@@ -279,11 +285,13 @@ def _frame_of(design: Array, m: Array) -> Array | None:
 
 
 _FITS = 0.1
-"""Share of a magnetometer's movement that may be left beside its field: more does not fit at all."""
+"""Share of a magnetometer's movement that may be left beside its field: more does not fit at all. Chosen, not measured:
+a field with any iron fits far better."""
 
 
 _SPREAD = 0.98
-"""Largest singular value of the mean attitude: 1 if it never changes, 0 if all are visited."""
+"""Largest singular value of the mean attitude: 1 if it never changes, 0 if all are visited. Chosen, not measured:
+attitudes within some 10 degrees of each other."""
 
 
 def _robust(design: Array, m: Array) -> Array:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.earth import earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.reference.channels import filter_delay, filter_in_force, sensors_of
+from mavcal.calib.gap.reference.channels import TELLING_CURRENT, filter_delay, filter_in_force, sensors_of
 from mavcal.calib.gap.reference.ideal import Ideal, continuous, true_attitude
 from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
 from mavcal.calib.gap.reference.signals import Signal, linear, slow
@@ -41,27 +41,50 @@ from mavcal.calib.recording import Channel, Recording, Sensor
 Array = NDArray[np.float64]
 
 STEP_S = 0.1
-"""From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S."""
+"""From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S. Chosen, not measured: vehicles are
+steered up to 5 Hz, and nodes cost time."""
 _STRAIN = 8.0
+"""Standard deviations from which an interval is not believed. Chosen, not measured: far beyond what normal errors of
+any length of flight reach."""
 _AROUND = 10
-"""Standard deviations from which on an interval is not believed, and intervals on either side."""
+"""Intervals on either side that are not believed either. Chosen, not measured: a second at `STEP_S`."""
 _FOLLOWED_HZ = 0.2 / STEP_S
-"""Up to which a spline through the velocities of the nodes follows an acceleration: a fifth is lost there."""
+"""Up to which a spline through the velocities of the nodes follows an acceleration: a fifth is lost there. Source: that
+loss; its computation is not recorded."""
 _TURNS_HZ = 0.25 * STEPS / STEP_S
-"""Up to which turns between the steps are followed: four steps a period."""
-_TRIALS = 3  # iterations after which the inertial units can be compared
-_FEWEST_GPS = 20  # velocities, for a trajectory
-_SHORTEST_S = 10.0  # for a trajectory
-_LONGEST_S = 1800.0  # for a trajectory
-_MOVES = 0.5  # standard deviation of the current, A, from which a motor's field can be told from an offset
-_DEFAULT_YEAR = 2025.0  # of the Earth's field, where a recording has no date
-_MODEL_SD, _GUESS_SD = 1.0, 20.0  # of the Earth's field, uT
-_CLOSE = 200.0  # twice the log-likelihood by which one unit may fit worse than another: an offset costs some sixty
-_LATE_S, _MOSTLY = 0.002, 0.5  # a delay between gyroscopes, and the part of their difference that it may leave
-_MEAN_S = 0.1  # over which their readings are averaged before
-_WARMER = 40.0  # twice the log-likelihood by which biases that follow the temperature, or wander, must fit better
-_FURTHER, _WALKS = 10.0, 4  # times that a gyroscope's bias may wander more, and how often in a row that is tried
-_GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3  # of a magnetometer's mean gain, where that field is known and where it is not
+"""Up to which turns between the steps are followed: four steps a period. Source: twice the two samples a period that
+sampling needs."""
+_TRIALS = 3
+"""Iterations after which the inertial units can be compared. Chosen, not measured: costs then change by far less than
+`_CLOSE`."""
+_FEWEST_GPS = 20
+"""Velocities, for a trajectory. Chosen, not measured: two to four seconds of a usual receiver."""
+_SHORTEST_S = 10.0
+"""Seconds, for a trajectory. Chosen, not measured: shorter ones hardly tell attitude from biases."""
+_LONGEST_S = 1800.0
+"""Seconds, for a trajectory. Chosen, not measured: it bounds time and memory, and most flights are shorter."""
+_DEFAULT_YEAR = 2025.0
+"""Year of the Earth's field, where a recording has no date. Chosen, not measured: the field changes by less than 0.1 uT
+a year at most places."""
+_MODEL_SD, _GUESS_SD = 1.0, 20.0
+"""Standard deviation of the Earth's field, uT, of a model and of a guess from the readings. Chosen, not measured:
+crustal fields are about 0.2 uT, buildings more; a guess is off by two fifths."""
+_CLOSE = 200.0
+"""Twice the log-likelihood by which one unit may fit worse than another. Chosen, not measured: an offset costs some
+sixty, and three of them should not decide."""
+_LATE_S, _MOSTLY = 0.002, 0.5
+"""Delay between gyroscopes, s, and the part of their difference that it may leave. Chosen, not measured: 2 ms are a
+sample at 500 Hz, and half is most of it."""
+_MEAN_S = 0.1
+"""Seconds over which their readings are averaged before. Chosen, not measured: vibration averages out."""
+_WARMER = 40.0
+"""Twice the log-likelihood by which biases that follow the temperature, or wander, must fit better. Source: decision
+9."""
+_FURTHER, _WALKS = 10.0, 4
+"""Times that a gyroscope's bias may wander more, and how often in a row that is tried. Source: decision 9."""
+_GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3
+"""Standard deviation of a magnetometer's mean gain, where that field is known and where it is not. Source: decision 8;
+where the field is not known the gain is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +242,7 @@ def _aiding(recording: Recording, velocity: Signal, compass: Channel | None, t: 
         )
     inside = (field.t >= t[0]) & (field.t <= t[-1])
     amperes = slow(recording.find(Sensor.CURRENT), field.t[inside])
-    current = np.zeros(int(inside.sum())) if amperes is None or amperes.std() < _MOVES else amperes[:, 0]
+    current = np.zeros(int(inside.sum())) if amperes is None or amperes.std() < TELLING_CURRENT else amperes[:, 0]
     earth, sd, gain = _earth(recording, field)
     return Aiding(
         velocity.t[seen], velocity.values[seen], field.t[inside], field.values[inside], current, earth, sd, gain

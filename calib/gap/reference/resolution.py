@@ -14,11 +14,19 @@ from mavcal.calib.recording import Channel, Sensor
 
 Array = NDArray[np.float64]
 
-_ON_LEVEL = 0.05  # of a step, by which a level may lie beside the lattice
-_FRACTION = 0.99  # of the gaps between values that are whole steps
-_GAPS = 8  # different gaps that show a lattice; fewer show it if levels occur often
-_REPEATED = 3  # samples a level, on average
-_SAME = 1e-9  # relative difference of equal numbers
+_ON_LEVEL = 0.05
+"""Part of a step by which a level may lie beside the lattice. Chosen, not measured: calibrations and units round by
+less."""
+_FRACTION = 0.99
+"""Share of the gaps between values that must be whole steps. Chosen, not measured: one in a hundred may be damaged."""
+_GAPS = 8
+"""Different gaps that show a lattice; fewer show it if levels occur often. Chosen, not measured: so many are whole
+steps by chance once in 1e8 (`_ON_LEVEL`)."""
+_REPEATED = 3
+"""Samples a level, on average, that show a lattice of few gaps. Chosen, not measured: free numbers hardly repeat at
+all."""
+EQUAL = 1e-9
+"""Relative difference of equal numbers. Source: rounding of double precision, 1e-16, with a margin for sums."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +49,7 @@ def levels_of(values: Array) -> Levels | None:
     distinct = np.unique(values)
     size = float(np.abs(distinct).max(initial=0.0))
     gaps = np.diff(distinct)
-    gaps = gaps[gaps > _SAME * size]
+    gaps = gaps[gaps > EQUAL * size]
     if not len(gaps) or (len(gaps) < _GAPS and len(values) < _REPEATED * (len(gaps) + 1)):
         return None
     step = float(gaps.min())

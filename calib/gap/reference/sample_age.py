@@ -20,14 +20,10 @@ from scipy.special import chdtrc
 
 from mavcal.calib.gap.likelihood import AmplitudeFit, fit_amplitudes
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.noise import hz_of, learned, own_on, psd_of, squares_of, with_more
+from mavcal.calib.gap.reference.noise import FEWEST, UNSTEADY, hz_of, learned, own_on, psd_of, squares_of, with_more
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
-
-_CHANCE = 1e-4
-"""Chance of steady noise that seems to follow the change of the reading."""
-_FEWEST = 64  # samples that say something of noise
 
 
 def slopes_squared(trace: Trace) -> Array:
@@ -43,7 +39,7 @@ def age_of(nominal: Sequence[Trace]) -> float:
 
     Zero where the noise does not follow the change of the reading.
     """
-    return max((_age(trace) for trace in nominal if trace.observed.sum() >= _FEWEST), default=0.0)
+    return max((_age(trace) for trace in nominal if trace.observed.sum() >= FEWEST), default=0.0)
 
 
 def _age(trace: Trace, change: Array | None = None) -> float:
@@ -55,7 +51,7 @@ def _age(trace: Trace, change: Array | None = None) -> float:
         return 0.0
     unit = float(squares_of(trace).mean() / slopes.mean())
     aged = _fitted(trace, np.zeros(len(slopes)), (unit * slopes,))
-    if aged is None or chdtrc(1, max(steady.deviance - aged.deviance, 0.0)) > _CHANCE:
+    if aged is None or chdtrc(1, max(steady.deviance - aged.deviance, 0.0)) > UNSTEADY:
         return 0.0
     return unit * float(aged.amplitudes[3])
 
@@ -114,7 +110,7 @@ def age_noise_of(nominal: Sequence[Trace]) -> dict[tuple[Sensor, bool], AgeNoise
 def _aged(trace: Trace) -> AgeNoise | None:
     spectrum = learned(trace)
     ideal = dataclasses.replace(trace, measured=trace.ideal)
-    if spectrum is None or trace.observed.sum() < _FEWEST or not (age := _age(trace, slopes_squared(ideal))):
+    if spectrum is None or trace.observed.sum() < FEWEST or not (age := _age(trace, slopes_squared(ideal))):
         return None
     change = slopes_squared(ideal)[trace.observed].mean(axis=0)
     there = spectrum.psd.sum(axis=1)

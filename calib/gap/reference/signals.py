@@ -19,7 +19,9 @@ from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 
-_HOLE = 3.5  # median steps between two samples beyond which nothing is known between them
+_HOLE = 3.5
+"""Median steps between two samples beyond which nothing is known between them. Chosen, not measured: two lost samples
+in a row are bridged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +89,10 @@ def slow(channels: Iterable[Channel], wanted: Array) -> Array | None:
 
 
 LONGEST_HOLE_S = 30.0
-"""A recording with a longer hole is two; its longest part is taken."""
-_STEP = 1.8  # times the median: longer differences are holes, not jitter
+"""A recording with a longer hole is two; its longest part is taken. Chosen, not measured: temperature and battery stay
+the same for as long."""
+_STEP = 1.8
+"""Times the median: longer differences are holes, not jitter. Chosen, not measured: one lost sample makes two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,13 +170,14 @@ def _steps(t: Array) -> tuple[float, float, NDArray[np.intp]]:
     return dt, start, number.astype(np.intp)
 
 
-_OPEN = 0.9  # cut-offs beyond this share of the Nyquist frequency are none
-_LOWEST_HZ = 1.0  # of a cut-off
+_OPEN = 0.9
+"""Share of the Nyquist frequency beyond which a cut-off is none. Chosen, not measured: nearly all of the band
+passes."""
+_LOWEST_HZ = 1.0
+"""Lowest cut-off, Hz. Chosen, not measured: below, nothing of a movement passes."""
 _STEEP = 8
-"""Steepness of the filter's edge: half an octave below its cut-off it takes away 4 %, an octave below 0.3 %.
-
-A Gaussian (2) takes 16 % there, and every sensor would look louder than its reference.
-"""
+"""Steepness of the filter's edge: half an octave below its cut-off it takes away 4 %, an octave below 0.3 %. A Gaussian
+(2) takes 16 % there, and every sensor would look louder than its reference. Source: the response `2^-(f / f_c)^n`."""
 
 
 @dataclass(frozen=True, eq=False)

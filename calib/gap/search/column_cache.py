@@ -11,7 +11,8 @@ from mavcal.calib.gap.model.joint import Setting
 _Key = tuple[str, tuple[int, ...], float]
 
 _PASSING = 0.25
-"""Part of the budget for shapes that were picked for a residual: beside the next one they are others."""
+"""Part of the budget for shapes that were picked for a residual: beside the next one they are others. Chosen, not
+measured: most of the budget stays for what is asked again."""
 
 
 class ColumnCache:

@@ -19,9 +19,9 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LEAST = 1e-6
-"""Part of the noise that any filter leaves: digits."""
+"""Part of the noise that any filter leaves: digits. Chosen, not measured: 60 dB below it."""
 _TINY = 1e-300
-"""In place of no power at all."""
+"""In place of no power at all. Source: it guards a logarithm; the least normal double is 2e-308."""
 
 
 def shaped(model: Model, sensor: Sensor) -> float:

@@ -50,9 +50,11 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _MODES = 100
-"""Cosines over the recording that an error of attitude about one axis is made of."""
+"""Cosines over the recording that an error of attitude about one axis is made of. Chosen, not measured: correlation
+times of some percent of a recording need as many."""
 _SCREENED = 4000
-"""Samples of a series in the search for size and time."""
+"""Samples of a series in the search for size and time. Chosen, not measured: it bounds the time of a search that is
+refined afterwards."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,8 @@ from scipy.special import ndtri
 from mavcal.calib.gap.schema import EffectEstimate
 
 _CHANCE = 0.0455
-"""Chance that one number of two flights that are alike differs by more than two standard errors."""
+"""Chance that one number of two flights that are alike differs by more than two standard errors. Source: two-sided
+normal distribution."""
 
 
 @dataclass(frozen=True)

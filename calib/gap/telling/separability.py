@@ -16,7 +16,7 @@ from mavcal.calib.gap.search.selection import ChosenModel
 from mavcal.calib.gap.telling.estimates import estimates_of
 
 _ERRORS = 2.0
-"""Standard errors that one amplitude of an effect must exceed."""
+"""Standard errors that one amplitude of an effect must exceed. Source: decision 32."""
 
 
 def inseparable(chosen: ChosenModel, reference: ReferenceInfo) -> frozenset[Key]:

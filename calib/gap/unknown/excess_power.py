@@ -24,21 +24,26 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LEFTOVER = 1e-7
-"""Chance, over all that is looked at, below which noise alone has no such power."""
+"""Chance, over all that is looked at, below which noise alone has no such power. Source: GAP 3.3."""
 _MINUTES_DIFFER = 2.0
-"""Times a learned spectrum, up to which power may be that of other minutes."""
+"""Times a learned spectrum, up to which power may be that of other minutes. Chosen, not measured: noise doubles from
+minute to minute (`nominal_baseline._LOUD`)."""
 _GROUPS = 24
-"""Bands of a series, of a constant ratio of frequencies."""
+"""Bands of a series, of a constant ratio of frequencies. Chosen, not measured: some seven to a decade of frequency."""
 _AROUND = 50
-"""Bins about a line that are its surroundings."""
+"""Bins about a line that are its surroundings. Chosen, not measured: their mean power is known to 20 % (sqrt(2/50))."""
 _WINDOWS = (64, 256, 1024)
-"""Lengths of short spectra, in samples."""
+"""Lengths of short spectra, in samples. Chosen, not measured: a factor of four from one to the next, a third of a
+second to some seconds at 200 Hz."""
 _LENGTHS = (32, 64, 128, 256, 512, 1024)
-"""Lengths of windows in which slow deviations are sought, in samples; they begin every half a length."""
+"""Lengths of windows in which slow deviations are sought, in samples; they begin every half a length. Chosen, not
+measured: an octave from one to the next, so that any length is within a factor of 1.5."""
 _SLOW = 8
-"""Bins of such a window that are compared with its others."""
+"""Bins of such a window that are compared with its others. Chosen, not measured: four periods in a window; faster ones
+are lines."""
 _SLOWEST = 4
-"""Bins from the lowest on that are not looked at: a mean is fitted there."""
+"""Bins from the lowest on that are not looked at: a mean is fitted there. Chosen, not measured: two periods of a
+recording."""
 
 
 @dataclass(frozen=True)

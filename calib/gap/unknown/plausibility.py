@@ -12,6 +12,7 @@ from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, predicted
 from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.gap.reference.align import FOLLOWS
 from mavcal.calib.gap.reference.checks import MOVES
 from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
 from mavcal.calib.gap.unknown.verdict import UnnamedCause
@@ -19,9 +20,8 @@ from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 
 _BELIEVED = 0.01
-"""Probability below which no effect is named where something without a name is the likelier."""
-_FOLLOWS = 0.3
-"""Part of the reference's movement that any sensor shows that is one of it."""
+"""Probability below which no effect is named where something without a name is the likelier. Chosen, not measured: a
+name of one in a hundred helps nobody."""
 _COMMON = "clock"
 """What an effect belongs to that is common to all sensors."""
 _LIVE = "a live sensor, and a reference of the same movement"
@@ -42,7 +42,7 @@ def unresponsive_sensors(model: Model) -> frozenset[Sensor]:
         square = (moved**2).sum(axis=0)
         response = square + np.add.reduce([(moved * predicted(term, view)).sum(axis=0) for term in terms])
         moves = square > MOVES[view.sensor] ** 2 * len(moved)
-        if (response[moves] < _FOLLOWS * square[moves]).any():
+        if (response[moves] < FOLLOWS * square[moves]).any():
             found.add(view.sensor)
     return frozenset(found)
 

@@ -36,11 +36,11 @@ from mavcal.calib.gap.unknown.shapes import ShapeHypothesis, flexible, shapes_of
 Array = NDArray[np.float64]
 
 _MARGIN = 2.0
-"""Penalised evidence by which a model with shapes must beat the catalogue alone."""
+"""Penalised evidence by which a model with shapes must beat the catalogue alone. Source: decision 5."""
 _SHORTLIST = 6
-"""Shapes in each place that stand in the contest."""
+"""Shapes in each place that stand in the contest. Chosen, not measured: it bounds the time."""
 _CONTAINED = 0.8
-"""Part of a shape's evidence from which on a simpler effect is what it goes about."""
+"""Part of a shape's evidence from which on a simpler effect is what it goes about. Source: decision 5."""
 
 
 @dataclass(frozen=True, eq=False)

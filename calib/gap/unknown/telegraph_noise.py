@@ -22,21 +22,28 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _WINDOWS = 700
-"""Averages that a series is looked at in: tenths of a second of a minute."""
+"""Averages that a series is looked at in: tenths of a second of a minute. Chosen, not measured: it bounds the time."""
 _FEWEST = 64
-"""Samples below which a series does not tell levels apart."""
+"""Samples below which a series does not tell levels apart. Chosen, not measured: some ten stays of a few samples on
+either level."""
 _BETTER = 19.0
-"""Twice the log-likelihood by which the chains must beat an effect: three walks in a hundred show as much."""
+"""Twice the log-likelihood by which the chains must beat an effect: three walks in a hundred show as much. Source:
+measured on random walks; the seeds are not recorded."""
 _FLAT = 2.0
-"""Largest over least power, below half the rate of the averages, up to which their noise is white."""
+"""Largest over least power, below half the rate of the averages, up to which their noise is white. Chosen, not
+measured: averages of a correlated noise scatter by less."""
 _JUMPS = 3.5
-"""Expected number of them from which on readings go to and fro: a step that ends has two."""
+"""Expected number of them from which on readings go to and fro: a step that ends has two. Chosen, not measured: between
+the two of a step that ends and the four of a second one."""
 _RARE, _OFTEN = 1e-4, 0.5
-"""Chances of a jump from one average to the next."""
+"""Chances of a jump from one average to the next. Chosen, not measured: one jump in 10 000 averages is none, and one in
+two is white noise."""
 _STARTS = (0.02, 0.2)
-"""The chances that a fit begins with, in turn."""
+"""The chances that a fit begins with, in turn. Chosen, not measured: slow and fast chains; a fit from one of them finds
+either."""
 _ROUNDS, _SETTLED = 30, 0.05
-"""Rounds of a fit at most, and the log-likelihood that a further one must gain."""
+"""Rounds of a fit at most, and the log-likelihood that a further one must gain. Chosen, not measured: they bound the
+time; a twentieth of a nat decides nothing."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mavcal.calib.gap.effects import parameter_table
+from mavcal.calib.gap.effects import by_id, parameter_table
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, GapReport, GapVerdict, Inputs, ParameterEstimate
-from mavcal.calib.recording import Sensor
 
 
 def effect(id_: str, instances: tuple[int, ...] = (1,), **groups: object) -> EffectEstimate:
@@ -23,8 +22,7 @@ def effect(id_: str, instances: tuple[int, ...] = (1,), **groups: object) -> Eff
     assert set(given) <= {p.name for p in table}, "the catalogue names the parameters"
     params = tuple(_estimate(p.name, given.get(p.name, 0.0), p.unit) for p in table)
     evidence = EffectEvidence(100.0, len(params), 1e-9, 0.99, 0.5)
-    sensor = Sensor.ACCEL if id_ == "reference_attitude" else Sensor(id_.split("_", 1)[0])
-    return EffectEstimate(id_, sensor, instances, params, evidence)
+    return EffectEstimate(id_, by_id()[id_].sensor, instances, params, evidence)
 
 
 def _estimate(name: str, value: float, unit: str) -> ParameterEstimate:

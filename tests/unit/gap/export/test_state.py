@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.effects.replay import with_effects_in
+from mavcal.calib.gap.effects.traits import SensorTerm
 from mavcal.calib.gap.export.state import (
     doubt_text,
-    kind_of,
     matrix_of,
     named,
     recentred,
     sensors_with,
+    term_of,
     value,
     vector,
 )
@@ -131,8 +133,29 @@ def test_a_matrix_is_symmetric_where_its_effect_is_and_a_rotation_is_one() -> No
     assert np.linalg.det(turned) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("term", SensorTerm)
+def test_every_term_is_that_of_an_effect_and_changes_a_field_of_the_sensor(term: SensorTerm) -> None:
+    having = {e.id for e in catalogue() if e.term is term}
+    assert having
+    for id_ in having:
+        stated = effect(id_)
+        stated = replace(stated, params=tuple(replace(p, value=0.01) for p in stated.params))
+        state = sensors_with([stated])
+        assert state.rest == ()
+        made, ideal = state.of(stated.sensor, 1), SensorErrors()
+        names = [f.name for f in fields(ideal) if f.name != "t_ref"]
+        assert not all(np.array_equal(getattr(made, name), getattr(ideal, name)) for name in names)
+
+
+def test_an_effect_without_a_term_is_left_over() -> None:
+    for id_ in ("accel_tone", "gyro_rotor_noise", "mag_step"):
+        assert term_of(effect(id_)) is None
+    assert term_of(replace(SHAPED[0], id="accel_of_another_version")) is None
+    odd = replace(SHAPED[0], id="accel_of_another_version")
+    assert sensors_with([odd, SHAPED[0]]).rest == (odd,)
+
+
 def test_an_effect_is_spoken_of_by_its_instances() -> None:
-    assert kind_of(SHAPED[1]) == "hard_iron"
     assert named(SHAPED[1]) == "mag_hard_iron of instance 1"
     assert named(replace(SHAPED[1], instances=(1, 2))) == "mag_hard_iron of instances 1, 2"
     assert doubt_text(SHAPED[1]).startswith("mag_hard_iron of instance 1: it has a probability of 0.99")
