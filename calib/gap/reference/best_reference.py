@@ -268,9 +268,9 @@ def _doubted(ideal: Ideal) -> Ideal:
     if ideal.info.att_sigma_deg < DOUBTFUL_DEG or ideal.info.useless:  # that ends the diagnosis
         return ideal
     said = (
-        f"the re-estimated attitude is known to {ideal.info.att_sigma_deg:.1f} deg only: an accelerometer bias below "
-        f"{0.34 * ideal.info.att_sigma_deg:.2f} m/s2 and an offset of the compass cannot be told from a tilt; turn the "
-        "vehicle through all headings"
+        f"the re-estimated attitude is known to {ideal.info.att_sigma_deg:.1f} deg only: a bias below "
+        f"{0.34 * ideal.info.att_sigma_deg:.2f} m/s2 that all accelerometers share, or an offset of all compasses, cannot "
+        "be told from a tilt; turn the vehicle through all headings"
     )
     return dataclasses.replace(ideal, warnings=(*ideal.warnings, said))
 
