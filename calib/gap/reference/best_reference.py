@@ -269,8 +269,8 @@ def _doubted(ideal: Ideal) -> Ideal:
         return ideal
     said = (
         f"the re-estimated attitude is known to {ideal.info.att_sigma_deg:.1f} deg only: a bias below "
-        f"{0.34 * ideal.info.att_sigma_deg:.2f} m/s2 that all accelerometers share, or an offset of all compasses, cannot "
-        "be told from a tilt; turn the vehicle through all headings"
+        f"{0.34 * ideal.info.att_sigma_deg:.2f} m/s2 that all accelerometers share, or an offset of all compasses, "
+        "cannot be told from a tilt; turn the vehicle through all headings"
     )
     return dataclasses.replace(ideal, warnings=(*ideal.warnings, said))
 
