@@ -211,7 +211,7 @@ def test_an_accelerometer_in_counts_is_judged_about_the_centre_of_its_poses():
     held = np.concatenate([np.repeat(face[None], 192, axis=0) for face in faces])
     counts = 16_384.0 * held + 30.0 * rng.normal(size=held.shape)
     centred = find_still(Recording((made(Sensor.ACCEL, counts, "counts"),)), limits=RESTING)
-    far = find_still(Recording((made(Sensor.ACCEL, counts + [9e4, -2e5, 5e4], "counts"),)), limits=RESTING)
+    far = find_still(Recording((made(Sensor.ACCEL, counts + np.array([9e4, -2e5, 5e4]), "counts"),)), limits=RESTING)
     assert len(centred) == 6
     assert [(s.start, s.end) for s in far] == [(s.start, s.end) for s in centred]
 
