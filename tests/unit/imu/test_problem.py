@@ -216,7 +216,7 @@ def test_a_rigid_gyroscope_only_turns():
         assert change == pytest.approx(-change.T)
     new = Coordinates(np.zeros(0, dtype=np.intp), rigid=True).moved(NEUTRAL, 0.3 * np.ones(15))
     G = new[9:18].reshape(3, 3)
-    assert G @ G.T == pytest.approx(np.eye(3), abs=1e-12)
+    np.testing.assert_allclose(G @ G.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(G) == pytest.approx(1.0)
     assert not np.allclose(G, np.eye(3), atol=0.1)
     assert new[18:21] == pytest.approx(np.full(3, 0.3))
