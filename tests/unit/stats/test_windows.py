@@ -138,3 +138,11 @@ def test_spikes_are_the_same_in_every_unit(scale, shift):
     values[[40, 200], 1] += [12.0, -30.0]
     found = np.flatnonzero(~without_spikes((values + shift) * scale)).tolist()
     assert found == [40, 200]
+
+
+@pytest.mark.parametrize(("size", "kept"), [(67.0, True), (69.0, False)])
+def test_a_spike_is_far_beyond_what_the_samples_around_change_by(size, kept):
+    """Samples that go up and down by two: four times that and thirty times that are 68 about the lower level."""
+    values = np.where(np.arange(200) % 2, 1.0, -1.0)[:, None]
+    values[101] = size - 1.0
+    assert without_spikes(values).all() == kept
