@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -19,9 +20,9 @@ REST = np.array([0.02, -0.05, 0.1])
 NEUTRAL = np.concatenate([np.zeros(3), np.ones(3), np.zeros(3), np.eye(3).ravel(), np.zeros(3)])
 
 
-def turning(seconds=12.0, rate=200.0, *, noise=0.0, axes=(1.0, 1.0, 1.0), unit=1.0):
-    """A body that turns about all axes, and what a sensor of `MATRIX` and `REST` reads of it."""
-    rng = np.random.default_rng(1)
+@functools.cache
+def path(axes, seconds=12.0, rate=200.0):
+    """Times, rates and specific force of a body that turns about all axes."""
     t = (np.arange(int(seconds * rate)) + 0.5) / rate
     omega = np.column_stack([np.sin(0.9 * t), np.cos(1.3 * t), np.sin(2.1 * t + 1.0)]) * axes
     body, force = Rotation.identity(), np.empty((len(t), 3))
@@ -30,6 +31,13 @@ def turning(seconds=12.0, rate=200.0, *, noise=0.0, axes=(1.0, 1.0, 1.0), unit=1
         body = body * half
         force[k] = body.inv().apply([0.0, 0.0, -G])
         body = body * half
+    return t, omega, force
+
+
+def turning(*, noise=0.0, axes=(1.0, 1.0, 1.0), unit=1.0):
+    """What an accelerometer and a gyroscope of `MATRIX` and `REST` read of it."""
+    rng = np.random.default_rng(1)
+    t, omega, force = path(axes)
     readings = unit * (omega @ np.linalg.inv(MATRIX).T + REST)
     accel = Channel(Sensor.ACCEL, 0, t, force + noise * rng.normal(size=force.shape), "m/s2", Stage.RAW, "made")
     return accel, Channel(Sensor.GYRO, 0, t, readings, "rad/s", Stage.RAW, "made")
