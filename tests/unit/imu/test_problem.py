@@ -296,3 +296,16 @@ def test_one_movement_that_contradicts_does_not_spoil_the_rest():
     error, spoilt = done.solution.x - TRUTH, first.x - TRUTH
     assert error @ done.solution.information @ error / UNKNOWNS < 2.0
     assert spoilt @ first.information @ spoilt / UNKNOWNS > 20.0
+
+
+@pytest.mark.parametrize(("bent_by", "left_out"), [(0.024, False), (0.032, True)])
+def test_a_movement_is_left_out_if_most_of_the_misfit_goes_with_it(bent_by, left_out):
+    """Without it the reduced chi-square is 0.54 and 0.42 of what it was: half is the limit."""
+    problem, u = problem_of(8, poses=24)
+    rates = problem.moves.rates.copy()
+    rates[problem.moves.first[9]] += [0.0, bent_by, 0.0]
+    bent = dataclasses.replace(problem, moves=dataclasses.replace(problem.moves, rates=rates))
+    prior = ImuPrior(NEUTRAL, np.zeros(UNKNOWNS))
+    done = weigh(bent, solve(bent, TRUTH, u, prior=prior), prior, FREE)
+    assert bool(sum(done.problem.extra) > 0.0) is not left_out  # what stays in widens all the others
+    assert (done.moves_out > 0) is left_out
