@@ -72,10 +72,10 @@ def test_a_turntable_needs_its_rate_and_time_or_labels():
 
 
 def test_the_uncertainty_of_the_table_is_in_degrees():
-    """Nine degrees a second of ninety: no scale is known better than to a few hundredths."""
+    """Nine degrees a second of ninety, each way: a tenth of the scale over the root of two."""
     (sure,) = METHODS["gyro-turntable"].run(turns(), {"rate_true": "90"})
     (unsure,) = METHODS["gyro-turntable"].run(turns(), {"rate_true": "90", "rate_sd": 9.0})
-    assert unsure.sd[3] > 0.03
+    assert unsure.sd[[3, 7, 11]] == pytest.approx(0.1 / np.sqrt(2.0) / SCALE, rel=0.01)
     assert sure.sd[3] < 1e-3
 
 
@@ -88,7 +88,8 @@ def test_a_thread_counts_what_is_stated():
     (fit,) = METHODS["gyro-thread"].run(Recording((gyro,)), {"turns": 5.0})
     assert fit.model.matrix[2, 2] == pytest.approx(1.0 / SCALE[2], rel=2e-3)
     (rough,) = METHODS["gyro-thread"].run(Recording((gyro,)), {"turns": 5.0, "angle_sd": 90.0})
-    assert rough.sd[11] > 10.0 * fit.sd[11]
+    assert rough.sd[11] == pytest.approx(0.05 / np.sqrt(2.0) / SCALE[2], rel=0.01)  # a quarter of five turns, each way
+    assert fit.sd[11] < 1e-4
     with pytest.raises(InvalidInputError, match="the turns must be counted: give --turns, or a recording with a comp"):
         METHODS["gyro-thread"].run(Recording((gyro,)))
     with pytest.raises(InvalidInputError, match="turns are integrated over time: the table has none"):
