@@ -468,7 +468,7 @@ def _swing(gyro: Channel, still: Still, turning: Array) -> Array:
 
 
 def _mean_temperature(temperature: Channel | None, still: Still) -> float | None:
-    if temperature is None:
+    if temperature is None or not len(temperature):
         return None
     part = temperature.between(still.start, still.end).values[:, 0]
     if not len(part):  # about one new value a second: the last one holds

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
 from mavcal.calib.stats.correlated import _random_walk, coloured_covariance, long_run_variance
@@ -137,3 +139,55 @@ def test_block_means_of_a_random_walk_scatter_like_its_kernel():
     scale = 5.0 / 6.0  # the kernel's time runs from the first middle to the last one
     steps = np.diff(np.eye(6), axis=0)  # a constant is absorbed by every fit
     assert steps @ kernel @ steps.T * scale == pytest.approx(steps @ np.cov(means.T) @ steps.T, abs=0.006)
+
+
+@given(seed=st.integers(0, 1000), scale=st.floats(1e-6, 1e6), shift=st.floats(-100.0, 100.0))
+@settings(max_examples=15, deadline=None)
+def test_the_long_run_variance_has_the_square_of_the_unit(seed, scale, shift):
+    x = lfilter([1.0], [1.0, -0.7], np.random.default_rng(seed).normal(size=300))
+    assert long_run_variance(scale * (x + shift)) == pytest.approx(scale**2 * long_run_variance(x), rel=1e-6)
+    assert long_run_variance(x[::-1]) == pytest.approx(long_run_variance(x), rel=1e-9)  # time may run either way
+
+
+@pytest.mark.parametrize(("n", "known"), [(15, False), (16, True)])
+def test_sixteen_samples_are_needed_to_tell_correlation(n, known):
+    x = np.cumsum(np.random.default_rng(8).normal(size=n))
+    assert bool(long_run_variance(x) > 1.01 * x.var(ddof=1)) is known
+
+
+def test_an_alternating_series_is_not_worth_more_than_its_samples():
+    x = np.where(np.arange(200) % 2, 1.0, -1.0) + 0.1 * np.random.default_rng(9).normal(size=200)
+    assert long_run_variance(x) == pytest.approx(x.var(ddof=1))
+
+
+def test_drift_between_blocks_needs_eight_samples_in_each():
+    """Blocks of noise about levels of their own: sixteen of them, of seven or of eight samples."""
+    rng = np.random.default_rng(10)
+    levels = rng.permutation(np.linspace(-3.0, 3.0, 16))
+    factors = []
+    for each in (7, 8):
+        x = np.repeat(levels, each) + rng.normal(size=16 * each)
+        factors.append(long_run_variance(x) / x.var(ddof=1) / each)
+    assert factors[1] == pytest.approx(1.0, abs=0.2)  # the scatter of the levels, each worth one sample
+
+
+@given(seed=st.integers(0, 500), scale=st.floats(1e-3, 1e3))
+@settings(max_examples=10, deadline=None)
+def test_the_covariance_of_least_squares_has_the_square_of_the_unit(seed, scale):
+    rng = np.random.default_rng(seed)
+    design = np.column_stack([np.ones(30), np.linspace(-1.0, 1.0, 30)])
+    y, counts, t = rng.normal(size=(30, 2)), np.full(30, 10.0), np.arange(30.0)
+    gram = 10.0 * design.T @ design
+    one, other = (coloured_covariance(design, k * y, counts, t, gram=gram) for k in (1.0, scale))
+    assert other.covariances == pytest.approx(scale**2 * one.covariances, rel=1e-6)
+    assert other.whiteness == pytest.approx(one.whiteness)
+    later = coloured_covariance(design, y, counts, 1e3 + 60.0 * t, gram=gram)
+    assert later.covariances == pytest.approx(one.covariances, rel=1e-6)  # the clock does not matter
+
+
+@pytest.mark.parametrize(("rows", "coloured"), [(13, False), (14, True)])
+def test_twelve_residuals_are_needed_to_tell_colour(rows, coloured):
+    walk = np.cumsum(np.random.default_rng(11).normal(size=(rows, 1)), axis=0)
+    design = np.column_stack([np.ones(rows), np.linspace(-1.0, 1.0, rows)])
+    found = coloured_covariance(design, walk, np.ones(rows), np.arange(float(rows)), gram=design.T @ design)
+    assert bool(found.excess[0] != 1.0) is coloured

@@ -243,3 +243,71 @@ def test_numbers_that_another_program_rounded_show_their_quantum():
     assert with_apparent_quantum(stated) is stated
     constant = dataclasses.replace(smooth, values=np.ones((2000, 3)))
     assert with_apparent_quantum(constant).quantum == 0.0
+
+
+@pytest.mark.parametrize(("n", "found"), [(99, 0.0), (100, 0.25)])
+def test_a_grid_is_told_from_a_hundred_numbers_on(n, found):
+    x = np.round(np.random.default_rng(41).normal(size=(n, 3)) / 0.25) * 0.25
+    smooth = dataclasses.replace(truncated(x), quantum=0.0, values=x, rounding=Rounding.NONE, zero_bin=None)
+    shown = with_apparent_quantum(smooth)
+    assert shown.quantum == found
+    assert shown.rounding == (Rounding.NEAREST if found else Rounding.NONE)
+
+
+@pytest.mark.parametrize(("levels", "found"), [(50, 1.0), (51, 0.0)])
+def test_numbers_must_repeat_four_times_each_to_show_a_grid(levels, found):
+    x = np.resize(np.arange(float(levels)), 200)[:, None]
+    smooth = dataclasses.replace(truncated(x), quantum=0.0, values=x, rounding=Rounding.NONE, zero_bin=None)
+    assert with_apparent_quantum(smooth).quantum == found
+
+
+def test_levels_that_are_no_multiples_of_one_step_are_no_grid():
+    x = np.resize([0.0, 1.0, 2.4, 3.4], 200)[:, None]
+    smooth = dataclasses.replace(truncated(x), quantum=0.0, values=x, rounding=Rounding.NONE, zero_bin=None)
+    assert with_apparent_quantum(smooth).quantum == 0.0
+    gaps = np.where(x > 2.0, x + 1.6, x)  # 0, 1, 4, 5: steps are missing, the grid is whole
+    assert with_apparent_quantum(dataclasses.replace(smooth, values=gaps)).quantum == pytest.approx(1.0)
+
+
+def test_the_coarsest_axis_is_the_quantum_of_all():
+    x = np.column_stack([np.resize(np.arange(5.0) * step, 200) for step in (0.1, 0.4, 0.2)])
+    smooth = dataclasses.replace(truncated(x), quantum=0.0, values=x, rounding=Rounding.NONE, zero_bin=None)
+    assert with_apparent_quantum(smooth).quantum == pytest.approx(0.4)
+
+
+def test_only_truncation_widens_the_bin_around_zero():
+    channel = truncated(np.array([-0.4, 0.4, 1.4]))
+    assert half_widths(dataclasses.replace(channel, rounding=Rounding.NEAREST))[:, 0].tolist() == [0.5, 0.5, 0.5]
+    assert half_widths(dataclasses.replace(channel, quantum=0.0))[:, 0].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_the_variance_along_an_axis_is_that_of_the_mean():
+    rng = np.random.default_rng(42)
+    x = rng.normal(size=(500, 3)) @ np.array([[1.0, 0.3, 0.0], [0.0, 2.0, -0.5], [0.0, 0.0, 0.5]])
+    channel = dataclasses.replace(truncated(x), values=x, quantum=0.0, zero_bin=None, rounding=Rounding.NONE)
+    result = mean_of(channel)
+    for axis in np.eye(3):
+        assert result.variance_along(axis) == pytest.approx(axis @ result.covariance @ axis)
+    oblique = np.array([0.6, 0.0, 0.8])
+    assert result.variance_along(oblique) == pytest.approx((x @ oblique).var(ddof=1) / 500, rel=0.3)
+    assert result.variance_along(-oblique) == pytest.approx(result.variance_along(oblique))
+
+
+def test_a_bin_that_no_noise_leaves_counts_along_its_own_axis():
+    x = np.column_stack([np.full(200, 3.2), 5.0 * np.random.default_rng(43).normal(size=200)])
+    result = mean_of(truncated(x))
+    assert result.constant == (True, False)
+    assert result.variance_along(np.array([1.0, 0.0])) == pytest.approx(1.0 / 12.0)
+    assert result.variance_along(np.array([0.0, 1.0])) == pytest.approx(result.covariance[1, 1])
+
+
+def test_the_influence_of_samples_scatters_as_the_coefficients_do():
+    rng = np.random.default_rng(44)
+    x = np.linspace(-1.0, 1.0, 200)
+    X = np.column_stack([np.ones(200), x])
+    z = []
+    for _ in range(60):
+        channel = truncated(5.3 + 0.8 * x + 0.4 * rng.normal(size=200))
+        fit = interval_regression(X, channel.values[:, 0], half_widths(channel)[:, 0], smallest=0.02)
+        z.append((fit.coefficients - (5.3, 0.8)) / np.sqrt((fit.influence**2).sum(axis=0)))
+    assert 0.7 < np.mean(np.square(z)) < 1.35

@@ -71,3 +71,55 @@ def test_recordings_are_poses_and_a_steady_temperature_is_refused():
     assert fit.quality["poses"] == 2
     mag, t = pose(0, rng)
     assert fit_mag_thermal([(mag, np.full(len(t), 30.0))]).status == FitStatus.REFUSED
+
+
+def test_a_pose_that_did_not_warm_up_is_left_out_and_named():
+    rng = np.random.default_rng(6)
+    mag, t = pose(0, rng)
+    fit = fit_mag_thermal([pose(0, rng), pose(1, rng), (mag, 30.0 + 0.05 * (t - 35.0))])
+    assert fit.quality["poses"] == 2
+    assert fit.n_samples == 9000
+    assert fit.n_used == 6000
+    assert any(text.startswith("one pose was left out: the temperature moved by 1.2 degC") for text in fit.warnings)
+
+
+def test_poses_are_pooled_by_their_precision():
+    """A pose of few samples tells little: the mean is next to the other one's slope, and known no worse."""
+    rng = np.random.default_rng(7)
+    short = pose(1, rng)
+    some = short[0].take(slice(None, None, 30)), short[1][::30]
+    long = fit_mag_thermal([pose(0, np.random.default_rng(8))])
+    both = fit_mag_thermal([pose(0, np.random.default_rng(8)), some])
+    each = [np.array(told["slopes"]) for told in both.native["poses"]]
+    sds = [np.array(told["slopes_sd"]) for told in both.native["poses"]]
+    weights = [1.0 / sd**2 for sd in sds]
+    mean = (weights[0] * each[0] + weights[1] * each[1]) / (weights[0] + weights[1])
+    assert both.native["slopes"] == pytest.approx(mean)
+    assert np.abs(mean - long.native["slopes"]).max() < np.abs(mean - each[1]).max()
+    assert (np.array(both.native["slopes_sd"]) >= (weights[0] + weights[1]) ** -0.5 * 0.999).all()
+
+
+def test_slopes_that_differ_widen_the_pooled_one():
+    rng = np.random.default_rng(9)
+    fit = fit_mag_thermal([pose(0, rng), pose(1, rng, drift=OFFSET_DRIFT * [2.0, 1.0, 1.0])])
+    first, second = (np.array(told["slopes"]) for told in fit.native["poses"])
+    assert fit.native["slopes_sd"][0] == pytest.approx(abs(first[0] - second[0]) / 2.0, rel=0.1)
+
+
+def test_each_pose_tells_its_field_and_its_range():
+    rng = np.random.default_rng(10)
+    told = fit_mag_thermal([pose(0, rng), pose(1, rng)]).native["poses"]
+    for number, one in enumerate(told):
+        assert one["field"] == pytest.approx(POSES[number] + 10.0 * OFFSET_DRIFT, abs=0.1)  # at the mean of 35 degC
+        assert (one["t_min"], one["t_max"], one["samples"]) == (
+            pytest.approx(23.0),
+            pytest.approx(47.0, abs=1e-3),
+            3000,
+        )
+
+
+def test_the_reference_temperature_moves_no_slope():
+    poses = [pose(0, np.random.default_rng(11)), pose(1, np.random.default_rng(12))]
+    one, other = (fit_mag_thermal(poses, t_ref=t_ref) for t_ref in (25.0, -10.0))
+    assert other.native["slopes"] == pytest.approx(one.native["slopes"], rel=1e-6, abs=1e-9)
+    assert other.model.polynomial.t_ref == -10.0
