@@ -120,6 +120,9 @@ def test_what_was_not_determined_and_a_drift_are_told_in_every_form():
         lost = converted(partly, convention).lost
         assert "offset_x, offset_y: not determined, neutral values stand in" in lost
         assert "the drift with temperature; this holds at 25 degC" in lost
+    turned = TriadModel(np.zeros(3), Rotation.from_euler("z", 3.0, degrees=True).as_matrix())
+    both = converted(fit_of(turned, status=FitStatus.PARTIAL, undetermined=("offset_x",)), "px4").lost
+    assert [text.partition(":")[0] for text in both] == ["the rotation of 3 deg in the matrix", "offset_x"]
 
 
 def test_a_form_that_nobody_knows_is_refused():

@@ -153,8 +153,10 @@ def test_a_second_without_any_sample_is_a_pause(length, paused):
 def test_a_pause_is_as_long_as_no_channel_has_a_sample():
     t = np.concatenate([T[:200], T[:200] + 14.0])
     slow = np.array([0.0, 2.0, 6.0, 13.0, 15.0])
-    (found,) = pauses(Recording((channel(t), channel(slow, sensor=Sensor.MAG))))
-    assert (found.start, found.length) == (6.0, pytest.approx(7.0))
+    mag, gyro = channel(slow, sensor=Sensor.MAG), channel([0.0, 5.0, 13.5, 15.0], sensor=Sensor.GYRO)
+    for others in ((mag,), (mag, gyro), (gyro, mag)):
+        (found,) = pauses(Recording((channel(t), *others)))
+        assert (found.start, found.length) == (6.0, pytest.approx(7.0))
     assert pauses(Recording(())) == ()
 
 
