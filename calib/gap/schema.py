@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 Json = dict[str, Any]
 
 SCHEMA = "gap/1"
-_EVEN = 0.5
+EVEN = 0.5
 """Probability from which a name is likelier than all else together. Source: even odds."""
 USELESS_DEG = 3.0
 """Standard deviation of a re-estimated attitude, degrees, from which no sensor is judged by it. A tilt of it reads like
@@ -106,7 +106,7 @@ class EffectEvidence:
     @property
     def doubtful(self) -> bool:
         """Whether something else is likelier in its place: a rival, another instance, or what has no name."""
-        return self.probability < _EVEN
+        return self.probability < EVEN
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class SequenceStep:
 
 
 _WIDEST = 1.0
-"""Width of the 95 % interval of a share above which it says nothing: the whole gap. Chosen."""
+"""Width of the 95 % interval of a share above which it says nothing. Chosen, not measured: the whole gap."""
 
 
 @dataclass(frozen=True)

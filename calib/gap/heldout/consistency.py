@@ -31,11 +31,12 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _CHANCE = 3.0
-"""Nats that an effect may lose on a block by chance: what its other blocks do not know of it."""
+"""Nats that an effect may lose on a block by chance: what its other blocks do not know of it. Source: decision 32."""
 _GAINS = 30.0
-"""Twice the log-likelihood that it must gain along the other attitude."""
+"""Twice the log-likelihood that it must gain along the other attitude. Source: decision 32."""
 _SAME = (0.5, 2.0)
-"""Ratio of its size along the other attitude to that along the first, in the direction of the first."""
+"""Ratio of its size along the other attitude to that along the first, in the direction of the first. Source: decision
+32."""
 _TURNED = (Sensor.ACCEL, Sensor.MAG)
 """Sensors whose ideal readings turn with the attitude; a rate of turn does not depend on it."""
 

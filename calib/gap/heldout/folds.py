@@ -32,11 +32,13 @@ from mavcal.calib.gap.search.thresholds import GainThresholds
 Array = NDArray[np.float64]
 
 _UNSEEN = 1e-9
-"""Part of an amplitude's information below which the other blocks do not show it."""
+"""Part of an amplitude's information below which the other blocks do not show it. Source: rounding of an information
+matrix, 1e-16, with a margin."""
 _LEAST_BLOCKS = 3
-"""With samples: fewer say nothing of each other."""
+"""Blocks with samples at least. Chosen, not measured: fewer say nothing of each other."""
 GUARD_S = 0.5
-"""Cut off at either end of a block, so that noise with memory does not tell one block of the next."""
+"""Seconds cut off at either end of a block, so that noise with memory does not tell one block of the next. Source: GAP
+3.4."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -21,12 +21,11 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _AGAIN = "'"
-_FORM = "~"
 _REPEATS = 4
-"""Times that an effect that can be repeated is looked for."""
+"""Times that an effect that can be repeated is looked for. Chosen, not measured: it bounds the time."""
 _ELSEWHERE = 24.0
 """Price of an effect on another instance than the one that has something: it decides where nothing else does, and no
-more."""
+more. Chosen, not measured: odds of exp(12) against the other instance."""
 _WAVE = "~wave"
 """Form of an effect that follows the angle of a rotor."""
 
@@ -77,10 +76,10 @@ class Hypothesis:
         """Whether it is a wave: noise that wanders cannot take its place."""
         return self.effect.tonal or self.effect.form == _WAVE
 
-    def described_by(self, keys: Collection[tuple[str, tuple[int, ...]]]) -> bool:
-        """Whether one of `keys` is the same effect on the same instances in another form: it happens once."""
-        other = [instances for name, instances in keys if name.split(_FORM)[0] == self.effect.id]
-        return not self.effect.repeatable and self.instances in other
+    def described_by(self, others: Iterable[Hypothesis]) -> bool:
+        """Whether one of `others` is the same effect on the same instances, in any form: it happens once."""
+        places = [other.instances for other in others if other.effect.id == self.effect.id]
+        return not self.effect.repeatable and self.instances in places
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.problem import FaultyInstances, GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.best_reference import BestReferences, best_references, refusals
-from mavcal.calib.gap.reference.channels import corrected, not_undone, offset_changed, sensors_of
+from mavcal.calib.gap.reference.channels import SAME_RATE, corrected, not_undone, offset_changed, sensors_of
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.expected_noise import (
     motor_noise_of,
@@ -48,9 +48,6 @@ _NO_OVERLAP = "the recording and its reference have no sensor in common, or do n
 _FAST_HZ = 100.0
 """Rate, Hz, of a gyroscope whose turns between samples are hardly more than noise. Chosen, not measured: ten times the
 10 Hz up to which a vehicle moves as a whole."""
-_ONE_RATE = 0.02
-"""Relative difference up to which two rates are one. Chosen, not measured: clocks and lost samples make less than 2
-%."""
 _OTHER = "the simulator's or a nominal recording"
 _REDUNDANT = "The instances of the vehicle are compared with each other."
 
@@ -254,7 +251,7 @@ def _of_one_rate(
 ) -> dict[Sensor, ResidualSpectrum]:
     """Without what was learned from readings of another rate: whether these were averaged or picked, nobody knows."""
     rates = {t.sensor: t.fs for t in traces}
-    other = {s for s, n in of_readings.items() if s in rates and abs(math.log(rates[s] / n.fs)) > _ONE_RATE}
+    other = {s for s, n in of_readings.items() if s in rates and abs(math.log(rates[s] / n.fs)) > SAME_RATE}
     return {s: noise for s, noise in total.items() if s not in other}
 
 

@@ -24,6 +24,12 @@ from mavcal.calib.triad import TriadModel
 Array = NDArray[np.float64]
 
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+SAME_RATE = 0.02
+"""Relative difference up to which two rates are one. Chosen, not measured: clocks and lost samples make less than 2
+%."""
+SAME_SAMPLE = 0.05
+"""Share of a step by which the times of two instances may differ and still be one sample of both; beyond, their
+difference is movement. Chosen, not measured: a twentieth of a step of usual movement is less than noise."""
 TELLING_CURRENT = 0.5
 """Standard deviation of the current, A, from which the field of the motors is told from an offset. Chosen, not
 measured: 0.05 uT/A then show 0.025 uT, a twentieth of a sensor's noise."""
@@ -141,11 +147,6 @@ def filter_gain(hz: Array, cutoff: float | None) -> Array:
     return np.asarray(1.0 / np.sqrt(1.0 + (hz / cutoff) ** 4))
 
 
-_CLOSE = 0.05
-"""Share of a step by which time stamps of two instances may differ and still be one sample of both. Chosen, not
-measured: a twentieth of a step of usual movement is less than noise."""
-
-
 def sensors_of(recording: Recording) -> list[Channel]:
     """One channel of every instance of the three sensors: the ones that can be compared, where there are several."""
     chosen: list[Channel] = []
@@ -199,4 +200,4 @@ def _same_times(a: Channel, b: Channel) -> bool:
         return True
     shared = np.clip(np.searchsorted(b.t, a.t), 1, len(b) - 1)
     nearest = np.minimum(np.abs(b.t[shared] - a.t), np.abs(b.t[shared - 1] - a.t))
-    return bool((nearest < _CLOSE * np.median(np.diff(b.t))).mean() > 0.9)
+    return bool((nearest < SAME_SAMPLE * np.median(np.diff(b.t))).mean() > 0.9)

@@ -23,7 +23,7 @@ from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import FaultyInstances, Trace
-from mavcal.calib.gap.reference.channels import TRIADS, comparable
+from mavcal.calib.gap.reference.channels import SAME_RATE, SAME_SAMPLE, TRIADS, comparable
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.simulator import denoised, error_sd
@@ -31,9 +31,15 @@ from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 
-_SMOOTH_S = 2.0  # over which a residual is averaged, for its slow part
-_FASTER = 1.5  # times the rate of the other, from which on a unit is looked at when that has samples
-_EDGE_S = 0.5  # from the ends of a trajectory, where the filters of the units reach beyond it
+_SMOOTH_S = 2.0
+"""Seconds over which a residual is averaged, for its slow part. Chosen, not measured: vibration and noise average
+out."""
+_FASTER = 1.5
+"""Times the rate of the other, from which a unit is looked at when that has samples. Chosen, not measured: between one
+rate and twice the rate."""
+_EDGE_S = 0.5
+"""Seconds from the ends of a trajectory, where the filters of the units reach beyond it. Chosen, not measured: filters
+of a vehicle settle within as long."""
 
 
 def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...]) -> tuple[Trace, ...]:
@@ -118,21 +124,23 @@ def _apart(a: Channel, b: Channel) -> float:
 
 
 _SLOW = 8
-"""Bins of a recording up to which the reference is that of position and field, and of no inertial unit."""
+"""Bins of a recording up to which the reference is that of position and field, and of no inertial unit. Chosen, not
+measured: four periods of a recording."""
 _NEAR = 1.0 / 16.0
-"""Part of the power of a difference below which an instance is at the reference."""
+"""Part of the power of a difference below which an instance is at the reference. Chosen, not measured: a quarter in
+amplitude."""
 _SIDE, _BEYOND = 0.5, 1.5
-"""Excess from which on it is one instance that has it, and beyond which it goes with the movement: a scale error."""
+"""Excess from which on it is one instance that has it, and beyond which it goes with the movement: a scale error.
+Source: it is 1 or -1 where one instance has it and 0 where both have; the limits lie half-way."""
 _SURE = 4.0
-"""Standard errors of the excess that it must be away from zero; half of them for both."""
+"""Standard errors of the excess that it must be away from zero; half of them for both. Chosen, not measured: one in 16
+000 is as far by chance."""
 _MORE = 4.0
-"""Standard errors by which a band must have more power than the simulator's."""
-_ONE_RATE = 0.02
-"""By which rates may differ, relative."""
+"""Standard errors by which a band must have more power than the simulator's. Chosen, not measured: one in 32 000 is as
+far above by chance, and many bands are asked."""
 _TILTS = 3.0
-"""Standard deviations of the reference's tilt that may stand for what two accelerometers differ by across gravity."""
-_CLOSE = 0.05
-"""Share of a step by which the times of two instances may differ: beyond, their difference is movement."""
+"""Standard deviations of the reference's tilt that may stand for what two accelerometers differ by across gravity.
+Source: decision 42 has the rule. Three is chosen, not measured: one in 370 is larger by chance, on one axis."""
 
 
 def faulty_instances_of(
@@ -171,7 +179,7 @@ def _pair(traces: Sequence[Trace], sensor: Sensor) -> tuple[Trace, Trace] | None
 
 def _together(one: Trace, other: Trace) -> bool:
     """Whether both were sampled at the same moments, row by row, and some rows are known of both."""
-    if len(one.t) != len(other.t) or float(np.abs(one.t - other.t).max(initial=0.0)) > _CLOSE / one.fs:
+    if len(one.t) != len(other.t) or float(np.abs(one.t - other.t).max(initial=0.0)) > SAME_SAMPLE / one.fs:
         return False
     return bool(_known(one, other).any())
 
@@ -235,7 +243,7 @@ class _Band:
 
 def _fast(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] | None) -> tuple[int, ...] | None:
     """Who has what the difference has more than in the simulator's recording, in the band where that is most."""
-    if sim is not None and abs(math.log(real[0].fs / sim[0].fs)) > _ONE_RATE:
+    if sim is not None and abs(math.log(real[0].fs / sim[0].fs)) > SAME_RATE:
         return None
     bands = _bands(*real)
     nominal_bands = _bands(*sim) if sim is not None else []

@@ -242,11 +242,12 @@ def _scored(
     changed: set[Sensor] | None,
 ) -> dict[Key, ContestScore]:
     """Scores of all candidates that are not in the model; those of sensors that did not change stay."""
-    taken = {t.hypothesis.key for t in model.terms} | {t.hypothesis.key for t in model.noise_terms}
+    there = [term.hypothesis for term in model.members]
+    taken = {hypothesis.key for hypothesis in there}
     beside = Beside(model)
     scores, stale = {}, []
     for hypothesis in candidates:
-        if hypothesis.key in taken or hypothesis.described_by(taken):
+        if hypothesis.key in taken or hypothesis.described_by(there):
             continue
         if hypothesis.before is not None and hypothesis.before not in taken:
             continue

@@ -38,7 +38,7 @@ def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, b
 
 
 _EITHER = 0.5
-"""Part of its probability that an effect keeps if either of two units may have it."""
+"""Part of its probability that an effect keeps if either of two units may have it. Source: decision 42."""
 
 
 def on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:

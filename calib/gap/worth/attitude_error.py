@@ -27,9 +27,10 @@ _TILTS, _MATRIX, _FIELD = slice(0, 6), slice(6, 15), slice(15, 18)
 """Columns of what can be wrong: rotations that stay and that grow, the gyroscope's matrix, the Earth's field."""
 _ERRORS = 18
 BY_CHANCE = 0.005
-"""Chance above which an effect is as large as the reference's own error makes it."""
+"""Chance above which an effect is as large as the reference's own error makes it. Source: decision 34."""
 _RANK = 1e-9
-"""Part of the largest variance of amplitudes below which a direction of them was not fitted."""
+"""Part of the largest variance of amplitudes below which a direction of them was not fitted. Source: rounding of a
+covariance, 1e-16, with a margin."""
 
 
 def variance_of_tilt(model: Model, joint: Joint) -> Array:

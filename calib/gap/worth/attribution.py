@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcal.calib.gap.model.hypotheses import Hypothesis, Key
-from mavcal.calib.gap.schema import Rival
+from mavcal.calib.gap.schema import EVEN, Rival
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.evidence import price_of_kind
@@ -17,17 +17,19 @@ from mavcal.calib.gap.search.exchange import Alternative, Place, SettledModel, b
 from mavcal.calib.gap.search.selection import last_gains
 
 _SECOND = 8.0
-"""By how much a second order of an effect counts, beside noise learned from flights, in twice a log-probability."""
+"""By how much a second order of an effect counts, beside noise learned from flights, in twice a log-probability.
+Chosen, not measured: a second order of 16 then counts as much as `TEMPERATURE`."""
 TEMPERATURE = 2.0
-"""By which differences of penalised evidence are flattened into probabilities."""
+"""By which differences of penalised evidence are flattened into probabilities. Source: GAP 3.7 has the form. The value
+is chosen, not measured; `telling/probabilities.py` corrects what it gives."""
 _STANDS_IN = 0.8
-"""Part of its probability that noise that wanders keeps: it takes the place of anything slow."""
+"""Part of its probability that noise that wanders keeps: it takes the place of anything slow. Chosen, not measured: it
+leaves a fifth to what else is slow."""
 _NEAR = 12.0
-"""Penalised evidence within which a rival is listed."""
+"""Penalised evidence within which a rival is listed. Source: GAP 3.6."""
 _SAME = 0.98
-"""Part of the evidence of an effect from which a rival is listed as well, though not beyond `prices.RIVAL_REACH`."""
-_EVEN = 0.5
-"""Probability of what has no name from which on it is likelier than every name together."""
+"""Part of the evidence of an effect from which a rival is listed as well, though not beyond `prices.RIVAL_REACH`.
+Source: GAP 3.6, 2 % of the gain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +49,7 @@ class Attribution:
     @property
     def doubted(self) -> bool:
         """Whether something without a name is likelier than every name."""
-        return self.unknown_probability > _EVEN
+        return self.unknown_probability > EVEN
 
 
 def attributed(settled: SettledModel, contest: Contest) -> tuple[Attribution, ...]:

@@ -49,7 +49,7 @@ def test_what_happens_once_can_happen_again_and_has_its_moment_as_shape() -> Non
 TAKEN_APART = re.compile(
     r"(?:\beffect_?id|\b\w+\.id|key\[0\]|\bk\[0\])"
     r"(?:\.(?:endswith|startswith|r?partition|r?split|remove(?:pre|suf)fix|find|index)\(|\[-?\d*:)"
-    r"|== f\"\{[\w.]*sensor[\w.]*\}_"
+    r"|== f\"\{[\w.]*sensor[\w.]*\}_|split\((?:\"[_~]|_FORM)"
 )
 """An id in front of a method that takes it apart, or one that is put together to compare with."""
 
@@ -67,6 +67,7 @@ def test_no_module_goes_by_parts_of_an_effects_id() -> None:
         'effect.id.split("_", 1)[0]',
         "one.id[4:]",
         'e.id == f"{fit.sensor.value}_step"',
+        'name.split("~")[0]',
     ],
 )
 def test_an_id_that_is_taken_apart_is_seen(line: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.effects import by_id, forward_models
-from mavcal.calib.gap.model.hypotheses import hypotheses_of
+from mavcal.calib.gap.model.hypotheses import Hypothesis, hypotheses_of
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import FaultyInstances, ReferenceInfo, ReferenceKind
 from mavcal.calib.recording import Sensor
@@ -110,3 +110,14 @@ def test_noise_of_the_gyroscope_that_drives_a_trajectory_is_told_by_both_units_a
     by_sensor = dict.fromkeys(sensors, worse)
     tested, _ = hypotheses_of(forward_models()[effect_id], views_of(problem, {}, {}), by_sensor)
     assert {h.instances: h.loud for h in tested} == loud
+
+
+def test_what_happens_once_is_described_by_another_form_of_it():
+    wave, noise = sorted(forward_models()["accel_vibration"], key=lambda effect: not effect.form)
+    late, throttle = (e for e in forward_models()["mag_motor_current"] if e.form)
+    there = [Hypothesis(wave, (0,), again=1), Hypothesis(late, (0, 1))]
+    assert Hypothesis(noise, (0,)).described_by(there)
+    assert Hypothesis(throttle, (0, 1)).described_by(there)
+    assert not Hypothesis(noise, (1,)).described_by(there)
+    assert not Hypothesis(wave, (0,)).described_by(there)  # it can happen again
+    assert not Hypothesis(by_id()["accel_noise"], (0,)).described_by(there)
