@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import json
-import logging
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import structlog
 
 from bench.running import RunningService, service
 from mavcal.service.api.security import digest
-from mavcal.service.cli import main
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import patience, scaled
 
+from .cli_bench import mavcal
 from .deployed import clean_environment, started
 from .jobs_bench import stored
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.timeout(300)
-Cli = Callable[..., tuple[int, dict[str, Any], str]]
 
 
 @pytest.fixture(scope="module")
@@ -50,24 +47,6 @@ def process(*arguments: str) -> tuple[int, dict[str, Any], str]:
     )  # fmt: skip
     assert "Traceback" not in done.stderr, done.stderr
     return done.returncode, json.loads(done.stdout), done.stderr
-
-
-@pytest.fixture
-def mavcal(capsys: pytest.CaptureFixture[str]) -> Iterator[Cli]:
-    """The same in this process, which has loaded already what a command needs."""
-    handlers = len(logging.getLogger().handlers)
-
-    def run(*arguments: str) -> tuple[int, dict[str, Any], str]:
-        with pytest.raises(SystemExit) as ended:
-            main([*arguments, "--json"])
-        said = capsys.readouterr()
-        assert "Traceback" not in said.err, said.err
-        return int(ended.value.code or 0), json.loads(said.out), said.err
-
-    yield run
-    structlog.reset_defaults()
-    for handler in logging.getLogger().handlers[handlers:]:
-        logging.getLogger().removeHandler(handler)
 
 
 def begun(running: RunningService, kind: str, **options: float) -> str:
@@ -101,7 +80,7 @@ def test_a_job_is_followed_accepted_and_taken_back(running: RunningService, sim:
     assert (code, told["error"]["code"]) == (1, "not-revertible")
 
 
-def test_a_prompt_is_answered_and_a_job_is_cancelled(mavcal: Cli, running: RunningService) -> None:
+def test_a_prompt_is_answered_and_a_job_is_cancelled(running: RunningService) -> None:
     job_id = begun(running, "accel")
     code, told, _ = mavcal("answer", job_id, "nonsense", "--url", running.url)
     assert (code, told["error"]["code"]) == (1, "answer-refused")
@@ -114,7 +93,7 @@ def test_a_prompt_is_answered_and_a_job_is_cancelled(mavcal: Cli, running: Runni
     assert (code, told["state"]) == (1, "cancelled")
 
 
-def test_what_the_prompt_offers_is_an_answer(mavcal: Cli, running: RunningService, sim: SimulatedVehicle) -> None:
+def test_what_the_prompt_offers_is_an_answer(running: RunningService, sim: SimulatedVehicle) -> None:
     sim.call("tumble", rate_dps=45.0)
     job_id = begun(running, "mag", uncertainty=0.02, patience=3600)
     asks(running, job_id, "finish")
@@ -124,7 +103,7 @@ def test_what_the_prompt_offers_is_an_answer(mavcal: Cli, running: RunningServic
     sim.call("still")
 
 
-def test_a_service_and_its_folder_list_the_same_a_page_at_a_time(mavcal: Cli, running: RunningService) -> None:
+def test_a_service_and_its_folder_list_the_same_a_page_at_a_time(running: RunningService) -> None:
     ids = [running.client.cancel_job(begun(running, "accel")).id for _ in range(3)][::-1]
     places = (("--url", running.url), ("--data-dir", str(running.data_dir)))
     whole, folder = (mavcal("jobs", "--kind", "accel", "--state", "cancelled", *place)[1] for place in places)
@@ -139,7 +118,7 @@ def test_a_service_and_its_folder_list_the_same_a_page_at_a_time(mavcal: Cli, ru
         assert (code, told["error"]["code"]) == (1, "job-unknown")
 
 
-def test_who_is_not_there_and_what_is_no_address_is_said(mavcal: Cli, tmp_path: Path) -> None:
+def test_who_is_not_there_and_what_is_no_address_is_said(tmp_path: Path) -> None:
     code, told, _ = mavcal("cancel", "j1", "--url", "http://127.0.0.1:1")
     assert (code, told["error"]["code"]) == (1, "unreachable")
     for url in ("127.0.0.1:8765", "udpin:0.0.0.0:14550", "http://", "http://[::1"):
@@ -151,7 +130,7 @@ def test_who_is_not_there_and_what_is_no_address_is_said(mavcal: Cli, tmp_path: 
         assert mavcal(command, "j1", "--connect", "sim:px4", "--url", "http://127.0.0.1:1")[0] == 2
 
 
-def test_a_key_lets_in_and_none_does_not(mavcal: Cli, tmp_path: Path) -> None:
+def test_a_key_lets_in_and_none_does_not(tmp_path: Path) -> None:
     keys = json.dumps([{"name": "me", "sha256": digest("secret"), "scopes": ["read"]}])
     environment = clean_environment() | {"MAVCAL_API_KEYS": keys, "MAVCAL_DATA_DIR": str(tmp_path / "data")}
     command = [sys.executable, "-m", "mavcal", "serve", "--port", "0"]
