@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import find_peaks, welch
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight import limits
@@ -126,6 +125,8 @@ def _usable(part: Channel) -> Channel:
 
 def _welch(run: Channel, at: Array, rate: float, window: int) -> tuple[Array, Array]:
     """Mean power density of the half-overlapping windows of `run` at the even times `at`, some windows at a time."""
+    from scipy.signal import welch  # a second of processor time, which who looks at no flight does without
+
     hop = window - window // 2
     windows = (len(at) - window) // hop + 1
     total, frequency = np.zeros((window // 2 + 1, 3)), np.zeros(0)
@@ -144,6 +145,8 @@ def _tones(frequency: Array, density: Array) -> list[dict[str, float]]:
     """The strongest lines of a spectrum, with the amplitude of a sine of that power."""
     if len(density) < 8:
         return []
+    from scipy.signal import find_peaks  # likewise
+
     floor = float(np.median(density))
     peaks, _ = find_peaks(density, height=_PROMINENT * floor, distance=3)
     strongest = sorted(peaks.tolist(), key=lambda k: -float(density[k]))[:_TONES]

@@ -31,6 +31,8 @@ Json = dict[str, Any]
 LONGEST_LINE = 400
 """Characters of a progress line that are passed on."""
 _PIPE_BYTES = 1 << 16
+_QUIET_S = 2.0
+"""After so long without a child and without an order there is nothing else to do."""
 
 
 class Nursery:
@@ -55,10 +57,13 @@ class Nursery:
         signal.set_wakeup_fd(waker.fileno(), warn_on_full_buffer=False)
         self._selector.register(woken, selectors.EVENT_READ, "ended")
         self._selector.register(0, selectors.EVENT_READ, "orders")
+        patience = _QUIET_S
         try:
             while True:
-                ready = self._selector.select(0 if self._later else None)
-                if not ready and self._later:
+                idle = self._later and not self._children
+                ready = self._selector.select(patience if idle else None)
+                patience = _QUIET_S if ready else 0.0
+                if not ready and idle:
                     importlib.import_module(self._later.pop(0))
                     gc.freeze()
                 for key, _ in ready:

@@ -33,6 +33,7 @@ LATER = (
         "scipy.spatial",
         "scipy.fft",
         "scipy.ndimage",
+        "scipy.signal",
     ),  # what `calib` computes with
     *(*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report"),
 )

@@ -7,6 +7,7 @@ import json
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +121,17 @@ def check_answer(response: httpx.Response, data_dir: Path) -> None:
 
 def settings_in(folder: Path, **changes: Any) -> Settings:
     return Settings(data_dir=folder, **changes)
+
+
+@cache
+def described() -> Json:
+    """The document of the application, which takes half a second to make; nobody changes it."""
+    return dict(create_app(settings_in(Path("/nonexistent"))).openapi())
+
+
+def kept_document() -> Json:
+    """The one in the repository, which is that of the code; for what is asked before any test begins."""
+    return dict(json.loads((Path(__file__).parents[2] / "docs" / "openapi.json").read_text()))
 
 
 @asynccontextmanager

@@ -56,6 +56,24 @@ async def gone(pid: int) -> None:
             await asyncio.sleep(0.02)
 
 
+async def test_what_is_needed_later_is_loaded_while_nothing_runs(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (tmp_path / "mavcal_mark.py").write_text(f"open({str(tmp_path / 'loaded')!r}, 'w').close()\n")
+    made = Children(tmp_path / "children", most=2, first=(), later=("mavcal_mark",))
+    try:
+        hanging = asyncio.create_task(made.run(f"{TASKS}:hang", {"pid": str(tmp_path / "pid")}, PLENTY))
+        await pid_in(tmp_path / "pid")
+        await asyncio.sleep(2.5)  # longer than the quiet that it waits for
+        assert not (tmp_path / "loaded").exists()
+        hanging.cancel()
+        await asyncio.gather(hanging, return_exceptions=True)
+        async with asyncio.timeout(scaled(30)):
+            while not (tmp_path / "loaded").exists():  # noqa: ASYNC110 - another process writes it
+                await asyncio.sleep(0.05)
+    finally:
+        await made.stop()
+
+
 async def test_a_task_gets_its_order_and_its_result_comes_back_as_data(tmp_path):
     told: list[str] = []
     async with children(tmp_path) as c:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import socket
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,13 +11,9 @@ from mavcal.service.commands.calibrate import HANDS_FREE
 from mavcal.service.commands.preflight import FIXABLE
 from mavcal.service.simvehicle import SimulatedVehicle
 
+from .cli_bench import mavcal
+
 pytestmark = pytest.mark.timeout(600)
-
-
-def mavcal(*arguments: str) -> tuple[int, dict[str, Any], str]:
-    command = [sys.executable, "-m", "mavcal", *arguments, "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    return done.returncode, json.loads(done.stdout) if done.stdout.strip() else {}, done.stderr
 
 
 def free_port() -> int:

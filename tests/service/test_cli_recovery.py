@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import subprocess
 import sys
@@ -17,6 +16,8 @@ from mavcal.calib.firmware.values import shown
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
+
+from .cli_bench import mavcal
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -66,10 +67,7 @@ class Command:
         return done.stderr
 
     def ran(self, *arguments: str) -> tuple[int, dict[str, Any], str]:
-        command = [sys.executable, "-m", "mavcal", *arguments, *self._place, "--json"]
-        done = subprocess.run(command, cwd=ROOT, timeout=scaled(LIMIT_S), capture_output=True, text=True, check=False)
-        assert "Traceback" not in done.stderr, done.stderr
-        return done.returncode, json.loads(done.stdout), done.stderr
+        return mavcal(*arguments, *self._place)
 
     def begun(self, *arguments: str, stdin: int | None = None) -> Running:
         command = [sys.executable, "-u", "-m", "mavcal", *arguments, *self._place]
@@ -107,8 +105,8 @@ class Running:
         return code
 
 
-@pytest.fixture
-def mavcal(tmp_path: Path, request: pytest.FixtureRequest) -> Command:
+@pytest.fixture(name="mavcal")
+def command(tmp_path: Path, request: pytest.FixtureRequest) -> Command:
     name = next(n for n in ("ardupilot", "px4", "restarting") if n in request.fixturenames)
     return Command(tmp_path, request.getfixturevalue(name))
 

@@ -16,6 +16,7 @@ from mavcal.service.api.security import digest
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import patience, scaled
 
+from .cli_bench import mavcal
 from .deployed import clean_environment, started
 from .jobs_bench import stored
 
@@ -38,8 +39,8 @@ def running(sim: SimulatedVehicle, tmp_path_factory: pytest.TempPathFactory) -> 
         yield found
 
 
-def mavcal(*arguments: str) -> tuple[int, dict[str, Any], str]:
-    """Exit code, JSON and stderr of a command."""
+def process(*arguments: str) -> tuple[int, dict[str, Any], str]:
+    """Exit code, JSON and stderr of a command in a process of its own."""
     done = subprocess.run(
         [sys.executable, "-m", "mavcal", *arguments, "--json"],
         cwd=ROOT, capture_output=True, text=True, check=False, timeout=scaled(100.0),
@@ -61,21 +62,21 @@ def asks(running: RunningService, job_id: str, text: str) -> None:
 def test_a_job_is_followed_accepted_and_taken_back(running: RunningService, sim: SimulatedVehicle) -> None:
     before = stored(sim)
     job_id = begun(running, "gyro")
-    code, told, said = mavcal("follow", job_id, "--url", running.url)
+    code, told, said = process("follow", job_id, "--url", running.url)
     assert (code, told["state"]) == (0, "review"), said
     assert "do not touch it" in said
     assert "its plan waits: `mavcal accept` writes it" in said
-    assert mavcal("follow", job_id, "--url", running.url)[:2] == (0, told)  # at once: nothing goes on
+    assert process("follow", job_id, "--url", running.url)[:2] == (0, told)  # at once: nothing goes on
     assert stored(sim) == before
-    code, told, said = mavcal("accept", job_id, "--url", running.url, "--only", "gyro0")
+    code, told, said = process("accept", job_id, "--url", running.url, "--only", "gyro0")
     assert (code, told["state"], told["plan_options"]) == (0, "succeeded", {"only": ["gyro0"]}), said
     assert "INS_GYROFFS_X" in said
     assert "do not touch it" not in said  # of the capture, which is over
     assert stored(sim) != before
-    code, told, said = mavcal("revert", job_id, "--url", running.url)
+    code, told, said = process("revert", job_id, "--url", running.url)
     assert (code, told["state"]) == (0, "reverted"), said
     assert stored(sim) == before
-    code, told, _ = mavcal("revert", job_id, "--url", running.url)
+    code, told, _ = process("revert", job_id, "--url", running.url)
     assert (code, told["error"]["code"]) == (1, "not-revertible")
 
 

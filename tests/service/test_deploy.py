@@ -138,7 +138,7 @@ def install(wheel: Path, folder: Path) -> Installed:
     """`deploy/install` without a package index; what mavcal depends on is borrowed from this environment."""
     environment = {**os.environ, "DESTDIR": str(folder), "PYTHON": sys.executable}
     command = [str(DEPLOY / "install"), str(wheel)]
-    without = {"PIP_NO_DEPS": "1", "PIP_NO_INDEX": "1"}
+    without = {"PIP_NO_DEPS": "1", "PIP_NO_INDEX": "1", "PIP_NO_COMPILE": "1"}  # most modules are not asked for here
     subprocess.run(command, env=environment | without, check=True, capture_output=True)
     installed = Installed(folder)
     (place,) = installed.at("/opt/mavcal/lib").glob("python*/site-packages")

@@ -33,11 +33,12 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fresh(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An environment with the wheel and both strangers; what mavcal depends on is borrowed from this one."""
     folder = tmp_path_factory.mktemp("fresh") / "env"
-    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
     place = folder / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
     (place / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")  # its own .pth files are not read
-    words = ("install", "--quiet", "--no-index", "--no-deps", "--force-reinstall", str(wheel))
-    subprocess.run([str(folder / "bin" / "python"), "-m", "pip", *words], check=True, capture_output=True)
+    words = ("install", "--quiet", "--no-index", "--no-deps", "--no-compile", "--force-reinstall", str(wheel))
+    into = ("--python", str(folder / "bin" / "python"))
+    subprocess.run([sys.executable, "-m", "pip", *into, *words], check=True, capture_output=True)
     for name in STRANGERS:
         (place / name).mkdir()
         (place / name / "__init__.py").write_text("raise ImportError('a stranger of this name')\n")

@@ -24,6 +24,11 @@ PHONE = {"width": 360, "height": 740}
 DESK = {"width": 1280, "height": 860}
 KEPT = {"parameters": {"INS_GYR_CAL": 0}, "thermal": False}
 """A vehicle that keeps what is written to its gyros."""
+SLOWLY = """(() => {
+  window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 100);
+  window.cancelAnimationFrame = (frame) => clearTimeout(frame);
+})()"""
+"""Ten pictures a second: a processor draws them here, and nobody looks at sixty."""
 NOISE = ("GPU stall", "navigator.vibrate", "AudioContext")
 """What Chromium says of its own drawing, and of a phone that nobody has touched yet."""
 
@@ -69,6 +74,7 @@ class Panel:
         self.context = browser.new_context(viewport=size)  # type: ignore[arg-type]
         self.context.set_default_timeout(1000 * scaled(20))
         expect.set_options(timeout=1000 * scaled(20))
+        self.context.add_init_script(SLOWLY)
         self.page: Page = self.context.new_page()
         self.complaints: list[str] = []
         self.asked: list[str] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import click
@@ -24,7 +25,12 @@ ELSEWHERE = ("calib/gap_report/", "service/simvehicle/", "service/link/local.py"
 """Style sheets, whose variables look like flags, and a program with a command line of its own and who starts it."""
 
 
-def sentences() -> Iterator[tuple[str, str]]:
+@cache
+def sentences() -> tuple[tuple[str, str], ...]:
+    return tuple(_sentences())
+
+
+def _sentences() -> Iterator[tuple[str, str]]:
     """Every string of the sources; the parts of an f-string as one, without what is put in."""
     for path in sorted([*(ROOT / "calib").rglob("*.py"), *(ROOT / "service").rglob("*.py")]):
         tree = ast.parse(path.read_text(encoding="utf-8"))
