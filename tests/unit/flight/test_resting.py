@@ -170,6 +170,8 @@ def test_a_drift_is_said_with_the_warming_of_the_sensor():
     assert made.text.endswith("and +30.0 degC")
     blind = dataclasses.replace(warm, values=np.full_like(warm.values, np.nan))
     assert item("gyro_bias_drift", gyro(), blind).numbers["degrees_c"] is None
+    for half in (T < 50.0, T > 50.0):
+        assert item("gyro_bias_drift", gyro(), warm.take(half)).numbers["degrees_c"] is None
 
 
 def test_one_rest_tells_no_drift_and_none_tells_nothing():

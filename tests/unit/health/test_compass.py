@@ -86,7 +86,7 @@ def test_the_strength_of_the_field_is_compared_with_that_of_the_place(factor, ve
     assert dip.verdict == OK
 
 
-@pytest.mark.parametrize(("deg", "verdict"), [(5.0, OK), (15.0, SUSPICIOUS), (-15.0, SUSPICIOUS), (30.0, FAULTY)])
+@pytest.mark.parametrize(("deg", "verdict"), [(9.5, OK), (10.5, SUSPICIOUS), (-15.0, SUSPICIOUS), (30.0, FAULTY)])
 def test_the_dip_of_the_field_is_compared_with_that_of_the_place(deg, verdict):
     north = math.hypot(FIELD[0], FIELD[1])
     tipped = math.radians(DIP - deg)
@@ -248,6 +248,7 @@ def test_a_compass_that_reads_only_zero_is_faulty_even_where_nothing_turned():
     assert found("dead", flat).verdict == FAULTY
     held = dataclasses.replace(flat, values=np.tile(FIELD, (len(T), 1)))
     assert found("dead", held).verdict == CANNOT_SAY
+    assert [f.check for f in findings(held, ATTITUDE, POSITION)] == ["dead"]
 
 
 @pytest.mark.parametrize(("tilt", "verdict"), [(5.0, CANNOT_SAY), (8.0, FAULTY)])
@@ -318,3 +319,10 @@ def test_three_compasses_that_all_differ_are_each_told_by_the_furthest():
 def test_a_compass_with_few_samples_is_compared_with_none():
     assert found("compasses", compass(), compass(instance=1).take(slice(0, 49))) is None
     assert found("compasses", compass(), compass(instance=1).take(slice(0, 50))) is not None
+
+
+def test_a_compass_in_counts_is_not_judged_and_compared_with_none():
+    counts = dataclasses.replace(compass(instance=1), unit="counts")
+    made = findings(compass(), counts, ATTITUDE, POSITION)
+    assert [(f.check, f.verdict) for f in made if f.instance == 1] == [("field", CANNOT_SAY)]
+    assert "compasses" not in {f.check for f in made}
