@@ -110,10 +110,11 @@ def test_a_place_that_can_be_no_directory_is_told(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"cannot be used .*: choose another one") as refused:
         DataDirLock(tmp_path / "file")
     assert not isinstance(refused.value, DataDirLocked)
+    (tmp_path / "dir" / "lock").mkdir(parents=True)  # the folder can be opened, its lock cannot
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(5):
-        with pytest.raises(StoreError):
-            DataDirLock(tmp_path / "file")
+        with pytest.raises(StoreError, match="Is a directory"):
+            DataDirLock(tmp_path / "dir")
     assert len(os.listdir("/proc/self/fd")) < before + 5  # nothing stays open
 
 
