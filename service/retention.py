@@ -53,7 +53,8 @@ class Retention:
                 log.exception("nothing was forgotten this time")
             self.grown.clear()
             with suppress(TimeoutError):
-                await asyncio.wait_for(self.grown.wait(), PERIOD_S)
+                async with asyncio.timeout(PERIOD_S):  # no wait_for: that of Python 3.11 can lose a cancellation
+                    await self.grown.wait()
 
     async def sweep(self) -> None:
         """Forget what is due."""

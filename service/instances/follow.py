@@ -42,8 +42,9 @@ class Follower:
                     pass
             except StoreError as error:
                 log.warning("events were not read", reason=str(error))
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._news.wait(), PERIOD_S)
+            with suppress(TimeoutError):  # no wait_for: Python 3.11 loses a cancellation that comes with the news
+                async with asyncio.timeout(PERIOD_S):
+                    await self._news.wait()
 
     async def _page(self, book: JobBook) -> bool:
         def read() -> tuple[tuple[EventRow, ...], dict[str, JobRow | None]]:

@@ -74,8 +74,9 @@ class Membership:
                     log.warning("leases were not renewed", reason=str(error))
                 except Exception:  # of any kind: without rounds every lease would be lost; logged with its trace
                     log.exception("a round broke")
-                with suppress(TimeoutError):
-                    await asyncio.wait_for(self._wake.wait(), self._leases.lease_s / ROUNDS_A_LEASE)
+                with suppress(TimeoutError):  # no wait_for: Python 3.11 loses a cancellation that comes with the wake
+                    async with asyncio.timeout(self._leases.lease_s / ROUNDS_A_LEASE):
+                        await self._wake.wait()
         finally:
             forget()
 

@@ -89,5 +89,6 @@ class Tidying:
     async def _put_back(self, handle: JobHandle) -> None:
         if handle.job.state == JobState.REVIEW:
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._hurry.wait(), self._review_s)
+                async with asyncio.timeout(self._review_s):  # no wait_for: that of Python 3.11 can lose a cancellation
+                    await self._hurry.wait()
         await restore_streams(handle, await self._vehicle(handle))

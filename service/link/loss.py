@@ -102,7 +102,9 @@ class SequenceCounter:
         """
         back, forward = -step & 0xFF, step or 256
         missing = dropped
-        if not dropped and elapsed < _LONGEST_S:
+        if not dropped and elapsed >= _LONGEST_S:
+            return 1  # nothing before the absence is late or missing now
+        if not dropped:
             missing = max(self._sent_per_s * elapsed - 1, 0.0)
         wraps = max(0, round((missing - (forward - 1)) / 256))
         error = abs(forward - 1 + 256 * wraps - missing)

@@ -14,7 +14,15 @@ from mavcal.service.api.models import LinkModel
 from mavcal.service.api.sight import FILTERED, Sight
 from mavcal.service.app import create_app
 from mavcal.service.core import Service
-from mavcal.service.errors import Forbidden, GapUnknown, JobUnknown, LinkUnknown, RecordingUnknown, VehicleUnknown
+from mavcal.service.errors import (
+    Forbidden,
+    GapUnknown,
+    JobUnknown,
+    LinkUnknown,
+    RecordingUnknown,
+    ServiceError,
+    VehicleUnknown,
+)
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
 from mavcal.service.link import LinkState
@@ -162,3 +170,38 @@ def test_a_change_of_tags_acts_at_once(service: Service, boats: Sight) -> None:
     assert row is not None
     service.store.save_unit(dataclasses.replace(row, tags=("planes",)))
     assert not boats.vehicle("uid-a")
+
+
+def test_a_unit_is_seen_by_any_of_its_tags_and_by_a_key_without_any(service: Service, boats: Sight) -> None:
+    assert boats.tagged(["planes", "lakes"])
+    assert not boats.tagged(["planes"])
+    assert not boats.tagged([])  # nobody has said whose it is
+    assert Sight(service).tagged([])
+
+
+def test_a_link_may_be_looked_at_and_not_touched_for_others_may_be_on_it(boats: Sight) -> None:
+    for method in ("GET", "HEAD"):
+        boats.require("get_link", method, {"link_id": "link-a"})
+    for method in ("POST", "PUT", "PATCH", "DELETE"):
+        with pytest.raises(Forbidden, match="others may be on this link"):
+            boats.require("sign_link", method, {"link_id": "link-a"})
+        with pytest.raises(LinkUnknown):  # a link that is not seen is not there, whatever is asked of it
+            boats.require("sign_link", method, {"link_id": "link-b"})
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "said"),
+    [
+        ("vehicle_id", "uid-b", "there is no vehicle uid-b"),
+        ("unit_id", "uid-c", "there is no unit uid-c"),
+        ("gap_id", "jb", "there is no gap diagnosis jb"),
+        ("recording_id", "r1", "there is no recording r1"),
+    ],
+)
+def test_what_is_hidden_is_said_to_be_absent_in_the_words_of_what_is_absent(
+    boats: Sight, kind: str, name: str, said: str
+) -> None:
+    with pytest.raises(ServiceError) as refused:
+        boats.require("get", "GET", {kind: name})
+    assert str(refused.value) == said
+    assert refused.value.status_code == 404

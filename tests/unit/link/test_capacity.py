@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mavcal.service.link import parse_endpoint
 from mavcal.service.link.capacity import (
@@ -11,7 +13,9 @@ from mavcal.service.link.capacity import (
     plan_rates,
     seen_capacity,
     slowdown,
+    unlimited,
 )
+from mavcal.service.link.endpoint import FORMS
 
 ASKED = {27: 50.0, 116: 50.0, 105: 50.0, 245: 1.0}
 SIZES = {key: frame_bytes(key) for key in ASKED}
@@ -71,3 +75,76 @@ def test_a_stream_that_never_comes_or_is_rounded_by_the_firmware_is_not_the_link
     assert seen_capacity(ASKED, {**ASKED, 116: 0.0}, 0.0, 6000.0) is None
     assert seen_capacity({26: 200.0}, {26: 124.0}, 0.0, 6000.0) is None
     assert slowdown(ASKED, {**ASKED, 116: 0.0}) == 1.0
+
+
+def test_a_request_that_just_fits_is_granted_and_one_byte_more_is_not() -> None:
+    """70 % of 1000 bytes a second, less 100 for what comes unasked, are 600."""
+    assert plan_rates({1: 10.0, 2: 2.0}, 1000.0, {1: 50, 2: 50}) == {1: 10.0, 2: 2.0}
+    planned = plan_rates({1: 10.0, 2: 2.0}, 1000.0, {1: 51, 2: 50})
+    assert planned == {1: pytest.approx(500 / 51), 2: 2.0}  # what is as slow as 2 Hz is state
+
+
+def test_a_radio_that_carries_not_even_the_state_still_brings_every_sample_stream_once_a_second() -> None:
+    assert plan_rates({1: 50.0, 2: 1.0}, 150.0, {1: 40, 2: 90}) == {1: 1.0, 2: 1.0}
+    assert plan_rates({2: 2.0}, 150.0, {2: 90}) == {2: 2.0}  # nothing but state
+
+
+SIZED = st.dictionaries(st.sampled_from([24, 26, 27, 29, 105, 116, 245]), st.floats(0.5, 400.0), min_size=1)
+
+
+@settings(max_examples=50)
+@given(SIZED, st.floats(200.0, 1e5))
+def test_rates_fit_or_are_the_slowest_and_no_stream_is_favoured(asked: dict[int, float], capacity: float) -> None:
+    planned = plan_rates(asked, capacity)
+    sizes = {key: frame_bytes(key) for key in asked}
+    assert planned.keys() == asked.keys()
+    assert all(planned[key] <= max(asked[key], 1.0) for key in asked)
+    slowed = {key: planned[key] / asked[key] for key in asked if asked[key] > 2.0 and planned[key] > 1.0}
+    assert slowed == {} or max(slowed.values()) == pytest.approx(min(slowed.values()))
+    if all(rate > 1.0 for key, rate in planned.items() if asked[key] > 2.0):
+        fits = bytes_needed(planned, sizes) <= 0.7 * capacity - 100.0 + 1e-6
+        assert fits or all(rate <= 2.0 for rate in asked.values())
+
+
+@settings(max_examples=50)
+@given(SIZED, st.floats(200.0, 1e5), st.floats(1.0, 3.0))
+def test_a_faster_link_never_slows_a_stream(asked: dict[int, float], capacity: float, factor: float) -> None:
+    slow, fast = plan_rates(asked, capacity), plan_rates(asked, factor * capacity)
+    assert all(fast[key] >= slow[key] - 1e-9 for key in asked if asked[key] >= 1.0)
+
+
+@pytest.mark.parametrize(("loss", "carried"), [(0.1, None), (0.101, 900.0)])
+def test_a_tenth_may_be_lost(loss: float, carried: float | None) -> None:
+    assert seen_capacity(ASKED, ASKED, loss, 900.0) == carried
+
+
+@pytest.mark.parametrize(
+    ("asked", "came", "carried"),
+    [
+        ({27: 50.0}, {27: 40.0}, None),  # four fifths are not yet held up
+        ({27: 50.0}, {27: 39.9}, 900.0),
+        (
+            {27: 50.0, 29: 50.0},
+            {27: 30.0, 29: 41.0},
+            None,
+        ),  # one comes as asked for: it is carried
+        ({27: 51.0}, {27: 20.0}, None),  # firmwares round what is faster than 50 Hz
+        ({27: 2.0}, {27: 1.0}, None),  # state says nothing
+        ({27: 50.0}, {}, None),
+    ],
+)
+def test_a_link_is_slow_if_every_telling_stream_is_held_up(
+    asked: dict[int, float], came: dict[int, float], carried: float | None
+) -> None:
+    assert seen_capacity(asked, came, 0.0, 900.0) == carried
+
+
+def test_the_slowest_stream_says_how_long_it_takes() -> None:
+    assert slowdown({1: 50.0, 2: 10.0}, {1: 25.0, 2: 2.0}) == 5.0
+    assert slowdown({1: 50.0}, {1: 60.0}) == 1.0  # nobody is faster than planned
+    assert slowdown({}, {}) == 1.0
+
+
+def test_only_a_simulated_vehicle_carries_whatever_is_asked_for() -> None:
+    assert unlimited(parse_endpoint("sim:px4"))
+    assert not any(unlimited(parse_endpoint(url)) for url in FORMS if not url.startswith("sim:"))

@@ -1,8 +1,11 @@
 from __future__ import annotations
 
 import random
+from itertools import pairwise
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mavcal.service.link.loss import SequenceCounter
 
@@ -98,3 +101,78 @@ def test_a_rate_counts_all_frames_that_were_taken_together(longest: float) -> No
     assert len(rates) > 5
     assert min(rates) == pytest.approx(rate, rel=0.01)
     assert max(rates) == pytest.approx(rate, rel=0.01)
+
+
+@settings(max_examples=50)
+@given(st.lists(st.booleans(), min_size=2, max_size=600), st.integers(0, 255))
+def test_received_and_lost_together_are_what_was_sent_between_the_first_and_the_last(
+    arrived: list[bool], start: int
+) -> None:
+    """The second count: by the sender, who knows what it sent."""
+    came = [n for n, arrives in enumerate(arrived) if arrives]
+    counter = SequenceCounter()
+    for n in came:
+        counter.see((start + n) & 0xFF, n / 200.0, 40)
+    short = all(b - a < 100 for a, b in pairwise(came))
+    assert counter.received == len(came)
+    if came and short:
+        assert counter.received + counter.lost == came[-1] - came[0] + 1
+        assert (counter.duplicated, counter.out_of_order, counter.lost_inferred) == (0, 0, 0)
+
+
+@settings(max_examples=30)
+@given(st.lists(st.integers(0, 4), min_size=20, max_size=200), st.randoms(use_true_random=False))
+def test_frames_that_swap_with_near_ones_are_late_and_none_is_lost(shifts: list[int], draw: random.Random) -> None:
+    order = sorted(range(len(shifts)), key=lambda n: n + shifts[n] + draw.random() / 2)
+    order.insert(0, order.pop(order.index(0)))  # what comes before the first is of an earlier life
+    counter = SequenceCounter()
+    for k, n in enumerate(order):
+        counter.see(n & 0xFF, k / 200.0, 40)
+    newest, late = -1, 0
+    for n in order:
+        late += n < newest
+        newest = max(newest, n)
+    assert (counter.lost, counter.out_of_order, counter.duplicated) == (0, late, 0)
+
+
+@pytest.mark.parametrize("gone", [1, 90, 133, 200, 255, 256])
+def test_a_silence_of_half_a_minute_is_an_absence_and_a_shorter_one_is_loss(gone: int) -> None:
+    """Sequence numbers after an absence say nothing: the vehicle may have been restarted meanwhile."""
+    counter = SequenceCounter()
+    sequence, t = steady(counter, 600)
+    steady(counter, 300, start=sequence + gone, t=t + 30.0)
+    assert (counter.lost, counter.lost_inferred, counter.duplicated, counter.out_of_order) == (0, 0, 0, 0)
+    assert counter.received == 900
+
+
+def test_a_silence_of_almost_half_a_minute_is_worth_what_the_rate_says() -> None:
+    counter = SequenceCounter()
+    sequence, t = steady(counter, 600)
+    lost = round(29.9 * 200)
+    steady(counter, 10, start=sequence + lost, t=t + 29.9)
+    assert counter.lost == lost
+
+
+def test_the_first_frame_says_nothing_about_loss_whatever_its_number() -> None:
+    for first in (0, 1, 200, 255):
+        counter = SequenceCounter()
+        counter.see(first, 5.0, 40)
+        counter.see((first + 1) & 0xFF, 5.01, 40)
+        assert (counter.received, counter.lost, counter.duplicated) == (2, 0, 0)
+
+
+@pytest.mark.parametrize(("share", "lost"), [(1.0, 1024), (0.25, 256)])
+def test_a_sender_loses_its_share_of_what_the_socket_dropped(share: float, lost: int) -> None:
+    counter = SequenceCounter()
+    sequence, t = steady(counter, 600)
+    counter.see((sequence + lost) & 0xFF, t, 40, dropped=1024, share=share)
+    counter.see((sequence + lost + 1) & 0xFF, t + 0.005, 40, dropped=1024, share=share)  # told again, counted once
+    assert (counter.lost, counter.lost_inferred) == (lost, lost)
+
+
+def test_rates_last_for_two_seconds_after_the_last_window() -> None:
+    counter = SequenceCounter()
+    _, t = steady(counter, 601)
+    assert counter.statistics(0, t + 1.9).frames_per_s > 0.0
+    stale = counter.statistics(3, t + 2.6)
+    assert (stale.frames_per_s, stale.bytes_per_s, stale.received, stale.crc_errors) == (0.0, 0.0, 601, 3)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pytest
+
 from mavcal.service.link import LinkEventKind, OwnIdentity
 from mavcal.service.link.peers import PeerTable
 
@@ -78,3 +80,57 @@ def test_addresses_are_bounded_and_the_newest_are_kept() -> None:
     kept = peers.recent(5.0)
     assert len(kept) == 64
     assert kept[-1] == (f"10.0.{4999 >> 8}.{4999 & 255}", 14550)
+
+
+def test_an_address_is_recent_until_thirty_seconds_after_its_last_word() -> None:
+    peers = table()
+    peers.see(1, 1, A, 0.0)
+    peers.see(2, 1, B, 1.0)
+    peers.see(1, 1, A, 10.0)
+    assert peers.recent(30.9) == (B, A)  # the one heard last comes last
+    assert peers.recent(31.0) == (A,)
+    assert peers.recent(39.9) == (A,)
+    assert peers.recent(40.0) == ()
+    assert peers.address(1, 1) == A  # an answer still goes where it was heard
+
+
+def test_a_component_that_was_never_heard_shares_the_newest_way_of_its_system() -> None:
+    peers = table()
+    peers.see(7, 1, A, 0.0)
+    peers.see(7, 154, B, 1.0)
+    peers.see(8, 1, C, 2.0)
+    assert peers.address(7, 200) == B
+    assert peers.snapshot() == {(7, 1): A, (7, 154): B, (8, 1): C}
+
+
+def test_what_is_told_names_who_and_where() -> None:
+    peers = table()
+    peers.see(3, 9, A, 0.0)
+    moved = peers.see(3, 9, ("/dev/ttyACM0", 0), 10.0)
+    assert moved is not None
+    assert moved.text == "Vehicle 3/9 now speaks from /dev/ttyACM0; before it was 10.0.0.1:14550."
+    twice = peers.see(3, 9, A, 11.0)
+    assert twice is not None
+    assert twice.addresses == (("/dev/ttyACM0", 0), A)
+    assert twice.text.startswith("Two senders use system id 3: /dev/ttyACM0 and 10.0.0.1:14550 take turns.")
+    assert twice.text.endswith("Give every vehicle its own system id; nothing is written until then.")
+    own = PeerTable(OwnIdentity(system=77, component=191)).own_ids(A, 0.0)
+    assert own is not None
+    assert (own.kind, own.addresses) == (LinkEventKind.OWN_IDS_HEARD, (A,))
+    assert "Somebody at 10.0.0.1:14550 speaks with our ids 77/191." in own.text
+
+
+def test_components_of_one_vehicle_at_different_places_are_no_second_vehicle() -> None:
+    """A companion computer and an autopilot share a system id by design."""
+    peers = table()
+    assert [peers.see(1, c, x, 0.1 * n) for n, (c, x) in enumerate([(1, A), (191, B)] * 10)] == [None] * 20
+
+
+@pytest.mark.parametrize(("pause", "kind"), [(4.9, LinkEventKind.DUPLICATE_SYSTEM), (5.0, LinkEventKind.PEER_CHANGED)])
+def test_a_return_within_five_seconds_is_a_second_vehicle(pause: float, kind: LinkEventKind) -> None:
+    peers = table()
+    peers.see(1, 1, A, 0.0)
+    peers.see(1, 1, B, 100.0)  # A was left at 100 s
+    event = peers.see(1, 1, A, 100.0 + pause)
+    assert event is not None
+    assert event.kind is kind
