@@ -135,3 +135,27 @@ async def test_events_and_keys_are_bounded_in_number(store: SqliteStore, tmp_pat
 
 def test_the_store_knows_the_ended_states() -> None:
     assert set(sql.ENDED) == {state.value for state in states.ENDED}
+
+
+@pytest.mark.parametrize("steps", range(6))
+async def test_a_file_that_grew_at_the_moment_of_the_stop_does_not_keep_it_going(
+    store: SqliteStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, steps: int
+) -> None:
+    """`asyncio.wait_for` of Python 3.11 takes such a cancellation for itself, and the service never ended."""
+    kept = Retention(store, RetentionSettings(), tmp_path, frozenset, frozenset)
+    swept = asyncio.Event()
+
+    async def sweep() -> None:
+        swept.set()
+
+    monkeypatch.setattr(kept, "sweep", sweep)
+    task = asyncio.create_task(kept.run())
+    await swept.wait()
+    for _ in range(10):  # it waits for the next time
+        await asyncio.sleep(0)
+    kept.grown.set()
+    for _ in range(steps):
+        await asyncio.sleep(0)
+    task.cancel()
+    await asyncio.wait({task}, timeout=scaled(2))
+    assert task.cancelled()
