@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import select
 import socket
 import subprocess
@@ -12,11 +13,15 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from mavcal.service.simvehicle.errors import ControlError, StartError
+
+_BELOW_EPHEMERAL = range(20_000, 32_768)
+"""Linux hands out ports from 32768 on (``ip_local_port_range``), other systems from 49152 on (RFC 6335)."""
 
 START_TIMEOUT_S = 20.0
 CALL_TIMEOUT_S = 10.0
@@ -235,7 +240,9 @@ def _link_arguments(link: str) -> list[str]:
 
 
 def free_udp_port() -> int:
-    """A UDP port on loopback that nobody uses at this moment."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A free UDP port on loopback, below those that systems hand out: nobody gets it meanwhile by chance."""
+    while True:
+        port = secrets.choice(_BELOW_EPHEMERAL)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port

@@ -38,7 +38,11 @@ class Station:
         else:
             self.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
-            self.sock.bind((host, int(port)) if kind == "udpin" else ("127.0.0.1", 0))
+            try:
+                self.sock.bind((host, int(port)) if kind == "udpin" else ("127.0.0.1", 0))
+            except OSError:
+                self.sock.close()
+                raise
             self._peer = (host, int(port)) if kind == "udpout" else None
         self.sock.settimeout(0.05)
 
@@ -279,6 +283,16 @@ def test_wrong_use_says_why_and_does_not_start() -> None:
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(StartError, match="cannot listen"):
             SimulatedVehicle(link=f"udpin:127.0.0.1:{taken.getsockname()[1]}")
+
+
+def test_a_free_port_is_one_that_no_system_hands_out_and_nobody_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        port = free_udp_port()
+        assert 20_000 <= port < 32_768
+        taken.bind(("127.0.0.1", port))
+        offered = iter([port, port, 20_001 if port != 20_001 else 20_002])
+        monkeypatch.setattr("secrets.choice", lambda _: next(offered))
+        assert free_udp_port() != port
 
 
 def test_the_command_line_prints_where_it_can_be_reached() -> None:
