@@ -96,9 +96,10 @@ def replacements(mutant: Mutant) -> list[tuple[FunctionType, CodeType]]:
         if ours != theirs and ours.co_name != "<module>"
     }
     found = []
-    imported = str(ROOT / "mavcal" / mutant.path)
+    imported = {str(ROOT / "mavcal" / mutant.path), str(path)}
+    gc.unfreeze()  # what is frozen is among no objects
     for thing in gc.get_objects():
-        if isinstance(thing, FunctionType) and thing.__code__.co_filename == imported:
+        if isinstance(thing, FunctionType) and thing.__code__.co_filename in imported:
             code = changed.get(_place(thing.__code__))
             if code is not None:
                 if code.co_freevars != thing.__code__.co_freevars:
