@@ -154,15 +154,27 @@ async def test_documents_are_kept_before_their_item_says_that_it_is_done(vehicle
 
 
 async def test_the_queue_and_the_campaign_bound_what_is_done_at_once(vehicle: FakeVehicle) -> None:
+    names = {letter: [f"{letter}{n}" for n in range(12)] for letter in "abc"}
     async with running(vehicle) as engine:
-        work = with_work(engine, FakeWork(most=4))
-        both = [await begin(engine, [f"{name}{n}" for n in range(12)]) for name in "ab"]
+        work = with_work(engine, FakeWork(most=4, held={name for some in names.values() for name in some}))
+        both = [await begin(engine, names[letter]) for letter in "ab"]
+        await _filled(work, 4)  # of both campaigns together
         for job in both:
             assert (await ended(engine, job)).state == JobState.SUCCEEDED
-        assert work.at_once == 4  # of both campaigns together
-        work.at_once = 0
-        await ended(engine, await begin(engine, [f"c{n}" for n in range(12)], at_once=2))
+        assert work.at_once == 4
+        work.at_once, work.held = 0, set(names["c"])
+        job = await begin(engine, names["c"], at_once=2)
+        await _filled(work, 2)
+        await ended(engine, job)
         assert work.at_once == 2
+
+
+async def _filled(work: FakeWork, places: int) -> None:
+    """Every item waits until all places are taken; nobody takes one more; then all go on."""
+    await until(lambda: work.under_way >= places)
+    await asyncio.sleep(0.02)
+    assert work.under_way == places
+    work.held.clear()
 
 
 async def test_who_waits_for_a_person_holds_no_place_until_too_many_wait(
