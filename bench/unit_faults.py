@@ -27,7 +27,7 @@ Fault = Callable[[Channel], Array]
 
 SEED = 5
 REST_S = 30.0
-"""Of the flight that rests, from its beginning."""
+"""Seconds, from its beginning, of the flight of a vehicle at rest."""
 FAULTY = 0
 """The instance that has the fault: unit 1."""
 
@@ -78,7 +78,7 @@ FAULTS: Mapping[str, tuple[Sensor, Fault, str]] = {
 }
 """By name: on which sensor, what it reads then, and how it is to be named."""
 RESTING: Mapping[str, Sequence[int]] = {"accel_bias": (1,), "gyro_bias": (1,)}
-"""What the flight that rests has of its own; at rest nobody can tell an offset of a compass from the field."""
+"""Errors of the vehicle at rest. Its compass has an offset too, which nobody can tell from the field there."""
 FLIGHTS = ("half", "d02", "rest")
 
 
@@ -105,7 +105,7 @@ def broken(recording: Recording, sensor: Sensor, fault: Fault) -> Recording:
 
 
 def answer(flight: str, fault: str, real: Recording, other: Recording) -> Answer:
-    """One fault in one flight, diagnosed. A flight that rests has faults of its own."""
+    """One fault in one flight, diagnosed. The vehicle at rest has errors of its own."""
     began = time.process_time()
     if flight == "rest":
         return told(flight, ("its own",), RESTING, gap.run(real, other, nested=False), time.process_time() - began)
@@ -115,7 +115,7 @@ def answer(flight: str, fault: str, real: Recording, other: Recording) -> Answer
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Each case once, told as soon as it is diagnosed."""
+    """Print each case as soon as it is diagnosed."""
     parser = argparse.ArgumentParser(prog="python -m bench.unit_faults", description=__doc__)
     parser.add_argument("data", type=Path, help="folder of the recordings")
     parser.add_argument("--flight", nargs="*", default=FLIGHTS, choices=FLIGHTS)

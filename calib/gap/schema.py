@@ -28,10 +28,10 @@ Json = dict[str, Any]
 
 SCHEMA = "gap/1"
 EVEN = 0.5
-"""Probability from which a name is likelier than all else together. Source: even odds."""
+"""Probability above which a name is likelier than all else together. Source: even odds."""
 USELESS_DEG = 3.0
-"""Standard deviation of a re-estimated attitude, degrees, from which no sensor is judged by it. A tilt of it reads like
-0.5 m/s2 of an accelerometer and 2.6 uT of a compass in a field of 50 uT. Source: decision 32."""
+"""Standard deviation of a re-estimated attitude, degrees, above which no sensor is judged by it. A tilt of it reads
+like 0.5 m/s2 of an accelerometer and 2.6 uT of a compass in a field of 50 uT. Source: decision 32."""
 REFERENCE_NEED = (
     "a recording that speeds up, brakes and turns through all headings with GPS velocity, a compass and an inertial "
     "unit faster than 10 Hz; or --sim of the same trajectory; or a measured pose (q_* or ref_q_* columns)"

@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _EVIDENCE = 30.0
-"""Twice the log-likelihood from which a pattern of samples counts. Chosen, not measured: odds of exp(15), three million
-to one."""
+"""Twice the log-likelihood above which a pattern of samples counts. Chosen, not measured: odds of exp(15), three
+million to one."""
 _FEWEST = 5
 """Samples that make a pile, a zero band, a hold. Chosen, not measured: fewer equal samples are common by chance."""
 _FINEST = 0.03

@@ -24,7 +24,7 @@ SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Row and column of a symmetric matrix' elements, in the order of their names."""
 _SYMMETRIC_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 _LEAST_THROTTLE = 0.05
-"""Standard deviation of the throttle, 0..1, from which its field shows. Chosen, not measured: 5 % of full throttle,
+"""Standard deviation of the throttle, 0..1, above which its field shows. Chosen, not measured: 5 % of full throttle,
 beyond the jitter of a hover."""
 _LEAST_PATH = 0.3
 """Standard deviation of the place along its widest direction, m. Chosen, not measured: a gradient of 1 uT/m then shows

@@ -21,8 +21,8 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LONG = 30.0
-"""Seconds of data from which a walk is told from a bias. Chosen, not measured: a shorter recording shows little more of
-a walk than its mean."""
+"""Seconds of data above which a walk is told from a bias. Chosen, not measured: a shorter recording shows little more
+of a walk than its mean."""
 
 
 def white(trace: Trace, omega: Array, _theta: float) -> Array:

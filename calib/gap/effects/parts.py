@@ -22,7 +22,7 @@ TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 TUMBLE = "tumble through six attitudes or more"
 
 _SPREAD = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.02, Sensor.MAG: 2.0}
-"""Standard deviation of the ideal reading over time from which on its size matters: 3 % of what it is in use. Chosen,
+"""Standard deviation of the ideal reading over time above which its size matters: 3 % of what it is in use. Chosen,
 not measured: an error of 1 % then shows 3 mm/s2, 0.2 mrad/s or 0.02 uT."""
 _MOVEMENT = {
     Sensor.ACCEL: "specific force varies by {:.2g} m/s2",

@@ -53,7 +53,7 @@ _LEAST_SHIFT = 1e-3
 rates."""
 
 _SLOPE = {Sensor.ACCEL: 0.5, Sensor.GYRO: 0.05, Sensor.MAG: 1.0}
-"""Rms slope of the ideal reading, unit/s, from which on some milliseconds show. Chosen, not measured: 5 ms then show
+"""Rms slope of the ideal reading, unit/s, above which some milliseconds show. Chosen, not measured: 5 ms then show
 2.5 mm/s2, 0.25 mrad/s or 5 nT."""
 _SHAKE = "a fast shake or a yaw jerk"
 

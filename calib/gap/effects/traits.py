@@ -23,7 +23,7 @@ class Trait(Enum):
 
 
 class SensorTerm(Enum):
-    """What an effect changes of :class:`SensorErrors`; exports write it there."""
+    """The field of :class:`SensorErrors` that an effect changes, and that exports write."""
 
     BIAS = "offset of an inertial sensor"
     HARD_IRON = "offset of a magnetometer"

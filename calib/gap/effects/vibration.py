@@ -53,7 +53,7 @@ _ROTOR = 100.0
 _CANDIDATES = 4
 """Frequencies that are tried. Chosen, not measured: it bounds the time; the strongest are the likeliest."""
 _LEAST_VARIATION = 0.1
-"""Standard deviation of the rotors' power over its maximum, from which noise is told to follow it. Chosen, not
+"""Standard deviation of the rotors' power over its maximum, above which noise is told to follow it. Chosen, not
 measured: with less, steady noise fits as well."""
 _THROTTLE = "throttle 0-hover-0 twice at one attitude"
 _TELEMETRY = ("no rotor speed, motor output or throttle recorded", "rotor speed in the log")

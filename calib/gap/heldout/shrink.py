@@ -47,7 +47,7 @@ Array = NDArray[np.float64]
 _BLOCKS = 8
 """Blocks of a recording; each is held out once. Source: decision 4."""
 _LONG = 40_000
-"""Samples of a series from which a recording is long. Chosen, not measured: it bounds the time of a selection in every
+"""Samples of a series above which a recording is long. Chosen, not measured: it bounds the time of a selection in every
 block."""
 _FEW = 4
 """Blocks where a series is longer than `_LONG` samples: each repeats the selection. Source: decision 4."""
@@ -60,7 +60,7 @@ _SECOND = 0.5
 """Part of the time of the first selection that one in a block is believed to take: fewer effects compete. Chosen, not
 measured: half as many compete."""
 _SIGNIFICANT = 3.0
-"""Standard errors from which on power above the noise is no chance. Chosen, not measured: one in 740 is as loud by
+"""Standard errors above which power above the noise is no chance. Chosen, not measured: one in 740 is as loud by
 chance."""
 _ROUNDING = 1e-9
 """Part of a gap below which what is left of it is rounding. Source: rounding of a sum of some 1e6 numbers, with a

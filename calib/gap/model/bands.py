@@ -22,7 +22,7 @@ from mavcal.calib.gap.problem import Trace
 Array = NDArray[np.float64]
 
 _LONG = 20_000
-"""Samples from which on a series is split. Chosen, not measured: shorter series are quick enough as they are."""
+"""Samples above which a series is split. Chosen, not measured: shorter series are quick enough as they are."""
 _RATE_HZ = 50.0
 """Rate of the lower band, Hz. Chosen, not measured: half of it lies above the 10 Hz up to which a vehicle moves as a
 whole."""

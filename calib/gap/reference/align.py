@@ -28,7 +28,7 @@ _TIED = 1.1
 """Ratio to the least misfit, within which the frame that turns least is taken. Chosen, not measured: noise makes equal
 frames differ by less than a tenth."""
 ANOTHER_UNIT = 3.0
-"""Ratio of sizes from which the unit is another. Chosen, not measured: no calibration error reaches it, and all
+"""Ratio of sizes above which the unit is another. Chosen, not measured: no calibration error reaches it, and all
 mistaken units do."""
 
 
@@ -136,7 +136,7 @@ def _unrelated(measured: Array, ideal: Array, moves: float, latest: int, apart: 
 
 
 SAME = 0.97
-"""Correlation from which the movements of two tables are one. Chosen, not measured: 94 % of the power is common
+"""Correlation above which the movements of two tables are one. Chosen, not measured: 94 % of the power is common
 then."""
 CLOSED = 0.9995
 """The same for logs of autopilots: two simulated flights of one mission reach 0.994 in their turn rates. Chosen, not

@@ -36,10 +36,10 @@ from mavcal.calib.gap.schema import REFERENCE_NEED, USELESS_DEG
 from mavcal.calib.recording import Recording, Sensor
 
 _SLOWER = 0.5
-"""Ratio of rates from which a reference leaves out what the sensor sees. Chosen, not measured: an octave of what the
+"""Ratio of rates above which a reference leaves out what the sensor sees. Chosen, not measured: an octave of what the
 sensor sees is missing then."""
 _REPEATED = 0.1
-"""Share of samples with the stamp of another from which it is said. Chosen, not measured: single doublets occur in any
+"""Share of samples with the stamp of another above which it is said. Chosen, not measured: single doublets occur in any
 log."""
 
 
@@ -153,7 +153,7 @@ def not_learned(info: ReferenceInfo) -> str:
 
 
 DOUBTFUL_DEG = 0.5
-"""Standard deviation of a reference's attitude from which it is warned of. Chosen, not measured: a tilt of it reads
+"""Standard deviation of a reference's attitude above which it is warned of. Chosen, not measured: a tilt of it reads
 like 0.09 m/s2."""
 
 

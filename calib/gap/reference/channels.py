@@ -31,7 +31,7 @@ SAME_SAMPLE = 0.05
 """Share of a step by which the times of two instances may differ and still be one sample of both; beyond, their
 difference is movement. Chosen, not measured: a twentieth of a step of usual movement is less than noise."""
 TELLING_CURRENT = 0.5
-"""Standard deviation of the current, A, from which the field of the motors is told from an offset. Chosen, not
+"""Standard deviation of the current, A, above which the field of the motors is told from an offset. Chosen, not
 measured: 0.05 uT/A then show 0.025 uT, a twentieth of a sensor's noise."""
 _BEFORE_S, _AFTER_S = 0.5, 0.2
 """Seconds around a change of an offset: the autopilot says it late, and means over a moment have both. Chosen, not

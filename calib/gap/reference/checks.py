@@ -22,14 +22,14 @@ SHORTEST_S = 5.0
 FEWEST = 48
 """Samples beside a reference, for any statement. Chosen, not measured: five seconds of a compass at 10 Hz."""
 MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}
-"""Rms about the mean from which an ideal sensor moves, m/s2, rad/s and uT. Chosen, not measured: 3 % of gravity and of
+"""Rms about the mean above which an ideal sensor moves, m/s2, rad/s and uT. Chosen, not measured: 3 % of gravity and of
 a field of 50 uT, and 1.7 deg/s."""
 _TURNS_MUCH = 3.0
-"""Times `MOVES`, from which an accelerometer's movement about its mean tells its frame. Chosen, not measured: a tenth
+"""Times `MOVES`, above which an accelerometer's movement about its mean tells its frame. Chosen, not measured: a tenth
 of gravity."""
 _SAME = 0.8
-"""Correlation from which readings and reference are the same but for frame or unit. Chosen, not measured: two thirds of
-the power are common then."""
+"""Correlation above which readings and reference are the same but for frame or unit. Chosen, not measured: two thirds
+of the power are common then."""
 _SLIGHT = 0.02
 """Share of misfit below which no other frame is looked for. Source: `1 - cos(11 deg)`; the angle is chosen, not
 measured: mountings are off by less."""
@@ -43,15 +43,15 @@ _DIGITS = 1e-12
 _POSSIBLE = 1e7
 """Reading that no sensor has in any unit. Chosen, not measured: 200 times the Earth's field in nanotesla."""
 _WILD = 50.0
-"""Times all that the reference reads, from which a single reading is damage. Chosen, not measured: a mistaken unit is
+"""Times all that the reference reads, above which a single reading is damage. Chosen, not measured: a mistaken unit is
 told by all readings."""
 _SELDOM = 0.01
 """Share of readings up to which they are single. Chosen, not measured: one in a hundred."""
 _SLOWEST_S = 0.7
-"""Seconds between two samples, from which time is not in seconds, or nothing is left of a movement. Chosen, not
+"""Seconds between two samples, above which time is not in seconds, or nothing is left of a movement. Chosen, not
 measured: logs have 5 samples a second and more, with a margin."""
 _NOISIER = 10.0
-"""Ratio of noise powers from which the reference is worse than the sensor. Chosen, not measured: three times the
+"""Ratio of noise powers above which the reference is worse than the sensor. Chosen, not measured: three times the
 amplitude."""
 # Ratios of sizes that mistaken units make, and how they are said.
 _FACTORS = {
@@ -330,5 +330,5 @@ def check_times(recordings: Iterable[Recording]) -> None:
 
 
 _TIMES = {"nanoseconds": (2e5, "1e-9"), "microseconds": (200.0, "1e-6"), "milliseconds": (_SLOWEST_S, "1e-3")}
-"""Median steps from which time is taken for that unit: sensors have some 5 to 5000 samples a second. Source: those
+"""Median steps above which time is taken for that unit: sensors have some 5 to 5000 samples a second. Source: those
 units, and 5 to 5000 samples a second."""

@@ -49,7 +49,7 @@ UNSTEADY = 1e-4
 """Chance of steady noise that seems to follow something: the motor power, or the change of a reading. Chosen, not
 measured: a recording has some ten series to ask."""
 _WHOLE = 0.9
-"""Share of the samples observed, from which a recording has few holes. Chosen, not measured: a tenth of the power is
+"""Share of the samples observed, above which a recording has few holes. Chosen, not measured: a tenth of the power is
 lost at most."""
 LINE_HZ = 1.0
 """Width of a line of a rotor, Hz: what telemetry and a second's wandering leave open. Chosen, not measured: speeds in

@@ -148,13 +148,13 @@ _CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "written z w x y": lambda q: q[:, [1, 2, 3, 0]],
 }
 _TURNING = 0.05
-"""Standard deviation about a second axis, rad/s, from which turns tell the convention. Chosen, not measured: 3 deg/s
+"""Standard deviation about a second axis, rad/s, above which turns tell the convention. Chosen, not measured: 3 deg/s
 are beyond the noise of any gyroscope."""
 _CONVENTION_HZ = 5.0
 """Frequency, Hz, up to which turns are compared. Chosen, not measured: poses and gyroscopes both follow vehicles
 there."""
 _SAME = 0.9
-"""Correlation from which turns are the same. Chosen, not measured: four fifths of the power are common then."""
+"""Correlation above which turns are the same. Chosen, not measured: four fifths of the power are common then."""
 
 
 def _turned(attitude: Signal, cutoff: float | None) -> tuple[LowPassedSignal, Array, Array]:

@@ -44,7 +44,7 @@ STEP_S = 0.1
 """From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S. Chosen, not measured: vehicles are
 steered up to 5 Hz, and nodes cost time."""
 _STRAIN = 8.0
-"""Standard deviations from which an interval is not believed. Chosen, not measured: far beyond what normal errors of
+"""Standard deviations above which an interval is not believed. Chosen, not measured: far beyond what normal errors of
 any length of flight reach."""
 _AROUND = 10
 """Intervals on either side that are not believed either. Chosen, not measured: a second at `STEP_S`."""

@@ -35,7 +35,7 @@ _SMOOTH_S = 2.0
 """Seconds over which a residual is averaged, for its slow part. Chosen, not measured: vibration and noise average
 out."""
 _FASTER = 1.5
-"""Times the rate of the other, from which a unit is looked at when that has samples. Chosen, not measured: between one
+"""Times the rate of the other, above which a unit is looked at when that has samples. Chosen, not measured: between one
 rate and twice the rate."""
 _EDGE_S = 0.5
 """Seconds from the ends of a trajectory, where the filters of the units reach beyond it. Chosen, not measured: filters
@@ -130,7 +130,7 @@ _NEAR = 1.0 / 16.0
 """Part of the power of a difference below which an instance is at the reference. Chosen, not measured: a quarter in
 amplitude."""
 _SIDE, _BEYOND = 0.5, 1.5
-"""Excess from which on it is one instance that has it, and beyond which it goes with the movement: a scale error.
+"""Excess above which it is one instance that has it, and beyond which it goes with the movement: a scale error.
 Source: it is 1 or -1 where one instance has it and 0 where both have; the limits lie half-way."""
 _SURE = 4.0
 """Standard errors of the excess that it must be away from zero; half of them for both. Chosen, not measured: one in 16

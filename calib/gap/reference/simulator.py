@@ -142,7 +142,7 @@ def _edges(n: int) -> NDArray[np.intp]:
 
 
 _SURE_OF_MEAN = 5.0
-"""Standard errors from which a mean counts. Chosen, not measured: a level by chance would be a false offset."""
+"""Standard errors above which a mean counts. Chosen, not measured: a level by chance would be a false offset."""
 
 
 def deviations(single: Sequence[Trace]) -> dict[tuple[Sensor, int], Array]:

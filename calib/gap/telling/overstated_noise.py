@@ -11,7 +11,7 @@ from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.noise_fit import declared
 
 _MOST_POWER_RATIO = 0.75
-"""Ratio of powers from which it is said: below, a drone's own seldom repeats from flight to flight. Chosen, not
+"""Ratio of powers above which it is said: below, a drone's own seldom repeats from flight to flight. Chosen, not
 measured: 14 % less in amplitude (sqrt(0.75))."""
 _SURE = 6.0
 """Standard errors. Chosen, not measured: noise in flights is not normal, so six instead of three."""

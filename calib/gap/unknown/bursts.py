@@ -21,7 +21,7 @@ then five."""
 _MOST = 0.25
 """Part of the windows that a burst takes at most; noise of a sensor is in all of them. Source: decision 34."""
 _OF_MEAN = 0.5
-"""Part of the mean excess from which on a window has the noise. Chosen, not measured: half of the mean is beyond the
+"""Part of the mean excess above which a window has the noise. Chosen, not measured: half of the mean is beyond the
 scatter of a window without it."""
 _ONE = 3.0
 """Seconds between loud windows up to which they are one burst. Chosen, not measured: a person who handles a vehicle

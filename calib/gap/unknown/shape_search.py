@@ -40,7 +40,7 @@ _MARGIN = 2.0
 _SHORTLIST = 6
 """Shapes in each place that stand in the contest. Chosen, not measured: it bounds the time."""
 _CONTAINED = 0.8
-"""Part of a shape's evidence from which on a simpler effect is what it goes about. Source: decision 5."""
+"""Part of a shape's evidence above which a simpler effect is what it goes about. Source: decision 5."""
 
 
 @dataclass(frozen=True, eq=False)

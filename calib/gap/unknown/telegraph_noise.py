@@ -33,7 +33,7 @@ _FLAT = 2.0
 """Largest over least power, below half the rate of the averages, up to which their noise is white. Chosen, not
 measured: averages of a correlated noise scatter by less."""
 _JUMPS = 3.5
-"""Expected number of them from which on readings go to and fro: a step that ends has two. Chosen, not measured: between
+"""Expected number of them above which readings go to and fro: a step that ends has two. Chosen, not measured: between
 the two of a step that ends and the four of a second one."""
 _RARE, _OFTEN = 1e-4, 0.5
 """Chances of a jump from one average to the next. Chosen, not measured: one jump in 10 000 averages is none, and one in

@@ -37,10 +37,10 @@ _LEVEL = 33
 """Windows whose median is a level: some eight seconds. Chosen, not measured: four times an event, so that the median is
 not its own."""
 _RAMP = 0.3
-"""Part of a ramp's samples from which on it is seen. Chosen, not measured: with fewer the hole and not the ramp
+"""Part of a ramp's samples above which it is seen. Chosen, not measured: with fewer the hole and not the ramp
 decides."""
 _FAR = 6.0
-"""Standard deviations of a window from which on it is off its level. Chosen, not measured: flights have many windows,
+"""Standard deviations of a window above which it is off its level. Chosen, not measured: flights have many windows,
 and their noise is not normal."""
 
 

@@ -26,10 +26,10 @@ from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 
 _JUMPS = 3
-"""Jumps of one sensor from which on they are no single events. Chosen, not measured: a magnet comes and goes by two."""
+"""Jumps of one sensor above which they are no single events. Chosen, not measured: a magnet comes and goes by two."""
 NOT_LASTING = "a deviation that no effect describes throughout the recording"
 _MATERIAL = 0.03
-"""Share of the gap from which on something unknown is said. Source: GAP 3.3."""
+"""Share of the gap above which something unknown is said. Source: GAP 3.3."""
 _LEFT = 0.1
 """The same of what is left over on one sensor: of a long recording no model explains the last hundredth. Chosen, not
 measured: three times `_MATERIAL`, since nothing is said of its shape."""

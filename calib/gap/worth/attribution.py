@@ -28,7 +28,7 @@ leaves a fifth to what else is slow."""
 _NEAR = 12.0
 """Penalised evidence within which a rival is listed. Source: GAP 3.6."""
 _SAME = 0.98
-"""Part of the evidence of an effect from which a rival is listed as well, though not beyond `prices.RIVAL_REACH`.
+"""Part of the evidence of an effect above which a rival is listed as well, though not beyond `prices.RIVAL_REACH`.
 Source: GAP 3.6, 2 % of the gain."""
 
 
