@@ -242,14 +242,17 @@ class StillnessDetector:
         reasons = _reasons(self.limits, accel, gyro, len(starts))
         ended = []
         for k, start in enumerate(starts):
-            a, w = row_of(accel, k), row_of(gyro, k)
-            reason = reasons[k] or (self._span.leaves(self.limits, a, w) if self._span is not None else "")
+            reason = reasons[k]
+            still = not reason
+            if still:
+                a, w = row_of(accel, k), row_of(gyro, k)
+                reason = self._span.leaves(self.limits, a, w) if self._span is not None else ""
             if reason:
                 closed = self._close(guard_end=True)
                 if closed is not None:
                     ended.append(closed)
                 self._after_motion = True
-            if not reasons[k]:  # a window that left its span begins the next one
+            if still:  # a window that left its span begins the next one
                 if self._span is None:
                     self._span = _OpenSpan(float(start), guard=self._after_motion)
                 self._span.add(float(start), a, w)

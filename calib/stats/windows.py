@@ -89,4 +89,7 @@ def _lone(values: Array) -> NDArray[np.bool_]:
 
 def finite_rows(values: Array) -> NDArray[np.bool_]:
     """Which rows hold only finite numbers."""
-    return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
+    finite = np.isfinite(values)
+    if finite.all():  # as they almost always are: a reduction of rows takes ten times as long
+        return np.ones(len(values), dtype=np.bool_)
+    return np.asarray(finite.all(axis=1), dtype=np.bool_)
