@@ -14,7 +14,16 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
-from mavcal.calib.gap.export.state import SensorEffects, doubt_text, named, sensors_with, term_of, value, vector
+from mavcal.calib.gap.export.state import (
+    REFERENCE_TEMPERATURE,
+    SensorEffects,
+    doubt_text,
+    named,
+    sensors_with,
+    term_of,
+    value,
+    vector,
+)
 from mavcal.calib.gap.schema import EffectEstimate, GapReport
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.recording import SensorSuite
@@ -27,10 +36,6 @@ DEFAULTS: Mapping[str, float] = {
     f"SIM_MAG{n}_OFS_{axis}": offset for n in (1, 2, 3) for axis, offset in zip("XYZ", (5.0, 13.0, -18.0), strict=True)
 }
 """What a fresh simulator has; everything else of its sensors is ideal. Source: FLIGHT_CONTROLLERS 7.1."""
-
-MIDDLE = 35.0
-"""degC about which SIM_IMUTn is stated where the simulator has no range of its own (TMIN 0, TMAX 70). Source:
-FLIGHT_CONTROLLERS 7.1."""
 
 COMPASS_RATE = 100.0
 """Rate, Hz, at which SITL draws a compass' noise, before the firmware averages. Source: ArduPilot's AP_Compass_SITL."""
@@ -120,7 +125,7 @@ def patch_of(
         ``SIM_*`` of the simulator as it is, to which the effects are added; None: a fresh one's.
     """
     known = simulator_parameters(base)
-    t_mid = 0.5 * (known.get("SIM_IMUT1_TMIN", 0.0) + known.get("SIM_IMUT1_TMAX", 2.0 * MIDDLE))
+    t_mid = 0.5 * (known.get("SIM_IMUT1_TMIN", 0.0) + known.get("SIM_IMUT1_TMAX", 2.0 * REFERENCE_TEMPERATURE))
     sensors = sensors_with(effects, _present(known), t_ref=t_mid)
     values: dict[str, float] = {}
     not_held: list[str] = []

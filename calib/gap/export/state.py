@@ -26,6 +26,9 @@ from mavcal.calib.simulate.sensor import SensorErrors
 Array = NDArray[np.float64]
 
 _SYMMETRIC = ("xx", "yy", "zz", "xy", "xz", "yz")
+REFERENCE_TEMPERATURE = 35.0
+"""degC about which drifts are stated where nobody says another: the middle of the range that a simulator without one of
+its own has (TMIN 0, TMAX 70). Source: FLIGHT_CONTROLLERS 7.1."""
 TEMPERATURE_TERMS = frozenset({SensorTerm.TEMPERATURE_CURVE, SensorTerm.TEMPERATURE_SCALE})
 """Terms that are stated at a reference temperature."""
 
@@ -78,7 +81,7 @@ def sensors_with(
     effects: Iterable[EffectEstimate],
     base: Mapping[tuple[Sensor, int], SensorErrors] | None = None,
     *,
-    t_ref: float = 35.0,
+    t_ref: float = REFERENCE_TEMPERATURE,
 ) -> SensorEffects:
     """The sensors that a simulator should have.
 

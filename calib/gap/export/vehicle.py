@@ -19,7 +19,15 @@ from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.fit import FitBuilder, FitResult
-from mavcal.calib.gap.export.state import TEMPERATURE_TERMS, doubt_text, named, sensors_with, term_of, value
+from mavcal.calib.gap.export.state import (
+    REFERENCE_TEMPERATURE,
+    TEMPERATURE_TERMS,
+    doubt_text,
+    named,
+    sensors_with,
+    term_of,
+    value,
+)
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
@@ -149,7 +157,7 @@ def _reference(effects: Sequence[EffectEstimate], force: TriadModel) -> float:
     """Where drifts are stated: where those in force are, else where the found ones vanish."""
     if force.polynomial is not None:
         return force.polynomial.t_ref
-    return next((value(e, "t_ref") for e in effects if term_of(e) in TEMPERATURE_TERMS), 35.0)
+    return next((value(e, "t_ref") for e in effects if term_of(e) in TEMPERATURE_TERMS), REFERENCE_TEMPERATURE)
 
 
 def _covariance(effects: Sequence[EffectEstimate], model: Callable[[Sequence[EffectEstimate]], TriadModel]) -> Array:

@@ -93,7 +93,7 @@ EFFECT_COUNT_PRICE = 6.0
 
 Unit: deviance an effect. Source: decision 11; value chosen in development, seeds not recorded.
 """
-# GainThresholds of the selection
+# Thresholds of the selection
 
 SECOND_ORDER_SHARE = 0.005
 """Share below which an effect is a second order of the large ones.
@@ -160,7 +160,7 @@ FLIGHT_DIFFERENCE = 0.03
 
 Unit: deviance a number. Source: chosen in development, seeds not recorded.
 """
-# GainThresholds of the contest
+# Thresholds of the contest
 
 REFINEMENT_GAIN = 8.0
 """Gain of the best value on the grid above which the shape is refined between its neighbours.
@@ -182,7 +182,7 @@ INDEPENDENT_ENERGY = 1e-6
 
 Unit: share of a column's energy. Source: chosen in development, seeds not recorded.
 """
-# GainThresholds of noise and lines
+# Thresholds of noise and lines
 
 FLIGHT_NOISE_RATIO = 1.0
 """Part of the learned noise that has to be added to it somewhere.

@@ -200,7 +200,8 @@ def grown(
         model, joined, gains = pruned(model, contest, joined, level)
     known = {} if joined else {s.hypothesis.key: s for s in first}
     scores = _scored(model, contest, candidates, known, None if joined else set())
-    for step in range(prices.MOST_IN_A_ROW + prices.MOST_EVENTS):
+    step = 0
+    while step < prices.MOST_IN_A_ROW + prices.MOST_EVENTS:
         full = step >= prices.MOST_IN_A_ROW or _lasting(joined) >= prices.MOST_EFFECTS
         still = {key: s for key, s in scores.items() if _happens(s)} if full else scores
         best, trial = _best(still, level, gains, contest, model)
@@ -212,6 +213,7 @@ def grown(
         model, joined, gains = pruned(trial, contest, joined, level)
         changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
         scores = _scored(model, contest, candidates, scores, changed)
+        step += 1
     model, joined = _material(model, joined, gains)
     model, joint, noise = fitted(model)
     return ChosenModel(model, joint, noise, tuple(joined), chosen.tests, first)
@@ -286,9 +288,9 @@ def _best(
         if not good:
             return None, None
         ranked = sorted(good, key=lambda s: -s.delta)
-        front = ranked[: prices.CANDIDATES_FITTED]
-        unsure = next((s for s in front if not s.sure), None)
-        if unsure is None:
+        most = prices.CANDIDATES_FITTED
+        place, unsure = next(((k, s) for k, s in enumerate(ranked) if not s.sure), (most, None))
+        if unsure is None or place >= most:
             return _by_refit(ranked, model)
         beside = beside or Beside(model)
         scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)

@@ -30,6 +30,17 @@ def test_a_count_stays_a_count() -> None:
     assert (bench.scaled(1, 0.7), bench.scaled(1, 1.3)) == (0, 2)
 
 
+@pytest.mark.parametrize("name", bench.WITHOUT)
+def test_a_price_that_does_nothing_is_of_the_same_kind(name: str) -> None:
+    *scaled, nothing = bench.other_values(name, without=True)
+    assert len(scaled) == len(bench.other_values(name, without=False)) == len(bench.FACTORS)
+    value = getattr(prices, name)
+    if isinstance(value, dict):
+        assert nothing == dict.fromkeys(value, 0)
+    else:
+        assert nothing == bench.WITHOUT[name] != value
+
+
 def varied(seed: int, *, right: bool, **changed: list[tuple[bool, bool]]) -> bench.Varied:
     return bench.Varied("T1", seed, right=right, prices=changed)
 
@@ -41,10 +52,14 @@ def test_a_row_says_how_many_answers_change_and_how_many_more_are_right() -> Non
         varied(3, right=True),
     ]
     value = bench.shown(prices.DRIFT_PRICE)
-    assert bench.row("DRIFT_PRICE", cases) == f"| `DRIFT_PRICE` | {value} | 2 | 2 (+0) | 1 (-1) |"
+    assert bench.row("DRIFT_PRICE", cases) == f"| `DRIFT_PRICE` | {value} | 2 | 2 (+0) | 1 (-1) | |"
+    cases += [varied(4, right=True, DRIFT_PRICE=[(False, True), (False, True), (True, False)])]
+    assert bench.row("DRIFT_PRICE", cases) == f"| `DRIFT_PRICE` | {value} | 3 | 2 (+0) | 1 (-1) | 1 (-1) of 1 |"
+    del cases[-1]
     assert "This table has 3 cases. 2 more are left out" in bench.page("", cases, 2)
     assert "With the prices as they are, 2 answers name" in bench.page("", cases, 2)
     assert f"{len(bench.names()) - 1} of {len(bench.names())} prices change no answer" in bench.page("", cases, 2)
+    assert f"{len(bench.WITHOUT) - 1} change none\nwithout it" in bench.page("", cases, 2)
 
 
 def test_a_kept_case_is_not_run_again(tmp_path: Path) -> None:

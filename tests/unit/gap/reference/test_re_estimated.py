@@ -7,13 +7,14 @@ import functools
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib import logs
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.problem import ReferenceKind
 from mavcal.calib.gap.reference import build
-from mavcal.calib.gap.reference.re_estimated import _typical, best_trajectory
+from mavcal.calib.gap.reference.re_estimated import _FOLLOWED_HZ, STEP_S, _typical, best_trajectory
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.strapdown import WARM, Increments
 from mavcal.calib.gap.reference.trajectory import ACCEL_DRIFT, CONSTANTS, GYRO_BIAS, GYRO_DRIFT, NODE, WALK, _Normal
@@ -308,6 +309,15 @@ def test_a_re_estimated_reference_is_asked_only_for_what_it_follows():
     assert "does not follow" in lacks["accel_delay"][0]
     assert "does not follow" in lacks["gyro_low_pass"][0]
     assert lacks["mag_delay"] is None or "does not follow" not in lacks["mag_delay"][0]
+
+
+@pytest.mark.parametrize(("times", "missed"), [(1.0, 0.017), (2.0, 0.30)])
+def test_an_acceleration_is_followed_as_far_as_is_said(times, missed):
+    """A sine at a multiple of the limit, its velocity known at the nodes: rms that the spline's derivative misses."""
+    nodes, between = np.arange(0.0, 60.0, STEP_S), np.linspace(10.0, 50.0, 20_001)
+    w = 2.0 * np.pi * times * _FOLLOWED_HZ
+    off = CubicSpline(nodes, np.sin(w * nodes))(between, 1) / w - np.cos(w * between)
+    assert np.sqrt(2.0 * np.mean(off**2)) == pytest.approx(missed, rel=0.02)
 
 
 @pytest.mark.parametrize("seconds", [0.02, 0.2, 1.0])
