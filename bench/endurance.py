@@ -1,8 +1,8 @@
 """``python -m bench.endurance [HOURS]``: a day of a service in some minutes; exit 1 if anything grows.
 
-Every *hour* is what a busy hour brings: a vehicle that was never seen comes on a link of its own, its clock 30 times as
-fast as the wall's, a calibration captures and is cancelled in review, a file is uploaded and fitted, event streams are
-opened and closed, two links come and go, addresses that speak once speak once, and the vehicle leaves.
+Every *hour* is what a busy hour brings. A vehicle that was never seen comes on a link of its own, its clock 30 times as
+fast as the wall's. A calibration captures and is cancelled in review, and a file is uploaded and fitted. Event streams
+are opened and closed, two links come and go, some addresses speak once, and the vehicle leaves.
 """
 
 from __future__ import annotations

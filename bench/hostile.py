@@ -1,7 +1,7 @@
 """``python -m bench.hostile [COUNT]``: hostile datagrams flood a link that a vehicle is on; exit 1 if it suffers.
 
-The flood is made of random bytes, cut frames, frames with a wrong checksum, frames of made-up systems, PARAM_VALUE in
-the vehicle's name from another address (false echoes) and frames with the service's own ids.
+The flood is made of random bytes, and of frames that are cut, have a wrong checksum or come from made-up systems. Some
+are PARAM_VALUE in the vehicle's name from another address (false echoes), some have the service's own ids.
 """
 
 from __future__ import annotations

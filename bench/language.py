@@ -1,7 +1,8 @@
 """``scripts/language``: sentences that are too long, and phrases that plain English does not have.
 
-Looks at the pages of ``docs``, at README, CONTRIBUTING and CHANGELOG, and at the texts and docstrings of ``calib`` and
-``service``. ``docs/history`` is left alone: it quotes what was. With the name of a file it lists that file alone.
+Looks at the pages of ``docs``, at README, CONTRIBUTING and CHANGELOG, at all docstrings, and at the messages of
+``calib`` and ``service``. ``docs/history`` is left alone: it quotes what was. With the name of a file it lists that
+file alone.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ _DATA = re.compile(r"\||\b(?:INSERT|DELETE|SELECT) |^[0-9a-f]{2} [A-Z]")
 _LITERAL = re.compile(r"::$|\.\. code-block:: \w+$")
 """Introduces a block of code, formulas or columns."""
 _DRAWN = re.compile(r"={4}|\+--|[│├└─]|^\s*>>>|^\s*\* ", re.MULTILINE)
+_SPEAKING = ("calib", "service")
+"""Packages whose texts a user reads."""
+_PACKAGES = (*_SPEAKING, "client", "bench", "tests")
 _PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
 
 
@@ -116,10 +120,11 @@ def findings(root: Path = ROOT) -> Iterator[Finding]:
         name = str(path.relative_to(root))
         for line, text in of_page(path.read_text(encoding="utf-8")):
             yield from (Finding(name, line, kind, "page", sentence) for kind, sentence in faults(text))
-    for package in ("calib", "service"):
+    for package in _PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             name, source = str(path.relative_to(root)), path.read_text(encoding="utf-8")
-            for origin, texts in (("message", said(source)), ("docstring", docstrings(source))):
+            messages = said(source) if package in _SPEAKING else ()
+            for origin, texts in (("message", messages), ("docstring", docstrings(source))):
                 for one in texts:
                     if origin == "message" and _DATA.search(one.text):
                         continue

@@ -1,8 +1,8 @@
 """``python -m bench.sequence``: every calibration in a row, as a person makes them, on both simulated autopilots.
 
-Each vehicle has two inertial units and two compasses, its board turned by yaw 90 deg, its external compass mounted
-otherwise than its parameters say, and an older calibration in force in every sensor. Each job builds on what the one
-before has written. Exit code 1: an outcome is neither proved nor tells its reason, or a job did not succeed.
+Each vehicle has two inertial units and two compasses, and its board is turned by yaw 90 deg. Its external compass is
+mounted otherwise than its parameters say. Every sensor has an older calibration in force. Each job builds on what the
+one before has written. Exit code 1: an outcome is neither proved nor tells its reason, or a job did not succeed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """``python -m bench.slowlink``: where the time of a gyro job goes on a slow link, from the first byte to the proof.
 
-A simulated vehicle with a real vehicle's number of parameters speaks through a port of 57600 baud, and through one that
-carries 5 kB/s and loses 2 % of all frames, in both directions and in real time. Every phase is taken from the job's own
+A simulated vehicle has as many parameters as a real one. It speaks in real time, through a port of 57600 baud and
+through one that carries 5 kB/s and loses 2 % of all frames in both directions. Every phase is taken from the job's own
 events and journal. Exit code 1: a job did not succeed, or took longer than it may.
 """
 

@@ -1,8 +1,9 @@
 """``python -m bench.small``: what mavcal asks of a small computer; exit 1 if a target is missed.
 
-Size of what is installed, memory of an idle service with one vehicle and after its first jobs, and processor time of a
-start and of the help. Memory of the process from which fits are forked is its share (PSS) once it has loaded all.
-It measures the environment that it runs in: packages of the extra `dev` that others load if they are there count too.
+Measured are the size of what is installed, and the processor time of a start and of the help. So is the memory of an
+idle service with one vehicle, and after its first jobs. Memory of the process from which fits are forked is its share
+(PSS) once it has loaded all. It measures the environment that it runs in: packages of the extra `dev` that others load
+if they are there count too.
 """
 
 from __future__ import annotations

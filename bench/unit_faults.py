@@ -1,7 +1,7 @@
 """``python -m bench.unit_faults DATA``: a fault of one of several units, put into healthy flights.
 
-The answer is that fault on that unit, and nothing else. The flights are a half of a nominal flight beside its other
-half, a windy flight beside a calm one, and a vehicle that only rests. Exit code 1: an answer is another.
+The answer is that fault on that unit, and nothing else. There are three pairs: the halves of a nominal flight, a windy
+flight beside a calm one, and a vehicle that only rests. Exit code 1: an answer is another.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """A typed client of the service: start, follow, answer, read, apply, take back; ``docs/client.md`` shows it.
 
 :class:`Client` waits for each answer, :class:`AsyncClient` is for asyncio. Both have one method for each operation of
-the OpenAPI document, answer with models of its schemas, and raise a subclass of :class:`ApiProblem` for each problem.
+the OpenAPI document. They answer with models of its schemas and raise a subclass of :class:`ApiProblem` for each
+problem.
 """
 
 from __future__ import annotations

@@ -81,9 +81,9 @@ def alignment(
 ) -> Array:
     """(13, 13) of ``b``, the rows of M and the dip of a magnetometer beside an accelerometer.
 
-    ``y = M h + b + e`` and ``d + f`` are measured, h (N, 3) the unit field and d (N, 3) the unit vertical in the body,
-    ``h . d = sin dip``. The attitude of every sample is unknown: its three angles are eliminated by the Schur
-    complement. `down_variance` is that of one component of the measured vertical; along itself it says nothing.
+    ``y = M h + b + e`` and ``d + f`` are measured. In the body h (N, 3) is the unit field and d (N, 3) the unit
+    vertical, with ``h . d = sin dip``. The attitude of every sample is unknown: its three angles are eliminated by the
+    Schur complement. `down_variance` is that of one component of the measured vertical; along itself it says nothing.
     """
     total = np.zeros((13, 13))
     for h, d in zip(fields, downs, strict=True):

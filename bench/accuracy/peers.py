@@ -1,7 +1,7 @@
 """Installable programs behind one signature; what is not installed says so by name.
 
-Each answers (offset, shape) of ``y = S u + b``: from a correction ``|A (y - b)| = R`` that is ``S = R (A^T A)^(-1/2)``,
-the symmetric form that any rotation of A leaves as it is.
+Each answers (offset, shape) of ``y = S u + b``. From a correction ``|A (y - b)| = R`` that is
+``S = R (A^T A)^(-1/2)``: this symmetric form is the same for any rotation of A.
 """
 
 from __future__ import annotations

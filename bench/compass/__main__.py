@@ -1,6 +1,6 @@
 """``python -m bench.compass [--fits] [--runs 100] [--first 1] [--rates 0,15,55,90] [--noise 0.003,0.05,0.5]``.
 
-Prints, for every rate of turn and every noise, the share in per cent of the 95 % intervals of offset, DIA and ODI that
+Prints a share in per cent for every rate of turn and every noise: how many of the 95 % intervals of offset, DIA and ODI
 hold the truth. A job ends when its uncertainty is small enough; `--fits` fits a stretch of fixed length instead, in a
 fifth of the time. Exit code 1: a share of all intervals lies outside 93 to 97 % by more than two standard deviations.
 """

@@ -1,7 +1,7 @@
 """A simulated ArduPilot vehicle that is turned for its compasses, as its streams show it, and the truth beside it.
 
-The compass task averages about ten samples over about 100 ms and has no phase in common with the 50 Hz streams, whose
-time stamps are those of the message. The first compass comes with all its digits (HIGHRES_IMU), the others in whole mG,
+The compass task averages about ten samples over about 100 ms. It has no phase in common with the 50 Hz streams, which
+carry the time stamps of the message. The first compass comes with all its digits (HIGHRES_IMU), the others in whole mG,
 truncated (RAW_IMU and its like). The gyroscope lags by its filter. Only the containers come from `calib`.
 """
 

@@ -31,7 +31,7 @@ CALCULATED: dict[type[ast.operator], type[ast.operator]] = {
     ast.Pow: ast.Mult,
 }
 _SAYS_ONLY = ("log", "logger")
-"""Names whose calls change nothing but what is told to the operator of the service."""
+"""Names whose calls change nothing but what the operator of the service reads."""
 
 
 @dataclass(frozen=True)

@@ -206,7 +206,7 @@ class _Errors:
 
     noise: Array  # (K, 3, 3) in the unit of the regressed side
     tilt: Array  # (6, 3, 3): across gravity, g^2 sd^2 (I - t t^T), in the same
-    members: Array  # (6, K): which readings are of which face
+    members: Array  # (6, K): the readings of each face
     predicted: bool  # False: the residuals themselves had to tell the noise
 
     @classmethod

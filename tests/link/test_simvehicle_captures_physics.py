@@ -1,8 +1,8 @@
 """The simulated sensors against real firmware whose simulator had known errors: pose by pose, through every formula.
 
 The simulated vehicle gets the errors that were injected into the real one and is held in the same attitudes; the means
-of the streams over each pose are compared. Rule: every component within 4 sd of the mean's noise plus 1 LSB, since
-truncation shifts a mean by up to half an LSB on either side, depending on the noise.
+of the streams over each pose are compared. Rule: every component within 4 sd of the mean's noise plus 1 LSB. Truncation
+shifts a mean by up to half an LSB on either side, depending on the noise.
 """
 
 from __future__ import annotations

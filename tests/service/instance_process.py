@@ -1,7 +1,7 @@
 """One instance of the service in a process of its own that kills itself, or stands still, at a named instant.
 
-``python -m tests.service.instance_process DATA_DIR DATABASE_URL LINK ACTION POINT OCCURRENCE HOW`` with ACTION
-``apply`` (calibrate the gyroscopes and accept the plan) or ``own`` (only take part). POINT is one of
+``python -m tests.service.instance_process DATA_DIR DATABASE_URL LINK ACTION POINT OCCURRENCE HOW``. ACTION is ``apply``
+(calibrate the gyroscopes and accept the plan) or ``own`` (only take part). POINT is one of
 :class:`service.jobs.crashpoints.At`; at its OCCURRENCE the process gets the signal HOW, as from outside.
 """
 

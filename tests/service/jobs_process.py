@@ -1,7 +1,7 @@
 """One life of the service in a process of its own that kills itself at a named instant.
 
-``python -m tests.service.jobs_process DATA_DIR URL ACTION POINT OCCURRENCE`` with ACTION ``capture`` (start a gyro
-job), ``apply`` (accept the plan of the newest job), ``revert`` or ``resume`` (only what the store holds). POINT is one
+``python -m tests.service.jobs_process DATA_DIR URL ACTION POINT OCCURRENCE``. ACTION is ``capture`` (start a gyro job),
+``apply`` (accept the plan of the newest job), ``revert`` or ``resume`` (only what the store holds). POINT is one
 of :class:`service.jobs.crashpoints.At`; at its OCCURRENCE the process gets SIGKILL, as from outside.
 """
 

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.timeout(300)
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 120.0
-"""Of an idle machine; a run takes a few seconds."""
+"""Limit of one run on an idle machine; it takes a few seconds."""
 
 
 def vehicle(autopilot: str, parameters: dict[str, float], seed: int = 5) -> SimulatedVehicle:

@@ -82,7 +82,7 @@ def test_both_spellings_reach_every_depth_and_change_no_value():
 
 
 async def slowest_answer(a: Api) -> float:
-    """Of the front page and what BlueOS asks for, s, while two files are read."""
+    """The slowest answer, s, of the front page and of what BlueOS asks for, while two files are read."""
     table = "t,accel_x,accel_y,accel_z\n" + "".join(f"{i / 100},0,0,-9.8\n" for i in range(60_000))
     uploads = [
         asyncio.create_task(a.call("POST", f"/api/v1/recordings?name={i}.csv", 201, content=table.encode()))

@@ -42,7 +42,7 @@ DRAWN = """async () => {
 }"""
 """Writes down what each drawing of the page showed of a prompt: a page that is late leaves some prompts out."""
 NEXT, HOLD, DONE, FAIL = 660, 440, 1320, 330
-"""Frequencies, Hz, each of which only this sign has (660 also begins a DONE)."""
+"""Frequencies, Hz, that only this sign has (660 also begins a DONE)."""
 ALL = {"sound": True, "speech": True, "vibration": True}
 
 pytestmark = pytest.mark.timeout(300)

@@ -18,7 +18,7 @@ class Kept:
     """One finished run: a line of the file."""
 
     commit: str
-    """Of the working tree, with ``+`` where something in it was changed; empty outside of git."""
+    """The commit of the working tree, with ``+`` where something in it was changed; empty outside of git."""
     store: str
     report: CrossReport
 

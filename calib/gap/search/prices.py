@@ -24,19 +24,19 @@ SECOND_PRIOR_PRICE = 2.0 * math.log(2.0)
 Unit: deviance. Source: choice of one in two; decision 10.
 """
 IDLE_AMPLITUDE_PRICE = 0.5
-"""Price of an amplitude that the data do not tell.
+"""Price of an amplitude that the data do not determine.
 
 Unit: deviance an amplitude. Source: chosen in development, seeds not recorded.
 """
 # Prices of searches
 
 FINE_GRID = 100
-"""Grid size above which a search is paid value by value: moments, frequencies.
+"""Grid size above which a search pays for every value that it tries: moments, frequencies.
 
 Unit: values. Source: chosen in development, seeds not recorded.
 """
 COARSE_GRID = 4.0
-"""What the search over a coarse grid counts as.
+"""Values that a search over a coarser grid pays for.
 
 Unit: values. Source: chosen in development, seeds not recorded.
 """
@@ -111,7 +111,7 @@ ENTRY_SHARE = 0.3
 Unit: share of that least gain. Source: chosen in development, seeds not recorded.
 """
 OTHER_SENSOR_SHARE = 3e-5
-"""Share below which an effect on another sensor is an error of the reference.
+"""Share below which an effect on another sensor counts as an error of the reference.
 
 Unit: share of the largest gain of all. Source: chosen in development, seeds not recorded.
 """
@@ -126,37 +126,37 @@ SLOW_POWER_RATIO = 4.0
 Unit: ratio of powers. Source: chosen in development, seeds not recorded.
 """
 RIVAL_SHARE = 0.5
-"""Share above which other candidates are fitted in its place.
+"""Share above which another candidate is fitted in place of the best one.
 
 Unit: share of the best one's worth. Source: chosen in development, seeds not recorded.
 """
 RIVALS_TRIED = 6
-"""How many of them at most.
+"""Most candidates that are fitted in place of the best one.
 
 Unit: candidates. Source: chosen in development, seeds not recorded.
 """
 CANDIDATES_FITTED = 3
-"""The best so many on their grids are fitted at their best shapes before one of them joins.
+"""Candidates, the best on their grids, that are fitted at their best shapes before one of them joins.
 
 Unit: candidates. Source: chosen in development, seeds not recorded.
 """
 MOST_IN_A_ROW = 8
-"""Effects that join in a row, events beside.
+"""Most effects that join in a row, not counting events.
 
 Unit: effects. Source: chosen in development, seeds not recorded.
 """
 MOST_EVENTS = 3
-"""Events that may join after them.
+"""Most events that may join after them.
 
 Unit: events. Source: chosen in development, seeds not recorded.
 """
 MOST_EFFECTS = 12
-"""Effects in a model, events beside: more is no explanation.
+"""Most effects in a model, not counting events: more is no explanation.
 
 Unit: effects. Source: chosen in development, seeds not recorded.
 """
 FLIGHT_DIFFERENCE = 0.03
-"""Evidence below which two flights differ anyway: a re-estimated ideal sensor is not surer of itself.
+"""Evidence below which two flights differ anyway: a re-estimated reference is not more certain than that.
 
 Unit: deviance a number. Source: chosen in development, seeds not recorded.
 """
@@ -178,14 +178,14 @@ ENVELOPE_GAIN = 6.0
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
 INDEPENDENT_ENERGY = 1e-6
-"""What a column must keep beside the model's others to count.
+"""Least energy that a column keeps beside the model's other columns; with less it does not count.
 
 Unit: share of a column's energy. Source: chosen in development, seeds not recorded.
 """
 # Thresholds of noise and lines
 
 FLIGHT_NOISE_RATIO = 1.0
-"""Part of the learned noise that has to be added to it somewhere.
+"""Least ratio of added noise to learned noise, at the frequency where it is largest.
 
 Unit: ratio of powers. Source: chosen in development, seeds not recorded.
 """
@@ -205,12 +205,12 @@ INSTANCE_SHARE = 0.2
 Unit: share of the largest excess. Source: chosen in development, seeds not recorded.
 """
 FILTER_BAND_SHARE = 0.25
-"""Share below which what is left may be movement.
+"""Frequency below which a residual may be movement.
 
 Unit: share of the Nyquist frequency. Source: chosen in development, seeds not recorded.
 """
 SAMPLE_DIFFERENCE = 0.25
-"""Difference up to which the samples of two recordings of one sensor show the same.
+"""Difference up to which the samples of two recordings of one sensor agree.
 
 Unit: relative difference. Source: chosen in development, seeds not recorded.
 """
@@ -220,7 +220,7 @@ NOMINAL_TONE_SHARE = 0.3
 Unit: share of a tone's amplitude. Source: chosen in development, seeds not recorded.
 """
 LINE_TO_NEIGHBOURS = 12.0
-"""Energy of a line over that of its neighbours.
+"""Least energy of a line over that of its neighbours.
 
 Unit: ratio of energies. Source: chosen in development, seeds not recorded.
 """
@@ -242,7 +242,7 @@ EXCHANGE_GAIN = 1.0
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
 MOST_EXCHANGES = 3
-"""Exchanges at most.
+"""Most exchanges.
 
 Unit: exchanges. Source: chosen in development, seeds not recorded.
 """
@@ -257,9 +257,9 @@ SECOND_ORDER_LOSS = 0.1
 Unit: share of the second order. Source: chosen in development, seeds not recorded.
 """
 WANDERING_NOISE_NUMBERS = 100
-"""Numbers that noise which wanders counts for.
+"""Degrees of freedom that noise which wanders counts for.
 
-Unit: numbers. Source: chosen in development, seeds not recorded.
+Unit: degrees of freedom. Source: chosen in development, seeds not recorded.
 """
 EVENT_GAIN_SHARE = 0.1
 """Share by which events that were tried first must be better: a jump at an end is an offset.
@@ -284,7 +284,7 @@ WANDER_MARGIN = 2.0
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
 WANDER_SLACK = 12.0
-"""What other effects may add to that once they are chosen beside it.
+"""Penalised evidence that other effects may add once they are chosen beside such an error.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """

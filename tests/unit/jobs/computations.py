@@ -31,7 +31,7 @@ class FakeComputations:
     lines: tuple[str, ...] = ("reading",)
     """What such a child tells."""
     limits: list[float | None] = field(default_factory=list)
-    """Of the diagnoses that were asked for, s."""
+    """Time limits of the diagnoses that were asked for, s."""
     begun: int = 0
     ended: int = 0
     at_once: int = 2

@@ -22,7 +22,7 @@ from .test_engine import reviewed, running
 
 COMMIT_S = 0.25
 TURNS = 3
-"""Of the event loop that a commit waits for: one may have been under way when it began."""
+"""Turns of the event loop that a commit may wait for: one may have been under way when it began."""
 
 
 class SlowStore(SqliteStore):
@@ -32,7 +32,7 @@ class SlowStore(SqliteStore):
         super().__init__(folder)
         self.threads: set[int] = set()
         self.turns: int | None = None
-        """Of the event loop, while somebody counts them."""
+        """Turns of the event loop, while somebody counts them."""
         self.stood_still = 0
         """Commits that the event loop waited for."""
 

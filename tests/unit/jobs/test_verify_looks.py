@@ -1,4 +1,4 @@
-"""How long a written calibration is looked at, what is told meanwhile, and which streams it takes."""
+"""How long a written calibration is looked at, what the job says meanwhile, and which streams it takes."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def errors(fit: Any, truth: Ellipsoid) -> Any:
 def test_reaches_the_bound_and_states_it(compass: Any, count: int, tilt: float | None, runs: int) -> None:
     """RMSE over the Cramer-Rao bound of 9 parameters, and how often the 95 % intervals hold.
 
-    The intervals of the 12 stored numbers are counted, of which the three cross terms come twice: nine independent.
+    The intervals of the 12 stored numbers are counted. The three cross terms come twice: nine are independent.
     """
     rng = np.random.default_rng(count)
     squares, held = 0.0, 0

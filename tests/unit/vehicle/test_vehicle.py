@@ -1,4 +1,4 @@
-"""A vehicle by itself: who it is, what is told of it, what ends with it, and why it is not written to."""
+"""A vehicle by itself: who it is, what is said about it, what ends with it, and why it is not written to."""
 
 from __future__ import annotations
 

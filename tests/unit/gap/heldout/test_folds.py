@@ -67,7 +67,7 @@ def test_noise_that_nobody_declared_keeps_its_axis_too():
 
 
 def shaken(trace):
-    """A vibration of which only the third quarter of the recording knows."""
+    """A vibration in the third quarter of the recording alone."""
     during = (trace.t > 20.0) & (trace.t < 30.0)
     wave = 10.0 * SIGMA[trace.sensor] * np.sin(2.0 * np.pi * 17.0 * trace.t) * during
     return wave[:, None] * np.ones(3)

@@ -107,7 +107,7 @@ FOLLOWED = ReferenceInfo(ReferenceKind.ESTIMATOR, bandwidth_hz=2.0, turns_hz=20.
 
 
 def heaving(hz, size):
-    """An accelerometer that feels a gust at `hz` of which its reference knows nothing."""
+    """An accelerometer that feels a gust at `hz`, which its reference does not have."""
     t = np.arange(N) / FS
     rng = np.random.default_rng(8)
     felt = size * np.sin(2.0 * np.pi * hz * t)[:, None] * [0.1, 0.1, 1.0]

@@ -32,7 +32,7 @@ SETS = ((0,), (1,), (0, 1))
 
 
 def model_of(seed: int, louder: tuple[int, ...], *, reference: ReferenceInfo = ESTIMATOR, times: float = 1.0) -> Model:
-    """A gyroscope of two instances, of which those of `louder` have more noise than is declared."""
+    """A gyroscope of two instances; those of `louder` have more noise than is declared."""
     rng = np.random.default_rng(seed + 1000)
 
     def gap(trace):

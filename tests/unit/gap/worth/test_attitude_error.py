@@ -85,7 +85,7 @@ def test_an_attitude_that_wanders_more_than_it_states_is_a_finding():
 
 
 def two_at_rest(offset, tilt_deg=1.0):
-    """Two accelerometers at rest, of which the first is `offset`, beside an attitude that is levelled by it."""
+    """Two accelerometers at rest beside an attitude that is levelled by the first one, which is off by `offset`."""
     gravity, offset = np.array([0.0, 0.0, -9.80665]), np.array(offset)
     levelled = gravity + offset * [1.0, 1.0, 0.0]
     whole = problem_of(
