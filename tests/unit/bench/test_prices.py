@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from bench import prices as bench
+from bench.varied_search import FACTORS, WITHOUT, names, other_values, scaled
 from mavcal.calib.gap.search import prices
 from mavcal.calib.withheld_check import make_case
 
 
-@pytest.mark.parametrize("name", bench.names())
+@pytest.mark.parametrize("name", names())
 def test_every_price_becomes_smaller_and_larger(name: str) -> None:
     value = getattr(prices, name)
-    less, more = (bench.scaled(value, factor) for factor in bench.FACTORS)
+    less, more = (scaled(value, factor) for factor in FACTORS)
     flat = [np.ravel(list(v.values()) if isinstance(v, dict) else v).astype(float) for v in (less, value, more)]
     assert (flat[0] < flat[1]).all()
     assert (flat[1] < flat[2]).all()
@@ -26,19 +27,19 @@ def test_every_price_becomes_smaller_and_larger(name: str) -> None:
 
 
 def test_a_count_stays_a_count() -> None:
-    assert (bench.scaled(3, 0.7), bench.scaled(3, 1.3)) == (2, 4)
-    assert (bench.scaled(1, 0.7), bench.scaled(1, 1.3)) == (0, 2)
+    assert (scaled(3, 0.7), scaled(3, 1.3)) == (2, 4)
+    assert (scaled(1, 0.7), scaled(1, 1.3)) == (0, 2)
 
 
-@pytest.mark.parametrize("name", bench.WITHOUT)
+@pytest.mark.parametrize("name", WITHOUT)
 def test_a_price_that_does_nothing_is_of_the_same_kind(name: str) -> None:
-    *scaled, nothing = bench.other_values(name, without=True)
-    assert len(scaled) == len(bench.other_values(name, without=False)) == len(bench.FACTORS)
+    *others, nothing = other_values(name, without=True)
+    assert len(others) == len(other_values(name, without=False)) == len(FACTORS)
     value = getattr(prices, name)
     if isinstance(value, dict):
         assert nothing == dict.fromkeys(value, 0)
     else:
-        assert nothing == bench.WITHOUT[name] != value
+        assert nothing == WITHOUT[name] != value
 
 
 def varied(seed: int, *, right: bool, **changed: list[tuple[bool, bool]]) -> bench.Varied:
@@ -56,10 +57,13 @@ def test_a_row_says_how_many_answers_change_and_how_many_more_are_right() -> Non
     cases += [varied(4, right=True, DRIFT_PRICE=[(False, True), (False, True), (True, False)])]
     assert bench.row("DRIFT_PRICE", cases) == f"| `DRIFT_PRICE` | {value} | 3 | 2 (+0) | 1 (-1) | 1 (-1) of 1 |"
     del cases[-1]
-    assert "This table has 3 cases. 2 more are left out" in bench.page("", cases, 2)
-    assert "With the prices as they are, 2 answers name" in bench.page("", cases, 2)
-    assert f"{len(bench.names()) - 1} of {len(bench.names())} prices change no answer" in bench.page("", cases, 2)
-    assert f"{len(bench.WITHOUT) - 1} change none\nwithout it" in bench.page("", cases, 2)
+    long, flight = bench.Varied("T1", 5, right=True, prices=None), bench.Varied("sitl_mix", 1, right=False, prices={})
+    page = bench.page([*cases, long, flight])
+    assert "The first table has 3 cases. 1 more are left out" in page
+    assert "2 answers name the true effects" in " ".join(page.split())
+    assert "the 1 flights of known answer in `bench/flights.toml`; 0 answers are right" in " ".join(page.split())
+    assert f"{len(names()) - 1} of {len(names())} prices change no answer" in page
+    assert f"{len(WITHOUT) - 1} change none without it" in page
 
 
 def test_a_kept_case_is_not_run_again(tmp_path: Path) -> None:
@@ -79,6 +83,23 @@ def test_the_next_of_its_kind_comes_for_a_case_that_takes_too_long() -> None:
     assert bench.chosen(3, [long, unread]) == [(bench.TIERS[2], first + 2), (bench.TIERS[0], first + 4)]
 
 
+def test_a_flight_is_right_with_its_known_effects_and_those_that_may_stand_beside_them() -> None:
+    known = {"verdict": ["explained"], "effects": ["gyro_bias 1"], "also": ["accel_temp_linear 1"]}
+    right = bench._as_known
+    assert right(("explained", False, (("gyro_bias", (1,)),)), known)
+    assert right(("explained", False, (("accel_temp_linear", (1,)), ("gyro_bias", (1,)))), known)
+    assert not right(("unknown", True, (("gyro_bias", (1,)),)), known)
+    assert not right(("explained", False, (("gyro_bias", (1, 2)),)), known)
+    assert not right(("explained", False, ()), known)
+
+
+def test_flights_that_were_flown_are_not_flown_again(tmp_path: Path) -> None:
+    flown = [name for name, _ in bench.flights()]
+    assert [of for _, of in bench.left_of(0, tmp_path, [])] == [(k, tmp_path) for k, _ in enumerate(flown)]
+    assert bench.left_of(0, tmp_path, [bench.Varied(name, 0, right=True, prices={}) for name in flown]) == []
+    assert bench.left_of(0, None, []) == []
+
+
 @pytest.mark.long  # three diagnoses
 def test_only_prices_that_a_diagnosis_reads_are_varied(tmp_path: Path) -> None:
     path = tmp_path / "kept.jsonl"
@@ -93,16 +114,15 @@ def test_only_prices_that_a_diagnosis_reads_are_varied(tmp_path: Path) -> None:
 @pytest.mark.long  # six diagnoses
 def test_a_divided_diagnosis_answers_as_one_that_had_the_price_from_the_beginning() -> None:
     [(tier, seed)] = bench.chosen(1, [])
-    [found] = bench.all_varied([(tier, seed)], ["THERMAL_PRICE", "EFFECT_COUNT_PRICE"], 1)
-    case = make_case(tier, seed)
-    real, sim = bench.recordings(case)
-    before = bench.named(case, real, sim)
+    [found] = bench.all_varied([(bench.varied, (tier, seed))], ["THERMAL_PRICE", "EFFECT_COUNT_PRICE"], 1)
+    question = bench.question_of(make_case(tier, seed))
+    before = question.answer()
     for name, answers in (found.prices or {}).items():
         value = getattr(prices, name)
-        for factor, answer in zip(bench.FACTORS, answers, strict=True):
-            with patch.object(prices, name, bench.scaled(value, factor)):
-                after = bench.named(case, real, sim)
-            assert answer == (after != before, bench.right(case, after))
+        for factor, answer in zip(FACTORS, answers, strict=True):
+            with patch.object(prices, name, scaled(value, factor)):
+                after = question.answer()
+            assert tuple(answer) == (after != before, question.right(after))
 
 
 def test_every_kind_of_case_has_its_share() -> None:
