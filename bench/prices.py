@@ -180,7 +180,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     done = cases_in(args.keep)
     while left := left_of(args.cases, args.flights, done):
-        print(f"{len(left)} cases to run: {', '.join(str(of[-1]) for _, of in left)}", file=sys.stderr)
+        print(f"{len(left)} cases to run", file=sys.stderr)
         for case in all_varied(left, args.only, args.workers, without=args.without):
             done.append(case)
             if args.keep:
