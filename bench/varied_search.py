@@ -33,13 +33,13 @@ WITHOUT: Mapping[str, float] = {
             *("SECOND_ORDER_SHARE", "FLIGHT_SECOND_ORDER_SHARE", "ENTRY_SHARE", "OTHER_SENSOR_SHARE", "RIVAL_SHARE"),
             *("FLIGHT_DIFFERENCE", "REFINEMENT_GAIN", "EXACT_FIT_GAIN", "ENVELOPE_GAIN", "FLIGHT_NOISE_RATIO"),
             *("LINE_UNSTEADINESS", "INSTANCE_SHARE", "FILTER_BAND_SHARE", "NOMINAL_TONE_SHARE", "LINE_TO_NEIGHBOURS"),
-            *("EXCHANGE_GAIN", "SECOND_ORDER_LOSS", "WANDERING_NOISE_NUMBERS", "EVENT_GAIN_SHARE", "WANDER_MARGIN"),
+            *("EXCHANGE_GAIN", "SECOND_ORDER_LOSS", "WANDERING_NOISE_NUMBERS", "EVENT_GAIN_SHARE"),
         ),
         0,
     ),
     **dict.fromkeys(("COARSE_GRID", "FIXED_SHAPE_SIDES"), 1),
     **dict.fromkeys(("RIVALS_TRIED", "CANDIDATES_FITTED", "EXCHANGES_TRIED", "MOST_EXCHANGES"), 1000),
-    **dict.fromkeys(("MOST_IN_A_ROW", "MOST_EVENTS", "MOST_EFFECTS"), 1000),
+    **dict.fromkeys(("MOST_IN_A_ROW", "MOST_EVENTS"), 1000),
     **dict.fromkeys(("HIDING_GAIN", "SLOW_POWER_RATIO", "RIVAL_REACH", "WANDER_SLACK"), math.inf),
 }
 """What a price is that charges nothing and bars nothing; grids and reaches have no such value."""

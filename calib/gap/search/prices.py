@@ -150,11 +150,6 @@ MOST_EVENTS = 3
 
 Unit: events. Source: chosen in development, seeds not recorded.
 """
-MOST_EFFECTS = 12
-"""Most effects in a model, not counting events: more is no explanation.
-
-Unit: effects. Source: chosen in development, seeds not recorded.
-"""
 FLIGHT_DIFFERENCE = 0.03
 """Evidence below which two flights differ anyway: a re-estimated reference is not more certain than that.
 
@@ -278,13 +273,8 @@ WANDER_TIMES_S = (2.0, 6.0, 20.0, 60.0)
 
 Unit: s. Source: chosen in development, seeds not recorded.
 """
-WANDER_MARGIN = 2.0
-"""Penalised evidence by which a model with such an error must beat the one without.
-
-Unit: deviance. Source: chosen in development, seeds not recorded.
-"""
-WANDER_SLACK = 12.0
-"""Penalised evidence that other effects may add once they are chosen beside such an error.
+WANDER_SLACK = 10.0
+"""Penalised evidence that other effects may add once they are chosen beside a wandering attitude.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """

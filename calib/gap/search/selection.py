@@ -202,7 +202,7 @@ def grown(
     scores = _scored(model, contest, candidates, known, None if joined else set())
     step = 0
     while step < prices.MOST_IN_A_ROW + prices.MOST_EVENTS:
-        full = step >= prices.MOST_IN_A_ROW or _lasting(joined) >= prices.MOST_EFFECTS
+        full = step >= prices.MOST_IN_A_ROW
         still = {key: s for key, s in scores.items() if _happens(s)} if full else scores
         best, trial = _best(still, level, gains, contest, model)
         if best is None or contest.pace.ends():
@@ -222,10 +222,6 @@ def grown(
 def _happens(score: ContestScore) -> bool:
     """Whether it is an event: one that waits for room behind errors of other sensors spoils their noise meanwhile."""
     return score.hypothesis.effect.jumps
-
-
-def _lasting(joined: Sequence[ContestScore]) -> int:
-    return sum(not _happens(s) for s in joined)
 
 
 def with_score(model: Model, score: ContestScore) -> Model:

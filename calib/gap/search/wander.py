@@ -90,7 +90,7 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
         + price_of_kind(by_id()[REFERENCE])
         + prices.EFFECT_COUNT_PRICE
     )
-    if worth < price + prices.WANDER_MARGIN - prices.WANDER_SLACK:
+    if worth < price - prices.WANDER_SLACK:
         return None
     least = max((contest.thresholds.lasting(v.sensor) for v in setting.views if sees(v)), default=0.0)
     if gain < max(prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest), least):
@@ -107,7 +107,7 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
     noise = with_tail(setting, start.noise, size, time)
     found = select(starting_model(setting, noise, ridge), contest, alpha)
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
-    return WanderFit(found, contest, better, size, time, noise) if better > prices.WANDER_MARGIN else None
+    return WanderFit(found, contest, better, size, time, noise) if better > 0.0 else None
 
 
 def _instead(chosen: ChosenModel) -> tuple[_ProcessFit, float]:
