@@ -218,17 +218,18 @@ Every prior, penalty and threshold of the search stands in `calib/gap/search/pri
 source. `python -m bench.prices` changes one at a time by 30 % either way and diagnoses development cases: single
 effects, mixtures, unknown errors and nulls in turn, seeds from {FIRST_SEED}.
 
-The first table has {len(cases)} cases. {sum(case.prices is None for case in done)} more are left out, most of them
-mixtures: one plain diagnosis took over {LONGEST_S:g} s of processor time. With the prices as they are,
-{sum(c.right for c in cases)} answers name the true effects and no others. The second table has the {len(flown)} flights
-of known answer in `bench/flights.toml`; {sum(c.right for c in flown)} answers are right.
+The first table has {len(cases)} cases; {sum(c.right for c in cases)} answers name the true effects and no others.
+{sum(case.prices is None for case in done)} more cases are left out, most of them mixtures: one plain diagnosis
+took over {LONGEST_S:g} s of processor time. The second table has the {len(flown)} flights of known answer in
+`bench/flights.toml`; {sum(c.right for c in flown)} answers are right.
 
 A cell counts the answers that change: verdict, unknown error, or an effect with its instances. In brackets: how many
 more answers are right. The last column has the price at a value that charges and bars nothing, over the cases in which
-that was tried. Grids and reaches have no such value.
+that was tried. Grids and reaches have no such value. With `--only`, prices that were not tried do not count as read.
 
-{len(unchanged)} of {len(names())} prices change no answer by 30 % either way; {len(idle)} change none without it. Some
-of these bound the time of a search; others matter in rare cases, and few cases read them.
+{len(unchanged)} of {len(names())} prices change no answer by 30 % either way; {len(idle)} change none without it
+either. Some of these bound the time of a search; others matter in rare cases, and few cases read them.
+[Decision 43](decisions/0043-when-a-price-goes.md) says when a price goes.
 
 ## Development cases
 
