@@ -101,6 +101,7 @@ def test_flights_that_were_flown_are_not_flown_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.long  # three diagnoses
+@pytest.mark.timeout(600)
 def test_only_prices_that_a_diagnosis_reads_are_varied(tmp_path: Path) -> None:
     path = tmp_path / "kept.jsonl"
     read, unread = "DRIFT_PRICE", "FLIGHT_DIFFERENCE"
@@ -112,6 +113,7 @@ def test_only_prices_that_a_diagnosis_reads_are_varied(tmp_path: Path) -> None:
 
 
 @pytest.mark.long  # six diagnoses
+@pytest.mark.timeout(600)
 def test_a_divided_diagnosis_answers_as_one_that_had_the_price_from_the_beginning() -> None:
     [(tier, seed)] = bench.chosen(1, [])
     [found] = bench.all_varied([(bench.varied, (tier, seed))], ["THERMAL_PRICE", "EFFECT_COUNT_PRICE"], 1)
