@@ -123,7 +123,7 @@ def cases_in(path: Path | None) -> list[Varied]:
 
 
 Run = tuple[Callable[..., Varied], tuple[Any, ...]]
-"""What varies one case, and its arguments."""
+"""The function that varies one case, and its arguments."""
 
 
 def all_varied(runs: Sequence[Run], only: Sequence[str], workers: int, *, without: bool = False) -> Iterator[Varied]:
@@ -135,7 +135,7 @@ def all_varied(runs: Sequence[Run], only: Sequence[str], workers: int, *, withou
 
 
 def left_of(cases: int, data: Path | None, done: Sequence[Varied]) -> list[Run]:
-    """What is still to run: the development cases, and the flights if their folder `data` is named."""
+    """Runs that are left: development cases, and the flights if their folder `data` is given."""
     known = {case.tier for case in done}
     flown = [(varied_flight, (k, data)) for k, (name, _) in enumerate(flights()) if data and name not in known]
     return [*flown, *((varied, one) for one in chosen(cases, done))]

@@ -28,7 +28,7 @@ class VariantProcess:
     def __init__(self, variants: Iterable[Variant]) -> None:
         self.open = set(variants)
         self.own: Variant | None = None
-        """What a child is; None in the parent."""
+        """The variant that a child follows; None in the parent."""
         self.answers: dict[Variant, Any] = {}
         self._pipe: int | None = None
 

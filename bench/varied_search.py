@@ -42,7 +42,7 @@ WITHOUT: Mapping[str, float] = {
     **dict.fromkeys(("MOST_IN_A_ROW", "MOST_EVENTS"), 1000),
     **dict.fromkeys(("HIDING_GAIN", "SLOW_POWER_RATIO", "RIVAL_REACH", "WANDER_SLACK"), math.inf),
 }
-"""What a price is that charges nothing and bars nothing; grids and reaches have no such value."""
+"""The value at which a price charges and excludes nothing; grids and reaches have no such value."""
 
 Answer = tuple[str, bool, tuple[tuple[str, tuple[int, ...]], ...]]
 """Verdict, whether something unknown is left, and the effects that are named with their instances."""
