@@ -17,6 +17,7 @@ import argparse
 import json
 import sys
 import tempfile
+import textwrap
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -29,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from bench.flights import ANSWERS, unpacked
-from bench.varied_search import FACTORS, WITHOUT, Answer, GapQuestion, changes, names, other_values
+from bench.varied_search import FACTORS, SHORTCUTS, WITHOUT, Answer, GapQuestion, changes, names, other_values
 from mavcal.calib import logs
 from mavcal.calib.gap.search import prices
 from mavcal.calib.withheld_check import Case, Tier, make_case
@@ -210,8 +211,6 @@ def table(cases: Sequence[Varied], of: Sequence[str]) -> str:
 def page(done: Sequence[Varied]) -> str:
     """``docs/prices.md``."""
     cases, flown = _development(done), _flown(done)
-    unchanged = [name for name in names() if not _changed(name, [*cases, *flown], len(FACTORS))]
-    idle = [name for name in WITHOUT if not _changed(name, [*cases, *flown], len(FACTORS) + 1)]
     return f"""# Sensitivity of the search to its prices
 
 Every prior, penalty and threshold of the search stands in `calib/gap/search/prices.py`, with its meaning, unit and
@@ -227,9 +226,7 @@ A cell counts the answers that change: verdict, unknown error, or an effect with
 more answers are right. The last column has the price at a value that charges and bars nothing, over the cases in which
 that was tried. Grids and reaches have no such value. With `--only`, prices that were not tried do not count as read.
 
-{len(unchanged)} of {len(names())} prices change no answer by 30 % either way; {len(idle)} change none without it
-either. Some of these bound the time of a search; others matter in rare cases, and few cases read them.
-[Decision 43](decisions/0043-when-a-price-goes.md) says when a price goes.
+{_summary([*cases, *flown])}
 
 ## Development cases
 
@@ -239,6 +236,18 @@ either. Some of these bound the time of a search; others matter in rare cases, a
 
 {table(flown, names())}
 """
+
+
+def _summary(cases: Sequence[Varied]) -> str:
+    """How many prices change nothing, and which of them are no shortcuts."""
+    unchanged = sum(not _changed(name, cases, len(FACTORS)) for name in names())
+    others = [name for name in WITHOUT if name not in SHORTCUTS and not _changed(name, cases, len(FACTORS) + 1)]
+    text = f"""Changed by 30 % either way, {unchanged} of {len(names())} prices change no answer. The {len(SHORTCUTS)}
+shortcuts among them save time, and are there to change nothing (`python -m bench.shortcuts`). No answer changes
+without these {len(others)} others either:"""
+    listed = textwrap.indent(textwrap.fill(", ".join(others), 110), "    ")
+    why = "[Decision 43](decisions/0043-when-a-price-goes.md) says why they stay, and when a price goes."
+    return f"{textwrap.fill(text, 119, break_on_hyphens=False)}\n\n{listed}\n\n{why}"
 
 
 def _changed(name: str, cases: Sequence[Varied], values: int) -> bool:

@@ -28,21 +28,26 @@ FACTORS = (0.7, 1.3)
 WITHOUT: Mapping[str, float] = {
     **dict.fromkeys(
         (
-            *("SECOND_PRIOR_PRICE", "IDLE_AMPLITUDE_PRICE", "FINE_GRID", "DRIFT_PRICE", "SHAPE_PRICES"),
-            *("SHAPE_PART_PRICE", "THERMAL_PRICE", "REPEATED_JUMP_PRICE", "REFERENCE_PRICE", "EFFECT_COUNT_PRICE"),
-            *("SECOND_ORDER_SHARE", "FLIGHT_SECOND_ORDER_SHARE", "ENTRY_SHARE", "OTHER_SENSOR_SHARE", "RIVAL_SHARE"),
-            *("FLIGHT_DIFFERENCE", "REFINEMENT_GAIN", "EXACT_FIT_GAIN", "ENVELOPE_GAIN", "FLIGHT_NOISE_RATIO"),
-            *("LINE_UNSTEADINESS", "INSTANCE_SHARE", "FILTER_BAND_SHARE", "NOMINAL_TONE_SHARE", "LINE_TO_NEIGHBOURS"),
-            *("EXCHANGE_GAIN", "SECOND_ORDER_LOSS", "WANDERING_NOISE_NUMBERS", "EVENT_GAIN_SHARE"),
+            *("SECOND_PRIOR_PRICE", "DRIFT_PRICE", "SHAPE_PRICES", "SHAPE_PART_PRICE", "THERMAL_PRICE"),
+            *("REPEATED_JUMP_PRICE", "REFERENCE_PRICE", "EFFECT_COUNT_PRICE", "SECOND_ORDER_SHARE"),
+            *("FLIGHT_SECOND_ORDER_SHARE", "ENTRY_SHARE", "OTHER_SENSOR_SHARE", "RIVAL_SHARE", "FLIGHT_DIFFERENCE"),
+            *("REFINEMENT_GAIN", "EXACT_FIT_GAIN", "ENVELOPE_GAIN", "FLIGHT_NOISE_RATIO", "LINE_UNSTEADINESS"),
+            *("INSTANCE_SHARE", "FILTER_BAND_SHARE", "NOMINAL_TONE_SHARE", "LINE_TO_NEIGHBOURS", "SECOND_ORDER_LOSS"),
+            *("EVENT_GAIN_SHARE",),
         ),
         0,
     ),
-    **dict.fromkeys(("COARSE_GRID", "FIXED_SHAPE_SIDES"), 1),
+    **dict.fromkeys(("FEWEST_VALUES", "FIXED_SHAPE_SIDES"), 1),
     **dict.fromkeys(("RIVALS_TRIED", "CANDIDATES_FITTED", "EXCHANGES_TRIED", "MOST_EXCHANGES"), 1000),
     **dict.fromkeys(("MOST_IN_A_ROW", "MOST_EVENTS"), 1000),
     **dict.fromkeys(("HIDING_GAIN", "SLOW_POWER_RATIO", "RIVAL_REACH", "WANDER_SLACK"), math.inf),
 }
 """The value at which a price charges and excludes nothing; grids and reaches have no such value."""
+SHORTCUTS = (
+    *("REFINEMENT_GAIN", "EXACT_FIT_GAIN", "ENVELOPE_GAIN", "RIVALS_TRIED", "CANDIDATES_FITTED", "MOST_IN_A_ROW"),
+    *("MOST_EVENTS", "RIVAL_REACH", "MOST_EXCHANGES", "EXCHANGES_TRIED", "WANDER_SLACK"),
+)
+"""Prices that save time: candidates that are not refined, exchanges that are not tried."""
 
 Answer = tuple[str, bool, tuple[tuple[str, tuple[int, ...]], ...]]
 """Verdict, whether something unknown is left, and the effects that are named with their instances."""

@@ -38,7 +38,6 @@ from mavcal.calib.gap.search.evidence import (
     price_of_fixed,
     price_of_kind,
     price_of_noise,
-    price_of_numbers,
     price_of_repetition,
     price_of_search,
 )
@@ -232,7 +231,6 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Cont
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
     price += price_of_kind(hypothesis.effect) + hypothesis.handicap
     price += price_of_repetition(hypothesis.again) if hypothesis.effect.jumps else 0.0
-    price += 0.0 if hypothesis.effect.nameless else price_of_numbers(found.idle)
     p = tail(found.gain, found.df + hidden, grid)
     return ContestScore(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
 

@@ -41,15 +41,9 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
     groups : shape (p,)
         Amplitudes of one unit have the same number; between groups sizes are relative to their mean information.
     """
-    return weighed(gram, right, groups)[0]
-
-
-def weighed(gram: Array, right: Array, groups: NDArray[np.intp]) -> tuple[float, float]:
-    """The :func:`evidence`, and of how many amplitudes the data tell at that size of the prior: from 0 to p."""
     seen = _Directions.of(gram, right, groups)
-    size, worth = seen.with_common_variance()
-    determined = float((size * seen.values / (1.0 + size * seen.values)).sum())
-    return max(worth, seen.with_g_prior(), _only_one(gram, right)), determined
+    _, worth = seen.with_common_variance()
+    return max(worth, seen.with_g_prior(), _only_one(gram, right))
 
 
 def prior_sd(gram: Array, right: Array, groups: NDArray[np.intp]) -> Array:
@@ -126,15 +120,6 @@ def _scale(gram: Array, groups: NDArray[np.intp]) -> Array:
     return scale
 
 
-def price_of_numbers(idle: float) -> float:
-    """Price of amplitudes that the data do not tell: of causes that explain the same the one with fewer is believed.
-
-    Beside the evidence, in which a direction that the movement does not excite costs nothing: at rest the nine numbers
-    of a sensitivity to force are an offset of three.
-    """
-    return prices.IDLE_AMPLITUDE_PRICE * idle
-
-
 def price_of_fixed(gain: float) -> float:
     """Price of the shape of an effect that has nothing else, to either side."""
     return math.log1p(max(gain, 0.0)) + 2.0 * math.log(2.0)
@@ -147,7 +132,7 @@ def price_of_search(grid: int, gain: float) -> float:
     """
     if grid <= 1:
         return 0.0
-    return 2.0 * math.log(min(grid, max(gain, prices.COARSE_GRID)) if grid > prices.FINE_GRID else prices.COARSE_GRID)
+    return 2.0 * math.log(min(grid, max(gain, prices.FEWEST_VALUES)))
 
 
 def price_of_noise(amplitudes: Array, information: Array) -> float:

@@ -177,11 +177,7 @@ def _exchanges(
         second = second_order(chosen, place.own)
         for score in (other.score for other in place.others):
             gain = -behind(place.own, score, freedom_of(chosen, key), second)
-            if (
-                score.p < level
-                and score.gain >= contest.thresholds.joining(score.hypothesis)
-                and gain > prices.EXCHANGE_GAIN
-            ):
+            if score.p < level and score.gain >= contest.thresholds.joining(score.hypothesis) and gain > 0.0:
                 found.append((gain, max(second, prices.SECOND_ORDER_SHARE * place.own), key, score))
     return [exchange[1:] for exchange in sorted(found, key=lambda exchange: -exchange[0])]
 
@@ -191,20 +187,26 @@ def second_order(chosen: ChosenModel, own: float) -> float:
     return prices.FLIGHT_SECOND_ORDER_SHARE * max(own, 0.0) if of_flights(chosen.model) else 0.0
 
 
-def freedom_of(chosen: ChosenModel, key: Key) -> int:
-    """Degrees of freedom that an effect of the model counts for; zero for one that did not compete."""
-    return next((_freedom(score) for score in chosen.scores if score.hypothesis.key == key), 0)
+Freedom = tuple[bool, int]
+"""Whether an effect is noise that wanders, and its degrees of freedom. In this order: such noise takes the place of
+anything slow, and is freer than any number of amplitudes.
+"""
 
 
-def _freedom(score: ContestScore) -> int:
-    """Numbers of an effect; noise that wanders takes the place of anything slow, and has more than any other."""
-    return score.df + (prices.WANDERING_NOISE_NUMBERS if score.hypothesis.effect.drifts else 0)
+def freedom_of(chosen: ChosenModel, key: Key) -> Freedom | None:
+    """The freedom of an effect of the model; None for one that did not compete."""
+    return next((_freedom(score) for score in chosen.scores if score.hypothesis.key == key), None)
 
 
-def behind(own: float, score: ContestScore, freedom: int, second: float) -> float:
-    """Evidence by which a rival is behind an effect; more degrees of freedom explain more of a `second` order."""
-    more = _freedom(score) - freedom if freedom else 0
-    return own - score.delta + (second if more > 0 else -prices.SECOND_ORDER_LOSS * second if more < 0 else 0.0)
+def _freedom(score: ContestScore) -> Freedom:
+    return score.hypothesis.effect.drifts, score.df
+
+
+def behind(own: float, score: ContestScore, freedom: Freedom | None, second: float) -> float:
+    """Evidence by which a rival is behind an effect; the freer of the two explains more of a `second` order."""
+    if freedom is None or _freedom(score) == freedom:
+        return own - score.delta
+    return own - score.delta + (second if _freedom(score) > freedom else -prices.SECOND_ORDER_LOSS * second)
 
 
 def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known: Sequence[Alternative]) -> Place:

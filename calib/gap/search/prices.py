@@ -23,20 +23,10 @@ SECOND_PRIOR_PRICE = 2.0 * math.log(2.0)
 
 Unit: deviance. Source: choice of one in two; decision 10.
 """
-IDLE_AMPLITUDE_PRICE = 0.5
-"""Price of an amplitude that the data do not determine.
-
-Unit: deviance an amplitude. Source: chosen in development, seeds not recorded.
-"""
 # Prices of searches
 
-FINE_GRID = 100
-"""Grid size above which a search pays for every value that it tries: moments, frequencies.
-
-Unit: values. Source: chosen in development, seeds not recorded.
-"""
-COARSE_GRID = 4.0
-"""Values that a search over a coarser grid pays for.
+FEWEST_VALUES = 4.0
+"""Values that a search pays for at least, if its grid has as many.
 
 Unit: values. Source: chosen in development, seeds not recorded.
 """
@@ -98,7 +88,7 @@ Unit: deviance an effect. Source: decision 11; value chosen in development, seed
 SECOND_ORDER_SHARE = 0.005
 """Share below which an effect is a second order of the large ones.
 
-Unit: share of the largest gain. Source: GAP, pitfalls; value chosen in development, seeds not recorded.
+Unit: share of the largest gain. Source: GAP, pitfalls.
 """
 FLIGHT_SECOND_ORDER_SHARE = 0.01
 """The same where the noise was learned from flights: small true structure is everywhere in them.
@@ -231,11 +221,6 @@ RIVAL_REACH = 40.0
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
-EXCHANGE_GAIN = 1.0
-"""Penalised evidence by which an exchange must be better.
-
-Unit: deviance. Source: chosen in development, seeds not recorded.
-"""
 MOST_EXCHANGES = 3
 """Most exchanges.
 
@@ -250,11 +235,6 @@ SECOND_ORDER_LOSS = 0.1
 """Second order that an effect of fewer numbers may lose to take another's place: a model is never exact.
 
 Unit: share of the second order. Source: chosen in development, seeds not recorded.
-"""
-WANDERING_NOISE_NUMBERS = 100
-"""Degrees of freedom that noise which wanders counts for.
-
-Unit: degrees of freedom. Source: chosen in development, seeds not recorded.
 """
 EVENT_GAIN_SHARE = 0.1
 """Share by which events that were tried first must be better: a jump at an end is an offset.

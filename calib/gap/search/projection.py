@@ -13,23 +13,19 @@ from mavcal.calib.gap.model.hypotheses import HypothesisColumns, Part
 from mavcal.calib.gap.model.joint import Model, Normal, Ridge, jacobian, misfit, normal_equations, refined, stacked
 from mavcal.calib.gap.model.normal_equations import eigh, solved
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.evidence import weighed
+from mavcal.calib.gap.search.evidence import evidence
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """What a group of columns brings: twice the gain of log-likelihood, degrees of freedom, amplitudes, and evidence.
-
-    `idle`: of how many amplitudes the data do not tell.
-    """
+    """What a group of columns brings: twice the gain of log-likelihood, degrees of freedom, amplitudes, evidence."""
 
     gain: float
     df: int
     beta: Array
     evidence: float
-    idle: float = 0.0
 
     @property
     def price(self) -> float:
@@ -106,8 +102,8 @@ class Beside:
         gram, right, energy = self.projected(columns)
         basis = existing(gram, energy)
         found = basis.T @ right
-        worth, known = weighed(gram, right, columns.units)
-        return Gain(float(found @ found), basis.shape[1], basis @ found, worth, len(right) - known)
+        worth = evidence(gram, right, columns.units)
+        return Gain(float(found @ found), basis.shape[1], basis @ found, worth)
 
     def free_gains(self, groups: Sequence[HypothesisColumns]) -> list[float]:
         """The gains alone of several groups, which is all that a search for a shape asks for."""

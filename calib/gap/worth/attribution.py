@@ -13,7 +13,7 @@ from mavcal.calib.gap.schema import EVEN, Rival
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.evidence import price_of_kind
-from mavcal.calib.gap.search.exchange import Alternative, Place, SettledModel, behind, freedom_of, second_order
+from mavcal.calib.gap.search.exchange import Alternative, Freedom, Place, SettledModel, behind, freedom_of, second_order
 from mavcal.calib.gap.search.selection import last_gains
 
 _SECOND = 8.0
@@ -78,7 +78,9 @@ def _likeliest_shape(others: Sequence[Alternative]) -> str:
     return max(shapes, key=lambda s: s.delta).hypothesis.effect.excited_by if shapes else ""
 
 
-def _judged(own: Hypothesis, place: Place, freedom: int, second: float) -> tuple[tuple[Rival, ...], float, float]:
+def _judged(
+    own: Hypothesis, place: Place, freedom: Freedom | None, second: float
+) -> tuple[tuple[Rival, ...], float, float]:
     """Rivals that these data cannot tell apart, and the probabilities of the effect and of the unknown."""
     rivals = []
     same, weights, unknown = [0.0], [-math.inf], [-math.inf]

@@ -122,7 +122,7 @@ def dearer(made):
 
 @pytest.mark.parametrize("theta", [math.nan, 2.0])
 def test_a_handicap_is_paid_by_effects_on_the_mean(theta):
-    found = Gain(60.0, 3, np.array([0.1, -0.2, 0.3]), 50.0, 0.5)
+    found = Gain(60.0, 3, np.array([0.1, -0.2, 0.3]), 50.0)
     effect = by_id()["gyro_bias"]
     assert dearer(lambda h: priced(Hypothesis(effect, (1,), 0, h), theta, found, 9)) == pytest.approx(-HANDICAP)
 

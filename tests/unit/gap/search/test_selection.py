@@ -31,18 +31,30 @@ from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 
-def scored(delta, df):
-    hypothesis = Hypothesis(forward_models()["accel_bias"][-1], (0,))
+def scored(delta, df, effect="accel_bias"):
+    hypothesis = Hypothesis(forward_models()[effect][-1], (0,))
     return ContestScore(hypothesis, math.nan, delta, df, 1, 0.0, delta, np.zeros(df))
+
+
+THREE, NINE = (False, 3), (False, 9)
 
 
 def test_of_causes_that_differ_by_a_second_order_the_one_with_fewer_numbers_is_believed():
     own, second = 1e6, prices.FLIGHT_SECOND_ORDER_SHARE * 1e6
-    assert behind(own, scored(own + 0.9 * second, 9), 3, second) > 0.0
-    assert behind(own, scored(own + 1.1 * second, 9), 3, second) < 0.0
-    assert behind(own, scored(own - 0.05 * second, 3), 9, second) < 0.0
-    assert behind(own, scored(own - 0.2 * second, 3), 9, second) > 0.0
-    assert behind(own, scored(own + 1.0, 9), 3, 0.0) == pytest.approx(-1.0)
+    assert behind(own, scored(own + 0.9 * second, 9), THREE, second) > 0.0
+    assert behind(own, scored(own + 1.1 * second, 9), THREE, second) < 0.0
+    assert behind(own, scored(own - 0.05 * second, 3), NINE, second) < 0.0
+    assert behind(own, scored(own - 0.2 * second, 3), NINE, second) > 0.0
+    assert behind(own, scored(own + 1.0, 9), THREE, 0.0) == pytest.approx(-1.0)
+    for alike in (THREE, None):
+        assert behind(own, scored(own + 0.5 * second, 3), alike, second) == pytest.approx(-0.5 * second)
+
+
+def test_noise_that_wanders_is_freer_than_any_number_of_amplitudes():
+    own, second = 1e6, prices.FLIGHT_SECOND_ORDER_SHARE * 1e6
+    assert behind(own, scored(own + 0.5 * second, 1, "accel_random_walk"), NINE, second) > 0.0
+    assert behind(own, scored(own - 0.05 * second, 9), (True, 1), second) < 0.0
+    assert behind(own, scored(own + 1.0, 1, "accel_random_walk"), (True, 1), second) == pytest.approx(-1.0)
 
 
 A, G = Sensor.ACCEL, Sensor.GYRO

@@ -1,0 +1,91 @@
+"""``python -m bench.shortcuts``: processor time of a diagnosis without each shortcut of the search, over that with it.
+
+A shortcut is a price that saves time: candidates that are not refined, exchanges that are not tried. It is there to
+change no answer, so the test of decision 43 does not apply to it. It stays while it saves time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from unittest.mock import patch
+
+from bench.prices import FIRST_SEED, LONGEST_S, TIERS, question_of
+from bench.varied_search import SHORTCUTS, WITHOUT, Answer, GapQuestion
+from mavcal.calib.gap.search import prices
+from mavcal.calib.withheld_check import make_case
+
+
+@dataclass(frozen=True)
+class TimedAnswer:
+    """One diagnosis: its answer, and the processor time that it took."""
+
+    answer: Answer
+    seconds: float
+
+
+Timed = tuple[TimedAnswer, tuple[TimedAnswer, ...]]
+"""A case with all shortcuts, and without each of :data:`SHORTCUTS`."""
+
+
+def timed(number: int) -> Timed | None:
+    """Diagnose a development case with all shortcuts and without each; None if it takes more than `LONGEST_S`."""
+    question = question_of(make_case(TIERS[number % len(TIERS)], FIRST_SEED + number))
+    _diagnosed(question)  # what is computed once a process belongs to none of them
+    plain = _diagnosed(question)
+    if plain.seconds > LONGEST_S:
+        return None
+    found = []
+    for name in SHORTCUTS:
+        with absent(name):
+            found.append(_diagnosed(question))
+    return plain, tuple(found)
+
+
+@contextmanager
+def absent(name: str) -> Iterator[None]:
+    """In here the shortcut `name` is not taken."""
+    with patch.object(prices, name, WITHOUT[name]):
+        yield
+
+
+def _diagnosed(question: GapQuestion) -> TimedAnswer:
+    began = time.process_time()
+    answer = question.answer()
+    return TimedAnswer(answer, time.process_time() - began)
+
+
+def table(cases: Sequence[Timed]) -> str:
+    """One shortcut a line: time without over time with, in all cases and in the one that it helps most, and answers
+    that change.
+    """
+    rows = ["| shortcut | time without it | at most | answers that change |", "|---|---|---|---|"]
+    for k, name in enumerate(SHORTCUTS):
+        ratios = [without[k].seconds / plain.seconds for plain, without in cases]
+        total = sum(without[k].seconds for _, without in cases) / sum(plain.seconds for plain, _ in cases)
+        changed = sum(without[k].answer != plain.answer for plain, without in cases)
+        rows.append(f"| `{name}` | {total:.2f} | {max(ratios):.2f} | {changed} of {len(cases)} |")
+    return "\n".join(rows)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m bench.shortcuts", description=__doc__)
+    parser.add_argument("--cases", type=int, default=40, help="cases of every tier in turn; long ones are left out")
+    parser.add_argument("--workers", type=int, default=2)
+    args = parser.parse_args(argv)
+    with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
+        cases = [case for case in pool.map(timed, range(args.cases)) if case is not None]
+    print(f"{len(cases)} of {args.cases} cases from seed {FIRST_SEED}; {args.cases - len(cases)} take too long")
+    print(table(cases))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
