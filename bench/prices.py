@@ -66,12 +66,8 @@ def varied(tier: Tier, seed: int, only: Sequence[str] = (), *, without: bool = F
 
 def varied_flight(number: int, data: Path, only: Sequence[str] = (), *, without: bool = False) -> Varied:
     """The same of a flight of known answer, by its number among :func:`flights`."""
-    name, asked = flights()[number]
-    with tempfile.TemporaryDirectory() as folder:
-        real, sim = (logs.read(unpacked(data, file, Path(folder))) for file in (asked["file"], asked["gap"]["sim"]))
-    question = GapQuestion(real, sim, lambda answer: _as_known(answer, asked["gap"]))
-    right, found = changes(question, _others(only, without=without))
-    return Varied(name, number, right, found)
+    right, found = changes(question_of_flight(number, data), _others(only, without=without))
+    return Varied(flights()[number][0], number, right, found)
 
 
 def _others(only: Sequence[str], *, without: bool) -> dict[str, list[Any]]:
@@ -103,6 +99,14 @@ def question_of(case: Case) -> GapQuestion:
     return GapQuestion(
         real, sim, lambda answer: {name for name, _ in answer[2]} == true and answer[1] == unknown, case.without
     )
+
+
+def question_of_flight(number: int, data: Path) -> GapQuestion:
+    """The two logs of a flight in the folder `data`; right is an answer with its known effects."""
+    _, asked = flights()[number]
+    with tempfile.TemporaryDirectory() as folder:
+        real, sim = (logs.read(unpacked(data, file, Path(folder))) for file in (asked["file"], asked["gap"]["sim"]))
+    return GapQuestion(real, sim, lambda answer: _as_known(answer, asked["gap"]))
 
 
 def chosen(cases: int, done: Sequence[Varied]) -> list[tuple[Tier, int]]:

@@ -7,6 +7,7 @@ change no answer, so the test of decision 43 does not apply to it. It stays whil
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -14,9 +15,10 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
+from pathlib import Path
 from unittest.mock import patch
 
-from bench.prices import FIRST_SEED, LONGEST_S, TIERS, question_of
+from bench.prices import FIRST_SEED, LONGEST_S, TIERS, flights, question_of, question_of_flight
 from bench.varied_search import SHORTCUTS, WITHOUT, Answer, GapQuestion
 from mavcal.calib.gap.search import prices
 from mavcal.calib.withheld_check import make_case
@@ -36,10 +38,18 @@ Timed = tuple[TimedAnswer, tuple[TimedAnswer, ...]]
 
 def timed(number: int) -> Timed | None:
     """Diagnose a development case with all shortcuts and without each; None if it takes more than `LONGEST_S`."""
-    question = question_of(make_case(TIERS[number % len(TIERS)], FIRST_SEED + number))
+    return _timed(question_of(make_case(TIERS[number % len(TIERS)], FIRST_SEED + number)), LONGEST_S)
+
+
+def timed_flight(number: int, data: Path) -> Timed | None:
+    """The same of a flight of known answer, however long it takes."""
+    return _timed(question_of_flight(number, data), math.inf)
+
+
+def _timed(question: GapQuestion, longest_s: float) -> Timed | None:
     _diagnosed(question)  # what is computed once a process belongs to none of them
     plain = _diagnosed(question)
-    if plain.seconds > LONGEST_S:
+    if plain.seconds > longest_s:
         return None
     found = []
     for name in SHORTCUTS:
@@ -76,15 +86,24 @@ def table(cases: Sequence[Timed]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
+    names = [name for name, _ in flights()]
     parser = argparse.ArgumentParser(prog="python -m bench.shortcuts", description=__doc__)
     parser.add_argument("--cases", type=int, default=40, help="cases of every tier in turn; long ones are left out")
+    parser.add_argument("--flights", type=Path, metavar="DATA", help="flights of known answer in this folder instead")
+    parser.add_argument("--only", nargs="*", default=names, choices=names, metavar="FLIGHT", help="only these flights")
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args(argv)
     with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
-        cases = [case for case in pool.map(timed, range(args.cases)) if case is not None]
-    print(f"{len(cases)} of {args.cases} cases from seed {FIRST_SEED}; {args.cases - len(cases)} take too long")
-    print(table(cases))
-    return 0
+        if args.flights:
+            runs = [pool.submit(timed_flight, names.index(name), args.flights) for name in args.only]
+        else:
+            runs = [pool.submit(timed, number) for number in range(args.cases)]
+        cases = [case for run in runs if (case := run.result()) is not None]
+    what = ", ".join(args.only) if args.flights else f"cases from seed {FIRST_SEED}"
+    print(f"{len(cases)} of {len(runs)} {what}; {len(runs) - len(cases)} take too long")
+    if cases:
+        print(table(cases))
+    return 0 if cases else 1
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from bench import shortcuts as bench
 from bench.varied_search import SHORTCUTS, WITHOUT, Answer
 from mavcal.calib.gap.search import prices
@@ -32,3 +34,8 @@ def test_a_row_has_the_ratio_of_all_cases_the_largest_and_the_answers_that_chang
     assert rows[0] == f"| `{first}` | 2.00 | 4.00 | 1 of 2 |"
     assert rows[1] == f"| `{second}` | 1.00 | 1.00 | 0 of 2 |"
     assert len(rows) == len(SHORTCUTS)
+
+
+def test_without_a_case_there_is_no_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench.main(["--cases", "0"]) == 1
+    assert capsys.readouterr().out == "0 of 0 cases from seed 70000; 0 take too long\n"
