@@ -37,7 +37,7 @@ WITHOUT: Mapping[str, float] = {
         ),
         0,
     ),
-    **dict.fromkeys(("FEWEST_VALUES", "FIXED_SHAPE_SIDES"), 1),
+    "FIXED_SHAPE_SIDES": 1,
     **dict.fromkeys(("RIVALS_TRIED", "CANDIDATES_FITTED", "EXCHANGES_TRIED", "MOST_EXCHANGES"), 1000),
     **dict.fromkeys(("MOST_IN_A_ROW", "MOST_EVENTS"), 1000),
     **dict.fromkeys(("HIDING_GAIN", "SLOW_POWER_RATIO", "RIVAL_REACH", "WANDER_SLACK"), math.inf),

@@ -132,7 +132,7 @@ def price_of_search(grid: int, gain: float) -> float:
     """
     if grid <= 1:
         return 0.0
-    return 2.0 * math.log(min(grid, max(gain, prices.FEWEST_VALUES)))
+    return 2.0 * math.log(min(grid, max(gain, 1.0)))
 
 
 def price_of_noise(amplitudes: Array, information: Array) -> float:

@@ -25,11 +25,6 @@ Unit: deviance. Source: choice of one in two; decision 10.
 """
 # Prices of searches
 
-FEWEST_VALUES = 4.0
-"""Values that a search pays for at least, if its grid has as many.
-
-Unit: values. Source: chosen in development, seeds not recorded.
-"""
 FIXED_SHAPE_SIDES = 2
 """Grid size of an effect whose shape alone is estimated.
 
