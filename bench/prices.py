@@ -247,8 +247,8 @@ def _summary(cases: Sequence[Varied]) -> str:
     unchanged = sum(not _changed(name, cases, len(FACTORS)) for name in names())
     others = [name for name in WITHOUT if name not in SHORTCUTS and not _changed(name, cases, len(FACTORS) + 1)]
     text = f"""Changed by 30 % either way, {unchanged} of {len(names())} prices change no answer. The {len(SHORTCUTS)}
-shortcuts among them save time, and are there to change nothing (`python -m bench.shortcuts`). No answer changes
-without these {len(others)} others either:"""
+shortcuts among them save time, and are there to change nothing (`python -m bench.shortcuts`). None of the
+answers below changes without these {len(others)} others either:"""
     listed = textwrap.indent(textwrap.fill(", ".join(others), 110), "    ")
     why = "[Decision 43](decisions/0043-when-a-price-goes.md) says why they stay, and when a price goes."
     return f"{textwrap.fill(text, 119, break_on_hyphens=False)}\n\n{listed}\n\n{why}"

@@ -1,7 +1,7 @@
-"""``python -m bench.shortcuts``: processor time of a diagnosis without each shortcut of the search, over that with it.
+"""``python -m bench.shortcuts``: how much longer a diagnosis takes without each shortcut of the search.
 
-A shortcut is a price that saves time: candidates that are not refined, exchanges that are not tried. It is there to
-change no answer, so the test of decision 43 does not apply to it. It stays while it saves time.
+A shortcut leaves work out: candidates that are not refined, exchanges that are not tried. It should change no answer,
+so the rule of decision 43 does not apply to it. The table divides the processor time without it by the time with it.
 """
 
 from __future__ import annotations
@@ -72,9 +72,7 @@ def _diagnosed(question: GapQuestion) -> TimedAnswer:
 
 
 def table(cases: Sequence[Timed]) -> str:
-    """One shortcut a line: time without over time with, in all cases and in the one that it helps most, and answers
-    that change.
-    """
+    """One shortcut a line: the ratio of times over all cases, the largest ratio of one case, and changed answers."""
     rows = ["| shortcut | time without it | at most | answers that change |", "|---|---|---|---|"]
     for k, name in enumerate(SHORTCUTS):
         ratios = [without[k].seconds / plain.seconds for plain, without in cases]

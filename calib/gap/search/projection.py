@@ -20,7 +20,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """What a group of columns brings: twice the gain of log-likelihood, degrees of freedom, amplitudes, evidence."""
+    """What a model gains by a group of columns.
+
+    `gain` is twice the gain of log-likelihood, `df` the degrees of freedom, `beta` the amplitudes; `evidence` is twice
+    the log marginal likelihood ratio.
+    """
 
     gain: float
     df: int

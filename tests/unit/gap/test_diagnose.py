@@ -226,7 +226,7 @@ def test_what_the_catalogue_does_not_have_is_unknown_with_its_shape():
     assert set(as_json(report)["unknown"]) == {"flag", "share", "shape", "hidden_driver", "log_odds"}
 
 
-def test_a_small_effect_that_a_huge_one_hides_is_named_once_the_simulator_has_the_huge_one():
+def test_a_small_effect_that_a_huge_one_hides_is_named_without_the_huge_one():
     def gap(iron):
         offsets = {A: np.array([-0.0036, 0.0032, -0.0047]), M: np.array([88.0, -102.0, 52.0]) * iron}
         return lambda trace: offsets[trace.sensor]
