@@ -113,9 +113,9 @@ class ParameterTable:
         self._listing = None
         return parameter
 
-    def save(self, name: str) -> None:
-        """Commit the present value to storage: it survives a restart."""
-        self.saved[name] = self._by_name[name].value
+    def save(self, name: str, value: Value | None = None) -> None:
+        """Commit `value`, or the present one (None), to storage: it is there after a restart."""
+        self.saved[name] = self._by_name[name].value if value is None else value
 
     def restore_saved(self) -> None:
         """Take every value from storage, as a restart does."""

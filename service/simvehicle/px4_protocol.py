@@ -189,8 +189,13 @@ class Px4Parameters:
             self.frozen = True
             return
         for name in self._unsaved:
-            self._table.save(name)
+            self._table.save(name, None if self._exported(name) else self._table[name].default)
         self._unsaved.clear()
+
+    def _exported(self, name: str) -> bool:
+        """A float is left out of the file while it lies within FLT_EPSILON of its default (parameters.cpp)."""
+        parameter = self._table[name]
+        return not parameter.is_float or abs(float(parameter.value) - float(parameter.default)) > FLT_EPSILON
 
     def load(self) -> None:
         """Take every value back from storage, in silence."""

@@ -24,6 +24,7 @@ from mavcal.calib.firmware.plan import (
     sensors_of,
     snapshot_sha256,
 )
+from mavcal.calib.firmware.retained import retained
 from mavcal.calib.recording import Sensor
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -99,7 +100,7 @@ class Draft:
         needs_reboot: bool = False,
         hidden: bool = False,
     ) -> None:
-        """Plan a float parameter, rounded to the float32 that the vehicle holds; no change if it holds it already.
+        """Plan a float parameter as the vehicle holds it after a restart; no change if it holds that already.
 
         `hidden`: the firmware does not list the name but takes it (members of a group that is switched off).
         """
@@ -108,7 +109,7 @@ class Draft:
             return
         if not self._known(name, about, hidden=hidden):
             return
-        new = float(np.float32(value))
+        new = retained(name, value)
         limit = limit_of(name)
         if limit is not None and not limit.low <= new <= limit.high:
             self.block(limit.refusal(name, new), about)

@@ -7,7 +7,7 @@ keeps the offset right there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -17,12 +17,14 @@ from mavcal.calib.firmware import losses, names
 from mavcal.calib.firmware.compose.announce import lose_drift
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair
+from mavcal.calib.firmware.compose.px4_held import held_drift
 from mavcal.calib.firmware.compose.px4_memory import neutral_model
 from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
 from mavcal.calib.firmware.names import THERMAL, Role
 from mavcal.calib.firmware.options import how
 from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.retained import asks_for_save
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Sensor
 
@@ -55,9 +57,13 @@ def set_thermal(draft: Draft, pair: Pair) -> None:
     roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
     if not _may_store(draft, about, roles, fit):
         return
+    held = held_drift(fit)
+    fit = held.fit
     constant, variance = _constant(draft, pair, fit)
     if constant is None:
         return
+    if held.fixed:
+        draft.lose(about, "terms of the drift", held.cost, fit.unit, held.text(about))
     polynomial = fit.model.polynomial
     assert polynomial is not None
     for role, value in (
@@ -184,6 +190,13 @@ def _set_coefficients(
                 unit=fit.unit if order == 0 else f"{fit.unit}/degC^{order}",
                 hidden=True,
             )
+    _silent_first(draft, [roles[role] for order in THERMAL for role in order])
+
+
+def _silent_first(draft: Draft, rows: Sequence[str]) -> None:
+    """Changes that ask for no save by themselves are written before those that do."""
+    changes = draft.planned(rows)
+    draft.reorder([c.name for c in sorted(changes, key=lambda c: asks_for_save(c.name, c.old or 0.0, c.new))])
 
 
 def add_constant(draft: Draft, about: Subject, more: Array, sd: Array) -> None:

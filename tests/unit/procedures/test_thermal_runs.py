@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +13,13 @@ from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.in_force.undo import undo
+from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.retained import retained
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done
 from mavcal.calib.procedures.replay import replay
-from mavcal.calib.recording import Identity, Sensor
+from mavcal.calib.recording import Identity, ParameterTimeline, Recording, Sensor
 
 TRUTH = 1e-6 * np.array([[357, -263, 149], [2.1, -3.3, 1.7], [0.0, 0.0, 0.0]]).T
 """Drift of the first gyro about 35 degC, rad/s per degC, degC^2, degC^3; the second one does not drift."""
@@ -96,3 +99,47 @@ def test_a_simulated_unit_below_the_resolution_does_not_keep_the_other_one_from_
     assert "INS_TCAL1_GYR1_X" in names
     assert "INS_TCAL2_ENABLE" not in names
     assert any(text.startswith("gyro 2 is left out: its drift") and "resolves" in text for text in plan.warnings)
+
+PX4_GYRO = np.array([[1.636e-4, -8.6e-7, 0.0], [-3.735e-4, 7.4e-7, 0.0], [3.36e-4, -5.1e-7, 0.0]])
+"""Drift of the gyro of px4_thermal_restart about 25 degC."""
+WRITTEN = 270.0
+"""s; the write of that run begins then."""
+
+
+@pytest.fixture(scope="module")
+def px4_warmed_up(shared_data: Path):
+    """The capture of the job, the parameters before its write, and what the thermal job makes of it."""
+    path = shared_data / "firmware_runs" / "px4_thermal_restart.tlog.xz"
+    if not path.exists():
+        pytest.skip(f"needs {path.name} beside the repository")
+    whole = read_tlog(lzma.decompress(path.read_bytes()))
+    entries = tuple(e for e in whole.parameters.entries if e.t < WRITTEN)
+    channels = tuple(c.take(c.t < WRITTEN) for c in whole.channels)
+    recording = Recording(channels, ParameterTimeline(entries), identity=whole.identity)
+    parameters = recording.parameters.final()
+    context = ProcedureContext(recording.identity, {Sensor.ACCEL: (0,), Sensor.GYRO: (0,)}, None, parameters)
+    outcome = replay("thermal", {}, context, undo(recording), [])
+    assert isinstance(outcome, Done), outcome
+    return whole, parameters, outcome.results, fingerprint(recording.identity, parameters)
+
+
+@pytest.mark.shared
+def test_what_px4_did_not_keep_over_its_restart_is_not_written(px4_warmed_up):
+    whole, parameters, results, of = px4_warmed_up
+    lost = {e.name for e in whole.parameters.entries if 281.0 < e.t < 281.7 and e.name.startswith("TC_")}
+    assert {"TC_G0_X3_0", "TC_G0_X3_1", "TC_G0_X3_2"} <= lost  # held 0 after the restart, and everything was taken back
+    plan = compose(results, parameters, of)
+    assert not plan.blockers
+    assert not {"TC_G0_X3_0", "TC_G0_X3_1", "TC_G0_X3_2"} & {c.name for c in plan.changes}
+    assert all(retained(c.name, float(c.new)) == c.new for c in plan.changes if c.kind == "real32")
+    (loss,) = plan.losses
+    assert (loss.sensor, loss.unit) == (Sensor.GYRO, "rad/s")
+    assert loss.cost < 2e-4
+    after = {**parameters, **{c.name: c.new for c in plan.changes}}
+    held = px4.calibration_in_force(after, Sensor.GYRO, 0)
+    assert held.polynomial is not None
+    d = np.linspace(10.0, 57.0, 40)
+    truth = (d - 25.0)[:, None] ** np.arange(1, 4) @ PX4_GYRO.T
+    curve = held.polynomial(d) + held.offset
+    apart = curve - truth - (curve - truth)[16]
+    assert np.abs(apart).max() < 2e-4  # 0.01 deg/s over 47 degC

@@ -70,7 +70,7 @@ def test_an_accelerometer_in_its_own_unit(request, make_fit, autopilot):
         assert planned[scale.format(axis)].sd == pytest.approx(SDS[3 + k], rel=1e-6)
 
 
-CURVE = ThermalPolynomial(25.0, 10.0, 60.0, [[7e-5, 6e-7, 1e-9], [-4e-5, -3e-7, 2e-9], [9e-5, 4e-7, 3e-9]])
+CURVE = ThermalPolynomial(25.0, 10.0, 60.0, [[7e-5, 6e-7, 4e-7], [-4e-5, -3e-7, 2e-7], [9e-5, 4e-7, 3e-7]])
 
 
 @pytest.fixture
@@ -101,7 +101,7 @@ def test_a_drift_on_ardupilot_is_that_of_the_curve_about_35_degrees(ardupilot_pa
             assert change.unit == f"1e-6 rad/s/degC^{order}"
             assert change.new == pytest.approx(ardupilot_coefficients(CURVE)[axis, order - 1], rel=1e-6)
     # a + 2 b d + 3 c d^2 with d = 10, in millionths
-    assert planned["INS_TCAL1_GYR1_X"].new == pytest.approx(70.0 + 20 * 0.6 + 300 * 0.001, rel=1e-6)
+    assert planned["INS_TCAL1_GYR1_X"].new == pytest.approx(70.0 + 20 * 0.6 + 300 * 0.4, rel=1e-6)
 
 
 def test_a_drift_on_px4_is_the_curve_as_it_is(px4_parameters, px4_fingerprint, drift):

@@ -142,7 +142,7 @@ def test_rows_are_found_by_device_and_the_guess_is_said(px4_parameters, px4_fing
 
 
 def cubic(t_ref=35.0):
-    return ThermalPolynomial(t_ref, 15.0, 60.0, [[7e-3, 6e-5, 1e-7], [-4e-3, -3e-5, 0.0], [9e-3, 4e-5, 0.0]])
+    return ThermalPolynomial(t_ref, 15.0, 60.0, [[7e-3, 6e-5, 2e-7], [-4e-3, -3e-5, 0.0], [9e-3, 4e-5, 0.0]])
 
 
 def test_thermal_gyro_is_absolute(px4_parameters, px4_fingerprint, make_fit):
