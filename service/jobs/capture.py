@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mavcal.calib.errors import ProcedureError
-from mavcal.calib.firmware.in_force.fingerprint import matters
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
@@ -24,7 +23,7 @@ from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame, iter_tlog
 from mavcal.service.errors import CaptureEnded, DiskFull, LinkDown, ParameterTimeout, VehicleSilent
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
-from mavcal.service.jobs.digest import LiveDigest, changed, read_range
+from mavcal.service.jobs.digest import LiveDigest, changed, read_range, spoils
 from mavcal.service.jobs.handle import JobHandle, counting
 from mavcal.service.jobs.needs import read_needed
 from mavcal.service.jobs.port import JobVehicle
@@ -193,7 +192,7 @@ class Capture:
                 watch.look(None)
                 await asyncio.sleep(self.settings.watch_s)
         for name, reading in readings.items():
-            if reading.value != self.parameters[name] and matters(name, specification(self.handle.job.kind).measured):
+            if spoils(self.handle.job.kind, name, self.parameters[name], reading.value):
                 raise changed(name, self.parameters[name], reading.value)
 
 

@@ -17,7 +17,7 @@ from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware import sensor_ids
 from mavcal.calib.firmware.compose.foresee import STREAMED_INSTANCES
-from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN, matters
+from mavcal.calib.firmware.in_force.fingerprint import BY_ITSELF, REWRITTEN_AT_REST, means_the_same
 from mavcal.calib.firmware.in_force.known import KnownCalibration
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS, needed
 from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
@@ -164,8 +164,9 @@ class LiveDigest:
             if not entry.name.startswith(self._prefixes):
                 continue
             before = self._parameters.setdefault(entry.name, entry.value)
-            if before != entry.value and matters(entry.name, specification(self._kind).measured):
+            if spoils(self._kind, entry.name, before, entry.value):
                 raise changed(entry.name, before, entry.value)
+            self._parameters[entry.name] = entry.value
 
 
 def context_of(
@@ -180,6 +181,20 @@ def context_of(
     return ProcedureContext(identity, instances, field, parameters)
 
 
+def spoils(kind: str, name: str, before: Value, after: Value) -> bool:
+    """Whether this change of a parameter makes the capture of a job of `kind` useless.
+
+    While a vehicle warms up, PX4 rewrites the offsets of its gyros whenever they have drifted by 0.01 rad/s. That is no
+    loss: :class:`~calib.firmware.in_force.undo.Undo` takes each value out from its time on, and leaves out the samples
+    around the change.
+    """
+    if before == after or means_the_same(name, before, after):
+        return False
+    if kind in DRIFT_KINDS and name in REWRITTEN_AT_REST:
+        return False
+    return Sensor.GYRO in specification(kind).measured or name not in BY_ITSELF
+
+
 def changed(name: str, before: Value, after: Value) -> CaptureEnded:
     """The refusal of a capture in which a calibration parameter changed; disturbed, if the vehicle may have done it."""
     who = "another ground station, or the vehicle itself"
@@ -187,7 +202,7 @@ def changed(name: str, before: Value, after: Value) -> CaptureEnded:
     if name.startswith("CAL_GYRO"):
         who += " (PX4's gyro_calibration, while IMU_GYRO_CAL_EN is 1)"
         remedy += " If it happens again, set IMU_GYRO_CAL_EN to 0 and restart the vehicle first."
-    kind = CaptureDisturbed if name in REWRITTEN else CaptureEnded
+    kind = CaptureDisturbed if name in BY_ITSELF else CaptureEnded
     return kind(
         f"{name} changed from {shown(before)} to {shown(after)} during the capture, set by {who}", remedy=remedy
     )
@@ -222,10 +237,9 @@ def fit_segments(request: JobFitRequest) -> Fitted:
     """
     recording = recording_of(request.spans, request.system)
     for entry in calibration_changes(recording):
-        if not matters(entry.name, specification(request.kind).measured):
-            continue
         before = next(e.value for e in recording.parameters.entries if e.name == entry.name)
-        raise changed(entry.name, before, entry.value)
+        if spoils(request.kind, entry.name, before, entry.value):
+            raise changed(entry.name, before, entry.value)
     parameters = recording.parameters.final()
     context = context_of(request.kind, recording.identity, parameters, field_of(recording, request.created_at))
     answers = [OperatorAnswer(t, value) for t, value in request.answers]

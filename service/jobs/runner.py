@@ -41,6 +41,9 @@ log = structlog.get_logger(__name__)
 
 REPEATED = frozenset({"gyro", "level", "accel-one-axis"})
 """Kinds that need one rest and no poses: they begin again by themselves."""
+EARLY = frozenset({"thermal"})
+"""Kinds that do so only in their first minute: later, the temperatures that they have passed do not come back."""
+EARLY_S = 60.0
 REPEATS = 3
 """So many times; a vehicle that goes on calibrating is a reason to look at it."""
 KEPT = "What was recorded is kept and can be fitted later; start the job again."
@@ -83,15 +86,17 @@ class Runner:
 
     async def _capture(self, handle: JobHandle, vehicle: JobVehicle) -> None:
         """Capture, and once more after a calibration of the vehicle's own where that costs nobody a pose."""
-        left = REPEATS if handle.job.kind in REPEATED else 0
+        left = REPEATS if handle.job.kind in REPEATED | EARLY else 0
         while True:
             await until_idle(handle, vehicle, self.settings)
+            began = self.clock()
             capture = Capture(handle, vehicle, self.settings, self.reach, self.clock, self.wall)
             capture.foresee = partial(self._foresee, handle.job)
             try:
                 await capture.run()
             except CaptureDisturbed as disturbed:
-                if left == 0:
+                late = handle.job.kind in EARLY and self.clock() - began > EARLY_S
+                if left == 0 or late:
                     raise
                 left -= 1
                 _set_aside(handle, disturbed)

@@ -1,18 +1,19 @@
 """PX4's module gyro_calibration: it writes the mean gyroscope into CAL_GYRO by itself.
 
 It looks only at the accelerometer for motion, so a steady turn about the vertical counts as rest. Measured: 5 s after
-the last parameter change, if the offset would move by more than 0.01 rad/s.
+the last parameter change, if the offset would move by more than 0.01 rad/s. A gyroscope without a row gets one, whatever
+its mean. Each save of a row stores its id, priority and rotation beside the offsets (Gyroscope::ParametersSave).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from mavcal.service.simvehicle.parameters import Value
 from mavcal.service.simvehicle.px4_memory import GYRO_OFFSET_THRESHOLD
-from mavcal.service.simvehicle.px4_parameters import vector_names
+from mavcal.service.simvehicle.px4_parameters import DEFAULT_PRIORITY, SLOTS, UNINITIALISED, vector_names
 from mavcal.service.simvehicle.px4_protocol import Px4Parameters
 from mavcal.service.simvehicle.px4_sensors import Px4Sensors
 from mavcal.service.simvehicle.rotation import Array
@@ -94,11 +95,24 @@ class GyroWriter:
         values: dict[str, Value] = {}
         for memory, total in zip(self._sensors.gyros, self._sums, strict=True):
             mean = total / count
-            if memory.slot is not None and np.linalg.norm(mean - memory.offset) > GYRO_OFFSET_THRESHOLD:
-                base = f"CAL_GYRO{memory.slot}"
+            if memory.slot is None or np.linalg.norm(mean - memory.offset) > GYRO_OFFSET_THRESHOLD:
+                slot = self._free_slot(values) if memory.slot is None else memory.slot
+                base = f"CAL_GYRO{slot}"
+                values |= {f"{base}_ID": memory.device_id, f"{base}_PRIO": self._priority(base), f"{base}_ROT": -1}
                 values |= {n: float(v) for n, v in zip(vector_names(base, "OFF"), mean, strict=True)}
+        values = {name: value for name, value in values.items() if self._vehicle.table[name].value != value}
         if values:
             self._parameters.write(values)
             for name, value in values.items():
                 self._vehicle.note_own_write(name, float(value))
         self._reset(sample)
+
+    def _free_slot(self, claimed: Mapping[str, Value]) -> int:
+        """The first row that no gyroscope has."""
+        taken = [claimed.get(f"CAL_GYRO{n}_ID", self._vehicle.table.get(f"CAL_GYRO{n}_ID")) for n in range(SLOTS)]
+        return taken.index(0)
+
+    def _priority(self, base: str) -> int:
+        """The priority in force: the default where none was ever stored."""
+        stored = int(self._vehicle.table.get(f"{base}_PRIO"))
+        return DEFAULT_PRIORITY if stored == UNINITIALISED else stored

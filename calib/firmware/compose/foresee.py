@@ -1,4 +1,4 @@
-"""Says in the first second of a warm-up, not after it, which of its results this vehicle could not store.
+"""Says in the first second of a warm-up, not after it, what this vehicle does meanwhile and what it could not store.
 
 A plan is composed as if the drift of every sensor had been measured well. What it says now is then what the real plan
 will say.
@@ -24,6 +24,12 @@ from mavcal.calib.triad import ThermalPolynomial, TriadModel
 STREAMED_INSTANCES: Final = 3
 """MAVLink carries RAW_IMU or SCALED_IMU, SCALED_IMU2 and SCALED_IMU3."""
 
+OWN_OFFSETS: Final = (
+    "PX4 rewrites the offsets of its gyros by itself while it lies still (IMU_GYRO_CAL_EN = 1), whenever they have drifted "
+    "by more than 0.01 rad/s. Each such change is taken out of the samples; nothing needs to be done"
+)
+"""``GyroCalibration::Run`` (PX4 src/modules/gyro_calibration); IMU_GYRO_CAL_EN is read by the start script only."""
+
 _MEASURED: Final = ThermalPolynomial(35.0, 10.0, 60.0, np.full((3, 3), [1e-2, 1e-4, 1e-6]))
 """A drift that nothing could take for noise."""
 
@@ -35,7 +41,7 @@ def unknown_sensors(identity: Identity, parameters: Mapping[str, Value], options
 
 
 def foreseen(identity: Identity, parameters: Mapping[str, Value], options: ComposeOptions) -> tuple[str, ...]:
-    """What could not be written of a measured drift of every inertial sensor, one sentence each."""
+    """What could not be written of a measured drift of every inertial sensor, and what the vehicle does meanwhile."""
     known = [key for key in sorted(_ids(identity, parameters)) if key[0] != Sensor.MAG]
     asked = [key for key in known if not options.only or key in options.only]
     told = [
@@ -45,6 +51,8 @@ def foreseen(identity: Identity, parameters: Mapping[str, Value], options: Compo
         if key[1] >= STREAMED_INSTANCES
     ]
     drifts = [_drift(*key) for key in asked if key[1] < STREAMED_INSTANCES]
+    if identity.autopilot == "px4" and int(parameters.get("IMU_GYRO_CAL_EN", 0)) != 0:
+        told.append(OWN_OFFSETS)
     try:
         told += unwritable(drifts, parameters, fingerprint(identity, parameters), options=options) if drifts else ()
     except FirmwareError as error:

@@ -7,6 +7,7 @@ corrects (:mod:`calib.firmware.compose.px4_memory`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,10 @@ from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
+
+GYRO_WRITER: Final = "IMU_GYRO_CAL_EN"
+"""Whether PX4 starts its gyro_calibration; read at the start only, so that setting it to 0 stops nothing."""
+RESTING: Final = "beside CAL_GYRO's, which PX4's gyro_calibration keeps right until the restart"
 
 
 def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
@@ -96,6 +101,7 @@ def _set_offset(draft: Draft, about: Subject, fit: FitResult) -> None:
         return
     offset, covariance = offset_at(fit, temperature if temperature is not None else 0.0)
     memory = px4.Px4Calibration.load(draft.parameters, about.sensor, about.instance)
+    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
     known = np.array([fit.determined(f"offset_{a}") for a in AXES])
     wanted = Vector(
         about,
@@ -105,6 +111,10 @@ def _set_offset(draft: Draft, about: Subject, fit: FitResult) -> None:
         "m/s2" if about.sensor == Sensor.ACCEL else "rad/s",
         f"offset of {about}",
     )
+    if _rewritten_before_restart(draft, about):
+        held = np.array([float(draft.parameters.get(roles[role], 0.0)) for role in names.OFFSET])
+        add_constant(draft, about, wanted.values - held, wanted.sd, RESTING)
+        return
     lasting = survives_restart(about, names.OFFSET, wanted.values)
     if thermal_runs(draft, about) and _thermal_is_live(draft, about):
         target = representable(wanted)
@@ -124,6 +134,17 @@ def _set_offset(draft: Draft, about: Subject, fit: FitResult) -> None:
             "it could be held by the temperature compensation, if that ran",
         )
     set_vector(draft, wanted, representable(wanted))
+
+
+def _rewritten_before_restart(draft: Draft, about: Subject) -> bool:
+    """Whether PX4 would rewrite a new gyro offset between its write and the restart that starts the compensation.
+
+    Its gyro_calibration compares the offset with the mean of the gyro at the present temperature, 5 s after every
+    change. An offset that is right with the compensation only would not last until the restart; the one in force would.
+    """
+    if about.sensor != Sensor.GYRO or int(draft.parameters.get(GYRO_WRITER, 0)) == 0:
+        return False
+    return thermal_runs(draft, about) and not _thermal_is_live(draft, about)
 
 
 def _thermal_is_live(draft: Draft, about: Subject) -> bool:
@@ -161,7 +182,7 @@ def _silence_writers(draft: Draft, pairs: Sequence[Pair]) -> None:
             kind=ParameterKind.INT32,
             session=True,
         )
-    if Sensor.GYRO in sensors and int(draft.parameters.get("IMU_GYRO_CAL_EN", 0)) != 0:
+    if Sensor.GYRO in sensors and int(draft.parameters.get(GYRO_WRITER, 0)) != 0:
         draft.warn(
             "PX4 re-estimates the gyro offsets by itself while disarmed and still (IMU_GYRO_CAL_EN = 1): it "
             "overwrites them where its estimate differs by more than 0.01 rad/s, and takes a steady turn for a bias. "

@@ -199,7 +199,9 @@ def _silent_first(draft: Draft, rows: Sequence[str]) -> None:
     draft.reorder([c.name for c in sorted(changes, key=lambda c: asks_for_save(c.name, c.old or 0.0, c.new))])
 
 
-def add_constant(draft: Draft, about: Subject, more: Array, sd: Array) -> None:
+def add_constant(
+    draft: Draft, about: Subject, more: Array, sd: Array, why: str = "too fine a change for PX4's calibration memory"
+) -> None:
     """Move `more` (3,) of an offset into X0, which has no threshold."""
     roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
     for axis, role in enumerate(names.THERMAL[0]):
@@ -207,7 +209,7 @@ def add_constant(draft: Draft, about: Subject, more: Array, sd: Array) -> None:
             roles[role],
             draft.get(roles[role], 0.0) + float(more[axis]),
             Rank.THERMAL,
-            f"offset of {about}, {AXES[axis]} axis, too fine a change for PX4's calibration memory",
+            f"offset of {about}, {AXES[axis]} axis, {why}",
             about=about,
             sd=float(sd[axis]) or None,
             unit="m/s2" if about.sensor == Sensor.ACCEL else "rad/s",

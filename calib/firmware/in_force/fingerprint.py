@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping
 from types import MappingProxyType
 from typing import Final
@@ -72,6 +73,17 @@ REWRITTEN: Final = REWRITTEN_AT_REST | _offsets(
 
 ArduPilot does so at every start (INS_GYR_CAL = 1), PX4 at rest (IMU_GYRO_CAL_EN = 1).
 """
+CLAIMED_AT_REST: Final = frozenset(
+    px4_names(Sensor.GYRO, slot)[role] for slot in range(PX4_SLOTS) for role in (Role.ID, Role.PRIORITY, Role.ROTATION)
+)
+"""What PX4's gyro_calibration writes beside the offsets: it claims a row for a gyro that has none, and fills it.
+
+``Gyroscope::ParametersSave`` (PX4 src/lib/sensor_calibration/Gyroscope.cpp) stores id, priority, offsets and rotation
+together, so that an uninitialised priority (-1) becomes the default (50) with the first save.
+"""
+PX4_PRIORITY: Final = re.compile(r"CAL_(ACC|GYRO|MAG|BARO)\d_PRIO")
+BY_ITSELF: Final = REWRITTEN | CLAIMED_AT_REST
+"""Everything that a vehicle changes by itself: such a change is nobody's fault, and the capture may begin again."""
 
 
 def matters(name: str, sensors: Collection[Sensor]) -> bool:
@@ -80,6 +92,14 @@ def matters(name: str, sensors: Collection[Sensor]) -> bool:
     The gyro only tells rest from motion where it is not calibrated itself, so its offsets may change meanwhile.
     """
     return Sensor.GYRO in sensors or name not in REWRITTEN
+
+
+def means_the_same(name: str, before: Value, after: Value) -> bool:
+    """Whether two values of a parameter say the same of a stream: PX4's priority of -1 is the default one.
+
+    That is 50, and 75 for a sensor outside the board (``Gyroscope::ParametersLoad``); 0 would switch it off.
+    """
+    return bool(PX4_PRIORITY.fullmatch(name)) and {int(before), int(after)} in ({-1, 50}, {-1, 75})
 
 
 def calibration_snapshot(parameters: Mapping[str, Value]) -> dict[str, Value]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError, InvalidInputError
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
+from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN_AT_REST
 from mavcal.calib.firmware.in_force.pieces import Key, Parameters, Piece
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
@@ -40,7 +41,7 @@ MIXING: Final = 0.1
 
 
 def calibration_changes(recording: Recording) -> tuple[ParameterEntry, ...]:
-    """Entries at which a calibration parameter took another value; a live capture with any of them is refused."""
+    """Entries at which a calibration parameter took another value."""
     return recording.parameters.changes(CALIBRATION_PREFIXES.get(recording.identity.autopilot or "", ()))
 
 
@@ -127,7 +128,7 @@ class Undo:
             if entry.name not in self._latest:
                 first[entry.name] = entry.value
             elif self._latest[entry.name] != entry.value:
-                changes.setdefault(entry.t, {})[entry.name] = entry.value
+                changes.setdefault(_together(changes, entry), {})[entry.name] = entry.value
             self._latest[entry.name] = entry.value
         pieces = [self._piece.completed(self._autopilot, first) if first else self._piece]
         for t, changed in changes.items():
@@ -190,6 +191,24 @@ class Undo:
                 key = channel.sensor, channel.instance
                 if key not in self._held or self._held[key][0] <= channel.t[-1]:
                     self._held[key] = float(channel.t[-1]), float(channel.values[-1, 0])
+
+
+def _together(changes: Mapping[float, Parameters], entry: ParameterEntry) -> float:
+    """The time from which a change counts: that of the same gyro's other axes, if they changed just before.
+
+    PX4's gyro_calibration stores the three axes of an offset at once, and PX4's memory takes them or leaves them by the
+    length of the whole change; they are told one after the other.
+    """
+    if entry.name not in REWRITTEN_AT_REST:
+        return entry.t
+    row = entry.name.partition("_")[2].partition("_")[0]
+    near = [
+        t
+        for t, changed in changes.items()
+        if entry.t - GUARD_BEFORE_S < t <= entry.t
+        and any(name in REWRITTEN_AT_REST and f"_{row}_" in name for name in changed)
+    ]
+    return min(near, default=entry.t)
 
 
 def _spans(channel: Channel, pieces: list[Piece], autopilot: str) -> list[tuple[Piece, NDArray[np.bool_]]]:

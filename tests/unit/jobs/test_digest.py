@@ -28,6 +28,7 @@ from mavcal.service.jobs.digest import (
     context_of,
     field_of,
     fit_segments,
+    spoils,
 )
 from mavcal.service.jobs.model import LogSpan
 
@@ -202,6 +203,28 @@ def test_a_change_that_the_vehicle_may_have_made_itself_is_a_disturbance() -> No
     assert isinstance(changed("INS_GYR1_CALTEMP", 30.0, 31.0), CaptureDisturbed)
     assert not isinstance(changed("CAL_ACC0_XOFF", 0.0, 1.0), CaptureDisturbed)
     assert "set IMU_GYRO_CAL_EN to 0" in changed("CAL_GYRO0_XOFF", 0.0, 1.0).remedy
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "before", "after", "spoiled"),
+    [
+        ("gyro", "CAL_GYRO0_PRIO", -1, 50, False),  # the same priority by another number
+        ("gyro", "CAL_GYRO0_PRIO", 50, 0, True),
+        ("gyro", "CAL_GYRO0_XOFF", 0.0, 0.1, True),
+        ("gyro", "CAL_GYRO0_ID", 0, 1310988, True),
+        ("accel", "CAL_GYRO0_ID", 0, 1310988, False),
+        ("accel", "CAL_GYRO0_XOFF", 0.0, 0.1, False),
+        ("accel", "CAL_ACC0_XOFF", 0.0, 0.1, True),
+        ("mag", "CAL_GYRO0_XOFF", 0.0, 0.1, True),
+        ("mag", "CAL_GYRO0_PRIO", -1, 50, False),
+        ("thermal", "CAL_GYRO0_XOFF", 0.0, 0.1, False),  # undone from its time on
+        ("thermal", "CAL_GYRO0_ID", 0, 1310988, True),
+        ("thermal", "INS_GYROFFS_X", 0.0, 0.1, True),
+    ],
+)
+def test_which_changes_spoil_a_capture(kind: str, name: str, before: float, after: float, spoiled: bool) -> None:
+    assert spoils(kind, name, before, after) == spoiled
+    assert isinstance(changed(name, before, after), CaptureDisturbed) == ("GYR" in name)
 
 
 def test_a_compass_waits_for_its_position_and_takes_answers_only_then() -> None:

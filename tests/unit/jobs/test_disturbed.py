@@ -11,7 +11,7 @@ import pytest
 
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.model import Failure, Job
-from mavcal.service.jobs.runner import REPEATS
+from mavcal.service.jobs.runner import EARLY_S, REPEATS
 from mavcal.service.jobs.spans import captured
 from mavcal.service.jobs.states import CAPTURING, JobState
 from mavcal.service.store import SqliteStore
@@ -81,6 +81,21 @@ async def test_a_rest_begins_again_and_what_came_before_is_set_aside(capturing: 
         assert c.job.state in CAPTURING
         assert captured(c.job, c.store) == c.segments()[1:]  # the fit is made of these alone
         assert c.vehicle.sets == []
+
+
+@pytest.mark.parametrize(("elapsed", "again"), [(0.0, True), (EARLY_S + 1.0, False)])
+async def test_a_warm_up_begins_again_in_its_first_minute_only(
+    capturing: Begin, monkeypatch: pytest.MonkeyPatch, elapsed: float, again: bool
+) -> None:
+    monkeypatch.setattr("mavcal.service.jobs.runner.EARLY_S", EARLY_S - elapsed)
+    async with capturing("thermal") as c:
+        await c.begun(1)
+        await c.disturbed()
+        c.vehicle.change_state(calibrating=False)
+        if again:
+            await c.begun(2)
+        else:
+            await until(lambda: c.job.state == JobState.FAILED)
 
 
 async def test_it_begins_again_only_so_often(capturing: Begin) -> None:

@@ -204,6 +204,25 @@ def test_request_data_stream_is_not_handled(bench: Any) -> None:
     assert not {r.name for r in b.heard[0] if "IMU" in r.name}
 
 
+FACTORY = {"CAL_GYRO0_ID": 0, "CAL_GYRO0_PRIO": -1}
+
+
+@pytest.mark.parametrize("preset", [FACTORY, {"CAL_GYRO0_PRIO": -1}])
+def test_a_gyro_of_the_factory_gets_its_row_and_priority_with_the_first_offset(
+    bench: Any, preset: dict[str, int]
+) -> None:
+    """gyro_calibration stores id, priority, rotation and offset together, 5 s after the last change."""
+    b = bench("px4", parameters=preset, boot_s=0.1)
+    b.run(2.0)
+    b.set("COM_DISARM_LAND", 3.0)
+    b.run(4.5)
+    assert b.vehicle.table.get("CAL_GYRO0_PRIO") == -1
+    b.run(1.5)
+    row = [b.vehicle.table.get(f"CAL_GYRO0_{name}") for name in ("ID", "PRIO", "ROT")]
+    assert row == [1310988, 50, -1]
+    assert any(b.vehicle.table.get(f"CAL_GYRO0_{axis}OFF") for axis in "XYZ")
+
+
 def test_the_scaled_magnetometer_is_raw_whatever_is_calibrated(bench: Any) -> None:
     b = settled(bench, **QUIET)
     b.command(511, SCALED, 20000)
