@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.fitted import Pair
 from mavcal.calib.firmware.proof.discrepancy import (
@@ -56,6 +57,23 @@ class Corrections:
             self._models[refused] = self.force.model(self.about, self.every - refused)
         return self._models[refused]
 
+    def possible(self, refused: Hypothesis, readings: Sequence[StillMean]) -> bool:
+        """Whether a vehicle can hold that combination, and `readings` can be undone by it."""
+        return not self.why_impossible(refused, readings)
+
+    def why_impossible(self, refused: Hypothesis, readings: Sequence[StillMean]) -> str:
+        """Why not :meth:`possible`, in words; empty if it is."""
+        if refused not in self._models:
+            model = self.force.possible(self.about, self.every - refused)
+            if model is None:
+                return self.force.why_impossible(self.about, self.every - refused)
+            self._models[refused] = model
+        try:
+            self.force.motor(self.about, self.every - refused, readings)
+        except FirmwareError as error:  # a corrupt gain among the old values, or a drive that was not streamed
+            return str(error)
+        return ""
+
     def raw(self, refused: Hypothesis, readings: Sequence[StillMean]) -> Array:
         """What the sensor measured at each reading, (K, 3), if `refused` did not take effect."""
         streamed = np.array([r.mean for r in readings]).reshape(-1, 3)
@@ -75,7 +93,8 @@ class Corrections:
 
     def readable(self, readings: tuple[StillMean, ...]) -> tuple[StillMean, ...]:
         """Those of `readings` that can be undone: a correction by temperature needs the temperature."""
-        thermal = any(self.model(h).polynomial is not None for h in (ALL_APPLIED, self.every))
+        ends = [self.force.possible(self.about, self.every - h) for h in (ALL_APPLIED, self.every)]
+        thermal = any(m is not None and m.polynomial is not None for m in ends)
         return tuple(r for r in readings if r.temperature is not None or not thermal)
 
 
@@ -95,11 +114,15 @@ class StreamCheck:
         """Unit of the stream."""
         return {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s"}.get(self.capture.sensor, "uT")
 
+    def without(self, name: str) -> Hypothesis:
+        """The least that did not take effect if `name` did not; empty: its old value fits beside no other."""
+        return self.judgement.alone.get(name, ALL_APPLIED)
+
     def effect(self, name: str) -> float:
         """How far the stream would be off, at most over the readings, if `name` alone had not taken effect."""
         readings = (*self.capture.after, *self.capture.invariant)
         raw = self.corrections.raw(ALL_APPLIED, readings)
-        with_it, without = (self.corrections.stream(h, raw, readings) for h in (ALL_APPLIED, frozenset({name})))
+        with_it, without = (self.corrections.stream(h, raw, readings) for h in (ALL_APPLIED, self.without(name)))
         return float(np.linalg.norm(with_it - without, axis=1).max())
 
     def sd(self, name: str) -> float:
@@ -119,7 +142,7 @@ class StreamCheck:
         """How many standard deviations `name` would be worth with other readings, compared with lengths alone."""
         capture = dataclasses.replace(self.capture, before=None, raw_before=None, after=readings, invariant=readings)
         root = np.linalg.cholesky(self.covariance(capture, equality=False))
-        shift = discrepancy(capture, self._undo(frozenset({name})), equality=False)
+        shift = discrepancy(capture, self._undo(self.without(name)), equality=False)
         shift = shift - discrepancy(capture, self._undo(ALL_APPLIED), equality=False)
         return float(np.linalg.norm(np.linalg.solve(root, shift)))
 
@@ -145,6 +168,8 @@ def check_stream(
     the lengths of its vectors are left. A gyroscope at rest reads the same in any attitude, so it has no such excuse.
     """
     corrections = Corrections(force, about)
+    if not corrections.possible(ALL_APPLIED, (*now.readings.get(about, ()), *now.moving.get(about, ()))):
+        return None
     capture = _capture(corrections, pair, then, now, restarted=restarted)
     ways = [True] if capture.equality else []
     if capture.lengths and not (ways and about.sensor == Sensor.GYRO):
@@ -170,7 +195,8 @@ def _capture(
     readings = within(known, corrections.readable(now.readings.get(about, ())))
     moving = within(known, corrections.readable(now.moving.get(about, ())))
     earlier = within(known, corrections.readable(then.readings.get(about, ())))
-    before = earlier[-1] if earlier else None
+    comparable = bool(earlier) and corrections.possible(corrections.every, earlier[-1:])
+    before = earlier[-1] if comparable else None
     expected = None
     if pair is not None and pair.absolute is not None:
         expected = expected_of(pair.at_rest, drift, moves, _magnitude(about.sensor, pair.absolute))
@@ -230,7 +256,11 @@ def _judge(
     matrix = covariance(capture, whole, lambda r: corrections.raw(ALL_APPLIED, r), equality=equality)
     whitening = np.linalg.inv(np.linalg.cholesky(matrix))
 
-    def whitened(refused: Hypothesis) -> Array:
+    readings = (*capture.after, *capture.invariant)
+
+    def whitened(refused: Hypothesis) -> Array | None:
+        if not corrections.possible(refused, readings):
+            return None
         vector = discrepancy(capture, lambda r: corrections.raw(refused, r), equality=equality)
         return np.asarray(whitening @ vector)
 

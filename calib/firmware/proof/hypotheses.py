@@ -41,7 +41,9 @@ class StreamJudgement:
 
     verdicts: dict[str, ProofVerdict]
     distance: dict[str, float]
-    """How many standard deviations apart "applied" and "not applied" are, for each change alone."""
+    """How many standard deviations apart "applied" and "not applied" are, for each change alone; 0 without `alone`."""
+    alone: dict[str, Hypothesis]
+    """The smallest hypothesis that refuses a change and that a vehicle can have; no entry: there is none."""
     explained: bool
     """False: the streams agree with no combination of old and new values."""
 
@@ -63,20 +65,26 @@ def combinations_of(names: Sequence[str]) -> tuple[Hypothesis, ...]:
     return tuple(dict.fromkeys(chosen))
 
 
-def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array]) -> StreamJudgement:
-    """Weigh every combination of `names` by its whitened discrepancy (n,)."""
-    hypotheses = combinations_of(names)
-    points = np.array([whitened(h) for h in hypotheses])
+def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array | None]) -> StreamJudgement:
+    """Weigh every combination of `names` by its whitened discrepancy (n,); None: no vehicle can have that one.
+
+    "Everything applied" must not be None.
+    """
+    found = [(h, point) for h in combinations_of(names) if (point := whitened(h)) is not None]
+    hypotheses = [h for h, _ in found]
+    points = np.array([point for _, point in found])
     place = {h: k for k, h in enumerate(hypotheses)}
     applied = points[place[frozenset()]]
-    distance = {n: float(np.linalg.norm(points[place[frozenset({n})]] - applied)) for n in names}
+    ordered = sorted(hypotheses, key=len)
+    alone = {n: h for n in names if (h := next((h for h in ordered if n in h), None)) is not None}
+    distance = {n: float(np.linalg.norm(points[place[alone[n]]] - applied)) if n in alone else 0.0 for n in names}
     explained = bool((points**2).sum(axis=1).min() <= scipy.special.chdtri(max(points.shape[1], 1), UNEXPLAINED))
     allowed = [h for h, kept in zip(hypotheses, _allowed(points, THRESHOLD), strict=True) if kept]
     verdicts = {n: _verdict(n, distance[n], allowed, explained=explained) for n in names}
     if ProofVerdict.CONTRADICTED not in verdicts.values():
         certain = [h for h, kept in zip(hypotheses, _allowed(points, CERTAIN), strict=True) if kept]
         verdicts |= dict.fromkeys(_simplest(certain, distance), ProofVerdict.CONTRADICTED)
-    return StreamJudgement(verdicts, distance, explained)
+    return StreamJudgement(verdicts, distance, alone, explained)
 
 
 def _simplest(allowed: Sequence[Hypothesis], distance: dict[str, float]) -> frozenset[str]:
