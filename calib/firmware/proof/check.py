@@ -21,10 +21,11 @@ from mavcal.calib.firmware.proof.discrepancy import (
     expected_of,
     true_magnitude,
 )
-from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
+from mavcal.calib.firmware.proof.evidence import IN_MOTION, StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import Force
-from mavcal.calib.firmware.proof.hypotheses import Hypothesis, StreamJudgement, judge
+from mavcal.calib.firmware.proof.hypotheses import Hypothesis, StreamJudgement, combinations_of, judge
 from mavcal.calib.firmware.proof.known_drift import known_drift
+from mavcal.calib.firmware.proof.spoilt import spoilt
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
@@ -147,7 +148,7 @@ class StreamCheck:
         return float(np.linalg.norm(np.linalg.solve(root, shift)))
 
     def _undo(self, refused: Hypothesis) -> Undo:
-        return lambda readings: self.corrections.raw(refused, readings)
+        return _undoing(self.corrections, refused)
 
 
 def check_stream(
@@ -253,18 +254,30 @@ def _judge(
     corrections: Corrections, capture: BeforeAfter, names: tuple[str, ...], *, equality: bool
 ) -> StreamJudgement:
     whole = corrections.model(ALL_APPLIED)
-    matrix = covariance(capture, whole, lambda r: corrections.raw(ALL_APPLIED, r), equality=equality)
-    whitening = np.linalg.inv(np.linalg.cholesky(matrix))
+    matrix = covariance(capture, whole, _undoing(corrections, ALL_APPLIED), equality=equality)
 
     readings = (*capture.after, *capture.invariant)
+    vectors = {
+        refused: discrepancy(capture, _undoing(corrections, refused), equality=equality)
+        for refused in combinations_of(names)
+        if corrections.possible(refused, readings)
+    }
+    kept = np.ones(len(matrix), dtype=bool)
+    turned = [k for k, reading in enumerate(capture.invariant) if reading.rest == IN_MOTION]
+    if turned and capture.sensor != Sensor.GYRO and capture.expected is not None:
+        candidates = ~kept
+        candidates[np.array(turned) + len(matrix) - len(capture.invariant)] = True
+        kept = ~spoilt(np.array(list(vectors.values())), matrix, candidates)
+    whitening = np.linalg.inv(np.linalg.cholesky(matrix[np.ix_(kept, kept)]))
 
     def whitened(refused: Hypothesis) -> Array | None:
-        if not corrections.possible(refused, readings):
-            return None
-        vector = discrepancy(capture, lambda r: corrections.raw(refused, r), equality=equality)
-        return np.asarray(whitening @ vector)
+        return np.asarray(whitening @ vectors[refused][kept]) if refused in vectors else None
 
     return judge(names, whitened)
+
+
+def _undoing(corrections: Corrections, refused: Hypothesis) -> Undo:
+    return lambda readings: corrections.raw(refused, readings)
 
 
 def strongest(checks: Mapping[Subject, StreamCheck], name: str) -> StreamCheck | None:

@@ -35,7 +35,7 @@ from mavcal.calib.firmware.plan import (
 from mavcal.calib.firmware.proof.check import ALL_APPLIED, Corrections
 from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import Force
-from mavcal.calib.firmware.proof.hypotheses import OBSERVABLE, Hypothesis, judge
+from mavcal.calib.firmware.proof.hypotheses import Hypothesis, judge
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Recording, Sensor
@@ -171,7 +171,7 @@ def _trims(
     for change in changes:
         effect = abs(float(change.new) - float(change.old or 0.0))
         verdict = judgement.verdicts[change.name]
-        if not judgement.explained and judgement.distance[change.name] >= OBSERVABLE:
+        if not judgement.explained:
             verdict, text = (
                 ProofVerdict.NOT_OBSERVABLE,
                 "the attitude also changed for another reason: the trim cannot be checked",

@@ -160,7 +160,7 @@ def _gravity(given: PlannedSensor, readings: Sequence[StillMean]) -> tuple[Devia
         normal = true / np.linalg.norm(true)
         row = np.concatenate((-normal @ matrix, np.kron(normal, raw - offset)))
         size = float(np.linalg.norm(reading.mean))
-        seen = reading.mean / size
+        seen = reading.mean / max(size, _NO_READING)
         misfit = fit.residual_rms if np.isfinite(fit.residual_rms) else 0.0
         variance = float(seen @ reading.covariance @ seen + row @ covariance @ row)
         sd = math.sqrt(variance + misfit**2 + STABILITY[Sensor.ACCEL] ** 2)

@@ -84,11 +84,10 @@ def verify(
         names = () if about in now.raw else force.acting(about)
         unknown = "" if about in now.raw else _unknown(about, force, now)
         if unknown:
-            names = names or tuple(
-                c.name for c in plan.changes if (c.sensor, c.instance) == (about.sensor, about.instance)
-            )
-            acting |= {about: names} if names else {}
-            outside[about] = unknown
+            own = (about.sensor, about.instance)
+            names = names or tuple(c.name for c in plan.changes if (c.sensor, c.instance) == own)
+            if names:
+                acting[about], outside[about] = names, unknown
             pairs.pop(about, None)
             continue
         if not names:
@@ -158,15 +157,16 @@ def _verdict(
 
 def _text(verdict: ProofVerdict, check: StreamCheck) -> str:
     by = "the streams before and after" if check.equality else "the length of its vector at rest"
+    scatter = "" if check.judgement.explained else "; they scatter more than noise and fit explain"
     if verdict == ProofVerdict.PROVED:
         return f"{by} agree with the new value and contradict the old one"
+    if verdict == ProofVerdict.CONSISTENT and scatter:
+        return f"{by} are nearer to the new value than to the old one{scatter}"
     if verdict == ProofVerdict.CONSISTENT:
         return f"{by} agree with the new value, but also with the old one beside other changes"
     if verdict == ProofVerdict.NOT_OBSERVABLE:
-        return f"its effect is below 3 standard deviations of {by} in these attitudes"
-    if check.judgement.explained:
-        return f"{by} behave as if the old value were still in force"
-    return f"{by} agree with neither the new nor the old values: something else changes this sensor's correction"
+        return f"its effect is below 3 standard deviations of {by} in these attitudes{scatter}"
+    return f"{by} behave as if the old value were still in force{scatter}"
 
 
 def _why_nothing(waiting: Sequence[Subject], now: StreamEvidence) -> str:
