@@ -193,6 +193,7 @@ class SensorCheckId(StrEnum):
     ACCEL_GRAVITY = "accel_gravity"  # gravity, at rest
     ACCEL_DIRECTION = "accel_direction"  # the same direction as another unit of its board
     LEVEL = "level"  # no tilt, where the vehicle stands level
+    ATTITUDE = "attitude"  # the estimator's tilt is that of the accelerometer; never wrong, at most open
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,7 @@ class ArduPilotVehicle(FlightController):
     def boot(self) -> None:
         """See Vehicle: latch what needs a reboot, calibrate the gyros unless told not to, begin to talk."""
         self.sensors.detect()
+        self.messages.tilt.boot()
         self.commands.boot()
         self.parameters.boot()
         if self.table.get("INS_GYR_CAL", 1.0) == 1:
@@ -114,6 +115,7 @@ class ArduPilotVehicle(FlightController):
     def sense(self, until: float) -> None:
         """See Vehicle."""
         self.sensors.reader.advance(until)
+        self.messages.tilt.advance(until, flying=self.telemetry.flying)
 
     def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
         """See Vehicle."""

@@ -7,6 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from mavcal.service.simvehicle.ardupilot_ekf import TiltEstimate
 from mavcal.service.simvehicle.ardupilot_readings import Readings
 from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
 from mavcal.service.simvehicle.streams import ardupilot_interval_ms, ardupilot_stream
@@ -64,6 +65,7 @@ class ArduPilotMessages:
         momentary: Mapping[int, Callable[[], Any]],
     ) -> None:
         self._vehicle, self._sensors, self._telemetry = vehicle, sensors, telemetry
+        self.tilt = TiltEstimate(sensors)
         self._builders: dict[int, Builder] = {
             dialect.MAVLINK_MSG_ID_RAW_IMU: self._raw_imu,
             dialect.MAVLINK_MSG_ID_SCALED_IMU: self._scaled_imu(dialect.MAVLink_scaled_imu_message, 0),
@@ -80,7 +82,7 @@ class ArduPilotMessages:
 
     def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
         """Send the messages (time, order, channel, message id) that fall due; `times` are their instants."""
-        readings = Readings(self._sensors, times)
+        readings = Readings(self._sensors, self.tilt, times)
         position = {moment: i for i, moment in enumerate(times)}
         for moment, _, channel, message_id in due:
             message = self._builders[message_id](readings, position[moment])
@@ -118,7 +120,7 @@ class ArduPilotMessages:
     def one(self, message_id: int) -> Any:
         """One message of this instant, for REQUEST_MESSAGE; None if it cannot be sent."""
         builder = self._builders.get(message_id)
-        return None if builder is None else builder(Readings(self._sensors, [self._vehicle.time]), 0)
+        return None if builder is None else builder(Readings(self._sensors, self.tilt, [self._vehicle.time]), 0)
 
     def request_data_stream(self, channel: MavlinkChannel, message: Any) -> None:
         """REQUEST_DATA_STREAM: one group of messages, or all of them, at one rate."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mavcal.service.simvehicle.ardupilot_ekf import TiltEstimate
 from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors, ImuReading
 from mavcal.service.simvehicle.corrections import as_float32, truncated
 from mavcal.service.simvehicle.rotation import euler_from_quaternions
@@ -20,8 +21,8 @@ Floats = list[list[float]]
 class Readings:
     """The sensors at the instants of one tick: every message of an instant carries the same sample."""
 
-    def __init__(self, sensors: ArduPilotSensors, times: list[float]) -> None:
-        self._sensors = sensors
+    def __init__(self, sensors: ArduPilotSensors, tilt: TiltEstimate, times: list[float]) -> None:
+        self._sensors, self._tilt = sensors, tilt
         self.state: MotionState = sensors.world.state(np.asarray(times))
         self._imus: dict[int, ImuReading] = {}
         self._integers: dict[int, tuple[Rows, Rows, Rows, list[int]]] = {}
@@ -41,7 +42,8 @@ class Readings:
         if self._block is None:
             sensors = self._sensors
             primary, trim = self.imu(sensors.primary), sensors.table.vector("AHRS_TRIM")
-            self._block = make_block(sensors.world, self.state, primary.accel, primary.gyro, trim)
+            force = self._tilt.unbiased(primary.accel)
+            self._block = make_block(sensors.world, self.state, force, primary.gyro, trim)
         return self._block
 
     def integers(self, instance: int) -> tuple[Rows, Rows, Rows, list[int]]:

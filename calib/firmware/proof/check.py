@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.fitted import Pair
 from mavcal.calib.firmware.proof.discrepancy import (
@@ -20,10 +21,11 @@ from mavcal.calib.firmware.proof.discrepancy import (
     expected_of,
     true_magnitude,
 )
-from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
+from mavcal.calib.firmware.proof.evidence import IN_MOTION, StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import Force
-from mavcal.calib.firmware.proof.hypotheses import Hypothesis, StreamJudgement, judge
+from mavcal.calib.firmware.proof.hypotheses import Hypothesis, StreamJudgement, combinations_of, judge
 from mavcal.calib.firmware.proof.known_drift import known_drift
+from mavcal.calib.firmware.proof.spoilt import spoilt
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
@@ -56,6 +58,23 @@ class Corrections:
             self._models[refused] = self.force.model(self.about, self.every - refused)
         return self._models[refused]
 
+    def possible(self, refused: Hypothesis, readings: Sequence[StillMean]) -> bool:
+        """Whether a vehicle can hold that combination, and `readings` can be undone by it."""
+        return not self.why_impossible(refused, readings)
+
+    def why_impossible(self, refused: Hypothesis, readings: Sequence[StillMean]) -> str:
+        """Why not :meth:`possible`, in words; empty if it is."""
+        if refused not in self._models:
+            model = self.force.possible(self.about, self.every - refused)
+            if model is None:
+                return self.force.why_impossible(self.about, self.every - refused)
+            self._models[refused] = model
+        try:
+            self.force.motor(self.about, self.every - refused, readings)
+        except FirmwareError as error:  # a corrupt gain among the old values, or a drive that was not streamed
+            return str(error)
+        return ""
+
     def raw(self, refused: Hypothesis, readings: Sequence[StillMean]) -> Array:
         """What the sensor measured at each reading, (K, 3), if `refused` did not take effect."""
         streamed = np.array([r.mean for r in readings]).reshape(-1, 3)
@@ -75,7 +94,8 @@ class Corrections:
 
     def readable(self, readings: tuple[StillMean, ...]) -> tuple[StillMean, ...]:
         """Those of `readings` that can be undone: a correction by temperature needs the temperature."""
-        thermal = any(self.model(h).polynomial is not None for h in (ALL_APPLIED, self.every))
+        ends = [self.force.possible(self.about, self.every - h) for h in (ALL_APPLIED, self.every)]
+        thermal = any(m is not None and m.polynomial is not None for m in ends)
         return tuple(r for r in readings if r.temperature is not None or not thermal)
 
 
@@ -95,11 +115,15 @@ class StreamCheck:
         """Unit of the stream."""
         return {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s"}.get(self.capture.sensor, "uT")
 
+    def without(self, name: str) -> Hypothesis:
+        """The least that did not take effect if `name` did not; empty: its old value fits beside no other."""
+        return self.judgement.alone.get(name, ALL_APPLIED)
+
     def effect(self, name: str) -> float:
         """How far the stream would be off, at most over the readings, if `name` alone had not taken effect."""
         readings = (*self.capture.after, *self.capture.invariant)
         raw = self.corrections.raw(ALL_APPLIED, readings)
-        with_it, without = (self.corrections.stream(h, raw, readings) for h in (ALL_APPLIED, frozenset({name})))
+        with_it, without = (self.corrections.stream(h, raw, readings) for h in (ALL_APPLIED, self.without(name)))
         return float(np.linalg.norm(with_it - without, axis=1).max())
 
     def sd(self, name: str) -> float:
@@ -119,12 +143,12 @@ class StreamCheck:
         """How many standard deviations `name` would be worth with other readings, compared with lengths alone."""
         capture = dataclasses.replace(self.capture, before=None, raw_before=None, after=readings, invariant=readings)
         root = np.linalg.cholesky(self.covariance(capture, equality=False))
-        shift = discrepancy(capture, self._undo(frozenset({name})), equality=False)
+        shift = discrepancy(capture, self._undo(self.without(name)), equality=False)
         shift = shift - discrepancy(capture, self._undo(ALL_APPLIED), equality=False)
         return float(np.linalg.norm(np.linalg.solve(root, shift)))
 
     def _undo(self, refused: Hypothesis) -> Undo:
-        return lambda readings: self.corrections.raw(refused, readings)
+        return _undoing(self.corrections, refused)
 
 
 def check_stream(
@@ -145,6 +169,8 @@ def check_stream(
     the lengths of its vectors are left. A gyroscope at rest reads the same in any attitude, so it has no such excuse.
     """
     corrections = Corrections(force, about)
+    if not corrections.possible(ALL_APPLIED, (*now.readings.get(about, ()), *now.moving.get(about, ()))):
+        return None
     capture = _capture(corrections, pair, then, now, restarted=restarted)
     ways = [True] if capture.equality else []
     if capture.lengths and not (ways and about.sensor == Sensor.GYRO):
@@ -170,7 +196,8 @@ def _capture(
     readings = within(known, corrections.readable(now.readings.get(about, ())))
     moving = within(known, corrections.readable(now.moving.get(about, ())))
     earlier = within(known, corrections.readable(then.readings.get(about, ())))
-    before = earlier[-1] if earlier else None
+    comparable = bool(earlier) and corrections.possible(corrections.every, earlier[-1:])
+    before = earlier[-1] if comparable else None
     expected = None
     if pair is not None and pair.absolute is not None:
         expected = expected_of(pair.at_rest, drift, moves, _magnitude(about.sensor, pair.absolute))
@@ -227,14 +254,30 @@ def _judge(
     corrections: Corrections, capture: BeforeAfter, names: tuple[str, ...], *, equality: bool
 ) -> StreamJudgement:
     whole = corrections.model(ALL_APPLIED)
-    matrix = covariance(capture, whole, lambda r: corrections.raw(ALL_APPLIED, r), equality=equality)
-    whitening = np.linalg.inv(np.linalg.cholesky(matrix))
+    matrix = covariance(capture, whole, _undoing(corrections, ALL_APPLIED), equality=equality)
 
-    def whitened(refused: Hypothesis) -> Array:
-        vector = discrepancy(capture, lambda r: corrections.raw(refused, r), equality=equality)
-        return np.asarray(whitening @ vector)
+    readings = (*capture.after, *capture.invariant)
+    vectors = {
+        refused: discrepancy(capture, _undoing(corrections, refused), equality=equality)
+        for refused in combinations_of(names)
+        if corrections.possible(refused, readings)
+    }
+    kept = np.ones(len(matrix), dtype=bool)
+    turned = [k for k, reading in enumerate(capture.invariant) if reading.rest == IN_MOTION]
+    if turned and capture.sensor != Sensor.GYRO and capture.expected is not None:
+        candidates = ~kept
+        candidates[np.array(turned) + len(matrix) - len(capture.invariant)] = True
+        kept = ~spoilt(np.array(list(vectors.values())), matrix, candidates)
+    whitening = np.linalg.inv(np.linalg.cholesky(matrix[np.ix_(kept, kept)]))
+
+    def whitened(refused: Hypothesis) -> Array | None:
+        return np.asarray(whitening @ vectors[refused][kept]) if refused in vectors else None
 
     return judge(names, whitened)
+
+
+def _undoing(corrections: Corrections, refused: Hypothesis) -> Undo:
+    return lambda readings: corrections.raw(refused, readings)
 
 
 def strongest(checks: Mapping[Subject, StreamCheck], name: str) -> StreamCheck | None:

@@ -22,6 +22,10 @@ LONGEST_READING_S = 6.0
 THERMOMETER_AGE_S = 0.5
 """Mean age of an IMU temperature on the wire, which firmwares update about once a second."""
 MOST_MOVING_SAMPLES = 200
+IN_MOTION = -1
+"""Rest of a reading that was taken in none."""
+AVERAGED_S = 0.1
+"""Time over which a compass sample is a mean at most (ArduPilot's compass task, FLIGHT_CONTROLLERS 2.1)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +40,8 @@ class StillMean:
     current: float | None = None
     """A; None: not streamed."""
     throttle: float | None = None
-    rest: int = -1
-    """Which rest it belongs to: readings of one rest share the pose. -1: taken in motion."""
+    rest: int = IN_MOTION
+    """Which rest it belongs to: readings of one rest share the pose."""
     temperature_sd: float = 0.0
     """degC by which the temperature may be off: it is sent about once a second while it changes."""
 
@@ -134,10 +138,24 @@ def _moving(recording: Recording, channel: Channel, stills: tuple[Still, ...]) -
         return ()
     part = part.take(np.unique(np.linspace(0, len(part) - 1, min(len(part), MOST_MOVING_SAMPLES)).astype(np.intp)))
     covariance = channel.quantum**2 / 12.0 * np.eye(3)
+    short = _shortened(recording, part.t)
     return tuple(
-        StillMean(float(t), value, covariance, *_conditions(recording, channel.instance, float(t), float(t)))
-        for t, value in zip(part.t, part.values, strict=True)
+        StillMean(
+            float(t),
+            value,
+            covariance + share**2 * np.outer(value, value),
+            *_conditions(recording, channel.instance, float(t), float(t)),
+        )
+        for t, value, share in zip(part.t, part.values, short, strict=True)
     )
+
+
+def _shortened(recording: Recording, t: Array) -> Array:
+    """Share (n,) by which a vector that turns becomes shorter in a mean: ``(rate duration)^2 / 24`` at most."""
+    for gyro in recording.find(Sensor.GYRO)[:1]:
+        rate = np.interp(t, gyro.t, np.linalg.norm(gyro.values, axis=1))
+        return np.asarray((rate * AVERAGED_S) ** 2 / 24.0)
+    return np.zeros(len(t))
 
 
 def _conditions(

@@ -4,26 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.errors import FirmwareError
+from mavcal.calib.errors import FirmwareError, InvalidInputError
 from mavcal.calib.firmware import names
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.draft import Subject
+from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import Change, Value
 from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
-_HIDDEN_DEFAULTS: Final = MappingProxyType({"TMIN": 0.0, "TREF": 25.0})
-_TMAX: Final = MappingProxyType({"ardupilot": 70.0, "px4": 100.0})
+_HIDDEN_DEFAULTS: Final = MappingProxyType(
+    {
+        "ardupilot": ((Role.THERMAL_MAX, 70.0), *((role, 1.0) for role in names.SCALE)),
+        "px4": (
+            (Role.THERMAL_MAX, 100.0),
+            (Role.THERMAL_REF, 25.0),
+            (Role.ROTATION, -1),
+            (Role.PRIORITY, -1),
+            *((role, 1.0) for role in names.SCALE),
+        ),
+    }
+)
+"""What a parameter holds that the firmware does not list yet, where that is not 0 (FLIGHT_CONTROLLERS 1.1-1.4)."""
+_INVERTIBLE: Final = 1e6
+"""Condition of a correction up to which a stream is undone: one count of it would become a thousand fields."""
 
 
 @dataclass(frozen=True)
@@ -65,14 +81,44 @@ class Force:
         set is enabled, and the enabling only with coefficients.
         """
         every = frozenset(change.name for change in self.changes)
-        whole, none = self.model(about, every), self.model(about, frozenset())
+        whole, none = self.possible(about, every), self.possible(about, frozenset())
         motors = self._motor_names(about)
         return tuple(
             name
             for name in (change.name for change in self.changes)
             if name in motors
-            or _differ(whole, self.model(about, every - {name}))
-            or _differ(none, self.model(about, {name}))
+            or _differ(whole, self.possible(about, every - {name}))
+            or _differ(none, self.possible(about, {name}))
+        )
+
+    def possible(self, about: Subject, applied: Set[str]) -> TriadModel | None:
+        """:meth:`model`, or None where no vehicle corrects by that mixture of old and new values.
+
+        A new TMIN beside the old TMAX may leave no temperature between them; the scale of an absent sensor is 0, and
+        so is the diagonal of a compass that was never calibrated: beside one new element the matrix has no inverse.
+        """
+        try:
+            model = self.model(about, applied)
+        except (FirmwareError, InvalidInputError):
+            return None
+        return model if np.linalg.cond(model.matrix) < _INVERTIBLE else None
+
+    def why_impossible(self, about: Subject, applied: Set[str]) -> str:
+        """Why :meth:`possible` is None, in words; empty if it is not."""
+        try:
+            model = self.model(about, applied)
+        except (FirmwareError, InvalidInputError) as error:
+            return str(error)
+        invertible = np.linalg.cond(model.matrix) < _INVERTIBLE
+        return "" if invertible else f"the correction of {about} has no inverse: a scale or a diagonal is zero"
+
+    def without_alternative(self, about: Subject) -> frozenset[str]:
+        """Names of the changes whose old value fits beside no other: the stream cannot be held against it."""
+        every = frozenset(change.name for change in self.changes)
+        return frozenset(
+            name
+            for name in every
+            if self.possible(about, every - {name}) is None and self.possible(about, {name}) is None
         )
 
     def _motor_names(self, about: Subject) -> set[str]:
@@ -84,17 +130,21 @@ class Force:
     def _mixed(self, applied: Set[str]) -> dict[str, Value]:
         values = dict(self.parameters)
         for change in self.changes:
-            values[change.name] = change.new if change.name in applied else self._old(change)
+            values[change.name] = change.new if change.name in applied else self._old[change.name]
         return values
 
-    def _old(self, change: Change) -> Value:
-        """The value before; the firmware's default where it was hidden."""
-        if change.old is not None:
-            return change.old
-        ending = change.name.rsplit("_", 1)[-1]
-        if ending == "TMAX":
-            return _TMAX[self.autopilot]
-        return _HIDDEN_DEFAULTS.get(ending, 0)
+    @cached_property
+    def _old(self) -> dict[str, Value]:
+        """The values before; the firmware's default where one was hidden."""
+        return {c.name: self._default(c) if c.old is None else c.old for c in self.changes}
+
+    def _default(self, change: Change) -> Value:
+        if change.sensor is None or change.sensor not in CALIBRATED:
+            return 0
+        module = ardupilot if self.autopilot == "ardupilot" else px4
+        roles = module.calibration_names(self.parameters, change.sensor, change.instance)
+        defaults = {roles[role]: value for role, value in _HIDDEN_DEFAULTS[self.autopilot] if role in roles}
+        return defaults.get(change.name, 0)
 
     def _memory(self, about: Subject, applied: Set[str]) -> px4.Px4Calibration:
         old = px4.Px4Calibration.load(self._mixed(frozenset()), about.sensor, about.instance)
@@ -121,7 +171,7 @@ def force_of(autopilot: str, parameters: Mapping[str, Value], changes: tuple[Cha
     FirmwareError
         If the autopilot is not known.
     """
-    if autopilot not in _TMAX:
+    if autopilot not in _HIDDEN_DEFAULTS:
         raise FirmwareError(f"what {autopilot} does with its parameters is not known, so nothing of it can be checked")
     return Force(autopilot, {**parameters, **{c.name: c.new for c in changes}}, changes)
 
@@ -131,11 +181,13 @@ def _all_known(values: Sequence[float | None]) -> Array | None:
     return np.array(known) if len(known) == len(values) else None
 
 
-def _differ(a: TriadModel, b: TriadModel) -> bool:
-    """Whether two corrections differ anywhere in the narrower of their temperature ranges.
+def _differ(a: TriadModel | None, b: TriadModel | None) -> bool:
+    """Whether two corrections differ anywhere in the narrower of their temperature ranges; None: it cannot be.
 
     Beyond it one of them is clamped while the sensor drifts on unknown, so no stream could tell them apart there.
     """
+    if a is None or b is None:
+        return False
     curves = [m.polynomial for m in (a, b) if m.polynomial is not None]
     if not curves or not np.array_equal(a.matrix, b.matrix):
         return not (np.array_equal(a.offset, b.offset) and np.array_equal(a.matrix, b.matrix))

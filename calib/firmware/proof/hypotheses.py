@@ -41,9 +41,11 @@ class StreamJudgement:
 
     verdicts: dict[str, ProofVerdict]
     distance: dict[str, float]
-    """How many standard deviations apart "applied" and "not applied" are, for each change alone."""
+    """How many standard deviations apart "applied" and "not applied" are, for each change alone; 0 without `alone`."""
+    alone: dict[str, Hypothesis]
+    """The smallest hypothesis that refuses a change and that a vehicle can have; no entry: there is none."""
     explained: bool
-    """False: the streams agree with no combination of old and new values."""
+    """False: the streams scatter more than was known; distances are in standard deviations of what was seen."""
 
 
 def combinations_of(names: Sequence[str]) -> tuple[Hypothesis, ...]:
@@ -63,20 +65,34 @@ def combinations_of(names: Sequence[str]) -> tuple[Hypothesis, ...]:
     return tuple(dict.fromkeys(chosen))
 
 
-def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array]) -> StreamJudgement:
-    """Weigh every combination of `names` by its whitened discrepancy (n,)."""
-    hypotheses = combinations_of(names)
-    points = np.array([whitened(h) for h in hypotheses])
+def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array | None]) -> StreamJudgement:
+    """Weigh every combination of `names` by its whitened discrepancy (n,); None: no vehicle can have that one.
+
+    "Everything applied" must not be None. If even the best combination is off by more than chance allows, the streams
+    scatter more than was known: every standard deviation is then taken as much larger as makes that one fit, so that
+    the new values are given up only where the old ones fit far better.
+    """
+    found = [(h, point) for h in combinations_of(names) if (point := whitened(h)) is not None]
+    hypotheses = [h for h, _ in found]
+    points = np.array([point for _, point in found])
+    squares, size = (points**2).sum(axis=1), max(points.shape[1], 1)
+    explained = bool(squares.min() <= scipy.special.chdtri(size, UNEXPLAINED))
+    if not explained:
+        points = points / np.sqrt(squares.min() / size)
     place = {h: k for k, h in enumerate(hypotheses)}
     applied = points[place[frozenset()]]
-    distance = {n: float(np.linalg.norm(points[place[frozenset({n})]] - applied)) for n in names}
-    explained = bool((points**2).sum(axis=1).min() <= scipy.special.chdtri(max(points.shape[1], 1), UNEXPLAINED))
+    ordered = sorted(hypotheses, key=len)
+    alone = {n: h for n in names if (h := next((h for h in ordered if n in h), None)) is not None}
+    distance = {n: float(np.linalg.norm(points[place[alone[n]]] - applied)) if n in alone else 0.0 for n in names}
     allowed = [h for h, kept in zip(hypotheses, _allowed(points, THRESHOLD), strict=True) if kept]
-    verdicts = {n: _verdict(n, distance[n], allowed, explained=explained) for n in names}
+    verdicts = {n: _verdict(n, distance[n], allowed) for n in names}
+    if not explained:  # what scatters for no known reason proves nothing
+        weaker = {ProofVerdict.PROVED: ProofVerdict.CONSISTENT}
+        verdicts = {n: weaker.get(v, v) for n, v in verdicts.items()}
     if ProofVerdict.CONTRADICTED not in verdicts.values():
         certain = [h for h, kept in zip(hypotheses, _allowed(points, CERTAIN), strict=True) if kept]
         verdicts |= dict.fromkeys(_simplest(certain, distance), ProofVerdict.CONTRADICTED)
-    return StreamJudgement(verdicts, distance, explained)
+    return StreamJudgement(verdicts, distance, alone, explained)
 
 
 def _simplest(allowed: Sequence[Hypothesis], distance: dict[str, float]) -> frozenset[str]:
@@ -102,11 +118,9 @@ def _allowed(points: Array, threshold: float) -> NDArray[np.bool_]:
     return np.asarray(~beaten.any(axis=1))
 
 
-def _verdict(name: str, distance: float, allowed: Sequence[Hypothesis], *, explained: bool) -> ProofVerdict:
+def _verdict(name: str, distance: float, allowed: Sequence[Hypothesis]) -> ProofVerdict:
     if distance < OBSERVABLE:
         return ProofVerdict.NOT_OBSERVABLE
-    if not explained:
-        return ProofVerdict.CONTRADICTED
     refused = [name in hypothesis for hypothesis in allowed]
     if all(refused):
         return ProofVerdict.CONTRADICTED

@@ -4,6 +4,12 @@ PX4 turns every sensor by its trim: SCALED_IMU shows it, and :mod:`calib.firmwar
 turns the attitude, behind all sensors (FLIGHT_CONTROLLERS 2.2: AHRS_TRIM is in no IMU message), so only ATTITUDE
 shows it: with ``E = from_euler(trim)``, vehicle from board, "down" in the vehicle is ``E d``, ``d`` that in the board.
 From one trim to the next it is turned by ``E_new E_old^T``, whatever the estimator's own error.
+
+Whether the vehicle reads level is asked of its accelerometer through the parameters in force. The attitude of ArduPilot
+cannot refute that. On the ground EKF3 learns the bias of an axis only while that axis stands within 37 deg of the
+vertical (``NavEKF3_core::CovariancePrediction``) and holds it otherwise. What it learned under older offsets therefore
+stays in the attitude as long as the vehicle lies: no time at rest makes it forget (2.2 deg, captured for 34 s, did not
+change by 0.01 deg). A restart begins without biases. Where attitude and accelerometer differ, that is said.
 """
 
 from __future__ import annotations
@@ -29,7 +35,7 @@ from mavcal.calib.firmware.plan import (
 from mavcal.calib.firmware.proof.check import ALL_APPLIED, Corrections
 from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import Force
-from mavcal.calib.firmware.proof.hypotheses import OBSERVABLE, Hypothesis, judge
+from mavcal.calib.firmware.proof.hypotheses import Hypothesis, judge
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Recording, Sensor
@@ -44,8 +50,11 @@ SAME_POSE: Final = np.radians(0.3)
 """rad within which the vehicle still stands as it stood when its level was measured."""
 LEAST: Final = 4
 """Attitudes of a mean."""
-LEVEL_WITHIN: Final[Mapping[str, float]] = {"ardupilot": float(np.radians(0.5)), "px4": float(np.radians(0.2))}
-"""rad from level, where the level was measured: ArduPilot's is its estimator's, PX4's the accelerometer's own."""
+LEVEL_WITHIN: Final = float(np.radians(0.2))
+"""rad from level that the accelerometer may read, where the level was measured."""
+ATTITUDE_WITHIN: Final = float(np.radians(0.5))
+"""rad between ArduPilot's attitude and its accelerometer at rest: what its estimator is off by when it remembers
+nothing."""
 
 
 def level_checks(
@@ -64,19 +73,57 @@ def level_checks(
     fit = min(levels, key=lambda f: f.instance)
     about = Subject(Sensor.ACCEL, fit.instance)
     corrections = Corrections(force, about)
+    readings = corrections.readable(now.readings.get(about, ()))
+    if not all(corrections.possible(h, readings) for h in (ALL_APPLIED, corrections.every)):
+        return {}, (_level(about, (), fit),)
     earlier = corrections.readable(then.readings.get(about, ()))[-1:]
-    there = [r for r in corrections.readable(now.readings.get(about, ())) if _stands(corrections, fit, r)]
+    there = [r for r in readings if _stands(corrections, fit, r)]
+    if force.autopilot != "ardupilot":
+        return {}, (_level(about, [_down(r) for r in there], fit),)
     names = [c for c in plan.changes if c.name in AHRS_TRIM]
     verdicts: dict[str, ParameterVerdict] = {}
-    if force.autopilot == "ardupilot" and names and before is not None:
+    if names and before is not None:
         later = _unmoved(corrections, earlier, now, about)
         verdicts = _trims(force, names, _downs(before, earlier), _downs(after, later))
-    seen = _downs(after, there) if force.autopilot == "ardupilot" else [-r.mean / np.linalg.norm(r.mean) for r in there]
-    return verdicts, (_level(about, seen, fit, LEVEL_WITHIN[force.autopilot]),)
+    trimmed = _vehicle_from_board(force, names, frozenset())
+    level = _level(about, [trimmed @ _down(r) for r in there], fit)
+    return verdicts, (level, *_attitude(about, trimmed, after, there))
+
+
+def _down(reading: StillMean) -> Array:
+    """Direction of down in the board, (3,), by the accelerometer at rest."""
+    return np.asarray(-reading.mean / np.linalg.norm(reading.mean))
+
+
+def _attitude(
+    about: Subject, trimmed: Array, after: Recording, readings: Sequence[StillMean]
+) -> tuple[SensorCheck, ...]:
+    """Whether the attitude agrees with the accelerometer under the trim in force; it can only be open, never wrong."""
+    apart = [_angle(seen, trimmed @ _down(r)) for r in readings for seen in _downs(after, (r,))]
+    if not apart:
+        return ()
+    off = min(apart)
+    right = off <= ATTITUDE_WITHIN
+    degrees = f"{math.degrees(off):.2f} deg"
+    text = f"the vehicle's attitude is within {degrees} of {about}"
+    if not right:
+        text = (
+            f"the vehicle's attitude is {degrees} off {about}: its estimator remembers an earlier calibration, and at "
+            "rest it does not forget; restart the vehicle"
+        )
+    verdict = SensorVerdict.RIGHT if right else SensorVerdict.NOT_OBSERVABLE
+    sd = float(ESTIMATOR_SD)
+    return (
+        SensorCheck(
+            SensorCheckId.ATTITUDE, about.sensor, about.instance, off, ATTITUDE_WITHIN, "rad", sd, verdict, text
+        ),
+    )
 
 
 def _stands(corrections: Corrections, fit: FitResult, reading: StillMean) -> bool:
     """Whether the vehicle stands as it did when `fit` was made: with the old trim it would read what the fit read."""
+    if not reading.mean.any():
+        return False  # a sensor that streams zeros stands nowhere
     raw = corrections.raw(ALL_APPLIED, (reading,))
     old = corrections.stream(corrections.every, raw, (reading,))[0]
     return bool(_angle(old, force_when_level(float(fit.native["roll"]), float(fit.native["pitch"]))) <= SAME_POSE)
@@ -124,7 +171,7 @@ def _trims(
     for change in changes:
         effect = abs(float(change.new) - float(change.old or 0.0))
         verdict = judgement.verdicts[change.name]
-        if not judgement.explained and judgement.distance[change.name] >= OBSERVABLE:
+        if not judgement.explained:
             verdict, text = (
                 ProofVerdict.NOT_OBSERVABLE,
                 "the attitude also changed for another reason: the trim cannot be checked",
@@ -150,10 +197,10 @@ def _vehicle_from_board(force: Force, changes: Sequence[Change], refused: Set[st
     return euler_matrix(roll, pitch, 0.0)
 
 
-def _level(about: Subject, downs: Sequence[Array], fit: FitResult, within: float) -> SensorCheck:
+def _level(about: Subject, downs: Sequence[Array], fit: FitResult) -> SensorCheck:
     sd = math.hypot(float(fit.native["roll_sd"]), float(fit.native["pitch_sd"]))
     if not downs:
-        text = "the vehicle stands otherwise than when its level was measured, or does not send its attitude"
+        text = "the vehicle stands otherwise than when its level was measured, or was not at rest"
         return SensorCheck(
             SensorCheckId.LEVEL,
             about.sensor,
@@ -166,7 +213,7 @@ def _level(about: Subject, downs: Sequence[Array], fit: FitResult, within: float
             text,
         )
     off = min(_angle(d, np.array([0.0, 0.0, 1.0])) for d in downs)
-    limit = within + 5.0 * sd
+    limit = LEVEL_WITHIN + 5.0 * sd
     wrong = off > limit
     text = f"the vehicle reads {math.degrees(off):.2f} deg off level where its level was measured"
     text += f"; {'at most' if wrong else 'the limit is'} {math.degrees(limit):.2f} deg"

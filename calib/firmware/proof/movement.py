@@ -90,7 +90,7 @@ def _wished_temperature(check: StreamCheck, names: Sequence[str]) -> float | Non
 
 def _thermal(check: StreamCheck, name: str) -> bool:
     """Whether the effect of `name` depends on temperature."""
-    with_it, without = (check.corrections.model(h).polynomial for h in (ALL_APPLIED, frozenset({name})))
+    with_it, without = (check.corrections.model(h).polynomial for h in (ALL_APPLIED, check.without(name)))
     if with_it is None or without is None:
         return with_it is not without
     heat = np.array([with_it.t_min, 0.5 * (with_it.t_min + with_it.t_max), with_it.t_max])
@@ -112,7 +112,7 @@ def _choose_faces(check: StreamCheck, names: Sequence[str], faces: dict[str, Non
 
 def _face_of(reading: StillMean) -> str | None:
     """The face that a reading shows; None: it is oblique."""
-    direction = reading.mean / np.linalg.norm(reading.mean)
+    direction = reading.mean / max(float(np.linalg.norm(reading.mean)), float(np.finfo(np.float64).tiny))
     label, _, force = max(FACES, key=lambda face: float(direction @ np.array(face[2])))
     return label if float(direction @ np.array(force)) > NEAR else None
 

@@ -53,6 +53,8 @@ APART: Final = np.radians(2.0)
 FAR: Final = 0.5
 """m/s2: a limit beyond this says nothing."""
 _ANY_RATE: Final = 1.0  # rad/s, sd of an axis that the fit leaves open
+_NO_READING: Final = 1e-3
+"""m/s2 below which an accelerometer at rest has no direction: it streams zeros."""
 SAME_POSE: Final = 0.966
 """Cosine within which readings count as one pose (15 deg)."""
 
@@ -158,7 +160,7 @@ def _gravity(given: PlannedSensor, readings: Sequence[StillMean]) -> tuple[Devia
         normal = true / np.linalg.norm(true)
         row = np.concatenate((-normal @ matrix, np.kron(normal, raw - offset)))
         size = float(np.linalg.norm(reading.mean))
-        seen = reading.mean / size
+        seen = reading.mean / max(size, _NO_READING)
         misfit = fit.residual_rms if np.isfinite(fit.residual_rms) else 0.0
         variance = float(seen @ reading.covariance @ seen + row @ covariance @ row)
         sd = math.sqrt(variance + misfit**2 + STABILITY[Sensor.ACCEL] ** 2)
@@ -210,6 +212,8 @@ def _directions(written: Sequence[Subject], now: StreamEvidence) -> tuple[Sensor
         first = written[0]
         deviations = []
         for mine, other in _together(now.readings[about], now.readings[first]):
+            if min(np.linalg.norm(r.mean) for r in (mine, other)) < _NO_READING:
+                continue  # a unit that reads zero points nowhere; gravity tells that it is wrong
             a, b = (r.mean / np.linalg.norm(r.mean) for r in (mine, other))
             angle = float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
             sd = math.sqrt(max(np.trace(mine.covariance) + np.trace(other.covariance), 0.0)) / STANDARD_GRAVITY

@@ -15,13 +15,21 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.compose.content import contents
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.fitted import pair_fits
-from mavcal.calib.firmware.plan import ParameterVerdict, ProofVerdict, Value, Verification, WritePlan
-from mavcal.calib.firmware.proof.check import StreamCheck, check_stream, out_of_range, strongest
+from mavcal.calib.firmware.plan import Change, ParameterVerdict, ProofVerdict, Value, Verification, WritePlan
+from mavcal.calib.firmware.proof.check import (
+    ALL_APPLIED,
+    Corrections,
+    StreamCheck,
+    check_stream,
+    out_of_range,
+    strongest,
+)
 from mavcal.calib.firmware.proof.evidence import StreamEvidence, gather
-from mavcal.calib.firmware.proof.force import force_of
+from mavcal.calib.firmware.proof.force import Force, force_of
 from mavcal.calib.firmware.proof.level_check import level_checks
 from mavcal.calib.firmware.proof.movement import movement_for
 from mavcal.calib.firmware.proof.sensor_check import sensor_checks
+from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Recording, Sensor
 
@@ -52,10 +60,13 @@ def verify(
     parameters
         The vehicle's parameters; None: as they are in `after` (and in `before`, for what was not read again).
 
+    A combination of old and new values that no vehicle can have is left out. A sensor whose stream nothing undoes (a
+    parameter was not seen, a scale is zero) is not observable, and that says why.
+
     Raises
     ------
     FirmwareError
-        If a parameter that decides the correction of a stream was not seen.
+        If the autopilot is not known.
     InvalidInputError
         If the recordings hold no parameters and none are given.
     """
@@ -71,6 +82,14 @@ def verify(
     restarted = plan.needs_reboot or (before is not None and after.span[0] < before.span[1])
     for about in dict.fromkeys((*pairs, *_subjects(plan), *now.readings)):
         names = () if about in now.raw else force.acting(about)
+        unknown = "" if about in now.raw else _unknown(about, force, now)
+        if unknown:
+            own = (about.sensor, about.instance)
+            names = names or tuple(c.name for c in plan.changes if (c.sensor, c.instance) == own)
+            if names:
+                acting[about], outside[about] = names, unknown
+            pairs.pop(about, None)
+            continue
         if not names:
             continue
         acting[about] = names
@@ -81,7 +100,7 @@ def verify(
             outside[about] = beyond
     trims, level = level_checks(plan, told.levels, force, before=before, after=after, then=then, now=now)
     verdicts = tuple(
-        trims.get(change.name) or _verdict(change.name, checks, acting, now, outside) for change in plan.changes
+        trims.get(change.name) or _verdict(change, checks, acting, now, outside, force) for change in plan.changes
     )
     blind = [about for about in acting if not (now.readings.get(about) or now.moving.get(about))]
     unseen = tuple(c.name for c in plan.changes if any(c.name in acting[about] for about in blind))
@@ -98,18 +117,27 @@ def _parameters(before: Recording | None, after: Recording) -> dict[str, Value]:
     return known
 
 
+def _unknown(about: Subject, force: Force, now: StreamEvidence) -> str:
+    """In words, why nothing undoes the stream of `about` as it should be by now; empty if something does."""
+    readings = (*now.readings.get(about, ()), *now.moving.get(about, ()))
+    why = Corrections(force, about).why_impossible(ALL_APPLIED, readings)
+    return f"the stream of {about} cannot be undone ({why}); it was read back" if why else ""
+
+
 def _subjects(plan: WritePlan) -> tuple[Subject, ...]:
     sensors = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
     return tuple(Subject(c.sensor, c.instance) for c in plan.changes if c.sensor in sensors)
 
 
 def _verdict(
-    name: str,
+    change: Change,
     checks: Mapping[Subject, StreamCheck],
     acting: Mapping[Subject, tuple[str, ...]],
     now: StreamEvidence,
     outside: Mapping[Subject, str],
+    force: Force,
 ) -> ParameterVerdict:
+    name = change.name
     check = strongest(checks, name)
     if check is not None:
         verdict = check.judgement.verdicts[name]
@@ -120,6 +148,8 @@ def _verdict(
         text = next((outside[about] for about in waiting if about in outside), "") or _why_nothing(waiting, now)
     elif now.raw:
         text = "the stream of this sensor is raw and does not depend on it; it was read back"
+    elif change.sensor in CALIBRATED and name in force.without_alternative(Subject(change.sensor, change.instance)):
+        text = "its old value fits beside no other, so there is nothing to tell it from; it was read back"
     else:
         text = "no stream depends on it; it was read back"
     return ParameterVerdict(name, ProofVerdict.NOT_OBSERVABLE, 0.0, 0.0, "", text, acts_on_stream=bool(waiting))
@@ -127,15 +157,16 @@ def _verdict(
 
 def _text(verdict: ProofVerdict, check: StreamCheck) -> str:
     by = "the streams before and after" if check.equality else "the length of its vector at rest"
+    scatter = "" if check.judgement.explained else "; they scatter more than noise and fit explain"
     if verdict == ProofVerdict.PROVED:
         return f"{by} agree with the new value and contradict the old one"
+    if verdict == ProofVerdict.CONSISTENT and scatter:
+        return f"{by} are nearer to the new value than to the old one{scatter}"
     if verdict == ProofVerdict.CONSISTENT:
         return f"{by} agree with the new value, but also with the old one beside other changes"
     if verdict == ProofVerdict.NOT_OBSERVABLE:
-        return f"its effect is below 3 standard deviations of {by} in these attitudes"
-    if check.judgement.explained:
-        return f"{by} behave as if the old value were still in force"
-    return f"{by} agree with neither the new nor the old values: something else changes this sensor's correction"
+        return f"its effect is below 3 standard deviations of {by} in these attitudes{scatter}"
+    return f"{by} behave as if the old value were still in force{scatter}"
 
 
 def _why_nothing(waiting: Sequence[Subject], now: StreamEvidence) -> str:

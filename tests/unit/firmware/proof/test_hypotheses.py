@@ -52,13 +52,33 @@ def test_how_far_apart_the_two_are_is_said():
     assert found.verdicts == {"A": ProofVerdict.PROVED, "B": ProofVerdict.NOT_OBSERVABLE}
 
 
-def test_what_no_combination_explains_is_contradicted_where_it_shows():
+def test_what_no_combination_explains_is_judged_by_its_own_scatter():
     # the chance of 15.14 is one in 10000 for one number: 3.8906 standard deviations
     assert weigh([3.88], {"A": [20.0]}).explained
     assert not weigh([3.90], {"A": [20.0]}).explained
     far = weigh([4.5, 0.0], {"A": [0.0, 20.0], "B": [0.0, 0.5]})
     assert not far.explained
-    assert far.verdicts == {"A": ProofVerdict.CONTRADICTED, "B": ProofVerdict.NOT_OBSERVABLE}
+    assert far.verdicts == {"A": ProofVerdict.CONSISTENT, "B": ProofVerdict.NOT_OBSERVABLE}
+    assert far.distance["A"] == pytest.approx(20.0 / (4.5 / math.sqrt(2.0)))
+    between = weigh([-10.0, 0.0], {"A": [20.0, 0.0]})  # as far from the new value as from the old one
+    assert not between.explained
+    assert between.verdicts == {"A": ProofVerdict.NOT_OBSERVABLE}
+    old = weigh([-200.0, 5.0], {"A": [200.0, 0.0]})  # the old one fits far better, whatever scatters beside
+    assert not old.explained
+    assert old.verdicts == {"A": ProofVerdict.CONTRADICTED}
+
+
+def test_a_combination_that_no_vehicle_can_have_is_left_out():
+    def whitened(refused):
+        if "A" in refused and "B" not in refused:
+            return None  # A's old value does not fit beside B's new one
+        return np.array([10.0 * ("B" in refused)])
+
+    found = judge(["A", "B"], whitened)
+    assert found.verdicts == {"A": ProofVerdict.PROVED, "B": ProofVerdict.PROVED}  # without B no A
+    assert found.alone == {"A": frozenset({"A", "B"}), "B": frozenset({"B"})}
+    only = judge(["A"], lambda refused: None if refused else np.zeros(1))
+    assert (only.verdicts, only.alone) == ({"A": ProofVerdict.NOT_OBSERVABLE}, {})
 
 
 def test_two_that_look_alike_cannot_be_told_apart():
