@@ -396,7 +396,7 @@ class JobEngine:
         """
         handle = self._book.handle(job_id)
         digest = request_digest(job_id, accept)
-        if await self._acceptance.known(idempotency_key, digest, job_id):
+        if await self._acceptance.known(idempotency_key, digest, lambda: handle.job):
             return handle.job
         self._require_writing()
         require_acceptable(handle.job, accept)
