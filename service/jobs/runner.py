@@ -122,7 +122,7 @@ class Runner:
             self._end(handle, JobState.FAILED, ended.code, str(ended), ended.remedy)
             return
         except (ServiceError, CalibError) as error:
-            self._end(handle, JobState.FAILED, _code(error), str(error), KEPT)
+            self._end(handle, JobState.FAILED, _code(error), str(error), "What was recorded is kept; start the job again.")
             return
         told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
         told += [warning for fit in results for warning in fit.warnings]  # a sensor that was left out, above all
@@ -135,6 +135,7 @@ class Runner:
             plan=planned.plan,
             fingerprint=planned.plan.fingerprint,
             warnings=warnings,
+            missed=fitted.outcome.left_out,
             prompt=None,
         )
 

@@ -257,7 +257,8 @@ async def test_a_key_whose_apply_sent_nothing_writes_the_next_time(vehicle: Fake
             assert vehicle.sets == []
             vehicle.change_state(armed=False)
         began = (await engine.apply("j1", accept, "key")).last_write
-        assert began is not None and began.result == WriteResult.RUNNING
+        assert began is not None
+        assert began.result == WriteResult.RUNNING
         assert (await engine.apply("j1", accept, "key")).last_write == began  # now it stands for this attempt
 
 
