@@ -21,8 +21,7 @@ from .test_engine import reviewed, running
 
 ROOT = Path(__file__).resolve().parents[3]
 ADVICE = re.compile(
-    r"plan again|apply the plan again|start (?:the job|a new job|again)|can be fitted later|accept that one|look at the "
-    r"plan again|`mavcal \w+",
+    r"plan again|apply the plan again|start (?:the job|a new job|again)|can be fitted later|`mavcal \w+",
     re.IGNORECASE,
 )
 Do = Callable[[JobEngine, Job], Awaitable[object]]
@@ -59,7 +58,7 @@ async def refit(engine: JobEngine, job: Job) -> object:
     return await engine.refit(job.id)
 
 
-R, F, I, V = JobState.REVIEW, JobState.FAILED, JobState.INTERRUPTED, JobState.REVERTED
+R, F, N, V = JobState.REVIEW, JobState.FAILED, JobState.INTERRUPTED, JobState.REVERTED
 PLACES: dict[str, tuple[tuple[Do, tuple[JobState, ...]], ...]] = {
     # file: what its sentences advise, and the states in which they are read
     "service/jobs/account.py": ((start, (V,)),),
@@ -69,9 +68,9 @@ PLACES: dict[str, tuple[tuple[Do, tuple[JobState, ...]], ...]] = {
     "service/jobs/needs.py": ((start, (R,)),),
     "service/jobs/planning.py": ((start, (F,)),),
     "service/jobs/salvage.py": ((start, (F,)),),
-    "service/jobs/runner.py": ((start, (F, I)), (refit, (I,))),
+    "service/jobs/runner.py": ((start, (F, N)), (refit, (N,))),
     "service/jobs/transaction.py": ((apply, (R,)),),
-    "service/jobs/watch.py": ((start, (F, I)),),
+    "service/jobs/watch.py": ((start, (F, N)),),
     "service/jobs/write.py": ((plan, (R,)),),
     "service/errors/jobs.py": ((plan, (R,)),),
     "calib/procedures/intake.py": ((start, (F,)),),
