@@ -250,7 +250,11 @@ class AsyncClient(AsyncTransport):
         prove_s: Number | None = None,
         preflight: bool | None = None,
     ) -> JobModel:
-        """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written."""
+        """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written.
+
+        A repeated Idempotency-Key answers with the job and writes nothing, unless its write ended before anything
+        was sent.
+        """
         return await self._ask(
             "POST",
             f"/api/v1/jobs/{segment(job_id)}/apply",

@@ -272,6 +272,15 @@ OutcomeModel = Annotated[ResultModel | FailureModel | WriteFailedModel, Field(di
 """One of OutcomeModel."""
 
 
+class LeftOutModel(Answer):
+    """A sensor that was asked for and gets no new calibration, or only a part of it."""
+
+    sensor: Sensor
+    instance: int
+    """Which sensor of its kind, from 0."""
+    reason: str
+
+
 class WriteModel(Answer):
     """The last attempt to write a job's plan; the event `write` carries the same when it ends."""
 
@@ -311,6 +320,8 @@ class PlanModel(Answer):
     blockers: list[str]
     """Why nothing of it may be written; empty: it may be."""
     agreements: list[AgreementModel]
+    left_out: list[LeftOutModel]
+    """Sensors that were fitted and are not written, or in part only."""
     needs_reboot: bool
     sha256: str
     """Digest of the plan; whoever accepts it quotes this."""
@@ -437,6 +448,10 @@ class JobModel(Answer):
     """What the operator is asked to do; null: nothing now."""
     outcome: OutcomeModel | None
     """Null while the job goes on, and while a plan waits that was not tried yet."""
+    left_out: list[LeftOutModel]
+    """Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in
+    part.
+    """
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
     options: dict[str, Any]

@@ -24,7 +24,15 @@ from mavcal.client.enums import (
     Sensor,
     Verdict,
 )
-from mavcal.client.jobs import DocumentModel, FitModel, OutcomeModel, ProgressModel, PromptModel, WriteModel
+from mavcal.client.jobs import (
+    DocumentModel,
+    FitModel,
+    LeftOutModel,
+    OutcomeModel,
+    ProgressModel,
+    PromptModel,
+    WriteModel,
+)
 
 
 class AuditCheck(Answer):
@@ -397,6 +405,10 @@ class JobSummary(Answer):
     """What the operator is asked to do; null: nothing now."""
     outcome: OutcomeModel | None
     """Null while the job goes on, and while a plan waits that was not tried yet."""
+    left_out: list[LeftOutModel]
+    """Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in
+    part.
+    """
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
     options: dict[str, Any]

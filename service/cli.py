@@ -73,7 +73,8 @@ class LazyGroup(click.Group):
 def cli() -> None:
     """Calibrate the sensors of MAVLink vehicles, and prove that the result took effect.
 
-    Exit codes: 0 done; 1 the answer is no (a failed check, a refused fit); 2 wrong use or unreadable input.
+    Exit codes: 0 done; 1 the answer is no (a failed check, a refused fit); 2 wrong use or unreadable input; 3 done in
+    part (a sensor left out, a proof that is partial where a full one was asked, a preflight that warns).
     """
 
 

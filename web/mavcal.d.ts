@@ -565,6 +565,8 @@ export interface JobModel {
   prompt: PromptModel | null;
   /** Null while the job goes on, and while a plan waits that was not tried yet. */
   outcome: OutcomeModel | null;
+  /** Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in part. */
+  left_out: LeftOutModel[];
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
   /** Options of the procedure or method, and what an upload adds. */
@@ -617,6 +619,8 @@ export interface JobSummary {
   prompt: PromptModel | null;
   /** Null while the job goes on, and while a plan waits that was not tried yet. */
   outcome: OutcomeModel | null;
+  /** Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in part. */
+  left_out: LeftOutModel[];
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
   /** Options of the procedure or method, and what an upload adds. */
@@ -634,6 +638,14 @@ export interface LeavingModel {
   middle: number | null;
   /** End of that interval, s since 1970. */
   latest: number | null;
+}
+
+/** A sensor that was asked for and gets no new calibration, or only a part of it. */
+export interface LeftOutModel {
+  sensor: Sensor;
+  /** Which sensor of its kind, from 0. */
+  instance: number;
+  reason: string;
 }
 
 /** The present state of a link. */
@@ -828,6 +840,8 @@ export interface PlanModel {
   /** Why nothing of it may be written; empty: it may be. */
   blockers: string[];
   agreements: AgreementModel[];
+  /** Sensors that were fitted and are not written, or in part only. */
+  left_out: LeftOutModel[];
   needs_reboot: boolean;
   /** Digest of the plan; whoever accepts it quotes this. */
   sha256: string;

@@ -75,6 +75,15 @@ class Agreement:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """A sensor that was asked for and gets no new calibration, or only a part of it, and why."""
+
+    sensor: Sensor
+    instance: int
+    reason: str
+
+
+@dataclass(frozen=True)
 class AfterWrite:
     """A MAVLink command to be sent when every parameter has been read back."""
 
@@ -114,6 +123,8 @@ class WritePlan:
     warnings: tuple[str, ...] = ()
     blockers: tuple[str, ...] = ()
     agreements: tuple[Agreement, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    """Sensors that were fitted and are not written, or in part only."""
 
     @property
     def sensors(self) -> frozenset[Sensor]:
@@ -134,8 +145,9 @@ class WritePlan:
     def sha256(self) -> str:
         """Digest over everything in the plan; ``apply`` quotes it."""
         content = dataclasses.asdict(self)
-        if not self.agreements:
-            del content["agreements"]  # plans of before there were any keep their digest
+        for later in ("agreements", "left_out"):
+            if not content[later]:
+                del content[later]  # plans of before there were any keep their digest
         text = json.dumps(content, sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 

@@ -88,12 +88,19 @@ def ids_changed(snapshot: Snapshot) -> dict[Sensor, tuple[str, ...]]:
     return found
 
 
+_UNCHANGED = {
+    "px4": "Every calibration row holds the device id that was calibrated. "
+    "Whether that sensor is on board PX4's parameters do not say."
+}
+"""Where the vehicle does not keep the ids up to date, they say less."""
+
+
 def sensor_check(snapshot: Snapshot) -> Check:
     """Device ids against those of the last verified calibration."""
     if not last_of_each(snapshot.history):
         return unknown(CheckId.SENSOR_IDS, _NONE_KNOWN, _CALIBRATE)
     said = [line for lines in ids_changed(snapshot).values() for line in lines]
-    good = "Every sensor is the one that was calibrated."
+    good = _UNCHANGED.get(snapshot.identity.autopilot or "", "Every sensor is the one that was calibrated.")
     remedy = "Calibrate the sensors that are new: the calibration of another part does not fit them."
     ids = sensor_ids(snapshot.identity.autopilot, snapshot.parameters)
     notes = [f"{sensor} {i + 1} has the device id {device}" for (sensor, i), device in sorted(ids.items())]

@@ -29,7 +29,7 @@ from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import Assessment
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
-from mavcal.calib.procedures.roster import Instance, TickChannels, label
+from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
@@ -168,7 +168,7 @@ class ImuProcedure(AccelProcedure):
     def _done(self, fits: list[FitResult], because: str) -> None:
         self._dropped_rows()
         for instance in set(self.present(Sensor.ACCEL)) - set(self.present(Sensor.GYRO)):
-            self._warn(f"{label(Sensor.ACCEL, instance)} is left out: its gyro does not stream")
+            self._leave_out((Sensor.ACCEL, instance), "its gyro does not stream")
         self._finish(Done(tuple(annotated(f, self.context, self.warnings) for f in fits), because))
 
 

@@ -178,7 +178,7 @@ class MagProcedure(TickedProcedure):
                 )
                 self._attendance.present.discard((Sensor.MAG, instance))
                 del self._tracks[instance]
-                self._warn(f"{reason}; it is left out")
+                self._fell_out((Sensor.MAG, instance), reason)
                 if not self._tracks:
                     self._give_up(reason, "find and remove it, or move the compass away, then start again")
 

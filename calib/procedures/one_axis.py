@@ -24,7 +24,7 @@ from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.placing import facing, shown_down
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, share_of_information
-from mavcal.calib.procedures.roster import Instance, TickChannels, label
+from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Channel, Sensor
@@ -72,7 +72,7 @@ class AccelOneAxisProcedure(TickedProcedure):
         models = {i: in_force(self.context, Sensor.ACCEL, i) for i in instances}
         self._models = {i: m for i, m in models.items() if m is not None}
         for instance in models.keys() - self._models.keys():
-            self._warn(f"{label(Sensor.ACCEL, instance)} is left out: the scale in force is not known")
+            self._leave_out((Sensor.ACCEL, instance), "the scale in force is not known")
         if not self._models:
             self._give_up("the scale in force of no accelerometer is known", "read the vehicle's parameters first")
         self._say(_PROMPT)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol
 
+from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Recording
 
@@ -124,6 +125,8 @@ class Done:
 
     results: tuple[FitResult, ...]
     because: str
+    left_out: tuple[LeftOut, ...] = ()
+    """Sensors that this kind of job calibrates and that could not take part."""
 
 
 @dataclass(frozen=True)

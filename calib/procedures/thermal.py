@@ -95,7 +95,7 @@ class ThermalProcedure(TickedProcedure):
         for sensor in (Sensor.ACCEL, Sensor.GYRO):
             for instance in self.present(sensor):
                 if (Sensor.TEMPERATURE, instance) not in present:
-                    self._warn(f"{label(sensor, instance)} is left out: its temperature does not stream")
+                    self._leave_out((sensor, instance), "its temperature does not stream")
         if not self._units():
             self._give_up(
                 "no inertial unit streams its temperature together with its samples",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
 from mavcal.calib.errors import ProcedureError
+from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.intake import Intake, Tick
 from mavcal.calib.procedures.motion import RESTING, StillLimits, StillWatch
@@ -47,6 +49,7 @@ class TickedProcedure(ABC):
         """End of the last tick that was worked on, s on the vehicle's clock; answers are stamped with it."""
         self.outcome: Done | GaveUp | None = None
         self.warnings: list[str] = []
+        self._left_out: dict[Instance, str] = {}
         self._intake = Intake()
         self._backlog: list[Tick] = []
         self._roster: Roster | None = None
@@ -139,10 +142,28 @@ class TickedProcedure(ABC):
         if text not in self.warnings:
             self.warnings.append(text)
 
+    def _leave_out(self, instance: Instance, reason: str) -> None:
+        """An instance takes no part; `reason` goes on from "is left out:"."""
+        self._warn(f"{label(*instance)} is left out: {reason}")
+        self._left_out.setdefault(instance, reason)
+
+    def _fell_out(self, instance: Instance, reason: str) -> None:
+        """An instance takes no part any more; `reason` is a sentence that names it."""
+        self._warn(f"{reason}; it is left out")
+        self._left_out.setdefault(instance, reason)
+
     def _finish(self, outcome: Done | GaveUp) -> None:
-        if self.outcome is None:
-            self.outcome = outcome
-            self._steps.append(outcome)
+        if self.outcome is not None:
+            return
+        if isinstance(outcome, Done):
+            outcome = dataclasses.replace(outcome, left_out=self._missed_by(outcome))
+        self.outcome = outcome
+        self._steps.append(outcome)
+
+    def _missed_by(self, done: Done) -> tuple[LeftOut, ...]:
+        fitted = {(fit.sensor, fit.instance) for fit in done.results}
+        asked = [i for i in sorted(self._left_out) if i[0] in self.spec.calibrated and i not in fitted]
+        return tuple(LeftOut(*instance, self._left_out[instance]) for instance in asked)
 
     def _give_up(self, cause: str, remedy: str) -> None:
         self._finish(GaveUp(cause, remedy))
@@ -188,7 +209,7 @@ class TickedProcedure(ABC):
                 return
             for instance in self.context.instances.get(sensor, ()):
                 if (sensor, instance) not in present:
-                    self._warn(f"{label(sensor, instance)} does not stream and is left out")
+                    self._leave_out((sensor, instance), "it does not stream")
         self._attendance = Attendance(set(present))
         self._watch = StillWatch(self.limits, present)
         self._began = backlog[0].start
@@ -210,7 +231,7 @@ class TickedProcedure(ABC):
             self._on_tick(tick.start, tick.end, {i: c for i, c in frame.items() if i in self._attendance.present})
 
     def _lose(self, instance: Instance, reason: str) -> None:
-        self._warn(f"{reason}; it is left out")
+        self._fell_out(instance, reason)
         if instance[0] in self.spec.sensors and not self.present(instance[0]):
             self._give_up(reason, "restart the vehicle; if it stays so, the sensor or its wiring is broken")
             return

@@ -153,7 +153,10 @@ async def apply(
     actor: ActorDep,
     idempotency_key: Annotated[str | None, Header(min_length=1, max_length=200)] = None,
 ) -> JobModel:
-    """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written."""
+    """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written.
+
+    A repeated Idempotency-Key answers with the job and writes nothing, unless its write ended before anything was sent.
+    """
     accept = Accept(body.plan_sha256, reboot=body.reboot, prove_s=body.prove_s, actor=actor)
     return job_model(await service.jobs.apply(job_id, accept, idempotency_key, look=body.preflight))
 

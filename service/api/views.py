@@ -265,6 +265,7 @@ def _summary(job: Job) -> Json:
         "progress": to_json(job.progress),
         "prompt": to_json(job.prompt),
         "outcome": to_json(job.outcome),
+        "left_out": to_json(job.left_out),
         "last_write": to_json(job.last_write),
         "options": dict(job.options),
     }

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from mavcal.service.commands.config import load_settings
-from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.output import EXIT_NO, EXIT_PART, json_option, write_json
+from mavcal.service.commands.place import Place
 from mavcal.service.commands.plan_options import all_plan_options, given
 from mavcal.service.commands.remote import async_service_at, followed, may_be_remote, one_of, show_came_of
 from mavcal.service.commands.review import JobWish, run_job, show_plan
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 @click.argument("job_id", metavar="JOB")
 @click.option("--connect", default=None, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
 @may_be_remote
-@click.option("--require-proof", is_flag=True, help="Exit code 1 unless the streams prove all of it.")
+@click.option("--require-proof", is_flag=True, help="Exit code 3 if the streams prove a part of it, 1 if nothing.")
 @click.option("--reboot", is_flag=True, help="Restart the vehicle if the plan needs it.")
 @all_plan_options
 @click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
@@ -49,7 +51,8 @@ def command(
     """Write what job JOB of this data directory, or of a running service, has planned, and prove it.
 
     The plan is made again from the job's fits and the vehicle's present parameters. Options of the plan are added to
-    those that the job had. Exit code 1 if the write did not succeed.
+    those that the job had. Exit code 1 if the write did not succeed; 3 if a sensor is left out, or with
+    --require-proof the streams prove a part of it.
     """
     one_of(connect, url)
     decided = given(more)
@@ -75,13 +78,15 @@ async def _at_service(url: str, key_file: Path | None, job_id: str, decided: dic
     """Have a running service plan again and write; the exit code."""
     from mavcal.service.commands.screen import Screen
 
-    screen = Screen()
+    screen = Screen(Place(url=url, key_file=key_file))
     async with async_service_at(url, key_file) as client:
         job = await _accepted(client, job_id, decided, wish, screen)
     show_came_of(job, screen)
     if wish.as_json:
         write_json(job.model_dump(mode="json"))
-    return 0 if _good(job, wish) else EXIT_NO
+    if _good(job, wish):
+        return EXIT_PART if job.left_out else 0
+    return EXIT_PART if _partly_proved(job) and _good(job, replace(wish, require_proof=False)) else EXIT_NO
 
 
 async def _accepted(
@@ -106,3 +111,9 @@ def _good(job: JobModel, wish: JobWish) -> bool:
     proved = job.outcome is not None and job.outcome.kind == "result" and job.outcome.proof == ProofLevel.FULL
     unneeded = job.plan is not None and not job.plan.changes
     return job.state == JobState.SUCCEEDED and (proved or unneeded or not wish.require_proof)
+
+
+def _partly_proved(job: JobModel) -> bool:
+    from mavcal.client.enums import ProofLevel
+
+    return job.outcome is not None and job.outcome.kind == "result" and job.outcome.proof == ProofLevel.PARTIAL

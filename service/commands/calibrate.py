@@ -34,7 +34,9 @@ HANDS_FREE = ("gyro", "level")
 @connect_option
 @all_option
 @click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
-@click.option("--require-proof", is_flag=True, help="With --apply: exit code 1 unless the streams prove all of it.")
+@click.option(
+    "--require-proof", is_flag=True, help="With --apply: exit code 3 if the streams prove a part of it, 1 if nothing."
+)
 @click.option("--reboot", is_flag=True, help="With --apply: restart the vehicle if the plan needs it.")
 @click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the procedure.")
 @plan_options
@@ -59,8 +61,10 @@ def command(
 
     What an interrupted run left on this vehicle is finished or taken back first. A line typed while it runs answers
     the present prompt (`finish`, or the number that it asks for). With --apply on a terminal the run asks before it
-    changes how a compass is said to be mounted; a script gives --confirm-mounting. Exit code 1 if the calibration did
-    not succeed; with --require-proof also if the streams do not prove everything that shows there.
+    changes how a compass is said to be mounted; a script gives --confirm-mounting.
+
+    Exit code 0: done. 1: the calibration did not succeed, or with --require-proof the streams prove nothing of it. 3:
+    done in part; a sensor is left out, or with --require-proof the streams do not prove everything that shows there.
 
     With --all, gyro and level, which need no hands, are done of every vehicle side by side, with --apply only: a sensor
     whose change would act after a restart alone is left out and named.
@@ -88,11 +92,13 @@ async def _hands_free(kind: str, service: Service, vehicle: Vehicle) -> Acted:
     from mavcal.service.jobs.states import JobState
 
     [fix] = await fixed(service.jobs, vehicle.id, [Fixable(kind)], actor="command line", look=True)
-    found = readiness_of(service.jobs.get(fix.job_id))
+    job = service.jobs.get(fix.job_id)
+    found = readiness_of(job)
     told = {"job": fix.job_id, "kind": kind, "state": fix.state.value, "text": fix.text}
     ready = None if found is None else {"verdict": found.verdict.value, "text": found.text, "against": found.against}
     text = f"{kind}: {fix.state.value}: {fix.text}" + ("" if found is None else f" {found.text}")
-    return Acted(fix.state is JobState.SUCCEEDED, text, {**told, "readiness": ready})
+    in_part = bool(job.left_out or fix.late)
+    return Acted(fix.state is JobState.SUCCEEDED, text, {**told, "readiness": ready}, in_part=in_part)
 
 
 def parsed(options: tuple[str, ...], *, words: bool = False) -> dict[str, Any]:

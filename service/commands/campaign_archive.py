@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mavcal.service.commands.campaign_told import Telling, followed, tell
+from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
     from mavcal.service.campaigns.archive import Archive
@@ -30,7 +31,7 @@ def run_archive(settings: Settings, executor: str, begin: Begin, telling: Tellin
 
     configure_logging(as_json=settings.log_json)
     with workers(executor) as given:
-        return asyncio.run(_run(settings, given, begin, telling, Screen()))
+        return asyncio.run(_run(settings, given, begin, telling, Screen(place_of(settings))))
 
 
 def is_of_folder(data_dir: Path, job_id: str) -> bool:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcal.service.commands.campaign_told import Telling, followed, tell
+from mavcal.service.commands.place import place_of
 from mavcal.service.errors import VehicleSilent
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def run_vehicles(settings: Settings, begin: Begin, wish: VehicleWish) -> int:
     from mavcal.service.logs import configure_logging
 
     configure_logging(as_json=settings.log_json)
-    return asyncio.run(_run(settings, begin, wish, Screen()))
+    return asyncio.run(_run(settings, begin, wish, Screen(place_of(settings))))
 
 
 def resumed(job_id: str) -> Begin:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.output import EXIT_NO, write_json
-from mavcal.service.commands.preflight import EXIT_UNSURE
+from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json
 
 if TYPE_CHECKING:
     from mavcal.service.commands.screen import Screen
@@ -77,7 +76,7 @@ def exit_code(options: Mapping[str, Any], outcomes: Iterable[str]) -> int:
     """0: every item is done, or waits in review as asked. 3: some preflights warn. 1: something else is not done."""
     good = {"done"} if options.get("apply") else {"done", "review"}
     left = set(outcomes) - good
-    return 0 if not left else EXIT_UNSURE if left == {"warned"} else EXIT_NO
+    return 0 if not left else EXIT_PART if left == {"warned"} else EXIT_NO
 
 
 def show_items(data_dir: Path, job_id: str, outcomes: Sequence[str], table: Path | None, *, as_json: bool) -> int:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from mavcal.service.commands.config import load_settings
-from mavcal.service.commands.output import EXIT_NO, write_json
+from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json
+from mavcal.service.commands.place import place_of
 from mavcal.service.errors import ServiceError
 
 if TYPE_CHECKING:
@@ -60,6 +61,8 @@ class Acted:
     good: bool
     text: str
     document: dict[str, Any] = field(default_factory=dict)
+    in_part: bool = False
+    """Good, but not of every sensor."""
 
 
 T = TypeVar("T")
@@ -110,12 +113,12 @@ async def _of_link(service: Service, url: str, whom: Whom, screen: Screen) -> li
 
 
 def run_every(settings: Settings, whom: Whom, act: Act, *, as_json: bool) -> int:
-    """Do the same with every vehicle, side by side; the exit code is 1 if one of them said no."""
+    """Do the same with every vehicle, side by side; the exit code is that of the worst: 1 no, 3 done in part."""
     from mavcal.service.commands.screen import Screen
     from mavcal.service.logs import configure_logging
 
     configure_logging(as_json=settings.log_json)
-    came = asyncio.run(with_each(settings, whom, act, Screen()))
+    came = asyncio.run(with_each(settings, whom, act, Screen(place_of(settings))))
     if isinstance(came, int):
         return came
     done = [(found, _told(one)) for found, one in came]
@@ -125,7 +128,9 @@ def run_every(settings: Settings, whom: Whom, act: Act, *, as_json: bool) -> int
         for found, acted in done:
             name = "" if found.vehicle is None else f" {found.vehicle.id}"
             click.echo(f"{found.connect}{name}: {acted.text}")
-    return 0 if all(acted.good for _, acted in done) else EXIT_NO
+    if not all(acted.good for _, acted in done):
+        return EXIT_NO
+    return EXIT_PART if any(acted.in_part for _, acted in done) else 0
 
 
 async def with_each(

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.output import EXIT_NO, EXIT_PART, json_option, write_json
+from mavcal.service.commands.place import Place
 from mavcal.service.commands.remote import async_service_at, came_well, followed, remote, show_came_of
 
 if TYPE_CHECKING:
@@ -23,11 +24,11 @@ def command(*, job_id: str, url: str, key_file: Path | None, as_json: bool) -> i
     """Show a job's prompts and progress; a line that is typed answers the present prompt.
 
     Ctrl-C ends the showing and leaves the job alone. Exit code 0: it succeeded, or its plan waits in review. 1: it
-    ended otherwise, or its plan cannot be written.
+    ended otherwise, or its plan cannot be written. 3: as 0, but a sensor is left out.
     """
     from mavcal.service.commands.screen import Screen
 
-    screen = Screen()
+    screen = Screen(Place(url=url, key_file=key_file))
 
     async def until_it_rests() -> JobModel:
         async with async_service_at(url, key_file) as client:
@@ -37,4 +38,6 @@ def command(*, job_id: str, url: str, key_file: Path | None, as_json: bool) -> i
     show_came_of(job, screen)
     if as_json:
         write_json(job.model_dump(mode="json"))
-    return 0 if came_well(job) else EXIT_NO
+    if not came_well(job):
+        return EXIT_NO
+    return EXIT_PART if job.left_out else 0

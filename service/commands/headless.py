@@ -165,7 +165,7 @@ async def tidied(service: Service, seconds: float = TIDY_S) -> None:
             await service.jobs.tidied()
 
 
-async def put_down(service: Service, job_id: str, connect: str, screen: Screen) -> None:
+async def put_down(service: Service, job_id: str, screen: Screen) -> None:
     """Leave a job because this process has to stop: cancel what wrote nothing, say what a write leaves behind."""
     from mavcal.service.jobs.recovery import unfinished
     from mavcal.service.jobs.states import CANCELLABLE, WRITING, JobState
@@ -178,9 +178,7 @@ async def put_down(service: Service, job_id: str, connect: str, screen: Screen) 
         names = unfinished(service.store, job).names
         may = f"{names} may hold new values" if names else "nothing was sent yet"
         screen.line(f"stopped while job {job_id} ({job.kind}) is {job.state.value}: {may}.", bold=True)
-        screen.line(
-            f"`mavcal recover --connect {connect}` finishes it or takes it back, and so does the next calibration."
-        )
+        screen.line("`mavcal recover` finishes it or takes it back, and so does the next calibration.")
     else:
         screen.line(f"stopped: job {job_id} ({job.kind}) is {job.state.value}", bold=True)
     await tidied(service, HURRY_S)

@@ -12,6 +12,8 @@ EXIT_NO = 1
 """The answer is no: a failed check, a refused fit."""
 EXIT_USAGE = 2
 """Wrong use or unreadable input."""
+EXIT_PART = 3
+"""Done in part: a sensor left out, a proof that is partial where a full one was asked, a check that says neither."""
 
 
 class AnsweredNo(click.ClickException):

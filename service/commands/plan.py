@@ -30,7 +30,9 @@ CHUNK = 1 << 20
 @click.argument("file")
 @click.option("--connect", required=True, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
 @click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
-@click.option("--require-proof", is_flag=True, help="With --apply: exit code 1 unless the streams prove all of it.")
+@click.option(
+    "--require-proof", is_flag=True, help="With --apply: exit code 3 if the streams prove a part of it, 1 if nothing."
+)
 @click.option("--reboot", is_flag=True, help="With --apply: restart the vehicle if the plan needs it.")
 @click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the method.")
 @all_plan_options
@@ -56,7 +58,8 @@ def command(
 
     The log must be of this vehicle: the same sensors and the same board id. With --apply on a terminal the run asks
     about a log without a board id; a script gives --confirm-other-unit. The audit trail keeps who confirmed it. FILE
-    is copied into the data directory. Exit code 1 if there is no plan, or if its write did not succeed.
+    is copied into the data directory. Exit code 1 if there is no plan, or if its write did not succeed; 3 if a sensor
+    is left out, or with --require-proof the streams prove a part of it.
     """
     if require_proof and not write:
         raise click.UsageError("--require-proof asks for a proof of what was written: give --apply too")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mavcal.service.commands.every import Found, Whom, all_option, connect_option, with_each
-from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.output import EXIT_NO, EXIT_PART, json_option, write_json
+from mavcal.service.commands.place import NOWHERE, Place, place_of
 from mavcal.service.errors import ServiceError
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from mavcal.service.core import Service
     from mavcal.service.vehicle import Vehicle
 
-EXIT_UNSURE = 3
-"""Nothing failed, but a check warns or could not be made."""
 FIXABLE = ("gyro", "level")
 """Those of ``service.jobs.fixing``, stated here so that help does without it (a test compares them)."""
 
@@ -63,7 +62,7 @@ def command(
     whom = Whom(urls, every, wait)
     settings = whom.settings(data_dir)
     configure_logging(as_json=settings.log_json)
-    screen = Screen()
+    screen = Screen(place_of(settings))
     check = partial(_checked, wish=_Wish(kinds, heading), screen=screen)
     done = asyncio.run(with_each(settings, whom, check, screen))
     if isinstance(done, int):
@@ -76,7 +75,7 @@ def command(
         write_json(_document(done, alone=alone))
     else:
         for where, one in done:
-            show(one, "" if alone else where.connect)
+            show(one, "" if alone else where.connect, replace(screen.place, connect=where.connect))
     return _exit_code(found)
 
 
@@ -103,7 +102,7 @@ async def _checked(service: Service, vehicle: Vehicle, *, wish: _Wish, screen: S
 def _exit_code(found: list[PreflightModel | ServiceError]) -> int:
     """That of the worst vehicle."""
     verdicts = {"fail" if isinstance(one, ServiceError) else one.verdict.value for one in found}
-    return EXIT_NO if "fail" in verdicts else EXIT_UNSURE if verdicts - {"pass"} else 0
+    return EXIT_NO if "fail" in verdicts else EXIT_PART if verdicts - {"pass"} else 0
 
 
 def _document(done: list[Answer], *, alone: bool) -> dict[str, Any]:
@@ -119,8 +118,11 @@ def _document(done: list[Answer], *, alone: bool) -> dict[str, Any]:
     return {name: value for name, value in told[0].items() if name != "connect"}
 
 
-def show(found: PreflightModel | ServiceError, title: str = "") -> None:
-    """The report as a table, with what helps below each check that does not pass."""
+def show(found: PreflightModel | ServiceError, title: str = "", place: Place = NOWHERE) -> None:
+    """The report as a table, with what helps below each check that does not pass.
+
+    Commands are named with the options of `place`.
+    """
     if title:
         click.secho(title, bold=True)
     if isinstance(found, ServiceError):
@@ -131,7 +133,7 @@ def show(found: PreflightModel | ServiceError, title: str = "") -> None:
         number = _number(check)
         click.echo(f"{check.verdict.value.upper():8}{check.id.value:{width}}  {number}{check.reason}")
         if check.remedy:
-            click.echo(f"{'':{width + 10}}-> {check.remedy}")
+            click.echo(f"{'':{width + 10}}-> {place.completed(check.remedy)}")
     for note in found.notes:
         click.echo(f"note: {note}")
     click.secho(f"{found.verdict.value.upper()}: {found.summary} ({found.seconds:.1f} s)", bold=True)

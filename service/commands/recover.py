@@ -10,6 +10,7 @@ import click
 
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
     from mavcal.service.commands.screen import Screen
@@ -36,7 +37,7 @@ def command(connect: str, data_dir: Path | None, wait: float, as_json: bool) -> 
 
     settings = load_settings(data_dir=data_dir, connect=(connect,))
     configure_logging(as_json=settings.log_json)
-    return asyncio.run(_recover(settings, wait, Screen(), as_json))
+    return asyncio.run(_recover(settings, wait, Screen(place_of(settings)), as_json))
 
 
 async def _recover(settings: Any, wait: float, screen: Screen, as_json: bool) -> int:

@@ -118,12 +118,14 @@ def show_came_of(job: JobModel, screen: Screen) -> None:
     """Where the job stands, and why."""
     outcome = job.outcome
     if outcome is None:
-        said = "its plan waits: `mavcal accept` writes it" if job.plan is not None else ""
+        said = f"its plan waits: `mavcal accept {job.id}` writes it" if job.plan is not None else ""
     elif outcome.kind == "result":
         said = outcome.text
     else:
         said = f"{outcome.cause} {outcome.remedy}"
     screen.line(f"{job.state.value}: {said}" if said else job.state.value, bold=True)
+    for out in job.left_out:
+        screen.line(f"left out: {out.sensor.value} {out.instance + 1}: {out.reason}")
 
 
 def one_of(connect: str | None, url: str | None) -> None:

@@ -39,7 +39,7 @@ def command(
 
     Device ids tell the sensors apart. What cannot be mapped is said and left alone. Nothing is written without
     --apply, and never to a vehicle with another unit id. Exit code 1 if there is nothing to restore from, or if the
-    write did not succeed.
+    write did not succeed; 3 if a sensor is left out.
     """
     settings = load_settings(data_dir=data_dir, connect=(connect,))
     options: dict[str, Any] = {"only": [part for part in only.split(",") if part]} if only else {}

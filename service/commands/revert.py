@@ -12,6 +12,7 @@ from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.every import Acted, Whom, all_option, connect_option, run_every
 from mavcal.service.commands.every import one_of as one_endpoint
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.place import Place
 from mavcal.service.commands.remote import async_service_at, followed, may_be_remote, one_of, show_came_of
 from mavcal.service.commands.review import JobWish, run_job
 
@@ -42,20 +43,20 @@ def command(
 ) -> int:
     """Put back the values that job JOB of this data directory, or of a running service, has replaced.
 
-    With --all it takes back the last write of each vehicle.
+    With --all it takes back every write of each vehicle, the last one first.
 
     A parameter that somebody else has set since is left alone and named. Exit code 1 if a job was not taken back; a
     vehicle to which nothing was written is no failure.
     """
     if (job_id is None) != every:
-        raise click.UsageError("name the JOB, or give --all to take back the last write of every vehicle")
+        raise click.UsageError("name the JOB, or give --all to take back every write of every vehicle")
     if every:
         if url is not None:
             raise click.UsageError("--all takes the vehicles of --connect or of the data directory, not of a --url")
         whom = Whom(urls, every, wait)
 
         async def act(service: Service, vehicle: Vehicle) -> Acted:
-            return await _last_write(service, vehicle, wait)
+            return await _all_writes(service, vehicle, wait)
 
         return run_every(whom.settings(data_dir), whom, act, as_json=as_json)
     name = str(job_id)
@@ -84,7 +85,7 @@ async def _at_service(url: str, key_file: Path | None, job_id: str, *, as_json: 
     from mavcal.client.enums import JobState
     from mavcal.service.commands.screen import Screen
 
-    screen = Screen()
+    screen = Screen(Place(url=url, key_file=key_file))
     async with async_service_at(url, key_file) as client:
         before = await client.get_job(job_id)
         await client.revert_job(job_id)
@@ -95,23 +96,30 @@ async def _at_service(url: str, key_file: Path | None, job_id: str, *, as_json: 
     return 0 if job.state == JobState.REVERTED else EXIT_NO
 
 
-async def _last_write(service: Service, vehicle: Vehicle, wait: float) -> Acted:
-    """Take back the newest job that has written to this vehicle."""
+async def _all_writes(service: Service, vehicle: Vehicle, wait: float) -> Acted:
+    """Take back every job that has written to this vehicle, the newest first: each finds the values that it wrote."""
     from mavcal.service.commands.headless import is_of
     from mavcal.service.commands.review import taken_back, writable
     from mavcal.service.jobs.fixing import settled
     from mavcal.service.jobs.states import JobState
 
     written = [job for job in service.jobs.list() if job.state is JobState.SUCCEEDED and job.accept is not None]
-    ours = [job for job in written if is_of(service, job, vehicle)]
+    ours = sorted((job for job in written if is_of(service, job, vehicle)), key=lambda j: j.updated_at, reverse=True)
     if not ours:
-        return Acted(
-            good=True, text="nothing was written to it by a job of this data directory", document={"job": None}
-        )
-    newest = max(ours, key=lambda job: job.updated_at)
-    await writable(vehicle, wait)
-    await service.jobs.revert(newest.id)
-    job = await settled(service.jobs, newest.id)
-    said = "" if job.outcome is None else getattr(job.outcome, "text", "") or getattr(job.outcome, "cause", "")
-    told = {"job": job.id, "kind": job.kind, "state": job.state.value, "text": said}
-    return Acted(taken_back(job), f"job {job.id} ({job.kind}) is {job.state.value}: {said}", told)
+        text = "nothing was written to it by a job of this data directory"
+        return Acted(good=True, text=text, document={"jobs": []})
+    done: list[Job] = []
+    for job in ours:
+        await writable(vehicle, wait)
+        await service.jobs.revert(job.id)
+        done.append(await settled(service.jobs, job.id))
+        if not taken_back(done[-1]):
+            break  # an older one must not put values back over what is in doubt
+    told = [{"job": job.id, "kind": job.kind, "state": job.state.value, "text": _said(job)} for job in done]
+    lines = [f"job {job.id} ({job.kind}) is {job.state.value}: {_said(job)}" for job in done]
+    waiting = [f"job {job.id} ({job.kind}) was not tried" for job in ours[len(done) :]]
+    return Acted(taken_back(done[-1]), " ".join([*lines, *waiting]), {"jobs": told})
+
+
+def _said(job: Job) -> str:
+    return "" if job.outcome is None else getattr(job.outcome, "text", "") or getattr(job.outcome, "cause", "")

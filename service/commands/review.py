@@ -8,12 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mavcal.service.commands.output import EXIT_NO, write_json
+from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json
+from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
     from mavcal.calib.firmware.plan import WritePlan
     from mavcal.calib.preflight.readiness import Readiness
-    from mavcal.client.jobs import PlanModel
+    from mavcal.client.jobs import JobModel, PlanModel
     from mavcal.service.commands.keyboard import Keyboard
     from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
@@ -49,11 +50,10 @@ def run_job(settings: Settings, begin: Begin, wish: JobWish) -> int:
     from mavcal.service.logs import configure_logging
 
     configure_logging(as_json=settings.log_json)
-    job = asyncio.run(_job(settings, begin, wish, Screen()))
+    job = asyncio.run(_job(settings, begin, wish, Screen(place_of(settings))))
     if isinstance(job, int):
         return job
-    reached = taken_back(job) if wish.revert else good(job, wish.write, wish.require_proof)
-    return 0 if reached else EXIT_NO
+    return exit_code(job, wish)
 
 
 async def _job(settings: Settings, begin: Begin, wish: JobWish, screen: Screen) -> Job | int:
@@ -102,18 +102,17 @@ class _Run:
 
         after = self.service.store.last_event_id()
         job = await begin(self.service, self.vehicle)
-        connect = self.service.settings.connect[0]
         try:
             async with keyboard(self._answer(job.id)) as typed:
                 job = await self._carried(job, after, typed)
         except asyncio.CancelledError:
-            await put_down(self.service, job.id, connect, self.screen)
+            await put_down(self.service, job.id, self.screen)
             raise
         await tidied(self.service)
         job = self.service.jobs.get(job.id)  # what the vehicle says after a write is known only now
         if self.wish.as_json:
             write_json({**job_model(job).model_dump(), "recovered": [told_of(found) for found in resolved]})
-        show_end(job, self.screen, connect, written=self.wish.write)
+        show_end(job, self.screen, written=self.wish.write)
         return job
 
     def _answer(self, job_id: str) -> Callable[[str], Any]:
@@ -189,6 +188,19 @@ def good(job: Job, write: bool, require_proof: bool) -> bool:
     return job.state is JobState.SUCCEEDED and (proved or unneeded or not require_proof)
 
 
+def exit_code(job: Job, wish: JobWish) -> int:
+    """0 done, 1 the answer is no, 3 done in part: not of every sensor, or not with the whole proof."""
+    from mavcal.service.jobs.model import Result
+    from mavcal.service.jobs.proof import ProofLevel
+
+    if wish.revert:
+        return 0 if taken_back(job) else EXIT_NO
+    if good(job, wish.write, wish.require_proof):
+        return EXIT_PART if job.left_out else 0
+    partly = isinstance(job.outcome, Result) and job.outcome.proof is ProofLevel.PARTIAL
+    return EXIT_PART if partly and good(job, wish.write, require_proof=False) else EXIT_NO
+
+
 def taken_back(job: Job) -> bool:
     """Whether what the job had written is gone."""
     from mavcal.service.jobs.states import JobState
@@ -212,10 +224,11 @@ def show_plan(plan: WritePlan | PlanModel, screen: Screen) -> None:
         screen.line(f"    cannot be held: {loss.text} ({loss.cost:.3g} {loss.unit})")
 
 
-def show_end(job: Job, screen: Screen, connect: str, *, written: bool) -> None:
+def show_end(job: Job, screen: Screen, *, written: bool) -> None:
     """How the job ended; for one in review, how it is written later."""
     from mavcal.service.jobs.model import Failure
     from mavcal.service.jobs.ready import readiness_of
+    from mavcal.service.jobs.states import JobState
 
     if isinstance(job.outcome, Failure):
         screen.line(f"{job.state.value}: {job.outcome.cause} {job.outcome.remedy}", bold=True)
@@ -225,11 +238,24 @@ def show_end(job: Job, screen: Screen, connect: str, *, written: bool) -> None:
             screen.line(f"proof: {job.outcome.proof.value}")
         for open_still in job.outcome.unproved:
             screen.line(f"    {open_still.name} is not proved: {open_still.why}")
+        show_left_out(job, screen)
+        if written and job.state is JobState.SUCCEEDED and job.accept is not None:
+            screen.line(f"this was job {job.id}: `mavcal revert {job.id}` takes it back")
         found = readiness_of(job)
         if found is not None:
             show_readiness(found, screen)
     elif job.plan is not None:
-        screen.line(_waiting(job, job.plan, connect), bold=True)
+        show_left_out(job, screen)
+        screen.line(_waiting(job, job.plan), bold=True)
+
+
+def show_left_out(job: Job | JobModel, screen: Screen) -> None:
+    """Which sensors got no new calibration, or only a part of it, and why."""
+    from mavcal.calib.procedures.roster import label
+    from mavcal.calib.recording import Sensor
+
+    for out in job.left_out:
+        screen.line(f"left out: {label(Sensor(out.sensor), out.instance)}: {out.reason}", bold=True)
 
 
 def show_readiness(found: Readiness, screen: Screen) -> None:
@@ -239,7 +265,7 @@ def show_readiness(found: Readiness, screen: Screen) -> None:
         screen.line(f"    {text}")
 
 
-def _waiting(job: Job, plan: WritePlan, connect: str) -> str:
+def _waiting(job: Job, plan: WritePlan) -> str:
     """What becomes of a plan that was not written."""
     from mavcal.calib.firmware.options import PLAN_OPTIONS, confirmations
 
@@ -248,4 +274,4 @@ def _waiting(job: Job, plan: WritePlan, connect: str) -> str:
         return "blocked: nothing was written, and this plan cannot be written"
     flags = "".join(f" --{PLAN_OPTIONS[name].flag}" for name in asked)
     begun = "it waits to be confirmed" if asked else "the plan is kept"
-    return f"nothing was written; {begun}: `mavcal accept {job.id} --connect {connect}{flags}` writes it"
+    return f"nothing was written; {begun}: `mavcal accept {job.id}{flags}` writes it"

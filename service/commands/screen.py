@@ -8,13 +8,19 @@ from typing import Any
 
 import click
 
+from mavcal.service.commands.place import NOWHERE, Place
+
 BAR = 28
 
 
 class Screen:
-    """Writes to stderr, so that stdout stays for the answer. On a terminal one line is redrawn."""
+    """Writes to stderr, so that stdout stays for the answer. On a terminal one line is redrawn.
 
-    def __init__(self, *, quiet: bool = False) -> None:
+    A command that a line names is told with the options of `place`, so that it can be run as it stands.
+    """
+
+    def __init__(self, place: Place = NOWHERE, *, quiet: bool = False) -> None:
+        self.place = place
         self._quiet = quiet
         self._terminal = sys.stderr.isatty()
         self._open = False
@@ -26,7 +32,7 @@ class Screen:
         if self._quiet:
             return
         self._close()
-        click.secho(text, err=True, bold=bold)
+        click.secho(self.place.completed(text), err=True, bold=bold)
 
     def prompt(self, text: str) -> None:
         """What the operator is asked to do; said once, although its details may change."""

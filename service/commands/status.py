@@ -11,6 +11,7 @@ import click
 
 from mavcal.service.commands.every import Found, Whom, all_option, connect_option, vehicles_of
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
     from mavcal.service.api.models import JobSummary, VehicleModel
@@ -36,7 +37,7 @@ def command(*, urls: tuple[str, ...], every: bool, data_dir: Path | None, wait: 
     whom = Whom(urls, every, wait)
     settings = whom.settings(data_dir)
     configure_logging(as_json=settings.log_json)
-    found = asyncio.run(_status(settings, whom, Screen()))
+    found = asyncio.run(_status(settings, whom, Screen(place_of(settings))))
     if as_json:
         write_json({"vehicles": found})
     else:

@@ -8,6 +8,8 @@ from functools import partial
 from typing import Any
 
 from mavcal.service.errors import IdempotencyConflict, IllegalTransition
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
 from mavcal.service.store.protocol import Store
 
 
@@ -30,14 +32,36 @@ class Acceptance:
         finally:
             self._claims.discard(job_id)
 
-    async def known(self, key: str | None, digest: str, job_id: str) -> bool:
-        """Whether this very request was taken before. Raises IdempotencyConflict if its key was used for another."""
+    async def known(self, key: str | None, digest: str, job: Callable[[], Job]) -> bool:
+        """Whether this very request was taken before, and has come to something or still may.
+
+        A key is bound to what was done, not to what was asked: a write that ended without a single PARAM_SET is back
+        in review, and its key is free again. Otherwise a client that names its accept by the plan could never retry.
+
+        Parameters
+        ----------
+        key, digest
+            Of the request; without a key every request is new.
+        job
+            The job as it is now.
+
+        Raises
+        ------
+        IdempotencyConflict
+            If the key was used for another request.
+        """
         if key is None:
             return False
         used = await self._store.do(partial(self._store.idempotency_key, key))
-        if used is not None and used != (digest, job_id):
+        if used is None:
+            return False
+        asked = job()
+        if used[1] == asked.id and asked.state == JobState.REVIEW and asked.id not in self._claims:
+            await self._store.do(partial(self._store.release_idempotency_key, key))
+            return False
+        if used != (digest, asked.id):
             raise IdempotencyConflict
-        return used is not None
+        return True
 
     async def use(self, key: str | None, digest: str, job_id: str) -> None:
         """Keep that the key was used for this request."""

@@ -78,7 +78,7 @@ def reverted(read: Sequence[Standing], cause: str | None, who: str, sent: int) -
     if cause is None:
         proof = READ_BACK_ONLY
         return Account(JobState.REVERTED, Result(text, proof.level, proof.reason), away, sent)
-    remedy = f"{text} Plan again, or start a new job."
+    remedy = f"{text} Start a new job."
     return Account(JobState.REVERTED, Failure("reverted", cause, remedy), away, sent)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware.in_force.origin import Origin, unproved
+from mavcal.calib.firmware.options import Key
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.recording import Identity
 from mavcal.calib.report import from_json, to_json
@@ -35,10 +36,12 @@ async def composed(
     options: Mapping[str, Any],
     origin: Mapping[str, Any] | None,
     jobs: Iterable[Job],
+    without_row: Iterable[Key] = (),
 ) -> tuple[Identity, Planned]:
     """Who the vehicle is, and a plan on its present parameters. `origin` of a recording must be this vehicle.
 
-    `jobs` are all jobs: earlier ones know at which temperature an accelerometer was calibrated.
+    `jobs` are all jobs: earlier ones know at which temperature an accelerometer was calibrated. `without_row`: see
+    :func:`service.jobs.planning.keys_without_row`.
 
     Raises
     ------
@@ -55,7 +58,9 @@ async def composed(
         require_origin(from_json(origin, Origin), identity, parameters)
         doubt = unproved(from_json(origin, Origin), identity)
     known = accel_temperatures(jobs, vehicle.id, parameters)
-    return identity, await asyncio.to_thread(make_plan, results, parameters, identity, options, known, doubt)
+    return identity, await asyncio.to_thread(
+        make_plan, results, parameters, identity, options, known, doubt, without_row
+    )
 
 
 async def adopted(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from mavcal.calib.errors import ProcedureError
@@ -21,7 +22,15 @@ from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Ste
 from mavcal.calib.procedures.registry import specification
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame, iter_tlog
-from mavcal.service.errors import CaptureEnded, DiskFull, LinkDown, ParameterTimeout, VehicleSilent
+from mavcal.service.errors import (
+    CaptureEnded,
+    CommandRefused,
+    CommandTimeout,
+    DiskFull,
+    LinkDown,
+    ParameterTimeout,
+    VehicleSilent,
+)
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.digest import LiveDigest, changed, read_range, spoils
 from mavcal.service.jobs.handle import JobHandle, counting
@@ -34,6 +43,7 @@ from mavcal.service.jobs.streams import ask_for_streams
 from mavcal.service.jobs.watch import CaptureWatch, LinkWatch
 from mavcal.service.jobs.write import read_values
 from mavcal.service.store.rows import SegmentPurpose, SegmentRow
+from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS
 
 BATCH_S = 0.05
 """Frames are digested at most so often, seconds of the wall clock."""
@@ -98,6 +108,9 @@ class Capture:
     async def _captured(self, earlier: Sequence[SegmentRow]) -> Done:
         self.reach(At.CAPTURE_STARTED)
         identity = await self.vehicle.identify()
+        if identity.autopilot == "px4":  # only there it says whose device id is in none of its rows
+            with suppress(CommandRefused, CommandTimeout):
+                await self.vehicle.command(RUN_PREARM_CHECKS, ())
         kind = self.handle.job.kind
         told = counting(self.handle, "reading the calibration in force")
         sensors = specification(kind).sensors

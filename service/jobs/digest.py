@@ -22,7 +22,9 @@ from mavcal.calib.firmware.in_force.known import KnownCalibration
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS, needed
 from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
+from mavcal.calib.firmware.options import Key
 from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.px4.without_row import without_row
 from mavcal.calib.firmware.stream.rates import Assembler
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.logs.tlog import read_tlog
@@ -57,6 +59,8 @@ class Fitted:
 
     outcome: Done | GaveUp
     parameters: dict[str, Value]
+    without_row: frozenset[Key] = frozenset()
+    """PX4: see :func:`calib.firmware.px4.without_row.without_row`."""
 
 
 class LiveDigest:
@@ -245,7 +249,8 @@ def fit_segments(request: JobFitRequest) -> Fitted:
     answers = [OperatorAnswer(t, value) for t, value in request.answers]
     known = KnownCalibration(_read_at_first(request.kind, recording.identity, parameters))
     outcome = replay(request.kind, request.options, context, known.feed(undo(recording)), answers)
-    return Fitted(outcome, parameters)
+    said = without_row(recording.events) if recording.identity.autopilot == "px4" else frozenset()
+    return Fitted(outcome, parameters, said)
 
 
 def _read_at_first(kind: str, identity: Identity, parameters: Mapping[str, Value]) -> list[str]:

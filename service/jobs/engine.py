@@ -42,6 +42,7 @@ from mavcal.service.jobs.planning import (
     checked_plan_options,
     confirmed,
     keep_plan,
+    keys_without_row,
     require_sensors_of,
 )
 from mavcal.service.jobs.port import Computations, JobVehicle, NoUploads, VehicleSource
@@ -367,7 +368,8 @@ class JobEngine:
         if job.kind == RESTORE:
             identity, planned = await planned_restore(vehicle, await self._history(vehicle), chosen)
         else:
-            identity, planned = await composed(vehicle, job.results, chosen, job.context.get("origin"), self.list())
+            origin, rowless = job.context.get("origin"), keys_without_row(job.context)
+            identity, planned = await composed(vehicle, job.results, chosen, origin, self.list(), rowless)
         await keep_plan(handle, planned)
         if handle.job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {handle.job.state}: only a job in review can be planned again")
@@ -396,7 +398,7 @@ class JobEngine:
         """
         handle = self._book.handle(job_id)
         digest = request_digest(job_id, accept)
-        if await self._acceptance.known(idempotency_key, digest, job_id):
+        if await self._acceptance.known(idempotency_key, digest, lambda: handle.job):
             return handle.job
         self._require_writing()
         require_acceptable(handle.job, accept)

@@ -35,6 +35,8 @@ class Fix:
     job_id: str
     state: JobState
     text: str
+    late: tuple[str, ...] = ()
+    """Sensors that stay as they are: their change would act only after a restart."""
 
 
 async def fixed(
@@ -57,7 +59,7 @@ async def fixed(
             accept = Accept(job.plan.sha256, prove_s=0.0, actor=actor)
             await engine.apply(job.id, accept, look=look)
             job = await settled(engine, job.id)
-        done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_told(job, left), left.text)))))
+        done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_told(job, left), left.text))), left.keys))
         if job.state != JobState.SUCCEEDED:
             break
     await engine.tidied()

@@ -19,6 +19,9 @@ from mavcal.service.store.rows import JournalRow
 
 BY_OPERATOR = "the operator asked for it"
 """Why a finished write is taken back, if nothing went wrong."""
+RESTART_MARGIN_S = 5.0
+RESTART_MARGIN = 0.05
+"""By so much, in seconds and as a share, a vehicle must have run for less time than has passed to have restarted."""
 
 
 class JournalStep(StrEnum):
@@ -60,12 +63,31 @@ class Sent:
 
 
 @dataclass(frozen=True)
+class Saved:
+    """When every new value was last read back: by our wall clock, and by the vehicle's time since its start, s."""
+
+    at: float
+    boot_time: float
+
+    def restarted_since(self, now: float, boot_time: float) -> bool:
+        """Whether a vehicle that has run for `boot_time` seconds at `now` must have restarted meanwhile.
+
+        It says so only if it has run for less than before, or began after that moment for sure: the margin is for two
+        clocks that differ, and for a vehicle that starts its clock late.
+        """
+        passed = now - self.at
+        return boot_time < self.boot_time or boot_time < passed - max(RESTART_MARGIN_S, RESTART_MARGIN * passed)
+
+
+@dataclass(frozen=True)
 class WriteRecord:
     """What the journal says of the latest transaction of a job."""
 
     accepted: bool = False
     sent: tuple[Sent, ...] = ()
     read_back: bool = False
+    saved: Saved | None = None
+    """The last read-back before a restart; None: there was none, or the vehicle told no time."""
     reboot_announced: bool = False
     rebooted: bool = False
     verified: bool = False
@@ -205,6 +227,12 @@ def _commanded(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
     return dataclasses.replace(record, commanded=record.commanded | {int(data["index"])})
 
 
+def _read_back(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    known = data.get("boot_time") is not None
+    saved = Saved(float(data["at"]), float(data["boot_time"])) if known else record.saved
+    return dataclasses.replace(record, read_back=True, saved=saved)
+
+
 def _flag(**flags: Any) -> Any:
     return lambda record, _: dataclasses.replace(record, **flags)
 
@@ -216,7 +244,7 @@ _FOLDS: Mapping[JournalStep, Any] = {
     JournalStep.SNAPSHOT: _flag(),
     JournalStep.SEND: _send,
     JournalStep.ECHO: _confirmed,
-    JournalStep.READ_BACK: _flag(read_back=True),
+    JournalStep.READ_BACK: _read_back,
     JournalStep.REBOOT: _flag(reboot_announced=True),
     JournalStep.REBOOTED: _flag(rebooted=True),
     JournalStep.VERIFIED: _flag(verified=True),

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from mavcal.calib.firmware.plan import Fingerprint, Value, Verification, WritePlan
+from mavcal.calib.firmware.plan import Fingerprint, LeftOut, Value, Verification, WritePlan
 from mavcal.calib.fit import FitResult
 from mavcal.calib.procedures.protocol import Progress, Prompt
 from mavcal.service.errors import IllegalTransition
@@ -153,8 +153,17 @@ class Job:
     standing: tuple[Standing, ...] = ()
     last_write: Attempt | None = None
     warnings: tuple[str, ...] = ()
+    missed: tuple[LeftOut, ...] = ()
+    """Sensors that could not take part in the capture; what the plan leaves out is in the plan."""
     context: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     """What a re-fit needs besides the segment: instances, answers with their times; what else was found (JSON-able)."""
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Every sensor that was asked for and gets no new calibration, or only a part of it; each once."""
+        planned = () if self.plan is None else self.plan.left_out
+        once = {(out.sensor, out.instance): out for out in (*planned, *self.missed)}
+        return tuple(once[key] for key in sorted(once))
 
 
 def advance(job: Job, to: JobState, at: float, **changes: Any) -> Job:

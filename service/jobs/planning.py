@@ -11,7 +11,7 @@ from mavcal.calib.firmware.compose.foresee import foreseen, unknown_sensors
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.in_force.fingerprint import calibration_snapshot, fingerprint
 from mavcal.calib.firmware.in_force.origin import Origin, differences
-from mavcal.calib.firmware.options import CONFIRMATIONS, compose_options, key_text, unknown_keys
+from mavcal.calib.firmware.options import CONFIRMATIONS, Key, compose_options, key_text, parse_key, unknown_keys
 from mavcal.calib.firmware.plan import Value, WritePlan, snapshot_sha256
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult
@@ -31,6 +31,9 @@ FROM_RECORDING = "recording"
 """Kind of a job whose fits are of an uploaded recording: it begins in review."""
 RESTORE = "restore"
 """Kind of a job that puts the last verified calibration back: it has no fits."""
+
+WITHOUT_ROW = "without_row"
+"""Where a job's context keeps them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,15 +139,26 @@ def make_plan(
     options: Mapping[str, Any],
     temperatures: Mapping[int, float],
     unproved_origin: str = "",
+    without_row: Iterable[Key] = (),
 ) -> Planned:
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all.
 
     `options` are those of the plan as plain data, `temperatures` those of :func:`accel_temperatures`,
-    `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says.
+    `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says, `without_row` what PX4 says itself.
     """
-    chosen = compose_options(options, accel_temperature=dict(temperatures), unproved_origin=unproved_origin)
+    chosen = compose_options(
+        options,
+        accel_temperature=dict(temperatures),
+        unproved_origin=unproved_origin,
+        without_row=frozenset(without_row),
+    )
     plan = compose(results, parameters, fingerprint(identity, parameters), options=chosen)
     return Planned(plan, calibration_snapshot(parameters))
+
+
+def keys_without_row(context: Mapping[str, Any]) -> tuple[Key, ...]:
+    """The sensors of which PX4 said, in the capture of this job's context, that they are in none of its rows."""
+    return tuple(parse_key(text) for text in context.get(WITHOUT_ROW, ()))
 
 
 async def keep_plan(handle: JobHandle, planned: Planned) -> None:

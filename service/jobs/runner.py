@@ -12,6 +12,7 @@ from functools import partial
 import structlog
 
 from mavcal.calib.errors import CalibError
+from mavcal.calib.firmware.options import key_text
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.procedures.protocol import GaveUp
@@ -26,6 +27,7 @@ from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.model import Failure, Job, LogSpan
 from mavcal.service.jobs.patience import until_idle
 from mavcal.service.jobs.planning import (
+    WITHOUT_ROW,
     accel_temperatures,
     foresee,
     keep_plan,
@@ -121,13 +123,17 @@ class Runner:
                 raise CaptureEnded(fitted.outcome.cause, remedy=fitted.outcome.remedy)
             results = fitted.outcome.results
             known = accel_temperatures(self.jobs(), require_vehicle(job), fitted.parameters)
-            planned = await asyncio.to_thread(make_plan, results, fitted.parameters, identity, plan_options, known)
+            planned = await asyncio.to_thread(
+                make_plan, results, fitted.parameters, identity, plan_options, known, "", fitted.without_row
+            )
             await keep_plan(handle, planned)
         except CaptureEnded as ended:
             self._end(handle, JobState.FAILED, ended.code, str(ended), ended.remedy)
             return
         except (ServiceError, CalibError) as error:
-            self._end(handle, JobState.FAILED, _code(error), str(error), KEPT)
+            self._end(
+                handle, JobState.FAILED, _code(error), str(error), "What was recorded is kept; start the job again."
+            )
             return
         told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
         told += [warning for fit in results for warning in fit.warnings]  # a sensor that was left out, above all
@@ -140,6 +146,8 @@ class Runner:
             plan=planned.plan,
             fingerprint=planned.plan.fingerprint,
             warnings=warnings,
+            missed=fitted.outcome.left_out,
+            context={**handle.job.context, WITHOUT_ROW: sorted(key_text(*key) for key in fitted.without_row)},
             prompt=None,
         )
 

@@ -29,7 +29,7 @@ from mavcal.service.jobs.ending import INTERRUPTED, cause_of, end, look_back, re
 from mavcal.service.jobs.finish import finish
 from mavcal.service.jobs.guard import STOPPING, WriteGuard
 from mavcal.service.jobs.handle import JobHandle, counting, waiting
-from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep, Next, decide
+from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep, Next, WriteRecord, decide
 from mavcal.service.jobs.needs import require_absent
 from mavcal.service.jobs.patience import until_idle
 from mavcal.service.jobs.proof import proof_of
@@ -163,6 +163,9 @@ async def _resume(w: Writing) -> None:
     values = {name: reading.value for name, reading in readings.items()}
     following = decide(record, w.plan, values)
     cause = record.rolling_back or record.stopped or INTERRUPTED
+    if following == Next.REBOOT and await _has_restarted(w, record):
+        await w.handle.record(JournalStep.REBOOTED)
+        following, values = Next.VERIFY, await read_back(w, Settling.RESTARTED)
     if following == Next.NOTHING_SENT:
         await _rates_back(w)
         await w.handle.record_anyway(JournalStep.CLOSED)
@@ -173,6 +176,15 @@ async def _resume(w: Writing) -> None:
         if following == Next.REBOOT:
             values = await read_back(w, Settling.SAVED)  # what is to survive the restart must be saved
         await _onward(w, following, values)
+
+
+async def _has_restarted(w: Writing, record: WriteRecord) -> bool:
+    """Whether the restart that a write waits for came while nobody listened: it need not be asked for again."""
+    if record.saved is None:
+        return False
+    await w.same_boot()  # its clock is heard
+    boot_time = w.vehicle.condition().boot_time
+    return boot_time is not None and record.saved.restarted_since(w.handle.now(), boot_time)
 
 
 async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None:

@@ -312,7 +312,7 @@ async def read_back(w: Writing, until: Settling = Settling.KEPT) -> dict[str, Va
     await w.settle(until)
     values = await current_values(w)
     check_in_place(w.plan.changes, values)
-    await w.handle.record(JournalStep.READ_BACK)
+    await w.handle.record(JournalStep.READ_BACK, at=w.handle.now(), boot_time=w.vehicle.condition().boot_time)
     w.reach(At.READ_BACK)
     return values
 

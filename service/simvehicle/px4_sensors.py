@@ -98,7 +98,7 @@ class Px4Sensors:
 
     def uncalibrated(self) -> list[str]:
         """The sensors without a slot, as the firmware names them."""
-        groups = (("Accel", self.accels), ("Gyro", self.gyros), ("Mag", self.mags))
+        groups = (("Accel", self.accels), ("Gyro", self.gyros), ("Compass", self.mags))
         return [f"{name} {k}" for name, group in groups for k, memory in enumerate(group) if memory.slot is None]
 
     def present(self, instance: int) -> bool:

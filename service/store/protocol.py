@@ -248,6 +248,10 @@ class Store(JobStore, FleetStore, Protocol):
         """Use a key for a request; raises StoreError if it was used before."""
         ...
 
+    def release_idempotency_key(self, key: str) -> None:
+        """Forget a key, so that it may be used again; one that is not known changes nothing."""
+        ...
+
     def add_audit(self, at: float, actor: str, action: str, subject: str, detail: Json) -> AuditRow:
         """Append to the audit trail; the row's digest covers all rows before it."""
         ...

@@ -102,6 +102,10 @@ class SqlStore(SqlJobs, SqlItems, FleetTables):
         sql = "INSERT INTO idempotency_keys (key, request_sha256, job_id, at) VALUES (?, ?, ?, ?)"
         self._run(sql, (key, request_sha256, job_id, at))
 
+    def release_idempotency_key(self, key: str) -> None:
+        """Forget a key, so that it may be used again; one that is not known changes nothing."""
+        self._run("DELETE FROM idempotency_keys WHERE key = ?", (key,))
+
     # --- audit
 
     def add_audit(self, at: float, actor: str, action: str, subject: str, detail: Json) -> AuditRow:

@@ -182,6 +182,22 @@ def test_stopped_at_the_restart_prompt(restarting: SimulatedVehicle, mavcal: Com
     assert stored(restarting)["SENS_IMU_AUTOCAL"] == 1
 
 
+def test_a_restart_that_nobody_saw_is_not_asked_for_again(restarting: SimulatedVehicle, mavcal: Command) -> None:
+    """Stopped at the prompt, restarted meanwhile: only the verification is left to do."""
+    first = mavcal.begun("calibrate", "gyro", "--apply")
+    first.until("Restart the vehicle")
+    assert first.stopped(signal.SIGINT) == 128 + signal.SIGINT
+    restarting.call("speed", value=1.0)  # its clock must not have run for long when it is looked at
+    restarting.call("reboot")
+    second = mavcal.begun("recover")
+    second.until("waiting until the vehicle has started")
+    restarting.call("speed", value=20.0)
+    assert second.ended() == 0, second.said
+    assert "Restart the vehicle" not in second.said
+    assert "is succeeded" in second.said
+    assert stored(restarting)["SENS_IMU_AUTOCAL"] == 1
+
+
 def test_stopped_in_the_capture_leaves_nothing(ardupilot: SimulatedVehicle, mavcal: Command) -> None:
     before = stored(ardupilot)
     ardupilot.call("speed", value=1.0)

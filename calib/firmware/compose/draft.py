@@ -17,6 +17,7 @@ from mavcal.calib.firmware.plan import (
     Agreement,
     Change,
     Fingerprint,
+    LeftOut,
     Loss,
     ParameterKind,
     Value,
@@ -75,6 +76,7 @@ class Draft:
         self._blockers: list[str] = []
         self._refused: dict[Subject, list[str]] = {}
         self._dropped: dict[Subject, str] = {}
+        self._needless: set[Subject] = set()
 
     def get(self, name: str, default: float) -> float:
         """The value that will be in the vehicle once the draft is written."""
@@ -197,9 +199,14 @@ class Draft:
         """Send a command when everything has been read back."""
         self._after.append(AfterWrite(command, params, why))
 
-    def drop(self, about: Subject, text: str) -> None:
-        """Note that what was fitted of `about` is not written, which :meth:`lose` has announced with its cost."""
+    def drop(self, about: Subject, text: str, *, needless: bool = False) -> None:
+        """Note that what was fitted of `about` is not written, which :meth:`lose` has announced with its cost.
+
+        `needless`: there is nothing that would have to be written.
+        """
         self._dropped.setdefault(about, text)
+        if needless:
+            self._needless.add(about)
 
     def warn(self, text: str, *, first: bool = False) -> None:
         """Say something that does not stop the write; `first`: before everything else."""
@@ -223,6 +230,11 @@ class Draft:
         return dict(self._dropped)
 
     @property
+    def left_out(self) -> dict[Subject, str]:
+        """Those of :attr:`dropped` that lack something."""
+        return {about: text for about, text in self._dropped.items() if about not in self._needless}
+
+    @property
     def losses(self) -> tuple[Loss, ...]:
         """What was announced so far."""
         return tuple(self._losses)
@@ -237,7 +249,9 @@ class Draft:
         ordered = [change for _, _, change in sorted(self._changes.values(), key=lambda item: item[:2])]
         return () if all(change.session for change in ordered) else tuple(ordered)
 
-    def plan(self, fingerprint: Fingerprint, agreements: Sequence[Agreement] = ()) -> WritePlan:
+    def plan(
+        self, fingerprint: Fingerprint, agreements: Sequence[Agreement] = (), left_out: Sequence[LeftOut] = ()
+    ) -> WritePlan:
         """The finished plan, in the order of writing. A sensor that is still refused forbids everything."""
         return WritePlan(
             fingerprint,
@@ -248,6 +262,7 @@ class Draft:
             tuple(self._warnings),
             (*self._blockers, *(text for texts in self._refused.values() for text in texts)),
             tuple(agreements),
+            tuple(left_out),
         )
 
     def _known(self, name: str, about: Subject | None, *, hidden: bool) -> bool:

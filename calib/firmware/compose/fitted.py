@@ -71,7 +71,7 @@ def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...
         if fit.status == FitStatus.REFUSED:
             _leave_out(draft, about, fit.message)
         elif not drift_axes(fit):
-            _leave_out(draft, about, _why_no_drift(fit))
+            _leave_out(draft, about, _why_no_drift(fit), needless=bool(fit.quality.get("below_resolution")))
         elif fit.relative:
             draft.block(
                 f"{about}: the calibration in force during the capture is not known, so this fit is relative and "
@@ -83,10 +83,10 @@ def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...
     return tuple(kept)
 
 
-def _leave_out(draft: Draft, about: Subject, why: str) -> None:
+def _leave_out(draft: Draft, about: Subject, why: str, *, needless: bool = False) -> None:
     text = f"{about} is left out: {why}"
     draft.warn(text)
-    draft.drop(about, text)
+    draft.drop(about, text, needless=needless)
 
 
 def _why_no_drift(fit: FitResult) -> str:

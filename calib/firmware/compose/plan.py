@@ -23,7 +23,7 @@ from mavcal.calib.firmware.compose.mag_motor import compose_motors
 from mavcal.calib.firmware.compose.px4_mag import compose_magnetometers
 from mavcal.calib.firmware.compose.trim import adjust_trim, compose_level
 from mavcal.calib.firmware.options import ComposeOptions, to_confirm, unknown_keys
-from mavcal.calib.firmware.plan import Agreement, Fingerprint, Loss, Value, WritePlan
+from mavcal.calib.firmware.plan import Agreement, Fingerprint, LeftOut, Loss, Value, WritePlan
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Sensor
@@ -199,7 +199,18 @@ class _Composition:
         if not (draft.changes or agreements or self._left):
             why = "; ".join(draft.dropped.values()) or "; ".join(loss.text for loss in draft.losses)
             draft.block(f"there is nothing to write: {why or 'no sensor has a usable fit'}")
-        return draft.plan(self._fingerprint, agreements)
+        return draft.plan(self._fingerprint, agreements, self._left_out(draft))
+
+    def _left_out(self, draft: Draft) -> list[LeftOut]:
+        """Sensors that the operator asked for and that are not written, or in part only."""
+        why = {about: "; ".join(texts) for about, texts in self._left.items()}
+        for about, text in draft.left_out.items():
+            why.setdefault(about, text)
+        found = []
+        for about, text in sorted(why.items(), key=lambda item: (item[0].sensor, item[0].instance)):
+            reason = text.removeprefix(str(about)).removeprefix(" is left out").lstrip(": ")
+            found.append(LeftOut(about.sensor, about.instance, reason))
+        return found
 
     def _ask_for_origin(self, draft: Draft) -> None:
         if self._options.confirm_other_unit:

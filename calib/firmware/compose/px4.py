@@ -64,14 +64,18 @@ def set_row(draft: Draft, about: Subject) -> bool:
     roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
     if int(draft.parameters.get(roles[Role.PRIORITY], -1)) == 0:
         draft.warn(f"{about} is disabled ({roles[Role.PRIORITY]} = 0); it stays so")
-    if int(draft.parameters.get(roles[Role.ID], 0)) != 0:
-        if about.instance > 0 or _rows_filled(draft, about.sensor) > 1:
-            draft.warn(
-                f"PX4 streams do not say which device {about} is; its row is taken by order ({roles[Role.ID]}), and "
-                "the physical check will tell if that is wrong"
-            )
-        return True
     device = draft.options.device_ids.get((about.sensor, about.instance))
+    held = int(draft.parameters.get(roles[Role.ID], 0))
+    rows = _rows(draft, about.sensor)
+    if held != 0 and device == held:
+        return True  # the operator has read it
+    if device is not None and device in rows:
+        draft.block(
+            f"{about} has the device id {device}, but that is in {rows[device]}, which belongs to another one", about
+        )
+        return False
+    if held != 0:
+        return _may_take(draft, about, roles[Role.ID], held, len(rows))
     if device is None:
         draft.block(
             f"{roles[Role.ID]} is 0: the vehicle has never calibrated {about}, and a stream does not tell its device "
@@ -85,8 +89,40 @@ def set_row(draft: Draft, about: Subject) -> bool:
     return True
 
 
-def _rows_filled(draft: Draft, sensor: Sensor) -> int:
-    return sum(1 for (s, _) in px4.sensor_ids(draft.parameters) if s == sensor)
+def _may_take(draft: Draft, about: Subject, name: str, held: int, filled: int) -> bool:
+    """Whether the row by order may be taken, which holds the id `held`; else the sensor is refused.
+
+    Rows that hold an id are not always those of the sensors that stream: PX4 keeps the id of one that was taken away.
+    """
+    without = draft.options.without_row
+    ask = "Run PX4's own calibration of it once, which writes the ids anew, or give its id with " + how("device_ids")
+    if (about.sensor, about.instance) in without:
+        draft.block(
+            f"PX4 says that {about} is in none of its rows, so {name} = {held} is the id of another sensor. {ask}",
+            about,
+        )
+        return False
+    if filled > 1 and any(sensor == about.sensor for sensor, _ in without):
+        draft.block(
+            f"PX4 says that one {about.sensor} is in none of its rows, and {filled} rows hold ids: which one is "
+            f"that of {about} is not known ({name} = {held}). {ask}",
+            about,
+        )
+        return False
+    if about.instance > 0 or filled > 1:
+        shown = (
+            "no stream shows whether that is right" if about.sensor == Sensor.MAG else "the physical check looks at it"
+        )
+        draft.warn(
+            f"PX4 streams do not say which device {about} is; its row is taken by order ({name} = {held}), and {shown}"
+        )
+    return True
+
+
+def _rows(draft: Draft, sensor: Sensor) -> dict[int, str]:
+    """The name that holds each device id."""
+    ids = (names.px4_names(sensor, slot)[Role.ID] for slot in range(names.PX4_SLOTS))
+    return {device: name for name in ids if (device := int(draft.parameters.get(name, 0))) != 0}
 
 
 def _set_offset(draft: Draft, about: Subject, fit: FitResult) -> None:

@@ -10,7 +10,7 @@ from typing_extensions import TypeAliasType
 from mavcal.calib.preflight.check import Verdict
 from mavcal.service.api.models.base import Json, Number, Request, Stamp
 from mavcal.service.api.models.fits import FitModel
-from mavcal.service.api.models.plans import PlanModel, PlanOptions, VerificationModel
+from mavcal.service.api.models.plans import LeftOutModel, PlanModel, PlanOptions, VerificationModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
 from mavcal.service.jobs.model import Holds, WriteResult
 from mavcal.service.jobs.proof import ProofLevel
@@ -137,6 +137,10 @@ class JobSummary(BaseModel):
     prompt: PromptModel | None = Field(description="what the operator is asked to do; null: nothing now")
     outcome: OutcomeModel | None = Field(
         description="null while the job goes on, and while a plan waits that was not tried yet"
+    )
+    left_out: list[LeftOutModel] = Field(
+        description="sensors that were asked for and get no new calibration, or only a part of it; not empty: the job "
+        "is done in part"
     )
     last_write: WriteModel | None = Field(description="null: nothing was accepted yet")
     options: Json = Field(description="options of the procedure or method, and what an upload adds")

@@ -102,6 +102,14 @@ class AgreementModel(BaseModel):
     text: str
 
 
+class LeftOutModel(BaseModel):
+    """A sensor that was asked for and gets no new calibration, or only a part of it."""
+
+    sensor: Sensor
+    instance: int = Field(description="which sensor of its kind, from 0")
+    reason: str
+
+
 class PlanModel(BaseModel):
     """What would be written, in this order, why, and what it costs."""
 
@@ -113,6 +121,7 @@ class PlanModel(BaseModel):
     warnings: list[str]
     blockers: list[str] = Field(description="why nothing of it may be written; empty: it may be")
     agreements: list[AgreementModel]
+    left_out: list[LeftOutModel] = Field(description="sensors that were fitted and are not written, or in part only")
     needs_reboot: bool
     sha256: str = Field(description="digest of the plan; whoever accepts it quotes this")
 

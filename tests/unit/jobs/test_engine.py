@@ -32,7 +32,7 @@ from mavcal.service.errors import (
 from mavcal.service.jobs.codec import job_from_row, row_from_job
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
-from mavcal.service.jobs.model import Accept, Failure, Job
+from mavcal.service.jobs.model import Accept, Failure, Job, WriteResult
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.store.sql import SqlStore
@@ -242,6 +242,24 @@ async def test_an_idempotency_key_writes_once(vehicle: FakeVehicle) -> None:
             await engine.apply("j1", accept, "another key")
         assert [row.step for row in store.journal("j1")].count(JournalStep.ACCEPTED) == 1
         assert [row.action for row in store.audit()] == ["apply"]
+
+
+async def test_a_key_whose_apply_sent_nothing_writes_the_next_time(vehicle: FakeVehicle) -> None:
+    """Pages and scripts name an accept by job and plan: the same key must not answer from memory for ever."""
+    job = reviewed(vehicle)
+    assert job.plan is not None
+    accept = Accept(job.plan.sha256)
+    async with running(vehicle, job) as engine:
+        for tried in (accept, replace(accept, reboot=True)):  # and it is free for another request of this job
+            await engine.apply("j1", tried, "key")
+            vehicle.change_state(armed=True)
+            await until(lambda: engine.get("j1").state == JobState.REVIEW)
+            assert vehicle.sets == []
+            vehicle.change_state(armed=False)
+        began = (await engine.apply("j1", accept, "key")).last_write
+        assert began is not None
+        assert began.result == WriteResult.RUNNING
+        assert (await engine.apply("j1", accept, "key")).last_write == began  # now it stands for this attempt
 
 
 async def test_events_are_replayed_and_then_live(vehicle: FakeVehicle) -> None:

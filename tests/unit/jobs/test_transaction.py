@@ -12,7 +12,8 @@ from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import DiskFull
 from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
+from mavcal.service.jobs.ending import doubt
+from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep, Saved
 from mavcal.service.jobs.model import Failure, Result, Unwritten
 from mavcal.service.jobs.port import ParameterReading
 from mavcal.service.jobs.states import JobState
@@ -552,3 +553,54 @@ def test_every_step_is_understood_by_recovery() -> None:
     from mavcal.service.jobs.journal import _FOLDS
 
     assert set(_FOLDS) == set(JournalStep)
+
+
+async def stopped_at_the_restart(bench: Bench) -> Bench:
+    """The service ended while it waited for the operator's restart; what the next one finds."""
+    writing = asyncio.create_task(bench.apply())
+    await until(lambda: bench.handle.job.prompt is not None and bench.handle.job.prompt.step == "reboot")
+    writing.cancel()
+    await asyncio.gather(writing, return_exceptions=True)
+    again = bench.restarted()
+    await doubt(again.handle, "the service was interrupted")
+    return again
+
+
+async def test_a_restart_that_came_while_nobody_listened_is_not_asked_for_again(make_bench: MakeBench) -> None:
+    bench = make_bench(reboot=True, accept_reboot=False)
+    bench.vehicle.change_state(boot_time=100.0)
+    again = await stopped_at_the_restart(bench)
+    again.vehicle.change_state(boot_time=12.0)
+    prompts: list[str] = []
+    again.handle.prompt = lambda prompt: prompts.append(prompt.text if prompt else "")  # type: ignore[method-assign]
+    await again.transaction.resolve()
+    assert again.state == JobState.SUCCEEDED
+    assert again.held() == EXPECTED
+    assert not any("Restart" in text for text in prompts)
+
+
+async def test_without_a_sign_of_a_restart_it_is_asked_for(make_bench: MakeBench) -> None:
+    bench = make_bench(reboot=True, accept_reboot=False)
+    bench.vehicle.change_state(boot_time=100.0)
+    again = await stopped_at_the_restart(bench)
+    again.vehicle.change_state(boot_time=101.0)
+    resolving = asyncio.create_task(again.transaction.resolve())
+    await until(lambda: again.handle.job.prompt is not None and again.handle.job.prompt.step == "reboot")
+    again.vehicle.change_state(reboots=1, boot_time=1.0)
+    await resolving
+    assert again.state == JobState.SUCCEEDED
+
+
+@pytest.mark.parametrize(
+    ("passed", "boot_time", "restarted"),
+    [
+        (10.0, 99.0, True),  # it has run for less than before
+        (10.0, 110.0, False),
+        (3600.0, 3700.0, False),
+        (3600.0, 3500.0, False),  # its clock may be slow by 5 %
+        (3600.0, 600.0, True),
+        (103.0, 100.5, False),  # too near to be told apart
+    ],
+)
+def test_what_tells_of_a_restart(passed: float, boot_time: float, restarted: bool) -> None:
+    assert Saved(1000.0, 100.0).restarted_since(1000.0 + passed, boot_time) == restarted

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import lzma
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.px4.without_row import without_row
 from mavcal.calib.firmware.rotations import rotation_matrix
+from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.recording import Sensor
 
 SOFT = np.array([[1.06, 0.03, -0.02], [0.03, 0.95, 0.015], [-0.02, 0.015, 1.03]])
@@ -346,3 +349,46 @@ def test_what_px4_drops_costs_its_share_of_the_field_and_of_50_ut_where_none_is_
 
     assert cost(known) == pytest.approx(0.5 * cost({}))  # a field of 25 uT
     assert cost({}) == pytest.approx(0.004 * 50.0, rel=0.01)
+
+
+STALE = {"CAL_MAG0_ID": 197388, "CAL_MAG1_ID": 197644}
+SECOND = frozenset({(Sensor.MAG, 1)})
+
+
+def test_a_row_that_px4_says_is_not_this_compass_is_not_written(px4_parameters, px4_fingerprint, make_fit):
+    """A second compass on UAVCAN, and in the second row the id of one that was taken away."""
+    parameters = px4_parameters | STALE
+    fits = [mag_fit(make_fit, i) for i in (0, 1)]
+    plan = compose(fits, parameters, px4_fingerprint, options=ComposeOptions(without_row=SECOND))
+    assert not any(c.name.startswith("CAL_MAG") for c in plan.changes)
+    first, second = plan.left_out
+    assert (first.sensor, first.instance, second.instance) == (Sensor.MAG, 0, 1)
+    assert "2 rows hold ids" in first.reason
+    assert "CAL_MAG1_ID = 197644 is the id of another sensor" in second.reason
+    assert "--device-ids" in second.reason
+
+    known = ComposeOptions(without_row=SECOND, device_ids={(Sensor.MAG, 0): 197388})
+    plan = compose(fits, parameters, px4_fingerprint, options=known)
+    written = {c.name[:8] for c in plan.changes if c.name.startswith("CAL_MAG")}
+    assert written == {"CAL_MAG0"}
+    assert [out.instance for out in plan.left_out] == [1]
+
+    wrong = ComposeOptions(device_ids={(Sensor.MAG, 0): 197644})  # another one's row
+    plan = compose([fits[0]], parameters, px4_fingerprint, options=wrong)
+    assert "that is in CAL_MAG1_ID" in plan.blockers[0]
+
+
+def test_rows_by_order_are_said_to_be_a_guess_that_no_stream_shows(px4_parameters, px4_fingerprint, make_fit):
+    plan = compose([mag_fit(make_fit, 1)], px4_parameters | STALE, px4_fingerprint)
+    assert any("no stream shows whether that is right" in text for text in plan.warnings)
+    assert not any("physical check will tell" in text for text in plan.warnings)
+    assert plan.left_out == ()
+
+
+@pytest.mark.shared
+def test_px4_itself_said_that_a_recorded_compass_had_no_row(shared_data):
+    path = shared_data / "firmware_runs" / "px4_mag_external_second_row.tlog.xz"
+    if not path.exists():
+        pytest.skip("the recording is not there")
+    recording = read_tlog(lzma.decompress(path.read_bytes()), system=1)
+    assert without_row(recording.events) == SECOND
