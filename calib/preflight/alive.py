@@ -40,7 +40,9 @@ _HEALTHY: Final[Mapping[Sensor, float]] = {
 }
 """Noise of a sample that a healthy part has at most (rad/s, m/s2, uT): a noisier one is no measure for the others."""
 _LINK = "Check again over a better link, or with fewer other programs on this one."
-_POWER = "Look at its wiring and at its driver; restart the vehicle. If it was removed, switch it off in the parameters."
+_POWER = (
+    "Look at its wiring and at its driver; restart the vehicle. If it was removed, switch it off in the parameters."
+)
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,8 @@ class Check:
     remedy: str = ""
     evidence: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
-    """What is off. Several: one of them, and nothing that was looked at tells which; empty: nothing is, or no thing."""
+    """What is off. Several: all of them, or one of them and nothing that was looked at tells which, as the reason says.
+    Empty: nothing is, or it has no name."""
 
     def because_of(self, cause: CheckId) -> Check:
         """The same failure as a consequence of another check's: the sensor cannot be judged before that is mended."""

@@ -69,7 +69,7 @@ def _placed(measures: list[Measure], compasses: Mapping[int, Mean], field: Earth
     if not all(m.value > m.limit for m in measures):
         return measures
     strengths = [mean.norm for mean in compasses.values()]
-    on_earth = limits.WEAKEST_FIELD < min(strengths) and max(strengths) < limits.STRONGEST_FIELD
+    on_earth = min(strengths) > limits.WEAKEST_FIELD and max(strengths) < limits.STRONGEST_FIELD
     if len(measures) == 1 and on_earth:
         told = "It is possible on Earth, but not at this position, and no second compass tells which of both is wrong."
         suspects = (*measures[0].suspects, "position")
@@ -155,9 +155,7 @@ def _headings(
 ) -> Headings:
     items = list(judgeable.items())
     pairs = {
-        (i, k): _between(i, one, k, other, upright)
-        for n, (i, one) in enumerate(items)
-        for k, other in items[n + 1 :]
+        (i, k): _between(i, one, k, other, upright) for n, (i, one) in enumerate(items) for k, other in items[n + 1 :]
     }
     if field is None:
         return Headings({}, pairs, {}, {}, None)

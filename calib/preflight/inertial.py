@@ -18,9 +18,7 @@ _GYRO = "Calibrate the gyroscopes at rest: `mavcal preflight --fix gyro --apply`
 _ACCEL = "Calibrate the accelerometers; if one stays off by itself, it is damaged or loose."
 
 
-def gyro_rest(
-    gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0
-) -> Check:
+def gyro_rest(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0) -> Check:
     """The rate that every gyroscope shows while the vehicle stands still; `installed`: 0 for as many as were heard."""
     if not gyros:
         return unknown(CheckId.GYRO_REST, _nothing("gyroscope", silent), "Look at the link and at the sensor.")
@@ -48,9 +46,7 @@ def rest_measures(gyros: Mapping[int, Mean]) -> dict[int, Measure]:
     }
 
 
-def gyro_noise(
-    gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0
-) -> Check:
+def gyro_noise(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0) -> Check:
     """The scatter of a single sample."""
     if not gyros:
         return unknown(CheckId.GYRO_NOISE, _nothing("gyroscope", silent), "Look at the link and at the sensor.")

@@ -32,7 +32,7 @@ class Movement:
 
     def seen_by_others(self, key: tuple[Sensor, int]) -> str:
         """What shows a turn that this sensor should have followed; empty: nothing does beyond doubt."""
-        kind, instance = key
+        kind, _ = key
         angles = {other: angle for other, angle in self.turned.items() if other != key and angle > TURNED_DEG}
         rates = {i: rate for i, rate in self.rates.items() if (Sensor.GYRO, i) != key and rate > RATE_DEG_S}
         siblings = [i for of, i in angles if of == kind] if kind != Sensor.GYRO else sorted(rates)

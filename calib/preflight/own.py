@@ -147,4 +147,4 @@ def _explained(text: str, failed: Sequence[CheckId]) -> bool:
     """Whether a check of ours that failed is about what this text complains of."""
     lower = text.lower()
     of_sensors = any(word in lower for words in _WORDS.values() for word in words)
-    return any(of in _GENERAL and of_sensors or any(word in lower for word in _WORDS.get(of, ())) for of in failed)
+    return any((of in _GENERAL and of_sensors) or any(word in lower for word in _WORDS.get(of, ())) for of in failed)

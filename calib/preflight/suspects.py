@@ -96,9 +96,7 @@ def _given(i: int, measure: Measure, found: Headings, *, together: bool) -> Meas
     return _with(measure, (_compass(i),))
 
 
-_OWN = (
-    "Wait until the vehicle's estimate has settled, or restart it, and check again; give --heading to tell which is off."
-)
+_OWN = "Wait until the vehicle's estimate has settled, or restart it, and check again; --heading tells which is off."
 _SHARED = "Look at the orientation that is set for the autopilot, and whether the heading given is a true one."
 
 

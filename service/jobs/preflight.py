@@ -231,7 +231,9 @@ class Preflights:
             await asyncio.sleep(min(LOOK_S, left))
             found, looks = gathered(heard.frames, autopilot), looks + 1
         if looks:
-            heard.notes.append(f"the link is slow: {found.text}, and {self._clock() - began:.0f} s were waited for more")
+            heard.notes.append(
+                f"the link is slow: {found.text}, and {self._clock() - began:.0f} s were waited for more"
+            )
 
     async def _finished(self, reading: asyncio.Task[None], began: float, heard: _Heard) -> bool:
         """Whether every parameter was read in time; the vehicle's answer to the last one is waited for a little."""

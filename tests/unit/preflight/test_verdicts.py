@@ -181,8 +181,14 @@ def test_a_vehicle_that_is_not_ready_and_says_nothing_is_explained_by_what_faile
     ("view", "line"),
     [
         (OwnView(), "SYS_STATUS was not heard"),
-        (OwnView(present=True, ready=True), "SYS_STATUS: the prearm check is present and switched on; the vehicle says that it is ready"),
-        (OwnView(present=True, ready=False), "SYS_STATUS: the prearm check is present and switched on; the vehicle says that it is not ready"),
+        (
+            OwnView(present=True, ready=True),
+            "SYS_STATUS: the prearm check is present and switched on; the vehicle says that it is ready",
+        ),
+        (
+            OwnView(present=True, ready=False),
+            "SYS_STATUS: the prearm check is present and switched on; the vehicle says that it is not ready",
+        ),
         (OwnView(present=False), "SYS_STATUS: the prearm check is not among what is present and switched on"),
     ],
 )
