@@ -26,11 +26,13 @@ class Autopilot(StrEnum):
 class CheckId(StrEnum):
     """Stable names of the checks; the comment of each is its line in docs/preflight.md."""
 
+    SENSORS_HEARD = "sensors_heard"
     GYRO_REST = "gyro_rest"
     GYRO_NOISE = "gyro_noise"
     ACCEL_FORCE = "accel_force"
     COMPASS_FIELD = "compass_field"
     COMPASS_DIRECTION = "compass_direction"
+    ATTITUDE = "attitude"
     TEMPERATURE = "temperature"
     CALIBRATION_AGE = "calibration_age"
     SENSOR_IDS = "sensor_ids"

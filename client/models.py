@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+from pydantic import Field
+
 from mavcal.client.base import Answer, Number
 from mavcal.client.enums import (
     Airframe,
@@ -88,6 +90,8 @@ class CheckModel(Answer):
     """What helps; empty where nothing has to be done."""
     evidence: list[str]
     """Every number and fact that the check rests on."""
+    suspects: list[str] = Field(default_factory=list)
+    """What is off; several: all of them, or one of them and nothing tells which, as the reason says."""
 
 
 class CoveredModel(Answer):

@@ -135,7 +135,7 @@ export interface ChangeModel {
 }
 
 /** Stable names of the checks; the comment of each is its line in docs/preflight.md. */
-export type CheckId = "gyro_rest" | "gyro_noise" | "accel_force" | "compass_field" | "compass_direction" | "temperature" | "calibration_age" | "sensor_ids" | "parameters_changed" | "motor_compensation" | "vibration" | "onboard_calibration" | "arming_checks" | "vehicle_prearm";
+export type CheckId = "sensors_heard" | "gyro_rest" | "gyro_noise" | "accel_force" | "compass_field" | "compass_direction" | "attitude" | "temperature" | "calibration_age" | "sensor_ids" | "parameters_changed" | "motor_compensation" | "vibration" | "onboard_calibration" | "arming_checks" | "vehicle_prearm";
 
 /** One check; value, sd and limit are those of its worst number, null where it has none. */
 export interface CheckModel {
@@ -154,6 +154,8 @@ export interface CheckModel {
   remedy: string;
   /** Every number and fact that the check rests on. */
   evidence: string[];
+  /** What is off; several: all of them, or one of them and nothing tells which, as the reason says. */
+  suspects?: string[];
 }
 
 /** The temperatures that a calibration covers, degC. */

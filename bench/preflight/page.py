@@ -26,9 +26,12 @@ def table(found: Sequence[Row]) -> str:
     for row in found:
         most = "; ".join(f"{checks} {count}" for checks, count in row.failed.most_common(3))
         name = "healthy" if row.fault is None else row.fault.words
-        right = "everything passes" if row.fault is None else " or ".join(sorted(row.fault.right))
-        rows.append((name, right, f"{row.right} of {row.runs}", most, "yes" if row.met else "NO"))
-    return _lines(("vehicle", "right", "right, alone", "failed (of healthy: no pass)", "met"), rows)
+        blamed = "; ".join(f"{who} {count}" for who, count in row.blamed.most_common()) or "-"
+        advised = max(row.advised, key=lambda said: row.advised[said], default="-").split(". ")[0].rstrip(".")
+        cells = (name, row.autopilot, f"{row.right} of {row.runs}", most, blamed, advised)
+        rows.append((*cells, "yes" if row.met else "NO"))
+    head = ("vehicle", "autopilot", "right, alone", "failed (of healthy: no pass)", "blamed", "advised first", "met")
+    return _lines(head, rows)
 
 
 def put(page: str, **tables: str) -> str:

@@ -6,6 +6,7 @@ The sensors are drawn with what a good calibration leaves over. A fault changes 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,12 +33,12 @@ NOW = 1798000000.0  # December 2026
 YEAR = 2026.95
 DAY_S = 86400.0
 
-# Residual of a calibration per axis (1 sd), and the noise of a sample.
+# Residual of a calibration per axis (1 sd).
 GYRO_LEFT, ACCEL_LEFT, MAG_LEFT = np.radians(0.05), 0.015, 0.4
 GLUED = np.radians(0.1)
-GYRO_NOISE, ACCEL_NOISE, MAG_NOISE = 1e-3, 0.02, 0.2
 LEAST_LEVEL_FIELD = 15.0
 """uT: nearer to a magnetic pole a heading cannot be checked to 10 deg."""
+TURN_FROM, TURN_S = 2.0, 2.0
 QUIET = Shaking((0.1, 0.1, 0.1), (0, 0, 0))
 
 
@@ -62,6 +63,22 @@ class BenchVehicle:
     rattle: float = 0.0
     """Standard deviation that vibration adds to a sample of the accelerometer, m/s2."""
     texts: tuple[str, ...] = ()
+    noises: dict[Sensor, list[float]] = dataclasses.field(default_factory=dict)
+    """Noise of a sample, by sensor and instance: parts differ."""
+    culprit: str = ""
+    """What is off, as the report should name it; empty: nothing has a name."""
+    dead: dict[tuple[Sensor, int], str] = dataclasses.field(default_factory=dict)
+    """``zero``, ``frozen`` or ``nan``."""
+    lost: frozenset[int] = frozenset()
+    """Instances whose messages do not come."""
+    ill: frozenset[Sensor] = frozenset()
+    turned_deg: float = 0.0
+    """By how much it is turned about its vertical in the middle of the capture."""
+    heading_error: float = 0.0
+    tilt_error: float = 0.0
+    """Of the vehicle's own attitude, rad."""
+    believed: tuple[float, float, float] | None = None
+    """Where it believes to be; None: where it is."""
     _channels: list[Channel] = dataclasses.field(default_factory=list)
 
     @property
@@ -71,18 +88,37 @@ class BenchVehicle:
 
     def snapshot(self) -> Snapshot:
         """Six seconds of it."""
-        force = self.body_from_ned @ np.array([0.0, 0.0, -STANDARD_GRAVITY])
+        down = self.body_from_ned @ np.array([0.0, 0.0, 1.0])
         earth = self.body_from_ned @ self.field.north_east_down
         for i in range(self.imus):
+            if i in self.lost:
+                continue
             shaken = 0.02 * self.rattle  # rad/s for a m/s2
-            self._add(Sensor.ACCEL, i, force + self.accel_errors[i], np.hypot(ACCEL_NOISE, self.rattle), 50.0, MG)
-            self._add(Sensor.GYRO, i, self.gyro_errors[i], np.hypot(GYRO_NOISE, shaken), 50.0, MRAD_S)
-            self._add(Sensor.TEMPERATURE, i, np.array([self.temperatures[i]]), 0.05, 50.0, CDEGC)
-        rate = 10.0 if self.autopilot == "ardupilot" else 50.0
+            accel = np.hypot(self.noises[Sensor.ACCEL][i], self.rattle)
+            gyro = np.hypot(self.noises[Sensor.GYRO][i], shaken)
+            force, rate = -STANDARD_GRAVITY * down + self.accel_errors[i], self.gyro_errors[i]
+            for quantum_a, quantum_g in ((MG, MRAD_S), *(((0.0, 0.0),) if self.floats(i) else ())):
+                self._add(Sensor.ACCEL, i, lambda _t, f=force: f, accel, 50.0, quantum_a)
+                self._add(Sensor.GYRO, i, lambda t, r=rate: r + self._rate(t) * down, gyro, 50.0, quantum_g)
+            self._add(Sensor.TEMPERATURE, i, lambda _t, i=i: np.array([self.temperatures[i]]), 0.05, 50.0, CDEGC)
+        read = 10.0 if self.autopilot == "ardupilot" else 50.0
         for i, error in enumerate(self.mag_errors):
-            self._add(Sensor.MAG, i, self.mag_turns[i] @ earth + error, MAG_NOISE, rate, MGAUSS_UT)
-        self._add(Sensor.ATTITUDE, 0, _quaternion(self.body_from_ned.T), 1e-3, 10.0, 0.0)
-        self._add(Sensor.POSITION, 0, np.array(self.place), 0.0, 1.0, 0.0)
+            if i in self.lost:
+                continue
+            turn, noise = self.mag_turns[i], self.noises[Sensor.MAG][i]
+            self._add(
+                Sensor.MAG,
+                i,
+                lambda t, turn=turn, error=error: turn @ about(down, -self._yaw(t)) @ earth + error,
+                noise,
+                read,
+                MGAUSS_UT,
+            )
+        self._add(Sensor.ATTITUDE, 0, self._attitude, 1e-4, 10.0, 0.0)
+        self._add(Sensor.POSITION, 0, lambda _t: np.array(self.believed or self.place), 0.0, 1.0, 0.0)
+        count = int(SECONDS * 50.0)
+        messages = {i: 0 if i in self.lost else count for i in range(max(self.imus, len(self.mag_errors)))}
+        ready = not self.texts
         return Snapshot(
             Recording(tuple(self._channels)),
             Identity(self.autopilot, uid=self.uid, firmware=(4, 6, 0)),
@@ -90,19 +126,56 @@ class BenchVehicle:
             NOW,
             (self.verified,),
             self.shaking,
-            OwnView(present=True, ready=not self.texts, asked=True, texts=self.texts, calibrating=False),
+            OwnView(
+                present=self.autopilot == "ardupilot",
+                ready=ready,
+                asked=True,
+                texts=self.texts,
+                calibrating=False,
+                ill=self.ill,
+            ),
             current_known=True,
+            messages=messages,
         )
 
-    def _add(self, sensor: Sensor, i: int, value: Array, noise: float, rate: float, quantum: float) -> None:
+    def floats(self, instance: int) -> bool:
+        """Whether a message carries this unit without rounding: ArduPilot's HIGHRES_IMU, of the first."""
+        return self.autopilot == "ardupilot" and instance == 0
+
+    def _yaw(self, t: float) -> float:
+        return float(np.radians(self.turned_deg) * np.clip((t - TURN_FROM) / TURN_S, 0.0, 1.0))
+
+    def _rate(self, t: float) -> float:
+        return float(np.radians(self.turned_deg) / TURN_S) if TURN_FROM <= t < TURN_FROM + TURN_S else 0.0
+
+    def _attitude(self, t: float) -> Array:
+        """What the vehicle says of itself, with what its estimator has wrong."""
+        down = self.body_from_ned @ np.array([0.0, 0.0, 1.0])
+        tilted = about(np.cross(down, [0.6, 0.8, 0.0]), self.tilt_error)
+        ned_from_body = (tilted @ about(down, -self._yaw(t)) @ self.body_from_ned).T
+        return _quaternion(_about_down(self.heading_error) @ ned_from_body)
+
+    def _add(
+        self, sensor: Sensor, i: int, truth: Callable[[float], Array], noise: float, rate: float, quantum: float
+    ) -> None:
         t = np.arange(0.0, SECONDS, 1.0 / rate)
-        values = value + self.rng.normal(0.0, noise, (len(t), len(value)))
+        moves = self.turned_deg and sensor not in (Sensor.TEMPERATURE, Sensor.POSITION)
+        true = np.array([truth(x) for x in t.tolist()]) if moves else np.tile(truth(0.0), (len(t), 1))
+        values = true + self.rng.normal(0.0, noise, true.shape)
+        fault = self.dead.get((sensor, i))
+        if fault == "zero" and sensor != Sensor.GYRO:
+            return  # three zeros are no reading of an accelerometer or a compass
+        if fault in ("frozen", "zero"):
+            values = np.tile(values[0] if fault == "frozen" else 0.0 * values[0], (len(t), 1))
+        elif fault == "nan":
+            values = np.full_like(values, np.nan)
         zero_bin = None
         if quantum > 0.0:
             whole = np.trunc(values / quantum)
             zero_bin, values = whole == 0.0, quantum * (whole + 0.5 * np.sign(whole))
         rounding = Rounding.TOWARD_ZERO if quantum > 0.0 else Rounding.NONE
-        channel = Channel(sensor, i, t, values, "", Stage.CORRECTED, "bench", quantum, rounding, zero_bin)
+        source = f"bench {quantum:g}"
+        channel = Channel(sensor, i, t, values, "", Stage.CORRECTED, source, quantum, rounding, zero_bin)
         self._channels.append(channel)
 
 
@@ -111,8 +184,9 @@ def healthy(seed: int, *, redundant: bool = False) -> BenchVehicle:
     rng = np.random.default_rng([2026, seed])
     autopilot = ("ardupilot", "px4")[seed % 2]
     least = 2 if redundant else 1
+    quiet = np.random.default_rng([2027, seed])
     imus, mags = int(rng.integers(least, 4)), int(rng.integers(least, 4))
-    field_, place = _somewhere(rng)
+    field_, place = somewhere(rng)
     parameters = _parameters(rng, autopilot, imus, mags)
     covered = _calibration_temperature(parameters, autopilot)
     temperatures = [float(rng.uniform(covered - 15.0, covered + 15.0)) + float(rng.uniform(-1, 1)) for _ in range(imus)]
@@ -120,6 +194,12 @@ def healthy(seed: int, *, redundant: bool = False) -> BenchVehicle:
     then = NOW - float(rng.uniform(1.0, 200.0)) * DAY_S
     sensors = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.MAG})
     at = dict.fromkeys(range(imus), covered)
+    _habits(quiet, autopilot, parameters, imus, mags, field_)
+    noises = {
+        Sensor.GYRO: (4e-5 if not redundant else 5e-4, 1.5e-3, imus),
+        Sensor.ACCEL: (9e-4 if not redundant else 0.01, 0.03, imus),
+        Sensor.MAG: (0.005 if not redundant else 0.1, 0.4, mags),
+    }
     return BenchVehicle(
         rng,
         autopilot,
@@ -133,7 +213,29 @@ def healthy(seed: int, *, redundant: bool = False) -> BenchVehicle:
         temperatures,
         parameters,
         VerifiedCalibration("job", then, sensors, ids, dict(parameters), at, "0badcafe"),
+        noises={
+            sensor: np.exp(quiet.uniform(np.log(low), np.log(high), count)).tolist()
+            for sensor, (low, high, count) in noises.items()
+        },
     )
+
+
+def _habits(
+    rng: np.random.Generator, autopilot: str, parameters: dict[str, Value], imus: int, mags: int, field: EarthField
+) -> None:
+    """How firmwares and their users leave parameters that no calibration writes."""
+    if autopilot == "px4":
+        for i in range(imus):
+            parameters |= {f"CAL_ACC{i}_PRIO": int(rng.choice([-1, 50, 75])), f"CAL_GYRO{i}_PRIO": 50}
+        for i in range(mags):  # where an external compass was calibrated, PX4 switches those inside off
+            parameters[f"CAL_MAG{i}_PRIO"] = int(rng.choice([0, 50, 75])) if i else 75
+        parameters |= {"SYS_HAS_MAG": 1, "EKF2_DECL_TYPE": 3, "EKF2_MAG_DECL": float(rng.normal(0.0, 10.0))}
+        return
+    parameters |= {"COMPASS_ENABLE": 1, "COMPASS_AUTODEC": 1, "COMPASS_DEC": float(rng.normal(0.0, 0.2))}
+    parameters |= {f"INS_USE{i + 1 if i else ''}": int(i < 2 or rng.integers(2)) for i in range(imus)}
+    parameters |= {f"COMPASS_USE{i + 1 if i else ''}": int(i < 1 or rng.integers(2)) for i in range(mags)}
+    if rng.integers(4) == 0:
+        parameters |= {"COMPASS_AUTODEC": 0, "COMPASS_DEC": field.declination + float(rng.normal(0.0, 0.02))}
 
 
 def rotation(rng: np.random.Generator, sd: float) -> Array:
@@ -152,7 +254,8 @@ def _about_down(yaw: float) -> Array:
     return about(np.array([0.0, 0.0, 1.0]), yaw)
 
 
-def _somewhere(rng: np.random.Generator) -> tuple[EarthField, tuple[float, float, float]]:
+def somewhere(rng: np.random.Generator) -> tuple[EarthField, tuple[float, float, float]]:
+    """A place on Earth with enough of a level field."""
     while True:
         latitude = float(np.degrees(np.arcsin(rng.uniform(-0.94, 0.94))))
         place = latitude, float(rng.uniform(-180.0, 180.0)), float(rng.uniform(0.0, 2000.0))

@@ -23,11 +23,13 @@ class Verdict(StrEnum):
 class CheckId(StrEnum):
     """Stable names of the checks; the comment of each is its line in docs/preflight.md."""
 
+    SENSORS_HEARD = "sensors_heard"
     GYRO_REST = "gyro_rest"
     GYRO_NOISE = "gyro_noise"
     ACCEL_FORCE = "accel_force"
     COMPASS_FIELD = "compass_field"
     COMPASS_DIRECTION = "compass_direction"
+    ATTITUDE = "attitude"
     TEMPERATURE = "temperature"
     CALIBRATION_AGE = "calibration_age"
     SENSOR_IDS = "sensor_ids"
@@ -40,11 +42,13 @@ class CheckId(StrEnum):
 
 
 ASKS = {
+    CheckId.SENSORS_HEARD: "Is every sensor that the parameters announce and use heard, and does none stand still?",
     CheckId.GYRO_REST: "Does every gyroscope read zero at rest?",
     CheckId.GYRO_NOISE: "Is every gyroscope as quiet as it should be at rest?",
     CheckId.ACCEL_FORCE: "Does every accelerometer read g, and the same vector as the others?",
     CheckId.COMPASS_FIELD: "Does every compass read the strength of the Earth's field?",
     CheckId.COMPASS_DIRECTION: "Do dip and heading of every compass agree with the model, the others and the vehicle?",
+    CheckId.ATTITUDE: "Does the vehicle's own attitude agree with its accelerometers?",
     CheckId.TEMPERATURE: "Are the inertial units inside the temperatures that their calibration covers?",
     CheckId.CALIBRATION_AGE: "How old is the last verified calibration?",
     CheckId.SENSOR_IDS: "Are the sensors those that were calibrated?",
@@ -62,7 +66,8 @@ ASKS = {
 class Measure:
     """One number that a check rests on, and the most that it may be.
 
-    `sd` holds the noise of the capture and what else limits the number; `of` says what was measured.
+    `sd` holds the noise of the capture and what else limits the number; `of` says what was measured, `suspects` what
+    is off if the number is: several where nothing tells which of them.
     """
 
     of: str
@@ -70,6 +75,11 @@ class Measure:
     sd: float
     limit: float
     unit: str
+    suspects: tuple[str, ...] = ()
+    witness: str = ""
+    """A sentence on what tells the suspect, or on what would."""
+    remedy: str = ""
+    """What helps against this one; empty: what helps against the others of the check."""
 
     @property
     def verdict(self) -> Verdict:
@@ -99,12 +109,15 @@ class Check:
     reason: str
     remedy: str = ""
     evidence: tuple[str, ...] = ()
+    suspects: tuple[str, ...] = ()
+    """What is off. Several: all of them, or one of them and nothing that was looked at tells which, as the reason says.
+    Empty: nothing is, or it has no name."""
 
     def because_of(self, cause: CheckId) -> Check:
         """The same failure as a consequence of another check's: the sensor cannot be judged before that is mended."""
         reason = f"{self.reason} This follows from {cause}, which failed."
         remedy = f"Mend {cause} first, then check again."
-        return dataclasses.replace(self, verdict=Verdict.UNKNOWN, reason=reason, remedy=remedy)
+        return dataclasses.replace(self, verdict=Verdict.UNKNOWN, reason=reason, remedy=remedy, suspects=())
 
 
 @dataclass(frozen=True)
@@ -160,8 +173,18 @@ def judged(of: CheckId, measures: Sequence[Measure], *, good: str, remedy: str, 
         Verdict.FAIL: f"{_number(worst)}: beyond the limit of {worst.limit:g} {worst.unit}.",
         Verdict.UNKNOWN: f"{_number(worst)}: too uncertain to compare with {worst.limit:g} {worst.unit}.",
     }
-    help_ = "" if verdict == Verdict.PASS else remedy
-    return Check(of, verdict, worst.value, worst.sd, worst.limit, worst.unit, said[verdict], help_, evidence)
+    bad = verdict in (Verdict.WARN, Verdict.FAIL)
+    help_ = "" if verdict == Verdict.PASS else worst.remedy or remedy
+    reason = f"{said[verdict]} {worst.witness}" if bad and worst.witness else said[verdict]
+    suspects = worst.suspects if bad else ()
+    return Check(of, verdict, worst.value, worst.sd, worst.limit, worst.unit, reason, help_, evidence, suspects)
+
+
+def counted(judged_: int, installed: int, one: str, more: str) -> str:
+    """The subject of a sentence on sensors; "all" only of all that are installed, 0: as many as were judged."""
+    if judged_ < installed:
+        return f"{judged_} of {installed} {more}"
+    return f"The only {one}" if judged_ == 1 else f"All {judged_} {more}"
 
 
 def _badness(measure: Measure) -> tuple[int, float]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -12,13 +13,24 @@ from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware import Assembler, calibration_in_force, calibration_names, requested_streams
 from mavcal.calib.firmware.names import BOARD_ROTATION, PX4_LEVEL, PX4_SLOTS, Role, px4_names
 from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, SCALED_IMU
+from mavcal.calib.firmware.stream.rates import BY_INSTANCE
+from mavcal.calib.preflight.rest import LEAST
 from mavcal.calib.preflight.snapshot import OwnView, Shaking
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.calib.wire import Frame, decode
 
 VIBRATION = dialect.MAVLINK_MSG_ID_VIBRATION
 SYS_STATUS = dialect.MAVLINK_MSG_ID_SYS_STATUS
+HEARTBEAT = dialect.MAVLINK_MSG_ID_HEARTBEAT
 PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
+_HEALTH = {
+    Sensor.GYRO: dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO | dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO2,
+    Sensor.ACCEL: dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL2,
+    Sensor.MAG: dialect.MAV_SYS_STATUS_SENSOR_3D_MAG | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG2,
+}
+_STANDING = {dialect.MAV_STATE_STANDBY: True, dialect.MAV_STATE_UNINIT: False}
+"""PX4's state in its heartbeat: standby only if its own checks pass (FLIGHT_CONTROLLERS 3.3)."""
 SENSORS = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.MAG})
 STATE_HZ = 2.0
 ATTITUDE_HZ = 5.0
@@ -35,7 +47,52 @@ def preflight_streams(autopilot: str) -> dict[int, float]:
 
 def wanted_messages(identity: Identity) -> frozenset[int]:
     """The messages that are worth keeping."""
-    return Assembler(identity).message_ids | {VIBRATION, SYS_STATUS}
+    return Assembler(identity).message_ids | {VIBRATION, SYS_STATUS, HEARTBEAT}
+
+
+def counted_messages(frames: Iterable[Frame], autopilot: str) -> dict[int, int]:
+    """How many messages came with the inertial unit and the compass of each instance (0, 1, 2)."""
+    by_id = Counter(frame.message_id for frame in frames)
+    found = {i: by_id[message_id] for i, message_id in enumerate(BY_INSTANCE[autopilot])}
+    if autopilot == "ardupilot":
+        found[0] = max(found[0], by_id[SCALED_IMU], by_id[HIGHRES_IMU])
+    return found
+
+
+ENOUGH = LEAST + 5
+"""Messages of an instance that are enough to judge its sensors: some are spikes, or lost their numbers."""
+ENOUGH_S = 3.0
+"""Seconds of the vehicle's clock likewise: a compass is read ten times a second."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Gathered:
+    """How far the streams have come."""
+
+    messages: Mapping[int, int]
+    """By instance, of those that come at all."""
+    enough: bool
+
+    @property
+    def text(self) -> str:
+        """What came, in words."""
+        if not self.messages:
+            return "no message of an inertial unit came"
+        return f"{min(self.messages.values())} messages of the slowest inertial unit came"
+
+
+def gathered(frames: Iterable[Frame], autopilot: str) -> Gathered:
+    """Whether these frames of one vehicle are enough to judge every sensor that sends."""
+    kept = [frame for frame in frames if frame.message_id in BY_INSTANCE[autopilot]]
+    found = {i: count for i, count in counted_messages(kept, autopilot).items() if count}
+    if not found or min(found.values()) < ENOUGH:
+        return Gathered(found, enough=False)
+    times = [_stamp(decode(frame)) for frame in (kept[0], kept[-1])]
+    return Gathered(found, enough=times[1] - times[0] >= ENOUGH_S or times[1] < times[0])
+
+
+def _stamp(message: Any) -> float:
+    return float(message.time_usec) * 1e-6 if hasattr(message, "time_usec") else float(message.time_boot_ms) * 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +104,10 @@ class Collected:
     shaking: Shaking | None
     view: OwnView
     current_known: bool | None
+    messages: Mapping[int, int]
+    """See :attr:`calib.preflight.snapshot.Snapshot.messages`."""
+    uncorrected: frozenset[tuple[Sensor, int]]
+    """See :attr:`calib.preflight.snapshot.Snapshot.uncorrected`."""
 
 
 def collect(
@@ -65,13 +126,32 @@ def collect(
     view = OwnView(asked=asked, texts=tuple(dict.fromkeys(text.strip() for text in texts)))
     if status is not None:
         there = int(status.onboard_control_sensors_present) & int(status.onboard_control_sensors_enabled)
-        ready = bool(int(status.onboard_control_sensors_health) & PREARM)
-        view = dataclasses.replace(view, present=bool(there & PREARM), ready=ready)
-        if not view.present:
-            view = dataclasses.replace(view, ready=None)
+        health = int(status.onboard_control_sensors_health)
+        ready: bool | None = bool(health & PREARM)
+        if identity.autopilot == "px4":
+            ready = _ready(frames, ready=bool(health & PREARM), reported=bool(there & PREARM))
+        elif not there & PREARM:
+            ready = None
+        ill = frozenset(sensor for sensor, bits in _HEALTH.items() if there & bits & ~health)
+        view = dataclasses.replace(view, present=bool(there & PREARM), ready=ready, ill=ill)
     current = None if status is None else int(status.current_battery) >= 0
-    made = [_corrected(c, identity, parameters, complete=complete) for c in recording.channels]
-    return Collected(recording.with_channels(c for c in made if c is not None), shaking, view, current)
+    made = [(c, _corrected(c, identity, parameters, complete=complete)) for c in recording.channels]
+    return Collected(
+        recording.with_channels(c for _, c in made if c is not None),
+        shaking,
+        view,
+        current,
+        counted_messages(frames, identity.autopilot or ""),
+        frozenset((c.sensor, c.instance) for c, corrected in made if corrected is None),
+    )
+
+
+def _ready(frames: Sequence[Frame], *, ready: bool, reported: bool) -> bool | None:
+    """PX4 sets the bit of the arming checks among what is healthy alone; without it the heartbeat tells."""
+    if ready or reported:
+        return ready
+    heartbeat = _last(frames, HEARTBEAT)
+    return None if heartbeat is None else _STANDING.get(int(heartbeat.system_status))
 
 
 def _corrected(

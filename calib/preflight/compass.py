@@ -6,7 +6,7 @@ direction is judged of the others only.
 
 from __future__ import annotations
 
-import itertools
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,14 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.earth import EarthField
+from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, counted, judged, unknown
 from mavcal.calib.preflight.rest import Mean, looked
+from mavcal.calib.preflight.suspects import Headings, blamed
 
 Array = NDArray[np.float64]
 
 _MAGNET = "Move the vehicle away from iron, magnets and cars and check again; if it persists, calibrate the compass."
 _MOUNT = "Look whether the mast or the mount of the compass is bent or turned; then calibrate the compass."
+_PLACE = "Look whether the vehicle's position is right; if it is, move the vehicle ten metres away and check again."
 _LEVEL_NOSE = math.cos(math.radians(60.0))
 """Nose within 60 deg of the horizon: beyond, it has no heading."""
 
@@ -39,8 +42,10 @@ class Upright:
     """True heading that the operator knows, rad."""
 
 
-def compass_field(compasses: Mapping[int, Mean], silent: tuple[str, ...], field: EarthField | None) -> Check:
-    """Strength of the field."""
+def compass_field(
+    compasses: Mapping[int, Mean], silent: tuple[str, ...], field: EarthField | None, *, installed: int = 0
+) -> Check:
+    """Strength of the field; `installed`: how many compasses there are, 0 for as many as were heard."""
     if not compasses:
         why = f"No compass could be seen: {'; '.join(silent)}." if silent else "No compass was heard."
         return unknown(CheckId.COMPASS_FIELD, why, "Look at the compass, or fly without one on purpose.")
@@ -53,8 +58,29 @@ def compass_field(compasses: Mapping[int, Mean], silent: tuple[str, ...], field:
         why = "The strength is possible on Earth, but where the vehicle is was not heard, so it cannot be compared."
         remedy = "Wait until the vehicle knows its position, then check again."
         return unknown(CheckId.COMPASS_FIELD, why, remedy, worst.evidence)
-    good = f"The field has the strength of the model, {field.norm:.1f} uT ({field.model})."
+    measures = _placed(measures, compasses, field)
+    fewer = f" in {counted(len(compasses), installed, '', 'compasses')}" if len(compasses) < installed else ""
+    good = f"The field has the strength of the model{fewer}, {field.norm:.1f} uT ({field.model})."
     return judged(CheckId.COMPASS_FIELD, measures, good=good, remedy=_MAGNET, notes=notes)
+
+
+def _placed(measures: list[Measure], compasses: Mapping[int, Mean], field: EarthField) -> list[Measure]:
+    """The same measures. What all compasses share is no compass's fault; what one reads alone may be the place's."""
+    if not all(m.value > m.limit for m in measures):
+        return measures
+    strengths = [mean.norm for mean in compasses.values()]
+    on_earth = min(strengths) > limits.WEAKEST_FIELD and max(strengths) < limits.STRONGEST_FIELD
+    if len(measures) == 1 and on_earth:
+        told = "It is possible on Earth, but not at this position, and no second compass tells which of both is wrong."
+        suspects = (*measures[0].suspects, "position")
+        return [dataclasses.replace(measures[0], suspects=suspects, witness=told, remedy=f"{_PLACE} {_MAGNET}")]
+    if len(measures) == 1 or max(strengths) - min(strengths) > limits.COMPASS_FIELD.value:
+        return measures
+    suspects = ("position", "surroundings") if on_earth else ("surroundings",)
+    told = f"All {len(measures)} compasses agree with each other, so none of them is off by itself: "
+    told += "either the position is wrong, or iron is near the whole vehicle." if on_earth else "iron is near them all."
+    remedy = _PLACE if on_earth else _MAGNET
+    return [dataclasses.replace(m, suspects=suspects, witness=told, remedy=remedy) for m in measures]
 
 
 def disturbed(compasses: Mapping[int, Mean], field: EarthField | None) -> frozenset[int]:
@@ -71,13 +97,24 @@ def _strength(i: int, mean: Mean, field: EarthField | None) -> Measure:
         off = abs(mean.norm - field.norm)
         name, of_model = f"strength of compass {i + 1} ({mean.norm:.1f} uT) from the model", field.norm_sd
     sd = math.hypot(mean.norm_sd, of_model, limits.SURROUNDINGS_SD)
-    return Measure(name, off, sd, limit.value, limit.unit)
+    return Measure(name, off, sd, limit.value, limit.unit, (f"compass {i + 1}",))
 
 
 def compass_direction(
-    compasses: Mapping[int, Mean], upright: Upright | None, field: EarthField | None, motion: str | None
+    compasses: Mapping[int, Mean],
+    upright: Upright | None,
+    field: EarthField | None,
+    motion: str | None,
+    *,
+    installed: int = 0,
+    declination: Measure | None = None,
+    followed: int = 0,
 ) -> Check:
-    """Dip against the model; heading between compasses, against the vehicle's own and a known one."""
+    """Dip against the model; heading between compasses, against the vehicle's own and a known one.
+
+    `installed`: how many compasses there are, 0 for as many as were heard. `declination`: the one set by hand, against
+    the model. `followed`: the compass that the vehicle's own heading rests on, which is no witness for that one.
+    """
     of = CheckId.COMPASS_DIRECTION
     if not compasses:
         return unknown(of, "No compass could be seen.", "Look at the compass, or fly without one on purpose.")
@@ -85,33 +122,82 @@ def compass_direction(
         why = motion or "no accelerometer shows where down is"
         return unknown(of, f"Dip and heading cannot be seen: {why}.", "Put the vehicle down and check again.")
     left_out = disturbed(compasses, field)
-    judgeable = {i: mean for i, mean in compasses.items() if i not in left_out}
+    judgeable = {i: mean for i, mean in sorted(compasses.items()) if i not in left_out}
     notes = [*looked(compasses, "compass")]
     notes += [f"compass {i + 1} is left out: its strength is wrong already" for i in sorted(left_out)]
-    measures: list[Measure] = []
-    if field is not None:
-        measures += [_dip(i, mean, upright, field) for i, mean in sorted(judgeable.items())]
-    else:
+    headings = _headings(judgeable, upright, field, declination)
+    if field is None:
         notes.append("dip is not compared: where the vehicle is was not heard")
-    for (i, one), (k, other) in itertools.combinations(sorted(judgeable.items()), 2):
-        measures.append(_between(i, one, k, other, upright))
-    if field is not None and upright.north is not None:
-        for i, mean in sorted(judgeable.items()):
-            measures.append(
-                _against(f"heading of compass {i + 1} from the vehicle's own", mean, upright.north, field, upright)
-            )
-    known = None if field is None else _known_north(upright)
-    if field is not None and known is not None:
-        for i, mean in sorted(judgeable.items()):
-            measures.append(_against(f"heading of compass {i + 1} from the one given", mean, known, field, upright))
-    elif upright.heading is None:
+    if upright.heading is None:
         notes.append("the true heading is not known: give --heading to check what all compasses may share")
+    measures = blamed(headings, followed=followed)
     if not measures:
         why = "Nothing is left to compare with." if judgeable else "Every compass is left out."
         said = notes[len(compasses) :]
         return unknown(of, f"{why} {'; '.join(said)}.", _MAGNET, notes)
+    good = _agreed(len(judgeable), max(installed, len(compasses)), field, upright)
+    return judged(of, measures, good=good, remedy=_MOUNT, notes=notes)
+
+
+def _agreed(judged_: int, installed: int, field: EarthField | None, upright: Upright) -> str:
+    """What a pass says: no more than what was compared."""
+    with_ = ["the model"] if field is not None else []
+    with_ += ["each other"] if judged_ > 1 else []
+    with_ += ["the vehicle's own heading"] if field is not None and upright.north is not None else []
+    who = counted(judged_, installed, "compass", "compasses")
     in_what = "dip and heading" if field is not None else "heading"
-    return judged(of, measures, good=f"All compasses agree in {in_what}.", remedy=_MOUNT, notes=notes)
+    listed = with_[0] if len(with_) == 1 else f"{', '.join(with_[:-1])} and {with_[-1]}"
+    return f"{who} agree{'s' if who.startswith('The only') else ''} in {in_what} with {listed}."
+
+
+def _headings(
+    judgeable: Mapping[int, Mean], upright: Upright, field: EarthField | None, declination: Measure | None
+) -> Headings:
+    items = list(judgeable.items())
+    pairs = {
+        (i, k): _between(i, one, k, other, upright) for n, (i, one) in enumerate(items) for k, other in items[n + 1 :]
+    }
+    if field is None:
+        return Headings({}, pairs, {}, {}, None)
+    own, given = {}, {}
+    if upright.north is not None:
+        own = {
+            i: _against(f"heading of compass {i + 1} from the vehicle's own", mean, upright.north, field, upright)
+            for i, mean in items
+        }
+    known = _known_north(upright)
+    if known is not None:
+        given = {
+            i: _against(f"heading of compass {i + 1} from the one given", mean, known, field, upright)
+            for i, mean in items
+        }
+    dips = {i: _dip(i, mean, upright, field) for i, mean in items}
+    return Headings(dips, pairs, own, given, declination)
+
+
+def set_declination(autopilot: str, parameters: Mapping[str, Value], field: EarthField | None) -> Measure | None:
+    """A declination that was set by hand against the model's; None: the vehicle looks it up, or nothing is known.
+
+    ArduPilot: COMPASS_AUTODEC and COMPASS_DEC (rad); PX4: bit 0 of EKF2_DECL_TYPE and EKF2_MAG_DECL (deg).
+    """
+    if field is None:
+        return None
+    if autopilot == "ardupilot":
+        name, remedy = "COMPASS_DEC", "Set COMPASS_AUTODEC to 1"
+        by_hand, value = parameters.get("COMPASS_AUTODEC", 1) == 0, math.degrees(float(parameters.get(name, 0.0)))
+        right = f"{field.declination:.3f} rad"
+    else:
+        name, remedy = "EKF2_MAG_DECL", "Set bit 0 of EKF2_DECL_TYPE"
+        by_hand = not int(parameters.get("EKF2_DECL_TYPE", 1)) & 1
+        value, right = float(parameters.get(name, 0.0)), f"{math.degrees(field.declination):.1f} deg"
+    if not by_hand or name not in parameters:
+        return None
+    limit = limits.COMPASS_ANGLE
+    off = abs((value - math.degrees(field.declination) + 180.0) % 360.0 - 180.0)
+    told = "It is set by hand, and every heading of the vehicle is off by as much after its next start."
+    of = f"declination in {name} ({value:.1f} deg) from the model's"
+    remedy = f"{remedy}, or {name} to {right}, and restart the vehicle."
+    return Measure(of, off, limits.DECLINATION_SD_DEG, limit.value, limit.unit, ("declination",), told, remedy)
 
 
 def _dip(i: int, mean: Mean, upright: Upright, field: EarthField) -> Measure:

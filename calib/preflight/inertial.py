@@ -10,7 +10,7 @@ import numpy as np
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import local_gravity
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, judged, unknown
+from mavcal.calib.preflight.check import SURE, Check, CheckId, Measure, counted, judged, unknown
 from mavcal.calib.preflight.rest import Mean, looked
 
 _STILL = "Put the vehicle down, let nobody touch it, and check again."
@@ -18,14 +18,15 @@ _GYRO = "Calibrate the gyroscopes at rest: `mavcal preflight --fix gyro --apply`
 _ACCEL = "Calibrate the accelerometers; if one stays off by itself, it is damaged or loose."
 
 
-def gyro_rest(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None) -> Check:
-    """The rate that every gyroscope shows while the vehicle stands still."""
+def gyro_rest(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0) -> Check:
+    """The rate that every gyroscope shows while the vehicle stands still; `installed`: 0 for as many as were heard."""
     if not gyros:
         return unknown(CheckId.GYRO_REST, _nothing("gyroscope", silent), "Look at the link and at the sensor.")
     if motion is not None:
         return unknown(CheckId.GYRO_REST, f"The rest rate cannot be seen: {motion}.", _STILL)
     measures = list(rest_measures(gyros).values())
-    good = f"All {len(measures)} gyroscopes read zero at rest, as far as that matters."
+    who = counted(len(measures), installed, "gyroscope", "gyroscopes")
+    good = f"{who} read{_s(who)} zero at rest, as far as that matters."
     return judged(CheckId.GYRO_REST, measures, good=good, remedy=_GYRO, notes=(*looked(gyros, "gyroscope"), *silent))
 
 
@@ -39,12 +40,13 @@ def rest_measures(gyros: Mapping[int, Mean]) -> dict[int, Measure]:
             math.hypot(math.degrees(mean.norm_sd), limits.EARTH_RATE_DEG_S),
             limit.value,
             limit.unit,
+            (f"gyroscope {i + 1}",),
         )
         for i, mean in sorted(gyros.items())
     }
 
 
-def gyro_noise(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None) -> Check:
+def gyro_noise(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0) -> Check:
     """The scatter of a single sample."""
     if not gyros:
         return unknown(CheckId.GYRO_NOISE, _nothing("gyroscope", silent), "Look at the link and at the sensor.")
@@ -55,30 +57,35 @@ def gyro_noise(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str |
     for i, mean in sorted(gyros.items()):
         worst = math.degrees(float(mean.noise.max()))
         # a standard deviation from n samples is itself known to 1/sqrt(2n); at 50 Hz and 6 s that is 4 %
-        measures.append(Measure(f"noise of gyroscope {i + 1}", worst, 0.05 * worst, limit.value, limit.unit))
-    good = f"All {len(measures)} gyroscopes are quiet."
+        name = f"gyroscope {i + 1}"
+        measures.append(Measure(f"noise of {name}", worst, 0.05 * worst, limit.value, limit.unit, (name,)))
+    who = counted(len(measures), installed, "gyroscope", "gyroscopes")
+    good = f"{who} {'is' if _s(who) else 'are'} quiet."
     remedy = "Stop motors and fans; if the noise stays, the gyroscope is failing."
     notes = (*looked(gyros, "gyroscope"), *silent)
     return judged(CheckId.GYRO_NOISE, measures, good=good, remedy=remedy, notes=notes)
 
 
 def accel_force(
-    accels: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, place: tuple[float, float] | None
+    accels: Mapping[int, Mean],
+    silent: tuple[str, ...],
+    motion: str | None,
+    place: tuple[float, float] | None,
+    *,
+    installed: int = 0,
 ) -> Check:
     """The specific force of every accelerometer against gravity, and against the other ones as a vector."""
     if not accels:
         return unknown(CheckId.ACCEL_FORCE, _nothing("accelerometer", silent), "Look at the link and at the sensor.")
     if motion is not None:
         return unknown(CheckId.ACCEL_FORCE, f"Gravity alone cannot be seen: {motion}.", _STILL)
-    measures = [*force_measures(accels, place).values(), *_differences(accels)]
+    norms = force_measures(accels, place)
+    measures = [*norms.values(), *_differences(accels, norms)]
     notes = (*looked(accels, "accelerometer"), *silent)
     if len(accels) == 1:
         notes = (*notes, "its direction cannot be checked: there is no second accelerometer")
-    good = (
-        f"All {len(accels)} accelerometers read g."
-        if len(accels) == 1
-        else (f"All {len(accels)} accelerometers read g in the same direction.")
-    )
+    who = counted(len(accels), installed, "accelerometer", "accelerometers")
+    good = f"{who} read{_s(who)} g{'' if len(accels) == 1 else ' in the same direction'}."
     return judged(CheckId.ACCEL_FORCE, measures, good=good, remedy=_ACCEL, notes=notes)
 
 
@@ -90,12 +97,15 @@ def force_measures(accels: Mapping[int, Mean], place: tuple[float, float] | None
     for i, mean in sorted(accels.items()):
         off = max(low - mean.norm, mean.norm - high, 0.0)  # either g may be what it was calibrated to
         sd = math.hypot(mean.norm_sd, limits.ACCEL_SD)
-        found[i] = Measure(f"|f| of accelerometer {i + 1} from g", off, sd, limit.value, limit.unit)
+        name = f"accelerometer {i + 1}"
+        found[i] = Measure(f"|f| of {name} from g", off, sd, limit.value, limit.unit, (name,))
     return found
 
 
-def _differences(accels: Mapping[int, Mean]) -> list[Measure]:
-    """How far each accelerometer is from the middle of the other ones, as a vector."""
+def _differences(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> list[Measure]:
+    """How far the accelerometers are from each other, as vectors: of two both are in it, of three the odd one is."""
+    if len(accels) == 2:
+        return [_between(accels, norms)]
     limit, found = limits.ACCEL_FORCE, []
     for i, mean in sorted(accels.items()):
         others = [other for k, other in accels.items() if k != i]
@@ -104,11 +114,41 @@ def _differences(accels: Mapping[int, Mean]) -> list[Measure]:
         middle = np.median([other.value for other in others], axis=0)
         off = float(np.linalg.norm(mean.value - middle))
         noise = math.hypot(*mean.sd, *(float(x) for other in others for x in other.sd / len(others)))
-        # a difference of two vectors is never below zero: along it only one axis of three counts
-        sd = math.hypot(noise / math.sqrt(3.0), limits.ACCEL_SD)
-        name = "the other one" if len(others) == 1 else "the others"
-        found.append(Measure(f"vector of accelerometer {i + 1} from {name}", off, sd, limit.value, limit.unit))
+        name, agree = f"accelerometer {i + 1}", "The others agree with each other."
+        found.append(
+            Measure(
+                f"vector of {name} from the others", off, _vector_sd(noise), limit.value, limit.unit, (name,), agree
+            )
+        )
     return found
+
+
+def _between(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> Measure:
+    """Two accelerometers from each other. Gravity is the third witness: it tells which is off, unless both read g."""
+    (i, one), (k, other) = sorted(accels.items())
+    off = float(np.linalg.norm(one.value - other.value))
+    sd = _vector_sd(math.hypot(*one.sd, *other.sd))
+    both = (f"accelerometer {i + 1}", f"accelerometer {k + 1}")
+    limit = limits.ACCEL_FORCE
+    of = f"difference of accelerometers {i + 1} and {k + 1}"
+    apart = norms[k].value - norms[i].value
+    if abs(apart) > SURE * math.hypot(one.norm_sd, other.norm_sd, limits.ACCEL_SD):
+        bad, good = (k, i) if apart > 0.0 else (i, k)
+        told = f"Gravity tells which: accelerometer {bad + 1} is {norms[bad].value:.2f} m/s2 from g, the other one "
+        told += f"{norms[good].value:.2f}."
+        return Measure(of, off, sd, limit.value, limit.unit, (f"accelerometer {bad + 1}",), told)
+    told = "Both read g here, so nothing tells which of them is off."
+    remedy = f"Put the vehicle on another side and check again: the one that leaves g there is off. {_ACCEL}"
+    return Measure(of, off, sd, limit.value, limit.unit, both, told, remedy)
+
+
+def _vector_sd(noise: float) -> float:
+    """A difference of two vectors is never below zero: along it only one axis of three counts."""
+    return math.hypot(noise / math.sqrt(3.0), limits.ACCEL_SD)
+
+
+def _s(subject: str) -> str:
+    return "s" if subject.startswith("The only") else ""
 
 
 def _nothing(what: str, silent: tuple[str, ...]) -> str:

@@ -30,6 +30,7 @@ COMPASS_FIELD: Final = Limit(10.0, "uT", "ArduPilot's ARMING_MAGTHRESH, 100 mG a
 COMPASS_ANGLE: Final = Limit(
     10.0, "deg", "a sixth of COM_ARM_MAG_ANG (60 deg): position hold circles beyond some 10 deg"
 )
+ATTITUDE: Final = Limit(1.0, "deg", "the accelerometers' own limit, 0.15 m/s2, is a tilt of 0.9 deg")
 TEMPERATURE_SPAN: Final = Limit(
     20.0, "degC", "drift of 0.01 m/s2/degC takes up the accelerometer's limit; for one calibration temperature"
 )
@@ -44,6 +45,7 @@ ALL: Final = {
     "accel_force": ACCEL_FORCE,
     "compass_field": COMPASS_FIELD,
     "compass_direction": COMPASS_ANGLE,
+    "attitude": ATTITUDE,
     "temperature": TEMPERATURE_SPAN,
     "calibration_age": CALIBRATION_AGE,
     "motor_compensation": MOTOR_SHARE,
@@ -58,6 +60,7 @@ ACCEL_SD: Final = 0.02  # m/s2: how units are glued to a board (0.1 deg), and lo
 SURROUNDINGS_SD: Final = 0.5  # uT: iron of an ordinary place outdoors
 TILT_SD: Final = math.radians(0.3)  # of the vertical that the accelerometers show
 TEMPERATURE_SD: Final = 0.5  # degC: how a driver reads the chip
+DECLINATION_SD_DEG: Final = 1.0  # of the model, and of a compass rose
 STRONGEST_FIELD, WEAKEST_FIELD = 67.0, 22.0
 """Strength of the Earth's field at the ground, uT, where the place is not known."""
 MOVING_RATE_DEG_S: Final = 0.5

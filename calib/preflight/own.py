@@ -18,13 +18,27 @@ PARAMETERS = {
     "px4": ("COM_ARM_MAG_STR", "COM_ARM_MAG_ANG", "SYS_HAS_MAG"),
 }
 """What :func:`arming_checks` looks at, by autopilot."""
-_LISTENED = ("MAG_CAL_PROGRESS, MAG_CAL_REPORT and the vehicle's texts on calibrations, listened to all the time",)
-_WORDS = {
-    CheckId.ACCEL_FORCE: ("accel", "imu"),
-    CheckId.GYRO_REST: ("gyro",),
-    CheckId.COMPASS_FIELD: ("compass", "mag"),
-    CheckId.ONBOARD_CALIBRATION: ("calibration running", "calibrating"),
+LOOKED_AT = {
+    "ardupilot": ("COMPASS_AUTODEC", "COMPASS_DEC", "AHRS_TRIM_X", "AHRS_TRIM_Y"),
+    "px4": ("EKF2_DECL_TYPE", "EKF2_MAG_DECL"),
 }
+"""What other checks look at and no calibration names, by autopilot."""
+_LISTENED = ("MAG_CAL_PROGRESS, MAG_CAL_REPORT and the vehicle's texts on calibrations, listened to all the time",)
+_ESTIMATOR = ("ekf", "ahrs", "dcm", "attitude", "estimator", "heading", "yaw")
+"""What a firmware complains of when a sensor makes its estimator wrong."""
+_WORDS = {
+    CheckId.SENSORS_HEARD: ("gyro", "accel", "imu", "ins", "compass", "mag", *_ESTIMATOR),
+    CheckId.GYRO_REST: ("gyro", "imu", *_ESTIMATOR),
+    CheckId.GYRO_NOISE: ("gyro", "imu", *_ESTIMATOR),
+    CheckId.ACCEL_FORCE: ("accel", "imu", *_ESTIMATOR),
+    CheckId.COMPASS_FIELD: ("compass", "mag", *_ESTIMATOR),
+    CheckId.COMPASS_DIRECTION: ("compass", "mag", *_ESTIMATOR),
+    CheckId.ATTITUDE: _ESTIMATOR,
+    CheckId.VIBRATION: ("accel", "imu", "vibration", *_ESTIMATOR),
+    CheckId.ONBOARD_CALIBRATION: ("calibration running", "calibrating", "calibration in progress"),
+}
+_GENERAL = (CheckId.PARAMETERS_CHANGED, CheckId.SENSOR_IDS, CheckId.TEMPERATURE)
+"""Checks whose failure explains what a vehicle says of any sensor."""
 
 
 def vibration(shaking: Shaking | None) -> Check:
@@ -99,16 +113,18 @@ def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value
     if view.texts or view.ready is False:
         own = "; ".join(f"'{text}'" for text in view.texts) or "it says that it is not ready, and not why"
         reason, remedy = f"The vehicle would not arm now: {own}.", "Do what the vehicle asks for, then check again."
-        if view.texts and all(_explained(text, failed) for text in view.texts):
-            reason += f" This follows from {', '.join(failed)}."
+        known = [of for of in failed if of in _WORDS or of in _GENERAL]
+        if known and all(_explained(text, known) for text in view.texts):
+            reason += f" This follows from {', '.join(known)}."
             return Check(of, Verdict.WARN, None, None, None, "", reason, "Mend that first.", heard)
         return Check(of, Verdict.FAIL, None, None, None, "", reason, remedy, heard)
-    if view.ready is None or not view.present:
-        why = "SYS_STATUS was not heard" if view.ready is None else "SYS_STATUS does not carry the prearm check"
-        return unknown(of, f"The vehicle does not say whether it would arm: {why}.", evidence=heard)
     if autopilot == "ardupilot" and _nothing_checked(parameters):
         why = "Its arming checks are switched off, so its consent proves nothing."
         return unknown(of, why, "Switch them on again.", heard)
+    if view.ready is None:
+        why = "SYS_STATUS was not heard" if view.present is None else "SYS_STATUS does not carry the prearm check"
+        remedy = "Check again over a better link." if view.present is None else ""
+        return unknown(of, f"The vehicle does not say whether it would arm: {why}.", remedy, heard)
     asked = "its own checks, run now, pass" if view.asked else "its own checks pass"
     return Check(of, Verdict.PASS, None, None, None, "", f"This vehicle would arm now: {asked}.", evidence=heard)
 
@@ -116,11 +132,11 @@ def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value
 def _bits(view: OwnView) -> tuple[str, ...]:
     """What SYS_STATUS and the request said, as lines of evidence."""
     asked = "its checks were run on request" if view.asked else "its checks were not run on request"
-    if view.ready is None and view.present is None:
+    if view.present is None:
         return (asked, "SYS_STATUS was not heard")
-    there = "present and switched on" if view.present else "absent or switched off"
-    state = "" if view.ready is None else f", {'healthy' if view.ready else 'not healthy'}"
-    return asked, f"SYS_STATUS: the prearm check is {there}{state}"
+    there = "is present and switched on" if view.present else "is not among what is present and switched on"
+    state = {None: "", True: "; the vehicle says that it is ready", False: "; the vehicle says that it is not ready"}
+    return asked, f"SYS_STATUS: the prearm check {there}{state[view.ready]}"
 
 
 def _nothing_checked(parameters: Mapping[str, Value]) -> bool:
@@ -129,8 +145,6 @@ def _nothing_checked(parameters: Mapping[str, Value]) -> bool:
 
 def _explained(text: str, failed: Sequence[CheckId]) -> bool:
     """Whether a check of ours that failed is about what this text complains of."""
-    about = {of for of, words in _WORDS.items() if any(word in text.lower() for word in words)}
-    general = {CheckId.PARAMETERS_CHANGED, CheckId.SENSOR_IDS, CheckId.TEMPERATURE}
-    if CheckId.COMPASS_FIELD in about:
-        about.add(CheckId.COMPASS_DIRECTION)
-    return bool(about) and bool((about | general) & set(failed))
+    lower = text.lower()
+    of_sensors = any(word in lower for words in _WORDS.values() for word in words)
+    return any((of in _GENERAL and of_sensors) or any(word in lower for word in _WORDS.get(of, ())) for of in failed)

@@ -17,7 +17,7 @@ from mavcal.calib.stats.windows import finite_rows, without_spikes
 Array = NDArray[np.float64]
 
 _BLOCK_S = 0.5
-_LEAST = 20
+LEAST = 20
 """Samples below which nothing is said about a sensor."""
 
 
@@ -63,7 +63,7 @@ def mean_at_rest(recording: Recording, sensor: Sensor, instance: int) -> Mean | 
     channel = recording.channel(sensor, instance)
     channel = channel.take(finite_rows(channel.values))
     channel = channel.take(without_spikes(channel.values))
-    if len(channel) < _LEAST:
+    if len(channel) < LEAST:
         return Silent(f"only {len(channel)} samples of {sensor} {instance + 1} came")
     fitted = mean_of(channel)
     sd = np.sqrt(np.diag(fitted.covariance))
@@ -89,9 +89,13 @@ def moved(gyros: Mapping[int, Mean], accels: Mapping[int, Mean]) -> str | None:
 
 def _change(channel: Channel) -> float:
     """Largest distance of a block's mean from the whole mean."""
+    return float(np.linalg.norm(block_means(channel) - channel.values.mean(axis=0), axis=1).max())
+
+
+def block_means(channel: Channel) -> Array:
+    """Means (M, k) over blocks of half a second; blocks with few samples are left out."""
     blocks = np.floor((channel.t - channel.t[0]) / _BLOCK_S).astype(int)
     counts = np.bincount(blocks)
     sums = np.stack([np.bincount(blocks, weights=column) for column in channel.values.T], axis=1)
     full = counts >= 0.5 * np.median(counts[counts > 0])
-    means = sums[full] / counts[full][:, None]
-    return float(np.linalg.norm(means - channel.values.mean(axis=0), axis=1).max())
+    return np.asarray(sums[full] / counts[full][:, None])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
@@ -11,42 +12,66 @@ from numpy.typing import NDArray
 
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import compass, history, inertial, own
+from mavcal.calib.preflight.alive import Census, census, sensors_heard
+from mavcal.calib.preflight.attitude import attitude
 from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict, unknown
+from mavcal.calib.preflight.installed import WORDS, Announced, Key, announced
 from mavcal.calib.preflight.motors import motor_compensation
+from mavcal.calib.preflight.movement import movement
 from mavcal.calib.preflight.rest import Mean, Silent, mean_at_rest, moved
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Recording, Sensor
 
 Array = NDArray[np.float64]
 
-INSTANCES = (0, 1, 2)
-"""What either firmware streams."""
 _ABOUT = {
     Sensor.GYRO: (CheckId.GYRO_REST, CheckId.GYRO_NOISE),
     Sensor.ACCEL: (CheckId.ACCEL_FORCE,),
     Sensor.MAG: (CheckId.COMPASS_FIELD, CheckId.COMPASS_DIRECTION),
 }
+_FOLLOWS = {
+    CheckId.COMPASS_FIELD: (CheckId.COMPASS_DIRECTION,),  # what disturbs one compass reaches the others
+    CheckId.GYRO_NOISE: (CheckId.GYRO_REST, CheckId.ATTITUDE),
+    CheckId.GYRO_REST: (CheckId.ATTITUDE,),
+    CheckId.ACCEL_FORCE: (CheckId.ATTITUDE,),
+    CheckId.SENSORS_HEARD: (CheckId.ATTITUDE,),
+}
+"""Checks whose failure explains that of others, whichever sensor it is."""
+_MEND = f"Mend {CheckId.SENSORS_HEARD} first, then check again."
 _TYPICAL_FIELD = 50.0
 
 
 def preflight(snapshot: Snapshot) -> Report:
     """Every check. Whoever reads the report acts on its causes: consequences are not failures of their own."""
-    gyros, no_gyros = _means(snapshot, Sensor.GYRO)
-    accels, no_accels = _means(snapshot, Sensor.ACCEL)
-    compasses, no_compasses = _means(snapshot, Sensor.MAG)
+    autopilot, parameters = snapshot.identity.autopilot or "", snapshot.parameters
+    installed, turning = announced(autopilot, parameters), movement(snapshot.recording)
+    there = census(snapshot, installed, turning)
+    gyros, accels, compasses = (_means(snapshot, there, kind) for kind in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG))
     place, field = _place(snapshot.recording), _field(snapshot)
-    motion = moved(gyros, accels)
+    motion = moved(gyros.means, accels.means) or turning.text
     ground = None if place is None else (place[0], place[2])
-    upright = _upright(snapshot, accels)
     strength = _TYPICAL_FIELD if field is None else field.norm
-    autopilot = snapshot.identity.autopilot or ""
+    rest = inertial.gyro_rest(gyros.means, gyros.silent, motion, installed=gyros.installed)
+    followed = _followed(autopilot, parameters, installed)
+    upright = _upright(snapshot, accels.means, astray=_astray(there, rest, followed))
     found = [
-        inertial.gyro_rest(gyros, no_gyros, motion),
-        inertial.gyro_noise(gyros, no_gyros, motion),
-        inertial.accel_force(accels, no_accels, motion, ground),
-        compass.compass_field(compasses, no_compasses, field),
-        compass.compass_direction(compasses, upright, field, motion),
+        sensors_heard(there, installed, complete=snapshot.complete),
+        rest,
+        inertial.gyro_noise(gyros.means, gyros.silent, motion, installed=gyros.installed),
+        inertial.accel_force(accels.means, accels.silent, motion, ground, installed=accels.installed),
+        compass.compass_field(compasses.means, compasses.silent, field, installed=compasses.installed),
+        compass.compass_direction(
+            compasses.means,
+            upright,
+            field,
+            motion,
+            installed=compasses.installed,
+            declination=compass.set_declination(autopilot, parameters, field),
+            followed=followed,
+        ),
+        attitude(snapshot.recording, accels.means, autopilot, parameters, motion, complete=snapshot.complete),
         history.temperature(snapshot),
         history.calibration_age(snapshot),
         history.sensor_check(snapshot),
@@ -56,10 +81,42 @@ def preflight(snapshot: Snapshot) -> Report:
         own.onboard_calibration(snapshot.view),
         own.arming_checks(autopilot, snapshot.parameters, complete=snapshot.complete),
     ]
-    found = _attributed(snapshot, _undisturbed(snapshot, found))
+    found = _attributed(snapshot, _unseen(there, _undisturbed(snapshot, found)))
     failed = [check.id for check in found if check.verdict == Verdict.FAIL]
     found.append(own.vehicle_prearm(snapshot.view, autopilot, snapshot.parameters, failed))
     return Report(tuple(found))
+
+
+def _unseen(there: Census, found: list[Check]) -> list[Check]:
+    """Checks of which no sensor is left: the link's fault is no sensor's, and a dead one is told once."""
+    told: dict[CheckId, tuple[str, str]] = {}
+    for kind, checks in _ABOUT.items():
+        dead = [why for (of, _), why in there.dead.items() if of == kind]
+        thin = [why for (of, _), why in there.thin.items() if of == kind]
+        if there.of(kind) or not (dead or thin):
+            continue
+        reason = f"No {WORDS[kind][0]} could be judged: {'; '.join([*dead, *thin])}."
+        if dead:
+            said = (f"{reason} This follows from {CheckId.SENSORS_HEARD}, which failed.", _MEND)
+        else:
+            said = (f"{reason} That is the link's fault.", "Check again over a better link.")
+        told |= dict.fromkeys(checks, said)
+    return [unknown(c.id, *told[c.id]) if c.id in told and c.verdict == Verdict.UNKNOWN else c for c in found]
+
+
+def _astray(there: Census, rest: Check, followed: int) -> bool:
+    """Whether the vehicle's own heading is no witness: a gyroscope or the compass that it follows is ill."""
+    dead = any(kind == Sensor.GYRO for kind, _ in there.dead)
+    return rest.verdict in (Verdict.FAIL, Verdict.WARN) or dead or (Sensor.MAG, followed) in there.dead
+
+
+def _followed(autopilot: str, parameters: Mapping[str, Value], installed: Mapping[Key, Announced]) -> int:
+    """The compass that the vehicle's heading follows: ArduPilot's first in use, PX4's of the highest priority."""
+    used = sorted(instance for kind, instance in installed if kind == Sensor.MAG)
+    if autopilot != "px4" or not used:
+        return used[0] if used else 0
+    rows = {i: installed[Sensor.MAG, i].by.partition("_ID")[0] for i in used}
+    return max(used, key=lambda i: (parameters.get(f"{rows[i]}_PRIO", -1), -i))
 
 
 def _undisturbed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
@@ -80,9 +137,12 @@ def _attributed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
     for cause, sensors in _reach(snapshot):
         if cause in failed:
             causes |= {of: cause for sensor in sensors for of in _ABOUT[sensor]}
-    if CheckId.COMPASS_FIELD in failed:  # what disturbs one compass reaches the others
-        causes.setdefault(CheckId.COMPASS_DIRECTION, CheckId.COMPASS_FIELD)
+    for cause, follows in _FOLLOWS.items():
+        if cause in failed:
+            for of in follows:
+                causes.setdefault(of, cause)
     bad = (Verdict.FAIL, Verdict.WARN)
+    causes = {of: cause for of, cause in causes.items() if of != cause}
     return [c.because_of(causes[c.id]) if c.id in causes and c.verdict in bad else c for c in found]
 
 
@@ -98,19 +158,27 @@ def _reach(snapshot: Snapshot) -> tuple[tuple[CheckId, Iterable[Sensor]], ...]:
     )
 
 
-def _means(snapshot: Snapshot, sensor: Sensor) -> tuple[dict[int, Mean], tuple[str, ...]]:
-    """What every instance read, and sentences on those with too few samples."""
+@dataclass(frozen=True)
+class _Kind:
+    """Every sensor of one kind."""
+
+    means: dict[int, Mean]
+    silent: tuple[str, ...]
+    """Sentences on those that cannot be judged."""
+    installed: int
+
+
+def _means(snapshot: Snapshot, there: Census, sensor: Sensor) -> _Kind:
+    """What every living instance read, and sentences on the others."""
     means: dict[int, Mean] = {}
-    silent: list[str] = []
-    for instance in snapshot.recording.instances(sensor):
-        if instance not in INSTANCES:
-            continue
+    silent = [why for said in (there.dead, there.thin) for (kind, _), why in sorted(said.items()) if kind == sensor]
+    for instance in sorted(there.of(sensor)):
         mean = mean_at_rest(snapshot.recording, sensor, instance)
         if isinstance(mean, Silent):
             silent.append(mean.why)
         else:
             means[instance] = mean
-    return means, tuple(silent)
+    return _Kind(means, tuple(silent), there.installed[sensor])
 
 
 def _place(recording: Recording) -> tuple[float, float, float] | None:
@@ -133,8 +201,8 @@ def _field(snapshot: Snapshot) -> EarthField | None:
         return None
 
 
-def _upright(snapshot: Snapshot, accels: dict[int, Mean]) -> compass.Upright | None:
-    """Down by the middle of the accelerometers; north by the vehicle's own attitude."""
+def _upright(snapshot: Snapshot, accels: dict[int, Mean], *, astray: bool) -> compass.Upright | None:
+    """Down by the middle of the accelerometers; north by the vehicle's own attitude, unless that is `astray`."""
     if not accels:
         return None
     force = np.median([mean.value for mean in accels.values()], axis=0)
@@ -143,7 +211,7 @@ def _upright(snapshot: Snapshot, accels: dict[int, Mean]) -> compass.Upright | N
         return None
     down = -force / length
     heading = None if snapshot.heading is None else math.radians(snapshot.heading)
-    return compass.Upright(down, _north(snapshot.recording), heading)
+    return compass.Upright(down, None if astray else _north(snapshot.recording), heading)
 
 
 def _north(recording: Recording) -> Array | None:

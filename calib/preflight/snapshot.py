@@ -40,14 +40,16 @@ class OwnView:
     """What the vehicle says of itself. None: it did not say."""
 
     present: bool | None = None
-    """Whether SYS_STATUS has the bit of the prearm check among what is present and switched on."""
+    """Whether SYS_STATUS has the bit of the prearm check among what is present and switched on; None: not heard."""
     ready: bool | None = None
-    """That bit among what is healthy."""
+    """Whether it would arm: ArduPilot by that bit among what is healthy, PX4 by that bit and by its heartbeat."""
     asked: bool = False
     """Whether it took the request to run its checks."""
     texts: tuple[str, ...] = ()
     """What it said against arming since then."""
     calibrating: bool | None = None
+    ill: frozenset[Sensor] = frozenset()
+    """Kinds of sensors of which it says that one is present, switched on and not healthy (SYS_STATUS, its texts)."""
 
 
 @dataclass(frozen=True)
@@ -83,3 +85,7 @@ class Snapshot:
     """Calibration parameters that took another value meanwhile."""
     complete: bool = True
     """Whether every parameter was read: one that is not there then is one that the vehicle does not have."""
+    messages: Mapping[int, int] | None = None
+    """How many messages came with the inertial unit and the compass of each instance; None: not counted."""
+    uncorrected: frozenset[tuple[Sensor, int]] = frozenset()
+    """Sensors that were heard, and whose calibration in force is not known."""

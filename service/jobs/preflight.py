@@ -1,5 +1,7 @@
 """A preflight of one vehicle: streams on, its own checks run, parameters read, streams back, a report within 10 s.
 
+A link that brings too few samples in that time is waited for, for half a minute at most: that is no sensor's fault.
+
 Nothing is written to the vehicle. While it is looked at no job may begin, and while a job runs it is not looked at:
 both ask for message rates and put them back.
 """
@@ -17,8 +19,8 @@ from typing import Any
 from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight.check import Report
-from mavcal.calib.preflight.collect import SENSORS, collect, preflight_streams, wanted_messages
-from mavcal.calib.preflight.own import PARAMETERS
+from mavcal.calib.preflight.collect import SENSORS, collect, gathered, preflight_streams, wanted_messages
+from mavcal.calib.preflight.own import LOOKED_AT, PARAMETERS
 from mavcal.calib.preflight.readings import RestReading, rest_readings
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration
@@ -43,6 +45,12 @@ History = Callable[[JobVehicle], Awaitable[tuple[VerifiedCalibration, ...]]]
 
 DEADLINE_S = 8.5
 """From the start to the last sample: what is left of ten seconds puts the streams back and computes."""
+LONGEST_S = 30.0
+"""From the start to the last sample on a link that brings them slowly."""
+LOOK_S = 0.5
+"""How often the samples are counted meanwhile."""
+AGAIN = 8
+"""After so many looks the streams are asked for again."""
 FIRST_S = 3.5
 """So long parameters and present rates are read before the streams begin; a rate not heard counts as the default."""
 DEMANDS, DEMAND_S = 3, 0.3
@@ -157,6 +165,7 @@ class Preflights:
                 vehicle.demand_streams(rates)
             left = max(DEADLINE_S - (self._clock() - began), 0.0)
             await asyncio.sleep(min(self._capture_s, left))
+            await self._gather(vehicle, rates, began, heard)
             complete = await self._finished(reading, began, heard)
             asked = _asked(asking, heard)
         finally:
@@ -205,18 +214,33 @@ class Preflights:
         autopilot = vehicle.identity.autopilot or ""
         found: dict[str, Value] = {}
         extra = {name for entry in known for name in entry.parameters} | set(PARAMETERS.get(autopilot, ()))
+        extra |= set(LOOKED_AT.get(autopilot, ()))
         asked: set[str] = set()
         while missing := (needed(autopilot, SENSORS, found, drift=False) | extra) - asked:
             asked |= missing
             readings = await read_values(vehicle, sorted(missing), absent=True)
             found |= {name: reading.value for name, reading in readings.items()}
 
+    async def _gather(self, vehicle: JobVehicle, rates: dict[int, float], began: float, heard: _Heard) -> None:
+        """Wait until every stream that comes has brought enough; what does not come is asked for again."""
+        autopilot = vehicle.identity.autopilot or ""
+        found, looks = gathered(heard.frames, autopilot), 0
+        while not found.enough and (left := LONGEST_S - (self._clock() - began)) > 0.0:
+            if looks % AGAIN == 0:  # a slow link has lost the request, or carries nothing else if it comes too often
+                vehicle.demand_streams(rates)
+            await asyncio.sleep(min(LOOK_S, left))
+            found, looks = gathered(heard.frames, autopilot), looks + 1
+        if looks:
+            heard.notes.append(
+                f"the link is slow: {found.text}, and {self._clock() - began:.0f} s were waited for more"
+            )
+
     async def _finished(self, reading: asyncio.Task[None], began: float, heard: _Heard) -> bool:
         """Whether every parameter was read in time; the vehicle's answer to the last one is waited for a little."""
-        left = max(DEADLINE_S - (self._clock() - began), 0.0)
+        left = max(LONGEST_S - (self._clock() - began), 0.0)
         await asyncio.wait({reading}, timeout=left)
         if not reading.done():
-            heard.notes.append("not every parameter could be read in time: the link is slow")
+            heard.notes.append(f"not every parameter could be read in {LONGEST_S:.0f} s: the link is slow")
             return False
         error = reading.exception()
         if isinstance(error, ServiceError):
@@ -317,4 +341,6 @@ def _snapshot(
         found.current_known,
         rewritten=tuple(dict.fromkeys(heard.rewritten)),
         complete=complete,
+        messages=found.messages,
+        uncorrected=found.uncorrected,
     )

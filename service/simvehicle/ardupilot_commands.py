@@ -30,6 +30,7 @@ LEVEL_S = 0.55
 REBOOT_DELAY_S = 0.02
 INCONSISTENT_GYRO = math.radians(5.0)
 INCONSISTENT_ACCEL_DEFAULT = 0.75
+UNHEALTHY = {"gyro": "Gyros not healthy", "accel": "Accels not healthy", "mag": "Compass not healthy"}
 
 Parameters = list[float]
 
@@ -153,7 +154,8 @@ class ArduPilotCommands:
             return ["Compass calibration running"]
         if any(not self._accel_calibrated(k) for k in range(len(self._sensors.chips))):
             return ["3D Accel calibration needed"]
-        return self._inconsistencies()
+        unhealthy = [said for kind, said in UNHEALTHY.items() if self._sensors.unhealthy(kind)]
+        return unhealthy or self._inconsistencies()
 
     def _accel_calibrated(self, instance: int) -> bool:
         table = self._vehicle.table

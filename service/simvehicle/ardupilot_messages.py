@@ -48,6 +48,12 @@ STREAM_GROUPS: dict[int, tuple[int, ...]] = {
 }
 
 
+HEALTH_BITS = {
+    "gyro": dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO,
+    "accel": dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL,
+    "mag": dialect.MAV_SYS_STATUS_SENSOR_3D_MAG,
+}
+
 Builder = Callable[[Readings, int], Any]
 
 
@@ -140,6 +146,9 @@ class ArduPilotMessages:
         # the bit of the arming checks; always healthy while armed (GCS.cpp, update_sensor_status_flags)
         ready = self._vehicle.armed or not self._vehicle.arming_faults()
         health = SENSORS_HEALTH | dialect.MAV_SYS_STATUS_PREARM_CHECK if ready else SENSORS_HEALTH
+        for kind, bit in HEALTH_BITS.items():  # of all units; of the compasses the first one alone (GCS.cpp)
+            if self._sensors.unhealthy(kind):
+                health &= ~bit
         return dialect.MAVLink_sys_status_message(
             SENSORS_PRESENT, SENSORS_ENABLED, health, 100, int(volts * 1000), int(amps * 100), 95,
             0, 0, 0, 0, 0, 0, 0, 0, 0,

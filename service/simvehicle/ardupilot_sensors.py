@@ -81,6 +81,10 @@ class ArduPilotSensors:
             self.compasses = []
         self.reader.restart()
 
+    def unhealthy(self, kind: str) -> bool:
+        """What the firmware itself notices: any inertial unit, and of the compasses the first one alone."""
+        return self._faults.fails("mag", 0) if kind == "mag" else self._faults.any(kind)
+
     @property
     def primary(self) -> int:
         """The first instance that is used and works."""

@@ -131,21 +131,28 @@ class Px4Messages:
     def _sys_status(self, r: Px4Readings, i: int) -> Any:
         amps = r.block.current[i]
         volts = self._telemetry.battery_volts(amps)
-        known = SENSORS | dialect.MAV_SYS_STATUS_PREARM_CHECK
+        # the bit of the arming checks is set among what is healthy alone (SYS_STATUS.hpp)
         ready = self._vehicle.armed or not self._vehicle.arming_faults()
-        health = known if ready else SENSORS
+        health = SENSORS | dialect.MAV_SYS_STATUS_PREARM_CHECK if ready else SENSORS
         return dialect.MAVLink_sys_status_message(
-            known, known, health, 80, int(volts * 1000), int(amps * 100), 95, 0, 0, 0, 0, 0, 0, 0, 0, 0
+            SENSORS, SENSORS, health, 80, int(volts * 1000), int(amps * 100), 95, 0, 0, 0, 0, 0, 0, 0, 0, 0
         )
 
     def _scaled_imu(self, message_class: Any, instance: int) -> Builder:
         def build(r: Px4Readings, i: int) -> Any:
             if not self._sensors.present(instance):
-                return None
+                return self._mag_alone(message_class, instance, r, i)
             accel, gyro, mag, temperature = r.integers(instance)
             return message_class(milliseconds(float(r.state.t[i])), *accel[i], *gyro[i], *mag[i], temperature[i])
 
         return build
+
+    def _mag_alone(self, message_class: Any, instance: int, r: Px4Readings, i: int) -> Any:
+        """A magnetometer without an inertial unit of that number is sent all the same, the rest as zero."""
+        if instance >= len(self._sensors.mags) or self._sensors.silent_mag(instance):
+            return None
+        mag = r.raw_mag(instance)[i]
+        return message_class(milliseconds(float(r.state.t[i])), 0, 0, 0, 0, 0, 0, *mag, 0)
 
     def _highres_imu(self, r: Px4Readings, i: int) -> Any:
         accel, gyro, mag, updated = r.highres()

@@ -74,6 +74,11 @@ class Px4Readings:
             )
         return self._integers[instance]
 
+    def raw_mag(self, instance: int) -> Rows:
+        """Raw mGauss alone."""
+        rows: Rows = truncated(self._sensors.raw_mag(instance, self.state.t), MGAUSS_PER_GAUSS).tolist()
+        return rows
+
     def unbiased(self) -> tuple[Array, Array]:
         """Primary accelerometer and gyroscope minus what the estimator takes for bias."""
         if self._unbiased is None:

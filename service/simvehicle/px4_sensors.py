@@ -107,6 +107,10 @@ class Px4Sensors:
             return False
         return self.accels[instance].priority != 0 and self.gyros[instance].priority != 0
 
+    def silent_mag(self, instance: int) -> bool:
+        """Whether this magnetometer publishes nothing."""
+        return self._faults.absent("mag", instance)
+
     @property
     def primary(self) -> int:
         """The instance of highest priority, the first among equals."""

@@ -46,6 +46,14 @@ class SensorFaults:
         """Whether this sensor repeats itself."""
         return self._faults.get((sensor, instance)) is SensorFault.STUCK
 
+    def any(self, sensor: str) -> bool:
+        """Whether a sensor of this kind fails."""
+        return any(kind == sensor for kind, _ in self._faults)
+
+    def fails(self, sensor: str, instance: int) -> bool:
+        """Whether this sensor fails in any way."""
+        return (sensor, instance) in self._faults
+
     def apply(self, sensor: str, instance: int, values: Array) -> Array:
         """The corrected readings (N, 3) as a failing sensor gives them."""
         key = (sensor, instance)

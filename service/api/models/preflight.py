@@ -50,6 +50,10 @@ class CheckModel(BaseModel):
     reason: str
     remedy: str = Field(description="what helps; empty where nothing has to be done")
     evidence: list[str] = Field(description="every number and fact that the check rests on")
+    suspects: list[str] = Field(
+        default=[],
+        description="what is off; several: all of them, or one of them and nothing tells which, as the reason says",
+    )
 
 
 class FixModel(BaseModel):

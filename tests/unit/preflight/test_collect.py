@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.preflight.collect import PREARM, SYS_STATUS, VIBRATION, collect, preflight_streams, wanted_messages
+from mavcal.calib.preflight.collect import (
+    PREARM,
+    SYS_STATUS,
+    VIBRATION,
+    collect,
+    gathered,
+    preflight_streams,
+    wanted_messages,
+)
 from mavcal.calib.recording import Identity, Sensor, Stage
 from mavcal.calib.wire import Frame, FrameParser
 
@@ -33,6 +41,46 @@ def status(present: int, health: int, current: int = 10) -> Any:
 def test_the_bit_of_the_arming_checks(present: int, health: int, expected: tuple[bool, bool | None]) -> None:
     view = collect(frames(status(present, health)), ARDUPILOT, {}, asked=True).view
     assert (view.present, view.ready) == expected
+
+
+def heartbeat(state: int) -> Any:
+    return dialect.MAVLink_heartbeat_message(2, 12, 29, 0, state, 3)
+
+
+@pytest.mark.parametrize(
+    ("health", "state", "ready"),
+    [(PREARM, 3, True), (PREARM, None, True), (0, 0, False), (0, 3, True), (0, 4, None), (0, None, None)],
+)
+def test_px4_says_that_it_is_ready_by_its_health_or_its_heartbeat(
+    health: int, state: int | None, ready: bool | None
+) -> None:
+    """It sets the bit among what is healthy alone; a vehicle that stands by has passed its checks."""
+    said = [status(0, health)] + ([] if state is None else [heartbeat(state)])
+    view = collect(frames(*said), PX4, {}, asked=True).view
+    assert (view.present, view.ready) == (False, ready)
+
+
+def test_what_the_vehicle_calls_unhealthy_is_kept_by_kind() -> None:
+    gyro, accel = dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO, dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    found = collect(frames(status(PREARM | gyro | accel, PREARM | accel)), ARDUPILOT, {}, asked=True)
+    assert found.view.ill == {Sensor.GYRO}
+
+
+def imu(t_ms: int, instance: int = 0) -> Any:
+    kind = (dialect.MAVLink_scaled_imu_message, dialect.MAVLink_scaled_imu2_message)[instance]
+    return kind(t_ms, 0, 0, -1000, 0, 0, 0, 300, 0, 400, 2500)
+
+
+def test_samples_are_waited_for_until_every_stream_that_comes_has_enough() -> None:
+    assert not gathered([], "px4").enough
+    slow = [imu(1000 * k, 1) for k in range(16)]
+    fast = [imu(100 * k) for k in range(160)]
+    found = gathered(frames(*fast, *slow), "px4")
+    assert (found.messages, found.enough) == ({0: 160, 1: 16}, False)
+    assert "16 messages" in found.text
+    assert gathered(frames(*fast, *[imu(1000 * k, 1) for k in range(30)]), "px4").enough
+    assert gathered(frames(*fast), "px4").enough  # a unit that never sends is not waited for
+    assert not gathered(frames(*[imu(20 * k) for k in range(60)]), "px4").enough  # a second: too short for a compass
 
 
 def test_texts_against_arming_are_kept_whole_and_once() -> None:

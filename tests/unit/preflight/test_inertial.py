@@ -76,7 +76,24 @@ def test_two_accelerometers_that_read_g_in_two_directions_differ():
     found = accel_force({0: mean(0.0, 0.0, -G), 1: tilted}, (), None, None)
     assert found.verdict is Verdict.FAIL
     assert found.value == pytest.approx(2.0 * G * math.sin(0.05), rel=1e-6)
-    assert "from the other one" in found.reason
+    assert "difference of accelerometers 1 and 2" in found.reason
+    assert found.suspects == ("accelerometer 1", "accelerometer 2")  # both read g
+    assert "another side" in found.remedy
+
+
+@pytest.mark.parametrize("off", [0, 1])
+def test_of_two_accelerometers_gravity_tells_which_is_off(off):
+    there = {i: mean(0.05, 0.0, -G + 0.3 * (i == off)) for i in (0, 1)}
+    found = accel_force(there, (), None, None)
+    assert (found.verdict, found.suspects) == (Verdict.FAIL, (f"accelerometer {off + 1}",))
+
+
+def test_a_check_on_fewer_than_are_installed_never_says_all():
+    two = {0: rate(0.0), 2: rate(0.0)}
+    for check in (gyro_rest(two, (), None, installed=3), gyro_noise(two, (), None, installed=3)):
+        assert (check.verdict, check.reason.startswith("2 of 3 gyroscopes")) == (Verdict.PASS, True)
+    assert gyro_rest(two, (), None).reason.startswith("All 2 gyroscopes")
+    assert accel_force({0: mean(0.0, 0.0, -G)}, (), None, None).reason == "The only accelerometer reads g."
 
 
 def test_of_three_the_one_that_is_off_is_named():

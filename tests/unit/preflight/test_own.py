@@ -42,10 +42,33 @@ def test_a_yes_with_disabled_checks_is_none(parameters: dict[str, int]) -> None:
 
 def test_a_vehicle_that_does_not_say_is_unknown() -> None:
     assert own.vehicle_prearm(OwnView(), "px4", {}, []).verdict == Verdict.UNKNOWN
-    absent = OwnView(present=False, ready=True)
-    assert own.vehicle_prearm(absent, "px4", {}, []).verdict == Verdict.UNKNOWN
+    absent = OwnView(present=False, ready=None)
+    assert "not heard" not in own.vehicle_prearm(absent, "ardupilot", {"ARMING_CHECK": 0}, []).reason
     assert own.onboard_calibration(OwnView()).verdict == Verdict.UNKNOWN
     assert own.vibration(None).verdict == Verdict.UNKNOWN
+
+
+def test_px4_says_that_it_is_ready_by_its_health_alone() -> None:
+    """Its SYS_STATUS has the bit among what is healthy, and neither among what is present nor switched on."""
+    check = own.vehicle_prearm(OwnView(present=False, ready=True, asked=True), "px4", {}, [])
+    assert check.verdict == Verdict.PASS
+    assert "would arm now" in check.reason
+
+
+def test_one_fault_is_one_failure_whatever_words_the_vehicle_has_for_it() -> None:
+    for failed, text in (
+        (CheckId.GYRO_REST, "PreArm: EKF attitude is bad"),
+        (CheckId.GYRO_REST, "PreArm: Gyros inconsistent"),
+        (CheckId.COMPASS_FIELD, "PreArm: EKF3 Yaw inconsistent by 50 deg"),
+        (CheckId.SENSORS_HEARD, "PreArm: Gyros not healthy"),
+    ):
+        view = OwnView(present=True, ready=False, texts=(text,))
+        assert own.vehicle_prearm(view, "ardupilot", {"ARMING_CHECK": 1}, [failed]).verdict == Verdict.WARN, text
+        fence = OwnView(present=True, ready=False, texts=(text, "PreArm: Fence breached"))
+        assert own.vehicle_prearm(fence, "ardupilot", {"ARMING_CHECK": 1}, [failed]).verdict == Verdict.FAIL
+    silent = OwnView(present=True, ready=False)
+    assert own.vehicle_prearm(silent, "px4", {}, [CheckId.COMPASS_FIELD]).verdict == Verdict.WARN
+    assert own.vehicle_prearm(silent, "px4", {}, []).verdict == Verdict.FAIL
 
 
 def test_arming_checks_as_a_firmware_comes() -> None:

@@ -169,8 +169,10 @@ def test_a_text_is_explained_by_a_failed_check_of_the_same_sensor(text, failed, 
     assert (f"This follows from {failed}." in found.reason) == explained
 
 
-def test_a_vehicle_that_is_not_ready_and_says_nothing_fails_all_the_same():
+def test_a_vehicle_that_is_not_ready_and_says_nothing_is_explained_by_what_failed_alone():
     found = own.vehicle_prearm(OwnView(present=True, ready=False), "px4", {}, [CheckId.SENSOR_IDS])
+    assert (found.verdict, "This follows from sensor_ids." in found.reason) == (Verdict.WARN, True)
+    found = own.vehicle_prearm(OwnView(present=True, ready=False), "px4", {}, [])
     assert found.verdict == FAIL
     assert "it says that it is not ready, and not why" in found.reason
 
@@ -179,9 +181,15 @@ def test_a_vehicle_that_is_not_ready_and_says_nothing_fails_all_the_same():
     ("view", "line"),
     [
         (OwnView(), "SYS_STATUS was not heard"),
-        (OwnView(present=True, ready=True), "SYS_STATUS: the prearm check is present and switched on, healthy"),
-        (OwnView(present=True, ready=False), "SYS_STATUS: the prearm check is present and switched on, not healthy"),
-        (OwnView(present=False), "SYS_STATUS: the prearm check is absent or switched off"),
+        (
+            OwnView(present=True, ready=True),
+            "SYS_STATUS: the prearm check is present and switched on; the vehicle says that it is ready",
+        ),
+        (
+            OwnView(present=True, ready=False),
+            "SYS_STATUS: the prearm check is present and switched on; the vehicle says that it is not ready",
+        ),
+        (OwnView(present=False), "SYS_STATUS: the prearm check is not among what is present and switched on"),
     ],
 )
 def test_what_sys_status_said_is_evidence(view, line):

@@ -187,7 +187,7 @@ def test_what_is_refused_and_what_only_seems_accepted(
 
 
 def test_an_absent_instance_is_granted_and_never_sent(bench: Any) -> None:
-    b = settled(bench, imu_count=1)
+    b = settled(bench, imu_count=1, mag_count=1)
     b.command(511, 116, 20000)
     b.command(510, 116)
     interval = [r.message.interval_us for r in b.heard[0] if r.name == "MESSAGE_INTERVAL"]
@@ -339,8 +339,26 @@ def test_the_simulator_build_does_not_know_thermal_sets(bench: Any) -> None:
     assert settled(bench).vehicle.table.index_of("TC_A_ENABLE") is not None
 
 
-def test_a_disabled_sensor_is_not_published(bench: Any) -> None:
+def test_a_magnetometer_without_an_inertial_unit_of_its_number_is_sent(bench: Any) -> None:
+    """SCALED_IMU2.hpp sends when either of the two is new."""
+    b = settled(bench, imu_count=1, mag_count=2)
+    b.command(511, 116, 20000)
+    b.run(1.0)
+    sent = b.take("SCALED_IMU2")
+    assert len(sent) > 40
+    assert all(m.zacc == 0 and (m.xmag, m.ymag, m.zmag) != (0, 0, 0) for m in sent)
+
+
+def test_the_bit_of_the_arming_checks_is_among_what_is_healthy_alone(bench: Any) -> None:
     b = settled(bench)
+    b.command(511, 1, 500000)
+    b.run(2.0)
+    status, bit = b.take("SYS_STATUS")[-1], dialect.MAV_SYS_STATUS_PREARM_CHECK
+    assert not (status.onboard_control_sensors_present | status.onboard_control_sensors_enabled) & bit
+
+
+def test_a_disabled_sensor_is_not_published(bench: Any) -> None:
+    b = settled(bench, mag_count=1)
     b.command(511, 116, 20000)
     b.send_set("CAL_GYRO1_PRIO", struct.pack("<i", 0), INT32)
     b.run(0.1)

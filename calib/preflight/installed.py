@@ -1,0 +1,96 @@
+"""Which sensors a vehicle should show: those that its parameters announce and use, by streamed instance.
+
+FLIGHT_CONTROLLERS 1.1, 1.3, 1.4, 2.1, 2.2. ArduPilot clears the ids of inertial units that it did not find at its
+start; a compass is announced by its rank or by its slot. PX4 keeps a row for each sensor that was ever calibrated, and
+publishes no inertial unit of which one half has the priority 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from mavcal.calib.firmware import names
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.recording import Sensor
+
+WORDS: Mapping[Sensor, tuple[str, str]] = {
+    Sensor.GYRO: ("gyroscope", "gyroscopes"),
+    Sensor.ACCEL: ("accelerometer", "accelerometers"),
+    Sensor.MAG: ("compass", "compasses"),
+}
+"""What one and several are called."""
+STREAMED = 3
+"""Instances that either firmware streams."""
+
+Key = tuple[Sensor, int]
+
+
+@dataclass(frozen=True)
+class Announced:
+    """A sensor that the parameters announce and use."""
+
+    sensor: Sensor
+    instance: int
+    by: str
+    """The parameter that holds its device id, with the value."""
+
+    @property
+    def name(self) -> str:
+        """As a reader calls it."""
+        return f"{WORDS[self.sensor][0]} {self.instance + 1}"
+
+
+def announced(autopilot: str, parameters: Mapping[str, Value]) -> dict[Key, Announced]:
+    """Every sensor that is announced and used; none for an autopilot that is neither ArduPilot nor PX4."""
+    if autopilot not in names.CALIBRATION_PREFIXES:
+        return {}
+    found = _px4(parameters) if autopilot == "px4" else _ardupilot(parameters)
+    return {(one.sensor, one.instance): one for one in found}
+
+
+def _ardupilot(parameters: Mapping[str, Value]) -> Iterator[Announced]:
+    for sensor in (Sensor.ACCEL, Sensor.GYRO):
+        for slot in range(names.ARDUPILOT_IMU_SLOTS):
+            row = names.ardupilot_imu_names(sensor, slot)
+            if parameters.get(row[Role.ID], 0) and parameters.get(row[Role.USE], 1):
+                yield Announced(sensor, slot, _told(row[Role.ID], parameters))
+    if not parameters.get("COMPASS_ENABLE", 1):
+        return
+    for rank in range(names.ARDUPILOT_COMPASS_SLOTS):
+        row = names.ardupilot_compass_names(rank, rank)
+        name = next((row[role] for role in (Role.PRIORITY, Role.ID) if parameters.get(row[role], 0)), None)
+        if name is not None and parameters.get(row[Role.USE], 1):
+            yield Announced(Sensor.MAG, rank, _told(name, parameters))
+
+
+def _px4(parameters: Mapping[str, Value]) -> Iterator[Announced]:
+    rows = {sensor: _px4_rows(sensor, parameters) for sensor in WORDS}
+    used = {sensor: [name for name, use in found if use] for sensor, found in rows.items()}
+    units = _fewest(len(used[Sensor.ACCEL]), len(used[Sensor.GYRO]))
+    for sensor in (Sensor.ACCEL, Sensor.GYRO):
+        for instance, name in enumerate(used[sensor][:units]):
+            yield Announced(sensor, instance, _told(name, parameters))
+    if not parameters.get("SYS_HAS_MAG", 1):
+        return
+    for instance, (name, use) in enumerate(rows[Sensor.MAG]):
+        if use:
+            yield Announced(Sensor.MAG, instance, _told(name, parameters))
+
+
+def _fewest(accels: int, gyros: int) -> int:
+    """Units that are published: of both halves; the rows of one kind count alone where the other has none yet."""
+    return min(accels, gyros) if accels and gyros else max(accels, gyros)
+
+
+def _px4_rows(sensor: Sensor, parameters: Mapping[str, Value]) -> list[tuple[str, bool]]:
+    """Names of the ids in the filled rows, in the order of the stream, and whether each is used."""
+    rows = [names.px4_names(sensor, slot) for slot in range(names.PX4_SLOTS)]
+    return [
+        (row[Role.ID], parameters.get(row[Role.PRIORITY], -1) != 0) for row in rows if parameters.get(row[Role.ID], 0)
+    ]
+
+
+def _told(name: str, parameters: Mapping[str, Value]) -> str:
+    return f"{name} = {int(parameters[name])}"
