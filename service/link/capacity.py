@@ -79,7 +79,8 @@ class Arrivals:
         firmwares accept some that they do not have. Nor does one that was asked for so fast that firmwares send
         less of it by themselves.
         """
-        shares = [self.own_hz[key] / rate / max(1.0 - self.loss, _LEAST_COMES) for key, rate in self._telling(requested_hz)]
+        comes = max(1.0 - self.loss, _LEAST_COMES)
+        shares = [self.own_hz[key] / rate / comes for key, rate in self._telling(requested_hz)]
         return max(shares) if shares else None
 
     def short(self, requested_hz: Mapping[int, float]) -> float:
