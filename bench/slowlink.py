@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench import conditions
 from mavcal.service.core import Service, running_service
 from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.states import ENDED, JobState
@@ -226,7 +227,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.slowlink", description=__doc__)
     parser.add_argument("--autopilot", choices=("ardupilot", "px4"), action="append", default=None)
     parser.add_argument("--wire", type=int, choices=range(len(WIRES)), action="append", default=None)
+    parser.add_argument("--conditions", action="store_true", help="rates and times under every condition instead")
+    parser.add_argument("--kind", choices=("gyro", "mag"), action="append", default=None, help="of those")
     args = parser.parse_args(argv)
+    if args.conditions:
+        return conditions.main(args.autopilot or ("ardupilot", "px4"), args.kind or ("gyro", "mag"))
     wires = [WIRES[i] for i in (args.wire if args.wire is not None else range(len(WIRES)))]
     runs = [asyncio.run(timed(wire, name)) for name in args.autopilot or ("ardupilot", "px4") for wire in wires]
     print(table(runs))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -38,6 +39,17 @@ _CLASSES: tuple[type[TickedProcedure], ...] = (
 
 PROCEDURES: Mapping[str, ProcedureSpec] = MappingProxyType({c.spec.kind: c.spec for c in _CLASSES})
 """Specification of every kind of job."""
+
+LIBRARIES = ("scipy.linalg", "scipy.special", "scipy.spatial.transform")
+
+
+def load_libraries() -> None:
+    """Load what fits compute with: half a second of a processor, and several where it is busy.
+
+    They are loaded at their first use otherwise, which is when somebody waits for a result.
+    """
+    for name in LIBRARIES:
+        importlib.import_module(name)
 
 
 def specification(kind: str) -> ProcedureSpec:

@@ -19,7 +19,7 @@ from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
-from mavcal.calib.procedures.registry import specification
+from mavcal.calib.procedures.registry import load_libraries, specification
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame, iter_tlog
 from mavcal.service.errors import (
@@ -78,12 +78,13 @@ class Capture:
         DiskFull, VehicleError, LinkError
         """
         link = asyncio.create_task(LinkWatch(self.handle, self.vehicle, self.settings, self.clock).run())
+        loading = asyncio.create_task(asyncio.to_thread(load_libraries))  # while the vehicle is waited for
         try:
             with self.vehicle.unbroken_tlog():
                 return await self._recorded()
         finally:
             link.cancel()
-            await asyncio.gather(link, return_exceptions=True)
+            await asyncio.gather(link, loading, return_exceptions=True)
 
     async def _recorded(self) -> Done:
         earlier = captured(self.handle.job, self.handle.store)

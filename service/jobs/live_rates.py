@@ -84,8 +84,8 @@ class LiveTimes:
     """Between two attempts, where asking or putting back has failed."""
     stop_s: float = 5.0
     """So long a service that stops waits for rates to be put back; what is left is done at its next start."""
-    measure_s: float = 1.0
-    """How long it is measured what the link carries."""
+    measure_s: float = 2.0
+    """How long it is measured what the link carries, by the vehicle's time stamps."""
 
 
 class LiveRates:

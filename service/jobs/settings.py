@@ -27,8 +27,8 @@ class JobSettings:
     """How long a check that saw no sensor at rest, or finds one wrong, goes on looking; the vehicle's clock."""
     window_timeout_s: float = 20.0
     """How long such a window may take."""
-    measure_s: float = 1.0
-    """How long the streams of a capture are measured before it begins."""
+    measure_s: float = 2.0
+    """How long the streams of a capture are measured before it begins, by the vehicle's time stamps."""
     gap_limit_s: float = 60.0
     """How long a capture outlives the loss of its vehicle."""
     return_limit_s: float = 60.0

@@ -6,7 +6,8 @@ among them; so rates are chosen below what it was seen to carry, and a job is to
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -23,9 +24,80 @@ LOSSY = 0.1
 EXACT_HZ = 50.0
 """Up to this rate both firmwares deliver what is asked for; what comes slower is held up by the link."""
 HELD_UP = 0.8
+"""A stream of which less than this share is sent is held up at its source: its port is full."""
+SHORT = 0.03
+"""A port that is asked for this share more than it carries fills its buffer; less may be chance."""
+MORE = 1.2
+"""Carried so many times more than at most before, what was measured before was wrong; less may be chance."""
+STEP = 0.25
+"""No rate is cut to less than this share at once: what a link carries is measured again on the way."""
+_LEAST_COMES = 0.1  # of a link that loses more nothing is inferred
 _OVERHEAD = 12
 _SIGNATURE = 13
 _BITS_PER_BYTE = 10  # a start bit and a stop bit go with every eight
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """What came of streams while they were watched, from the first sample on.
+
+    Parameters
+    ----------
+    own_hz
+        Messages per second of the vehicle's own time stamps.
+    wall_hz
+        Messages per second of the wall clock.
+    loss
+        Share of the frames that were sent and did not come, by their sequence numbers, 0..1.
+    bytes_per_s
+        Everything that came, per second of the wall clock.
+    queued
+        By how many s in each s the samples come later and later.
+    """
+
+    own_hz: Mapping[int, float] = field(default_factory=dict)
+    wall_hz: Mapping[int, float] = field(default_factory=dict)
+    loss: float = 0.0
+    bytes_per_s: float = 0.0
+    queued: Mapping[int, float] = field(default_factory=dict)
+
+    @property
+    def speed(self) -> float:
+        """Seconds of the vehicle in one second of the wall clock; 1 but for simulated vehicles."""
+        ratios = [self.wall_hz[key] / rate for key, rate in self.own_hz.items() if rate > 0 and self.wall_hz[key] > 0]
+        return max([1.0, *ratios])
+
+    @property
+    def own_bytes_per_s(self) -> float:
+        """Everything that came, per second of the vehicle's time: rates are asked for in it."""
+        return self.bytes_per_s / self.speed
+
+    def sent_share(self, requested_hz: Mapping[int, float]) -> float | None:
+        """Share of the samples asked for that the vehicle sent; None: no stream tells.
+
+        That of the stream that does best: a full link holds up all of them. One that never comes says nothing:
+        firmwares accept some that they do not have. Nor does one that was asked for so fast that firmwares send
+        less of it by themselves.
+        """
+        comes = max(1.0 - self.loss, _LEAST_COMES)
+        shares = [self.own_hz[key] / rate / comes for key, rate in self._telling(requested_hz)]
+        return max(shares) if shares else None
+
+    def short(self, requested_hz: Mapping[int, float]) -> float:
+        """Share of all samples asked for that the link did not carry: they were not sent, or wait in a buffer."""
+        telling = self._telling(requested_hz)
+        if not telling:
+            return 0.0
+        came = sum(self.own_hz[key] for key, _ in telling) / sum(rate for _, rate in telling)
+        queued = min(self.queued.get(key, 0.0) for key, _ in telling)
+        return max(1.0 - came / max(1.0 - self.loss, _LEAST_COMES), 0.0) + queued
+
+    def _telling(self, requested_hz: Mapping[int, float]) -> list[tuple[int, float]]:
+        return [
+            (key, rate)
+            for key, rate in requested_hz.items()
+            if SLOW_HZ < rate <= EXACT_HZ and self.own_hz.get(key, 0.0) > 0
+        ]
 
 
 def frame_bytes(message_id: int, *, signed: bool = False) -> int:
@@ -84,30 +156,52 @@ def plan_rates(
     return {**state, **{message_id: max(rate * factor, 1.0) for message_id, rate in samples.items()}}
 
 
-def seen_capacity(
-    requested_hz: Mapping[int, float],
-    measured_hz: Mapping[int, float],
-    loss: float,
-    bytes_per_s: float,
-) -> float | None:
-    """What a link was seen to carry, in bytes per second; None if it carried everything.
+def seen_capacity(requested_hz: Mapping[int, float], seen: Arrivals, *, late: bool) -> float | None:
+    """What a link was seen to carry, in bytes per second of the vehicle's time; None if it carried everything.
 
-    It is too slow if it loses many frames, or if every stream comes slower than the firmware would send it. A stream
-    that never comes at all says nothing: firmwares accept some that they do not have.
+    It is too slow if it loses many frames, if the vehicle holds back many samples because its port is full, or if a
+    buffer fills and answers wait behind the samples.
 
     Parameters
     ----------
-    requested_hz, measured_hz
-        What was asked for and what came.
-    loss
-        Lost share of all frames meanwhile, 0..1.
-    bytes_per_s
-        Everything that came.
+    requested_hz
+        What was asked for.
+    seen
+        What came.
+    late
+        Whether answers were late meanwhile.
     """
-    coming = {key: measured_hz[key] for key in requested_hz if measured_hz.get(key, 0.0) > 0}
-    telling = [key for key in coming if SLOW_HZ < requested_hz[key] <= EXACT_HZ]
-    held_up = bool(telling) and all(coming[key] < HELD_UP * requested_hz[key] for key in telling)
-    return bytes_per_s if loss > LOSSY or held_up else None
+    share = seen.sent_share(requested_hz)
+    held_up = share is not None and share < HELD_UP
+    filling = late and seen.short(requested_hz) > SHORT
+    return seen.own_bytes_per_s if seen.loss > LOSSY or held_up or filling else None
+
+
+def lowered(requested_hz: Mapping[int, float], capacity_bytes_per_s: float | None) -> dict[int, float]:
+    """As :func:`plan_rates`, but no rate is cut to less than a share of it at once."""
+    planned = plan_rates(requested_hz, capacity_bytes_per_s)
+    return {key: max(rate, min(STEP * requested_hz[key], requested_hz[key])) for key, rate in planned.items()}
+
+
+def helped(before_hz: Mapping[int, float], before: Arrivals, after_hz: Mapping[int, float], after: Arrivals) -> bool:
+    """Whether asking for less has relieved the link: else something other than the samples is the matter with it.
+
+    A link that loses as much of less is bad, not slow. A vehicle that sends as small a share of less is slow itself.
+    One that carries more of less than it was said to carry at all was measured wrongly.
+    """
+    if before.loss > LOSSY and after.loss > before.loss / 2:
+        return False
+    if after.own_bytes_per_s > MORE * before.own_bytes_per_s:
+        return False
+    was, now = before.sent_share(before_hz), after.sent_share(after_hz)
+    if was is None or now is None or was >= HELD_UP:
+        return True
+    return now >= min(HELD_UP, was + SHORT)
+
+
+def samples(rates_hz: Mapping[int, float], refused: Collection[int] = ()) -> tuple[int, ...]:
+    """Those streams that are watched for samples: fast ones that were not refused."""
+    return tuple(key for key, rate in rates_hz.items() if rate > SLOW_HZ and key not in refused)
 
 
 def slowdown(requested_hz: Mapping[int, float], granted_hz: Mapping[int, float]) -> float:

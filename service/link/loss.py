@@ -32,6 +32,7 @@ class SequenceCounter:
         "_sent_per_s",
         "_window_at",
         "bytes_per_s",
+        "bytes_received",
         "duplicated",
         "frames_per_s",
         "lost",
@@ -42,6 +43,7 @@ class SequenceCounter:
 
     def __init__(self) -> None:
         self.received = self.lost = self.lost_inferred = self.duplicated = self.out_of_order = 0
+        self.bytes_received = 0
         self.bytes_per_s = self.frames_per_s = self._sent_per_s = 0.0
         self._last = -1
         self._last_at = self._window_at = self._now = 0.0
@@ -68,6 +70,7 @@ class SequenceCounter:
             self._end_of_drain(now)
         self.received += 1
         self._bytes += size
+        self.bytes_received += size
         step = (sequence - self._last) & 0xFF
         if self._last < 0:
             self._window_at, step = now, 1
@@ -134,6 +137,7 @@ class SequenceCounter:
             duplicated=self.duplicated,
             out_of_order=self.out_of_order,
             crc_errors=crc_errors,
+            bytes_received=self.bytes_received,
             bytes_per_s=self.bytes_per_s if fresh else 0.0,
             frames_per_s=self.frames_per_s if fresh else 0.0,
         )

@@ -115,6 +115,7 @@ class LinkStatistics:
     """
 
     received: int = 0
+    bytes_received: int = 0
     lost: int = 0
     lost_inferred: int = 0
     duplicated: int = 0

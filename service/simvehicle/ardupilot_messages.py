@@ -109,7 +109,9 @@ class ArduPilotMessages:
         interval_ms = ardupilot_interval_ms(interval_us, self._vehicle.table.get("SCHED_LOOP_RATE", 400.0))
         if interval_ms is None:
             return False, f"Requested rate for message ID {message_id} too fast. Increase SCHED_LOOP_RATE"
-        channel.streams[message_id] = ardupilot_stream(message_id, interval_ms, self._vehicle.time)
+        channel.streams[message_id] = ardupilot_stream(
+            message_id, interval_ms, self._vehicle.first_due(channel, message_id)
+        )
         return True, ""
 
     def knows(self, message_id: int) -> bool:

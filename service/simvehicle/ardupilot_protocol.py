@@ -18,6 +18,8 @@ SAVE_S = 0.5  # and from there to the storage
 READ_TICK_S = 0.1  # answers to PARAM_REQUEST_READ leave ten times a second
 READ_QUEUE, READ_REPLIES = 20, 5
 LIST_TICK_S, LIST_PER_TICK = 0.01, 20
+VALUE_BYTES = 37  # a PARAM_VALUE in its frame
+LIST_SHARE = 0.3  # of what the port carries: GCS_Param.cpp, queued_param_send
 INTEGER_NUDGE = 0.01  # AP_Param::set_float adds this before it truncates
 _INTEGER_LIMITS = {
     ParameterType.INT8: (-128, 127),
@@ -75,6 +77,9 @@ class ArduPilotParameters:
         channel, done = self._lists[key]
         listing = self._vehicle.table.listing()
         end = min(done + LIST_PER_TICK, len(listing))
+        tick_s = max(LIST_TICK_S, VALUE_BYTES / (LIST_SHARE * channel.carried()))
+        if tick_s > LIST_TICK_S:
+            end = min(done + 1, len(listing))
         while done < end and channel.room() >= ANSWER_ROOM:
             self._vehicle.send(channel, self.value_message(listing[done], done))
             done += 1
@@ -82,7 +87,7 @@ class ArduPilotParameters:
             del self._lists[key]
             return
         self._lists[key] = (channel, done)
-        self._vehicle.at(LIST_TICK_S, lambda: self._continue_list(key))
+        self._vehicle.at(tick_s, lambda: self._continue_list(key))
 
     def _queue_read(self, channel: MavlinkChannel, name: str, index: int) -> None:
         if len(self._reads) >= READ_QUEUE:

@@ -66,6 +66,7 @@ class VehicleConfig:
     gps: bool = True
     signing_key: str = ""  # 64 hexadecimal digits: what the vehicle signs with, and all that it listens to
     boot_s: float = 3.0
+    stream_start_s: float = 0.0  # how long after the request a stream begins; ArduCopter was seen to take .97 s
     unix_time_s: float = 0.0  # 0: the wall clock's
     truth: Mapping[str, Any] = field(default_factory=dict)  # overrides of the drawn truth, merged deeply
     parameters: Mapping[str, float] = field(default_factory=dict)  # initial values by name
@@ -136,6 +137,8 @@ def _checked(config: VehicleConfig) -> VehicleConfig:
             raise ConfigurationError(f"{name} needs {least} entries")
     if config.signing_key and not re.fullmatch("[0-9a-fA-F]{64}", config.signing_key):
         raise ConfigurationError("signing_key needs 64 hexadecimal digits")
+    if not config.stream_start_s >= 0:
+        raise ConfigurationError(f"stream_start_s must not be below 0, got {config.stream_start_s}")
     if len(config.field_ned_ut) != 3:
         raise ConfigurationError("field_ned_ut needs three numbers: north, east, down in µT")
     return config

@@ -94,6 +94,10 @@ class FaultyLink:
         waiting = max(self._free_out - time.monotonic(), 0.0) * carried
         return self.outgoing.buffer_bytes - waiting if carried else math.inf
 
+    def carried(self) -> float:
+        """Bytes that the port carries in a second of the wall clock."""
+        return self.outgoing.bytes_per_s or math.inf
+
     @property
     def holding(self) -> bool:
         """Whether something that arrived is held back."""

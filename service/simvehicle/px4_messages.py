@@ -100,7 +100,9 @@ class Px4Messages:
         elif interval_us == 0:
             self._default_interval(channel, message_id)
         else:
-            channel.streams[message_id] = px4_stream(message_id, interval_us, self._vehicle.time)
+            channel.streams[message_id] = px4_stream(
+                message_id, interval_us, self._vehicle.first_due(channel, message_id)
+            )
         return True
 
     def _default_interval(self, channel: MavlinkChannel, message_id: int) -> None:

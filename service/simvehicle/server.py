@@ -73,7 +73,7 @@ class SimServer:
     def _joined(self, link: SimEndpoint) -> FaultyLink:
         faulty = FaultyLink(link, self.vehicle.config.seed)
         channel = MavlinkChannel(
-            Packer(self.vehicle.config.system_id, signer=self.vehicle.signer), faulty.send, faulty.room
+            Packer(self.vehicle.config.system_id, signer=self.vehicle.signer), faulty.send, faulty.room, faulty.carried
         )
         self.vehicle.channels.append(channel)
         faulty.channel = channel

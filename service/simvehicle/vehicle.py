@@ -33,11 +33,16 @@ class MavlinkChannel:
     """One link of the vehicle: where frames go, and what was asked for on it."""
 
     def __init__(
-        self, packer: Packer, transmit: Callable[[bytes], None], room: Callable[[], float] = lambda: math.inf
+        self,
+        packer: Packer,
+        transmit: Callable[[bytes], None],
+        room: Callable[[], float] = lambda: math.inf,
+        carried: Callable[[], float] = lambda: math.inf,
     ) -> None:
         self.packer = packer
         self.transmit = transmit
         self.room = room
+        self.carried = carried  # bytes a wall second
         self.streams: dict[int, PeriodicMessage] = {}
 
     def send(self, message: Any) -> None:
@@ -149,6 +154,10 @@ class FlightController(ABC):
             self.table.save(name)
 
     # --- time
+
+    def first_due(self, channel: MavlinkChannel, message_id: int) -> float:
+        """When a stream that is asked for now may begin: one that runs already goes on without a break."""
+        return self.time + (0.0 if message_id in channel.streams else self.config.stream_start_s)
 
     def at(self, delay: float, action: Callable[[], None]) -> None:
         """Do something after `delay` seconds of vehicle time."""

@@ -10,7 +10,7 @@ from mavcal.service.vehicle.listing import ParameterSet
 from mavcal.service.vehicle.parameters import Echo, Parameters
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.state import Landed, Refusal, VehicleState, Writable, writable
-from mavcal.service.vehicle.streams import StreamRate, StreamReport, measure, request_streams, set_interval
+from mavcal.service.vehicle.streams import StreamRate, StreamReport, request_streams, set_interval
 from mavcal.service.vehicle.vehicle import Vehicle
 
 __all__ = [
@@ -31,7 +31,6 @@ __all__ = [
     "VehicleState",
     "Writable",
     "command",
-    "measure",
     "request_streams",
     "set_interval",
     "writable",

@@ -7,6 +7,7 @@ An acknowledgement does not mean that a stream comes (PX4 accepts some and never
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,10 +16,20 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire import Frame, decode
 from mavcal.service.errors import CommandRefused, CommandTimeout, LinkError, VehicleError
-from mavcal.service.link import Batch
-from mavcal.service.link.capacity import LOSSY, nominal_capacity, plan_rates, seen_capacity, slowdown, unlimited
+from mavcal.service.link.capacity import (
+    SHORT,
+    Arrivals,
+    helped,
+    lowered,
+    nominal_capacity,
+    plan_rates,
+    samples,
+    seen_capacity,
+    slowdown,
+    unlimited,
+)
 from mavcal.service.vehicle import commands
-from mavcal.service.vehicle.boot_time import boot_time
+from mavcal.service.vehicle.arrivals import watch
 from mavcal.service.vehicle.identity import Autopilot
 
 if TYPE_CHECKING:
@@ -27,14 +38,21 @@ if TYPE_CHECKING:
 _INTERVAL = dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL
 LATE_S, LATER = 0.4, 3.0
 """Answers that take so long, and so many times as long as before the streams, have a full link before them."""
-GROWTH, GROWN_S = 0.03, 0.06
+GROWTH, GROWN_S = SHORT, 0.06
 """A port that is asked for this share more than it carries makes answers later by as many seconds each second; less
 than so many seconds may be chance."""
 _ASKS, _ASKS_IDLE = 4, 2
 """An answer may be late once by chance; if the quickest of so many is late, something stands before it."""
 _HARDLY = 0.7
+_DRAIN_ASKS = 6
+"""So often a full buffer is given the time of one answer to empty."""
+MOST_CUTS = 3
+MEASURE_S = 2.0
+"""How long streams are watched, by the vehicle's own time stamps, before anything is concluded from them."""
+FRESH_S = 60.0
+"""What a slow link was seen to carry counts twice as much with each such time that it was not measured again."""
 REMEMBERED_S = 600.0
-"""A link that was too slow is not asked for more within this time."""
+"""After this time nothing is known of a link."""
 DEFAULT_INTERVAL = 0
 """Interval that means: as the firmware would without us."""
 
@@ -142,7 +160,7 @@ async def request_streams(
     vehicle: Vehicle,
     requested_hz: Mapping[int, float],
     *,
-    measure_s: float = 2.0,
+    measure_s: float = MEASURE_S,
     before: Mapping[int, int] | None = None,
 ) -> StreamReport:
     """Ask for streams, then measure what comes. Where the link is too slow for them, ask for less.
@@ -157,44 +175,69 @@ async def request_streams(
     requested_hz
         Rate for each message id; 0 switches it off.
     measure_s
-        How long to watch (twice as long on a slow link). 0 leaves every rate at 0.
+        How long to watch, by the vehicle's time stamps, after each change. 0 leaves every measured rate at 0, and asks
+        for what the link was seen to carry a moment ago; if that is longer ago, it is measured again all the same.
     before
         Intervals in us as they were, where that is known already; the vehicle is not asked for these.
     """
     request = _Request(vehicle, dict(requested_hz), dict(before or {}))
-    ids = tuple(requested_hz)
+    fresh = _age_s(vehicle) <= FRESH_S
+    if measure_s <= 0 and vehicle.carried is not None and not fresh:
+        measure_s = MEASURE_S
+    nominal = nominal_capacity(vehicle.link.endpoint)
+    known = nominal if measure_s > 0 else _smaller(nominal, _remembered(vehicle))
+    planned = plan_rates(requested_hz, known)
     try:
-        capacity = _smaller(nominal_capacity(vehicle.link.endpoint), _remembered(vehicle))
-        planned = plan_rates(requested_hz, capacity)
-        idle_s = await _answer_s(vehicle, ids, _ASKS_IDLE) if measure_s > 0 else 0.0
-        await request.ask(planned)
-        asked_at = vehicle.clock()
-        seen = await _watch(vehicle, ids, measure_s)
-        if unlimited(vehicle.link.endpoint):
-            return request.report(seen.own, seen.wall, None)
-        # A port that buffers a second of data sends old samples at their own rate, and fewer of them than are made.
-        coming = {key: min(rate, seen.wall[key]) for key, rate in seen.own.items()}
-        carried = seen_capacity(planned, coming, seen.loss, seen.bytes_per_s / seen.speed)
-        late_s = 0.0
-        if carried is None and measure_s > 0:
-            late_s = await _late_s(vehicle, ids, idle_s, asked_at)
-            if late_s > 0:  # all of it comes, and nothing else gets through
-                carried = seen.bytes_per_s / seen.speed
-        lowered = plan_rates(planned, carried)
-        if lowered != planned and measure_s > 0:
-            request.hurry(lowered)
-            await request.ask(lowered)
-            relieved = await _watch(vehicle, ids, measure_s)
-            if _loses_anyway(seen, relieved) or await _late_anyway(vehicle, ids, idle_s, late_s):
-                await request.ask(planned)
-                seen = await _watch(vehicle, ids, measure_s)
-            else:
-                vehicle.carried = None if carried is None else (carried, vehicle.clock())
-                capacity, planned, seen = carried, lowered, relieved
+        if measure_s <= 0:
+            await request.ask(planned)
+            return request.report({}, {}, known if planned != dict(requested_hz) else None)
+        fitted = await _fitted(request, planned, measure_s)
     except BaseException:
         await asyncio.shield(request.report({}, {}, None).restore())
         raise
-    return request.report(seen.own, seen.wall, capacity if planned != dict(requested_hz) else None)
+    vehicle.carried = None if fitted.carried is None else (fitted.carried, vehicle.clock())
+    capacity = known if fitted.carried is None else fitted.carried
+    return request.report(fitted.seen.own_hz, fitted.seen.wall_hz, capacity if fitted.rates != requested_hz else None)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Rates that the link carries, what came of them, and what it carries where that is less than was asked for."""
+
+    rates: Mapping[int, float]
+    seen: Arrivals
+    carried: float | None
+
+
+async def _fitted(request: _Request, planned: Mapping[int, float], measure_s: float) -> _Fitted:
+    """Ask; where the link does not carry it, ask for less in steps, and for all of it again if that did not help."""
+    vehicle, ids = request.vehicle, tuple(planned)
+    idle_s = await _answer_s(vehicle, ids, _ASKS_IDLE)
+    await request.ask(planned)
+    asked_at = vehicle.clock()
+    now = _Fitted(planned, await watch(vehicle, ids, measure_s, request.samples(planned)), None)
+    if unlimited(vehicle.link.endpoint):
+        return now
+    for _ in range(MOST_CUTS):
+        late_s = 0.0
+        if now.seen.short(now.rates) > SHORT:  # else no answer waits behind samples: they all came at once
+            late_s = await _late_s(vehicle, ids, idle_s, asked_at)
+        carried = seen_capacity(now.rates, now.seen, late=late_s > 0)
+        less = lowered(now.rates, carried)
+        if less == now.rates:
+            break
+        request.hurry(less)
+        await request.ask(less)
+        asked_at = vehicle.clock()
+        relieved = await watch(vehicle, ids, measure_s, request.samples(less))
+        enough = relieved.short(less) <= SHORT  # else it is asked for too much still, and answers may be late
+        late_s = late_s if enough else 0.0
+        if not helped(now.rates, now.seen, less, relieved) or await _late_anyway(vehicle, ids, idle_s, late_s):
+            await request.ask(now.rates)
+            seen = await watch(vehicle, ids, measure_s, request.samples(now.rates))
+            return _Fitted(now.rates, seen, now.carried)
+        now = _Fitted(less, relieved, carried)
+    return now
 
 
 def demand_streams(vehicle: Vehicle, requested_hz: Mapping[int, float]) -> Mapping[int, float]:
@@ -206,11 +249,6 @@ def demand_streams(vehicle: Vehicle, requested_hz: Mapping[int, float]) -> Mappi
     for message_id, rate in sorted(planned.items(), key=lambda item: item[1]):
         vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
     return planned
-
-
-def _loses_anyway(before: _Seen, relieved: _Seen) -> bool:
-    """True if asking for less did not help: such a link is bad, not slow, and the samples are needed."""
-    return before.loss > LOSSY and relieved.loss > before.loss / 2
 
 
 async def _answer_s(vehicle: Vehicle, message_ids: Sequence[int], asks: int = 1) -> float:
@@ -240,20 +278,29 @@ async def _late_s(vehicle: Vehicle, message_ids: Sequence[int], idle_s: float, a
 
 
 async def _late_anyway(vehicle: Vehicle, message_ids: Sequence[int], idle_s: float, late_s: float) -> bool:
-    """True if answers that were a little late are as late with fewer samples: it is not the streams that delay them.
+    """True if answers that were late stay as late with fewer samples: it is not the streams that delay them.
 
-    After a long delay that is no sign: a full buffer takes longer to empty than is waited for.
+    A full buffer takes some answers' time to empty.
     """
-    if not 0 < late_s <= LATE_S:
+    if late_s <= 0:
         return False
-    return await _answer_s(vehicle, message_ids) - idle_s > _HARDLY * late_s
+    for _ in range(_DRAIN_ASKS):
+        if await _answer_s(vehicle, message_ids) - idle_s <= _HARDLY * late_s:
+            return False
+    return True
+
+
+def _age_s(vehicle: Vehicle) -> float:
+    """How long ago the link was seen to carry little; infinite if it never was."""
+    return math.inf if vehicle.carried is None else vehicle.clock() - vehicle.carried[1]
 
 
 def _remembered(vehicle: Vehicle) -> float | None:
-    """What the link was seen to carry a short while ago."""
-    if vehicle.carried is None or vehicle.clock() - vehicle.carried[1] > REMEMBERED_S:
+    """What the link was seen to carry a short while ago; the longer ago, the more it may carry again."""
+    age = _age_s(vehicle)
+    if vehicle.carried is None or age > REMEMBERED_S:
         return None
-    return vehicle.carried[0]
+    return vehicle.carried[0] * float(2.0 ** int(age / FRESH_S))
 
 
 def _smaller(one: float | None, other: float | None) -> float | None:
@@ -265,7 +312,7 @@ class _Request:
     """What was asked of a vehicle so far, and how it was before."""
 
     def __init__(self, vehicle: Vehicle, requested_hz: dict[int, float], before: dict[int, int]) -> None:
-        self._vehicle = vehicle
+        self.vehicle = vehicle
         self._requested = requested_hz
         self._previous = before
         self._results: dict[int, int | None] = {}
@@ -273,7 +320,7 @@ class _Request:
     def hurry(self, rates_hz: Mapping[int, float]) -> None:
         """Ask without waiting for answers: they stand in the queue that is to be relieved."""
         for message_id, rate in rates_hz.items():
-            self._vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
+            self.vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
 
     async def ask(self, rates_hz: Mapping[int, float]) -> None:
         """Ask for these rates; remember what was before the first time.
@@ -282,17 +329,22 @@ class _Request:
         """
         for message_id, rate in sorted(rates_hz.items(), key=lambda item: item[1]):
             if message_id not in self._previous:
-                self._previous[message_id] = await get_interval(self._vehicle, message_id) or DEFAULT_INTERVAL
+                self._previous[message_id] = await get_interval(self.vehicle, message_id) or DEFAULT_INTERVAL
             self._results[message_id] = await self._set(message_id, rate)
 
     async def _set(self, message_id: int, rate: float) -> int | None:
         try:
-            await set_interval(self._vehicle, message_id, _interval_us(rate))
+            await set_interval(self.vehicle, message_id, _interval_us(rate))
         except CommandRefused as exc:
             return exc.result
         except CommandTimeout:
             return None
         return commands.ACCEPTED
+
+    def samples(self, rates_hz: Mapping[int, float]) -> tuple[int, ...]:
+        """The streams of samples that may come."""
+        refused = [key for key, result in self._results.items() if result not in (commands.ACCEPTED, None)]
+        return samples(rates_hz, refused)
 
     def report(self, own: Mapping[int, float], wall: Mapping[int, float], capacity: float | None) -> StreamReport:
         """All of it."""
@@ -303,71 +355,8 @@ class _Request:
         untouched = {key for key, result in self._results.items() if result not in (commands.ACCEPTED, None)}
         asked = {key: interval for key, interval in self._previous.items() if key in self._results}
         previous = {key: interval for key, interval in asked.items() if key not in untouched}
-        return StreamReport(self._vehicle, rates, previous, capacity)
+        return StreamReport(self.vehicle, rates, previous, capacity)
 
 
 def _interval_us(rate: float) -> float:
     return 1e6 / rate if rate > 0 else -1
-
-
-@dataclass(frozen=True)
-class _Seen:
-    wall: Mapping[int, float]
-    own: Mapping[int, float]
-    loss: float
-    bytes_per_s: float
-
-    @property
-    def speed(self) -> float:
-        """Seconds of the vehicle in one second of the wall clock; 1 but for simulated vehicles."""
-        ratios = [self.wall[key] / rate for key, rate in self.own.items() if rate > 0 and self.wall[key] > 0]
-        return max([1.0, *ratios])
-
-
-async def _watch(vehicle: Vehicle, message_ids: Sequence[int], seconds: float) -> _Seen:
-    before = vehicle.link.statistics(vehicle.system, vehicle.component)
-    wall, own = await measure(vehicle, message_ids, seconds)
-    after = vehicle.link.statistics(vehicle.system, vehicle.component)
-    received, lost = after.received - before.received, after.lost - before.lost
-    loss = max(lost, 0) / (received + lost) if received + lost > 0 else 0.0
-    return _Seen(wall, own, loss, after.bytes_per_s)
-
-
-class _Meter:
-    """Counts one message, and the span of its own time stamps."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.first = self.last = 0.0
-
-    def see(self, frame: Frame) -> None:
-        stamp = boot_time(frame) or 0.0
-        self.first = self.first if self.count else stamp
-        self.last = stamp
-        self.count += 1
-
-    def rate(self, wall_rate: float) -> float:
-        span = self.last - self.first
-        return (self.count - 1) / span if self.count > 2 and span > 0 else wall_rate
-
-
-async def measure(
-    vehicle: Vehicle, message_ids: Sequence[int], seconds: float
-) -> tuple[dict[int, float], dict[int, float]]:
-    """Rates per second of the wall clock, and per second of the vehicle's own time."""
-    meters = {message_id: _Meter() for message_id in message_ids}
-
-    def count(frames: Sequence[Frame], _batch: Batch) -> None:
-        for frame in frames:
-            meters[frame.message_id].see(frame)
-
-    forget = vehicle.subscribe(frozenset(message_ids), count)
-    began = vehicle.clock()
-    try:
-        if seconds > 0:
-            await vehicle.waits.sleep(seconds)
-    finally:
-        forget()
-    elapsed = vehicle.clock() - began
-    wall = {key: meter.count / elapsed if elapsed > 0 else 0.0 for key, meter in meters.items()}
-    return wall, {key: meter.rate(wall[key]) for key, meter in meters.items()}

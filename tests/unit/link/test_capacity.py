@@ -7,10 +7,14 @@ from hypothesis import strategies as st
 from mavcal.service.link import parse_endpoint
 from mavcal.service.link.capacity import (
     SHARE,
+    Arrivals,
     bytes_needed,
     frame_bytes,
+    helped,
+    lowered,
     nominal_capacity,
     plan_rates,
+    samples,
     seen_capacity,
     slowdown,
     unlimited,
@@ -64,17 +68,78 @@ def test_what_a_serial_port_carries_at_most(url: str, capacity: float | None) ->
     assert nominal_capacity(parse_endpoint("udpin:0.0.0.0:14550")) is None
 
 
+def seen(own: dict[int, float], loss: float = 0.0, bytes_per_s: float = 900.0, queued: float = 0.0) -> Arrivals:
+    return Arrivals(own, own, loss, bytes_per_s, dict.fromkeys(own, queued))
+
+
 def test_a_link_that_loses_or_holds_up_everything_is_too_slow() -> None:
-    full = dict(ASKED)
-    assert seen_capacity(ASKED, full, 0.0, 9000.0) is None
-    assert seen_capacity(ASKED, full, 0.3, 4000.0) == 4000.0
-    assert seen_capacity(ASKED, {27: 20.0, 116: 22.0, 105: 19.0, 245: 1.0}, 0.0, 4000.0) == 4000.0
+    assert seen_capacity(ASKED, seen(ASKED), late=False) is None
+    assert seen_capacity(ASKED, seen(ASKED, 0.3, 4000.0), late=False) == 4000.0
+    came = {27: 20.0, 116: 22.0, 105: 19.0, 245: 1.0}
+    assert seen_capacity(ASKED, seen(came, 0.0, 4000.0), late=False) == 4000.0
 
 
 def test_a_stream_that_never_comes_or_is_rounded_by_the_firmware_is_not_the_links_fault() -> None:
-    assert seen_capacity(ASKED, {**ASKED, 116: 0.0}, 0.0, 6000.0) is None
-    assert seen_capacity({26: 200.0}, {26: 124.0}, 0.0, 6000.0) is None
+    assert seen_capacity(ASKED, seen({**ASKED, 116: 0.0}), late=True) is None
+    assert seen_capacity({26: 200.0}, seen({26: 124.0}), late=True) is None
     assert slowdown(ASKED, {**ASKED, 116: 0.0}) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("own", "queued", "late", "slow"),
+    [
+        (50.0, 0.0, True, False),  # answers are late, and no sample is: somebody else keeps us waiting
+        (50.0, 0.1, False, False),  # samples come later and later, and answers at once: the vehicle's time is slower
+        (50.0, 0.1, True, True),
+        (44.0, 0.0, True, True),  # a full buffer
+        (44.0, 0.0, False, False),
+    ],
+)
+def test_a_buffer_that_fills_delays_both_samples_and_answers(
+    own: float, queued: float, *, late: bool, slow: bool
+) -> None:
+    found = seen_capacity({27: 50.0}, seen({27: own}, queued=queued), late=late)
+    assert (found is not None) is slow
+
+
+def test_what_the_vehicle_sent_counts_and_not_what_was_lost_on_the_way() -> None:
+    assert seen_capacity({27: 50.0}, seen({27: 37.0}, loss=0.09), late=False) is None
+    assert seen_capacity({27: 50.0}, seen({27: 37.0}), late=False) == 900.0
+
+
+def test_no_rate_is_cut_to_less_than_a_quarter_at_once() -> None:
+    asked = {27: 50.0, 245: 2.0}
+    assert lowered(asked, 300.0) == {27: 12.5, 245: 2.0}
+    assert lowered(asked, 4000.0) == plan_rates(asked, 4000.0)
+    assert lowered(asked, None) == asked
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "good"),
+    [
+        (seen({27: 50.0}, loss=0.3), seen({27: 20.0}, loss=0.16), False),
+        (seen({27: 50.0}, loss=0.3), seen({27: 20.0}, loss=0.15), True),
+        (seen({27: 20.0}), seen({27: 8.0}), False),  # as small a share of less
+        (seen({27: 20.0}), seen({27: 20.0}), True),
+        (seen({27: 20.0}), seen({27: 20.0}, bytes_per_s=1100.0), False),  # it carries more than was said
+        (seen({}), seen({}), True),
+    ],
+)
+def test_asking_for_less_has_helped_if_the_link_does_better_then(
+    before: Arrivals, after: Arrivals, *, good: bool
+) -> None:
+    assert helped({27: 50.0}, before, {27: 20.0}, after) is good
+
+
+def test_capacity_counts_in_the_vehicles_time() -> None:
+    twice = Arrivals({27: 50.0}, {27: 100.0}, 0.0, 4000.0, {})
+    assert (twice.speed, twice.own_bytes_per_s) == (2.0, 2000.0)
+    assert Arrivals({27: 50.0}, {27: 30.0}, 0.0, 4000.0, {}).speed == 1.0  # a slow link does not slow a vehicle down
+
+
+@pytest.mark.parametrize(("refused", "left"), [((), (27, 116)), ((27,), (116,))])
+def test_samples_are_what_is_fast_and_not_refused(refused: tuple[int, ...], left: tuple[int, ...]) -> None:
+    assert samples({27: 50.0, 116: 25.0, 245: 2.0}, refused) == left
 
 
 def test_a_request_that_just_fits_is_granted_and_one_byte_more_is_not() -> None:
@@ -115,7 +180,7 @@ def test_a_faster_link_never_slows_a_stream(asked: dict[int, float], capacity: f
 
 @pytest.mark.parametrize(("loss", "carried"), [(0.1, None), (0.101, 900.0)])
 def test_a_tenth_may_be_lost(loss: float, carried: float | None) -> None:
-    assert seen_capacity(ASKED, ASKED, loss, 900.0) == carried
+    assert seen_capacity(ASKED, seen(ASKED, loss), late=False) == carried
 
 
 @pytest.mark.parametrize(
@@ -136,7 +201,7 @@ def test_a_tenth_may_be_lost(loss: float, carried: float | None) -> None:
 def test_a_link_is_slow_if_every_telling_stream_is_held_up(
     asked: dict[int, float], came: dict[int, float], carried: float | None
 ) -> None:
-    assert seen_capacity(asked, came, 0.0, 900.0) == carried
+    assert seen_capacity(asked, seen(came), late=False) == carried
 
 
 def test_the_slowest_stream_says_how_long_it_takes() -> None:

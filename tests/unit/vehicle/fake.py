@@ -32,7 +32,7 @@ class FakeLink:
 
     def __init__(self) -> None:
         self.endpoint = parse_endpoint("udpin:127.0.0.1:14550")
-        self.received = self.lost = 0
+        self.received = self.lost = self.bytes_received = 0
         self.bytes_per_s = 0.0
         self.sent: list[Any] = []
         self.respond: Responder = lambda _message: ()
@@ -56,7 +56,12 @@ class FakeLink:
             asyncio.get_running_loop().call_soon(self.vehicle.hear, reply)
 
     def statistics(self, _system: int, _component: int) -> LinkStatistics:
-        return LinkStatistics(received=self.received, lost=self.lost, bytes_per_s=self.bytes_per_s)
+        return LinkStatistics(
+            received=self.received,
+            bytes_received=self.bytes_received,
+            lost=self.lost,
+            bytes_per_s=self.bytes_per_s,
+        )
 
     def sent_of(self, kind: str) -> list[Any]:
         return [message for message in self.sent if message.get_type() == kind]
@@ -124,7 +129,10 @@ class FakeVehicle:
     def hear(self, *messages: Reply) -> None:
         frames = []
         for message in messages:
-            frames += wire.FrameParser().feed(wire.encode(wire.raw_message(message), 1, 1, 0))
+            data = wire.encode(wire.raw_message(message), 1, 1, 0)
+            self.link.received += 1
+            self.link.bytes_received += len(data)
+            frames += wire.FrameParser().feed(data)
         self.vehicle.feed(frames, Batch(tuple(frames), self.clock.now, 0, 0))
 
     def advance(self, seconds: float) -> None:

@@ -95,21 +95,6 @@ async def test_a_refused_stream_is_in_the_report_and_not_put_back(ardupilot: Fak
     assert set(report.previous) == {IMU}
 
 
-@pytest.mark.parametrize("measure_s", [2.0, 0.9])
-async def test_a_link_that_holds_everything_up_is_asked_for_less(ardupilot: FakeVehicle, measure_s: float) -> None:
-    streamer = Streamer(ardupilot)
-    streamer.share = 0.4
-    ardupilot.link.bytes_per_s = 1500.0
-    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}, measure_s=measure_s))
-    assert report.capacity_bytes_per_s == 1500.0
-    first, second = requests(ardupilot)[:2], requests(ardupilot)[2:]
-    assert first == [(IMU, 20_000), (IMU2, 20_000)]
-    assert all(interval > 60_000 for _, interval in second)
-    assert report.slowdown > 3
-    await ardupilot.run(report.restore())
-    assert streamer.intervals == {IMU: -1, IMU2: 40_000}
-
-
 async def test_our_own_simulated_vehicle_that_wants_for_processor_time_is_asked_for_no_less(
     ardupilot: FakeVehicle,
 ) -> None:
@@ -123,54 +108,6 @@ async def test_our_own_simulated_vehicle_that_wants_for_processor_time_is_asked_
 
 
 @pytest.mark.parametrize("measure_s", [2.0, 0.9])
-async def test_a_link_that_is_just_full_is_relieved_so_that_answers_come(
-    ardupilot: FakeVehicle, measure_s: float
-) -> None:
-    """Every sample arrives, and each answer waits behind them: reading a parameter takes seconds then."""
-    streamer = Streamer(ardupilot)
-    ardupilot.link.bytes_per_s = 4000.0
-    busy = lambda: any(0 < interval <= 20_000 for interval in streamer.intervals.values())  # noqa: E731
-    delay_answers(ardupilot, lambda: 1.2 if busy() else 0.0)
-    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}, measure_s=measure_s))
-    assert report.capacity_bytes_per_s == 4000.0
-    assert all(interval > 20_000 for interval in streamer.intervals.values())
-    # and what was seen is remembered for the next request
-    ardupilot.link.sent.clear()
-    await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
-    assert all(interval > 20_000 for _, interval in requests(ardupilot))
-
-
-async def test_what_a_full_link_carries_counts_in_the_vehicles_time(ardupilot: FakeVehicle) -> None:
-    """Rates are asked for in it: a simulated vehicle twice as fast sends twice the bytes a second of ours."""
-    streamer = Streamer(ardupilot)
-    streamer.vehicle_speed = 2.0
-    ardupilot.link.bytes_per_s = 4000.0
-    busy = lambda: any(0 < interval <= 20_000 for interval in streamer.intervals.values())  # noqa: E731
-    delay_answers(ardupilot, lambda: 1.2 if busy() else 0.0)
-    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
-    assert report.capacity_bytes_per_s == pytest.approx(2000.0, rel=0.05)
-
-
-async def test_a_port_that_fills_slowly_is_relieved_before_it_is_full(ardupilot: FakeVehicle) -> None:
-    """An eighth more than it carries: a buffer of 8 kB then delays every answer by 1.4 s, half a minute later."""
-    streamer = Streamer(ardupilot)
-    ardupilot.link.bytes_per_s = 4000.0
-    waiting_s, at = 0.0, ardupilot.clock.now
-
-    def queue() -> float:
-        nonlocal waiting_s, at
-        passed, at = ardupilot.clock.now - at, ardupilot.clock.now
-        both = all(0 < interval <= 20_000 for interval in streamer.intervals.values())
-        waiting_s = max(waiting_s + (0.125 if both else -0.125) * passed, 0.0)
-        return waiting_s
-
-    delay_answers(ardupilot, queue)
-    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
-    assert report.capacity_bytes_per_s == 4000.0
-    assert all(interval > 20_000 for interval in streamer.intervals.values())
-
-
-@pytest.mark.parametrize("measure_s", [2.0, 0.9])
 async def test_a_vehicle_that_always_answers_slowly_is_asked_for_no_less(
     ardupilot: FakeVehicle, measure_s: float
 ) -> None:
@@ -180,41 +117,6 @@ async def test_a_vehicle_that_always_answers_slowly_is_asked_for_no_less(
     report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}, measure_s=measure_s))
     assert streamer.intervals == {IMU: 20_000, IMU2: 20_000}
     assert report.capacity_bytes_per_s is None
-
-
-async def test_answers_that_are_as_late_with_fewer_samples_slow_nothing_down(ardupilot: FakeVehicle) -> None:
-    """Another program keeps the link busy from now on: fewer samples would not help."""
-    streamer = Streamer(ardupilot)
-    ardupilot.link.bytes_per_s = 4000.0
-    busy = False
-
-    def delay() -> float:
-        nonlocal busy
-        busy = busy or all(interval == 20_000 for interval in streamer.intervals.values())
-        return 0.2 if busy else 0.0
-
-    delay_answers(ardupilot, delay)
-    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
-    assert streamer.intervals == {IMU: 20_000, IMU2: 20_000}
-    assert (report.capacity_bytes_per_s, report.slowdown) == (None, 1.0)
-
-
-async def test_a_link_that_loses_as_much_whatever_it_carries_is_bad_and_not_slow(ardupilot: FakeVehicle) -> None:
-    streamer = Streamer(ardupilot)
-    ardupilot.link.bytes_per_s = 1500.0
-    advance = ardupilot.advance
-
-    def losing(seconds: float) -> None:
-        advance(seconds)
-        ardupilot.link.received += 8
-        ardupilot.link.lost += 2
-
-    ardupilot.advance = losing  # type: ignore[method-assign]
-    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
-    # what relieves the link is sent at once, and then again until it is confirmed
-    assert [interval > 20_000 for _, interval in requests(ardupilot)] == [False] * 2 + [True] * 4 + [False] * 2
-    assert streamer.intervals == {IMU: 20_000, IMU2: 20_000}
-    assert (report.capacity_bytes_per_s, report.slowdown) == (None, 1.0)
 
 
 async def test_a_slow_serial_port_is_never_asked_for_more_than_it_carries(ardupilot: FakeVehicle) -> None:
