@@ -72,6 +72,7 @@ def px4(build: Path, folder: Path, seed: int, instance: int, only: Sequence[str]
         fresh = Round("factory", rig, home / "data", report)
         fresh.folder.mkdir()
         kinds = [kind for kind in TESTED if kind in only]
+        rig.quick_calibrated()
         fresh.calibrations(kinds)
         fresh.stays([n for n in truth.parameters("px4") if "GYRO" not in n])
         if kinds:
@@ -87,6 +88,7 @@ def px4(build: Path, folder: Path, seed: int, instance: int, only: Sequence[str]
             for fault in PX4_FAULTS:
                 fresh.preflight(fault)
         if "thermal" in only:
+            rig.drift()
             fresh.calibrations(["thermal"])
 
 

@@ -13,19 +13,23 @@ import struct
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from bench.firmware.arducopter import MIDDLE_C
 from bench.firmware.process import FirmwareProcess, SecondConnection
+from bench.firmware.px4_source import HOME
 from bench.firmware.truth import GAUSS, VehicleTruth
 from mavcal.service.simvehicle.motion import FACES
 
 HAND_DPS: Final = 90.0
+MIDDLE_C: Final = 25.0
+"""At which the sensors are until they drift."""
 ACCEL_NOISE, GYRO_NOISE, MAG_NOISE_GAUSS = 0.02, 0.002, 0.001
 REAL32, INT32 = 9, 6
+PREFLIGHT_CALIBRATION, FIXED_MAG_CAL_YAW = 241, 42006
 
 
 class Px4:
@@ -63,6 +67,28 @@ class Px4:
                 "mavlink", "start", "-x", "-u", str(local), "-o", str(remote), "-r", "4000000", "-t", "127.0.0.1"
             )
         self.beside.open()
+
+    def drift(self) -> None:
+        """From now on the sensors drift with temperature, about that at which they were until now."""
+        for kind in ("accel", "gyro"):
+            for instance, unit in enumerate(self.truth.units):
+                drift = unit.accel_drift if kind == "accel" else unit.gyro_drift
+                change = {"drift": drift.tolist()}
+                self._ask({"do": "set", "sensor": kind, "instance": instance, "change": change})
+
+    def quick_calibrated(self) -> None:
+        """PX4's own quick calibrations: they store the device ids, which no stream tells. What they find is wrong."""
+        for command, values, name in (
+            (PREFLIGHT_CALIBRATION, (0, 0, 0, 0, 4), "CAL_ACC0_ID"),
+            (FIXED_MAG_CAL_YAW, (0, 0, HOME[0], HOME[1]), "CAL_MAG0_ID"),
+        ):
+            self.beside.wait(partial(self._told, command, values, name), 60.0, f"{name} stays 0")
+
+    def _told(self, command: int, values: Sequence[float], name: str) -> bool:
+        if self.read(name):
+            return True
+        self.beside.command(command, *values)
+        return bool(self.read(name))
 
     def stop(self) -> None:
         """End the firmware and the source."""
@@ -138,16 +164,13 @@ def sensors(truth: VehicleTruth) -> dict[str, Any]:
     """The truth as the source takes it: measured = matrix @ true + offset, Gauss for compasses."""
     return {
         "seed": truth.seed,
-        "celsius": 25.0,
+        "celsius": MIDDLE_C,
         "middle_celsius": MIDDLE_C,
-        "accel": [_sensor(np.diag(u.accel_scale), u.accel_offset, ACCEL_NOISE, u.accel_drift) for u in truth.units],
-        "gyro": [_sensor(np.eye(3), u.gyro_offset, GYRO_NOISE, u.gyro_drift) for u in truth.units],
-        "mag": [
-            _sensor(np.linalg.inv(c.matrix), -c.added / GAUSS, MAG_NOISE_GAUSS, np.zeros((0, 3)))
-            for c in truth.compasses
-        ],
+        "accel": [_sensor(np.diag(u.accel_scale), u.accel_offset, ACCEL_NOISE) for u in truth.units],
+        "gyro": [_sensor(np.eye(3), u.gyro_offset, GYRO_NOISE) for u in truth.units],
+        "mag": [_sensor(np.linalg.inv(c.matrix), -c.added / GAUSS, MAG_NOISE_GAUSS) for c in truth.compasses],
     }
 
 
-def _sensor(matrix: Any, offset: Any, noise: float, drift: Any) -> dict[str, Any]:
-    return {"matrix": matrix.tolist(), "offset": offset.tolist(), "noise": noise, "drift": drift.tolist()}
+def _sensor(matrix: Any, offset: Any, noise: float) -> dict[str, Any]:
+    return {"matrix": matrix.tolist(), "offset": offset.tolist(), "noise": noise, "drift": []}

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
 from bench.firmware.rotations import about, from_euler, multiplied, rotation_between, to_body
+from mavcal.service.lifetime import follow
 
 Array = NDArray[np.float64]
 
@@ -214,5 +215,6 @@ class Source:
 
 
 if __name__ == "__main__":
+    follow()
     truth = json.loads(Path(sys.argv[3]).read_text(encoding="utf-8"))
     Source(Board(truth, int(truth["seed"])), int(sys.argv[1]), int(sys.argv[2])).run()

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from bench.firmware.jobs import calibrated, command, service
 from bench.firmware.scoring import Row, scored
 from bench.firmware.truth import VehicleTruth, thermal_names
 from mavcal.calib.recording import Sensor
+from mavcal.client.jobs import JobModel
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.lifetime import ending_with_us
 from mavcal.service.simvehicle import Operator
@@ -74,7 +76,7 @@ class Round:
             options = {"span": SPAN_C} if kind == "thermal" else {}
             with service([self.rig.url], self.folder) as client:
                 done = calibrated(client, operator, kind, options)
-            self.report(scored(self.rig.autopilot, self.name, done, self._truth(), self.rig.read))
+            self.report(scored(self.rig.autopilot, self.name, done, self._truth(done.job), self.rig.read))
 
     def aged(self) -> None:
         """An older calibration in force, and no habit of the firmware that would mend its gyroscopes."""
@@ -166,14 +168,19 @@ class Round:
         name = f"preflight: {fault.name if fault else 'healthy'}"
         self.report(self._row(name, f"exit {code}", began, untrue, right=right, said=told))
 
-    def _truth(self) -> dict[str, float]:
-        truth = self.rig.truth
-        found = truth.parameters(self.rig.autopilot)
-        factor = 1e6 if self.rig.autopilot == "ardupilot" else 1.0
+    def _truth(self, job: JobModel) -> dict[str, float]:
+        """True value by name; a drift is stated about the temperature that the plan refers it to."""
+        truth, autopilot = self.rig.truth, self.rig.autopilot
+        found = truth.parameters(autopilot)
+        factor, middle = (1e6, 35.0) if autopilot == "ardupilot" else (1.0, 25.0)
+        planned = {c.name: float(c.new) for c in job.plan.changes} if job.plan is not None else {}
         for i, unit in enumerate(truth.units):
             for sensor, drift in ((Sensor.ACCEL, unit.accel_drift), (Sensor.GYRO, unit.gyro_drift)):
-                for order, names in enumerate(thermal_names(self.rig.autopilot, sensor, i)):
-                    found |= {name: factor * float(drift[order, axis]) for axis, name in enumerate(names)}
+                names = thermal_names(autopilot, sensor, i)
+                reference = planned.get(names[0][0][:5] + "_TREF", middle)
+                for axis in range(3):
+                    curve = Polynomial([0.0, *drift[:, axis]])(Polynomial([reference - middle, 1.0]))
+                    found |= {names[k][axis]: factor * float(curve.coef[k + 1]) for k in range(3)}
         return found
 
     def _row(
