@@ -24,7 +24,7 @@ from mavcal.service.lifetime import ending_with_us
 from mavcal.service.simvehicle import Operator
 
 KINDS: Final = ("gyro", "accel", "level", "mag", "thermal", "kills", "preflight")
-SETTLED_S: Final = 3.0
+SETTLED_S: Final = 4.0
 COLD_C, WARM_C, TAU_S, SPAN_C = 12.0, 62.0, 55.0, 40.0
 TUMBLE_DPS = 55.0
 HABITS: Final[Mapping[str, tuple[str, int]]] = {"ardupilot": ("INS_GYR_CAL", 0), "px4": ("IMU_GYRO_CAL_EN", 0)}
@@ -82,6 +82,7 @@ class Round:
         """An older calibration in force, and no habit of the firmware that would mend its gyroscopes."""
         rng = np.random.default_rng([41, self.rig.truth.seed])
         self.rig.set(*HABITS[self.rig.autopilot])
+        time.sleep(SETTLED_S)  # until it is saved
         self.rig.restart()
         for name, true in self.rig.truth.parameters(self.rig.autopilot).items():
             if self.rig.read(name) is not None:
