@@ -45,6 +45,7 @@ def arducopter(binary: Path, folder: Path, seed: int, instance: int, only: Seque
                 if kinds:
                     again = Round(f"on an older one, {noise:g} mG", rig, fresh.folder, report)
                     again.aged()
+                    again.taken_back(kinds[-1])
                     again.calibrations(kinds)
                 if "kills" in only:
                     for point, occurrence in KILLS:
@@ -78,6 +79,7 @@ def px4(build: Path, folder: Path, seed: int, instance: int, only: Sequence[str]
         if kinds:
             again = Round("on an older one", rig, fresh.folder, report)
             again.aged()
+            again.taken_back(kinds[-1])
             again.calibrations(kinds)
         if "kills" in only:
             for point, occurrence in KILLS:

@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from bench.firmware.jobs import calibrated, command, service
+from bench.firmware.jobs import Done, calibrated, command, service
 from bench.firmware.scoring import Row, scored
 from bench.firmware.truth import VehicleTruth, thermal_names
 from mavcal.calib.recording import Sensor
@@ -67,8 +67,9 @@ class Round:
     folder: Path
     report: Callable[[Row], None]
 
-    def calibrations(self, kinds: Sequence[str]) -> None:
+    def calibrations(self, kinds: Sequence[str]) -> list[Done]:
         """Each kind through a service of its own, as on different days."""
+        ended = []
         for kind in kinds:
             operator = Operator(
                 self.rig, warm_from=COLD_C, warm_to=WARM_C, warm_tau_s=TAU_S, tumble_dps=TUMBLE_DPS, ramp_tau_s=8.0
@@ -77,6 +78,8 @@ class Round:
             with service([self.rig.url], self.folder) as client:
                 done = calibrated(client, operator, kind, options)
             self.report(scored(self.rig.autopilot, self.name, done, self._truth(done.job), self.rig.read))
+            ended.append(done)
+        return ended
 
     def aged(self) -> None:
         """An older calibration in force, and no habit of the firmware that would mend its gyroscopes."""
@@ -101,17 +104,17 @@ class Round:
         lost = tuple(f"{name} was {before[name]}, is {after[name]}" for name in names if before[name] != after[name])
         self.report(self._row("restart", "kept" if not lost else "lost", began, lost, right=not lost))
 
-    def taken_back(self, done_before: Mapping[str, float | None], job: str | None = None) -> None:
-        """`revert --all`: every value is the one of before."""
+    def taken_back(self, kind: str) -> None:
+        """A calibration and its `revert`: every value is the one of before."""
+        before = {name: self.rig.read(name) for name in self.rig.truth.parameters(self.rig.autopilot)}
+        done = self.calibrations([kind])[0]
         began = time.monotonic()
-        arguments = ["revert", job] if job else ["revert", "--all"]
-        code, _, said = command(*arguments, "--connect", self.rig.url, "--data-dir", str(self.folder))
+        code, _, said = command("revert", done.job.id, "--connect", self.rig.url, "--data-dir", str(self.folder))
+        after = {name: self.rig.read(name) for name in before}
         wrong = tuple(
-            f"{name} holds {self.rig.read(name)} instead of {old}"
-            for name, old in done_before.items()
-            if old is not None and self.rig.read(name) != old
+            f"{name} holds {after[name]} instead of {old}" for name, old in before.items() if after[name] != old
         )
-        self.report(self._row("revert", f"exit {code}", began, wrong, right=code == 0, said=said))
+        self.report(self._row(f"revert {kind}", f"exit {code}", began, wrong, right=code == 0, said=said))
 
     def recovered(self, point: At, occurrence: int) -> None:
         """A calibration that is killed in mid-write, then `recover`: all old values or all new ones."""
