@@ -36,6 +36,8 @@ LATE_S: Final = 0.5
 """Later than this it does not try to catch up."""
 ANSWER_S: Final = 0.1
 """How long a step waits for PX4's actuators in lockstep."""
+FIFO_STEPS: Final = {"accel": GRAVITY / 2048.0, "gyro": math.radians(2000.0 / 32768.0)}
+"""PX4 keeps the first unit's readings as whole numbers of these steps, cut towards zero (``SimulatorMavlink.cpp``)."""
 EPOCH_US: Final = 1_790_000_000_000_000
 
 
@@ -187,6 +189,8 @@ class Source:
         frames = []
         for instance in range(3):
             readings = {name: self._board.read(name, instance) for name in ("accel", "gyro")}
+            if instance == 0:
+                readings = {name: _in_steps(value, FIFO_STEPS[name]) for name, value in readings.items()}
             readings["mag"] = self._board.read("mag", instance) if self._step % MAG_EVERY == 0 else None
             bits = sum(
                 bit
@@ -212,6 +216,14 @@ class Source:
             fix = mavlink.MAVLink_hil_gps_message(EPOCH_US + now_us, 3, *place, 80, 120, 0, 0, 0, 0, 65535, 12)
             frames.append(fix.pack(self._mavlink))
         return b"".join(frames)
+
+
+def _in_steps(reading: Array | None, step: float) -> Array | None:
+    """The nearest whole step, a little beyond it: cutting off the fraction then takes nothing away."""
+    if reading is None:
+        return None
+    whole = np.rint(reading / step)
+    return np.asarray((whole + 0.25 * np.sign(whole)) * step)
 
 
 if __name__ == "__main__":
