@@ -1,0 +1,215 @@
+"""The rounds: what is done one after the other with one vehicle, and what should come of each step."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from bench.firmware.jobs import Done, calibrated, command, service
+from bench.firmware.scoring import Row, scored
+from bench.firmware.truth import VehicleTruth, thermal_names
+from mavcal.calib.recording import Sensor
+from mavcal.client.jobs import JobModel
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.lifetime import ending_with_us
+from mavcal.service.simvehicle import Operator
+
+KINDS: Final = ("gyro", "accel", "level", "mag", "thermal", "kills", "preflight")
+SETTLED_S: Final = 4.0
+COLD_C, WARM_C, TAU_S, SPAN_C = 12.0, 62.0, 55.0, 40.0
+TUMBLE_DPS = 55.0
+HABITS: Final[Mapping[str, tuple[str, int]]] = {"ardupilot": ("INS_GYR_CAL", 0), "px4": ("IMU_GYRO_CAL_EN", 0)}
+"""What the firmware does with its gyroscopes by itself, switched off."""
+
+
+class Rig(Protocol):
+    """A firmware whose sensors, attitude and temperature are ours."""
+
+    autopilot: str
+    url: str
+    truth: VehicleTruth
+
+    def start(self) -> None: ...
+    def stop(self) -> None: ...
+    def restart(self) -> None: ...
+    def read(self, name: str) -> float | None: ...
+    def set(self, name: str, value: float) -> None: ...
+    def call(self, do: str, **options: Any) -> dict[str, Any]: ...
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is made wrong before a preflight, and what should be said of it."""
+
+    name: str
+    change: Mapping[str, float]
+    fails: str
+    """Part of the id of a check that has to fail; empty: none may."""
+    blames: str = ""
+    """What the reasons have to name."""
+
+
+@dataclass
+class Round:
+    """A vehicle and mavcal's data directory, from a fresh firmware on."""
+
+    name: str
+    rig: Rig
+    folder: Path
+    report: Callable[[Row], None]
+
+    def calibrations(self, kinds: Sequence[str]) -> list[Done]:
+        """Each kind through a service of its own, as on different days."""
+        ended = []
+        for kind in kinds:
+            operator = Operator(
+                self.rig, warm_from=COLD_C, warm_to=WARM_C, warm_tau_s=TAU_S, tumble_dps=TUMBLE_DPS, ramp_tau_s=8.0
+            )
+            options = {"span": SPAN_C} if kind == "thermal" else {}
+            with service([self.rig.url], self.folder) as client:
+                done = calibrated(client, operator, kind, options)
+            self.report(scored(self.rig.autopilot, self.name, done, self._truth(done.job), self.rig.read))
+            ended.append(done)
+        return ended
+
+    def aged(self) -> None:
+        """An older calibration in force, and no habit of the firmware that would mend its gyroscopes."""
+        rng = np.random.default_rng([41, self.rig.truth.seed])
+        self.rig.set(*HABITS[self.rig.autopilot])
+        time.sleep(SETTLED_S)  # until it is saved
+        self.rig.restart()
+        for name, true in self.rig.truth.parameters(self.rig.autopilot).items():
+            if self.rig.read(name) is not None:
+                self.rig.set(
+                    name, float(np.float32(true + _aging(name) * rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.0)))
+                )
+        time.sleep(SETTLED_S)
+        self.rig.restart()
+
+    def stays(self, names: Sequence[str]) -> None:
+        """Restart the vehicle: what was written must still be there."""
+        before = {name: self.rig.read(name) for name in names}
+        began = time.monotonic()
+        self.rig.restart()
+        after = {name: self.rig.read(name) for name in names}
+        lost = tuple(f"{name} was {before[name]}, is {after[name]}" for name in names if before[name] != after[name])
+        self.report(self._row("restart", "kept" if not lost else "lost", began, lost, right=not lost))
+
+    def taken_back(self, kind: str) -> None:
+        """A calibration and its `revert`: every value is the one of before."""
+        before = {name: self.rig.read(name) for name in self.rig.truth.parameters(self.rig.autopilot)}
+        done = self.calibrations([kind])[0]
+        began = time.monotonic()
+        code, _, said = command("revert", done.job.id, "--connect", self.rig.url, "--data-dir", str(self.folder))
+        after = {name: self.rig.read(name) for name in before}
+        wrong = tuple(
+            f"{name} holds {after[name]} instead of {old}" for name, old in before.items() if after[name] != old
+        )
+        self.report(self._row(f"revert {kind}", f"exit {code}", began, wrong, right=code == 0, said=said))
+
+    def recovered(self, point: At, occurrence: int) -> None:
+        """A calibration that is killed in mid-write, then `recover`: all old values or all new ones."""
+        began = time.monotonic()
+        names = [n for n in self.rig.truth.parameters(self.rig.autopilot) if "GYR" in n and "OFF" in n]
+        before = {name: self.rig.read(name) for name in names}
+        arguments = ["calibrate", "gyro", "--apply", "--connect", self.rig.url, "--data-dir", str(self.folder)]
+        killer = [sys.executable, "-m", "bench.campaign.cli_process", str(point), str(occurrence)]
+        subprocess.run(
+            [*killer, *arguments],
+            capture_output=True,
+            stdin=subprocess.DEVNULL,
+            timeout=300.0,
+            env=ending_with_us(),
+            check=False,
+        )
+        code, document, said = command("recover", "--connect", self.rig.url, "--data-dir", str(self.folder))
+        states = [str(job.get("state")) for job in document.get("jobs", [])]
+        after = {name: self.rig.read(name) for name in names}
+        unchanged, changed = after == before, all(after[n] != before[n] for n in names)
+        untrue = () if unchanged or changed else (f"a mixture of old and new: {after}",)
+        if "reverted" in states and not unchanged:
+            untrue += (f"reverted, but {after} is not {before}",)
+        self.report(
+            self._row(
+                f"kill at {point} {occurrence}",
+                ", ".join(states) or "nothing",
+                began,
+                untrue,
+                said=said,
+                right=code == 0,
+            )
+        )
+
+    def preflight(self, fault: Fault | None, *, well_s: float = SETTLED_S) -> None:
+        """A preflight of the vehicle as it is, or with one fault."""
+        began = time.monotonic()
+        old = {name: self.rig.read(name) for name in (fault.change if fault else {})}
+        for name, value in (fault.change if fault else {}).items():
+            self.rig.set(name, value)
+        time.sleep(well_s)
+        code, document, said = command("preflight", "--connect", self.rig.url, "--data-dir", str(self.folder))
+        for name, value in old.items():
+            if value is not None:
+                self.rig.set(name, value)
+        time.sleep(well_s)
+        checks = document.get("checks", [])
+        failed = [c for c in checks if c["verdict"] != "pass"]
+        told = "; ".join(f"{c['id']}: {c['verdict']}: {c['reason']}" for c in failed) or document.get("summary", said)
+        if fault is None:
+            untrue, right = tuple(f"{c['id']}: {c['reason']}" for c in failed), code == 0
+        else:
+            right = any(fault.fails in c["id"] and fault.blames in c["reason"].lower() for c in failed)
+            untrue = () if right else (f"{fault.name} passes as: {told}",)
+        name = f"preflight: {fault.name if fault else 'healthy'}"
+        self.report(self._row(name, f"exit {code}", began, untrue, right=right, said=told))
+
+    def _truth(self, job: JobModel) -> dict[str, float]:
+        """True value by name; a drift is stated about the temperature that the plan refers it to."""
+        truth, autopilot = self.rig.truth, self.rig.autopilot
+        found = truth.parameters(autopilot)
+        factor, middle = (1e6, 35.0) if autopilot == "ardupilot" else (1.0, 25.0)
+        planned = {c.name: float(c.new) for c in job.plan.changes} if job.plan is not None else {}
+        for i, unit in enumerate(truth.units):
+            for sensor, drift in ((Sensor.ACCEL, unit.accel_drift), (Sensor.GYRO, unit.gyro_drift)):
+                names = thermal_names(autopilot, sensor, i)
+                reference = planned.get(names[0][0][:5] + "_TREF", middle)
+                for axis in range(3):
+                    curve = Polynomial([0.0, *drift[:, axis]])(Polynomial([reference - middle, 1.0]))
+                    found |= {names[k][axis]: factor * float(curve.coef[k + 1]) for k in range(3)}
+        return found
+
+    def _row(
+        self, step: str, ended: str, began: float, untrue: tuple[str, ...], *, right: bool = True, said: str = ""
+    ) -> Row:
+        seconds = time.monotonic() - began
+        return Row(self.rig.autopilot, self.name, step, ended, "", (), "", seconds, untrue, said, right)
+
+
+@contextmanager
+def running(rig: Rig) -> Iterator[Rig]:
+    """The firmware, ended with the block."""
+    try:
+        rig.start()
+        yield rig
+    finally:
+        rig.stop()
+
+
+def _aging(name: str) -> float:
+    """How far an older calibration is off, in the unit of that parameter."""
+    if "ACC" in name:
+        return 0.3 if "OFF" in name else 0.02
+    if "GYR" in name:
+        return 0.02
+    if name.startswith("COMPASS_OFS"):
+        return 60.0
+    return 0.06 if "OFF" in name else 0.04
