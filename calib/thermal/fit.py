@@ -51,6 +51,8 @@ POLYNOMIAL_METHOD = "thermal-poly"
 _ONLY_SLOPE = "a slope says nothing of the offset: rest a gyroscope (gyro-rest), turn an accelerometer on six faces"
 _COLDER = "start with a cold board and let it warm up at rest through ten degrees or more, better down again too"
 _SMALLEST_NOISE = 0.02  # of a quantum
+_GRAIN = 1e-3  # of a quantum, by which equal edges differ after rounding
+_STEPS = 512  # temperatures at which a curve is looked at
 _MANY = 20_000  # samples beyond which equal ones are counted instead of listed
 
 
@@ -261,7 +263,7 @@ def fit_drift_data(
             **block_statistics(axes.blocks, axes.coefficients, estimated),
             **attitude_quality(channel, curve, estimated),
             "drift": or_none(curve.drift, ~data.constant),
-            "drift_sd": or_none(curve.drift_sd, ~data.constant),
+            "drift_sd": or_none(curve.drift_sd, ~(data.constant | too_coarse)),
             **_lag_quality(found, two_ways),
             "cross_validation": judged,
             "below_resolution": bool(((data.constant & data.quantised) | too_coarse).all()),
@@ -377,7 +379,11 @@ def _fit_axes(channel: Channel, data: DriftData, x: Array, degree: int) -> _Axes
 def _coarse_axis(
     x: Array, time: Array, bins: TemperatureBins, degree: int, quantum: float
 ) -> tuple[DriftBlocks, float] | None:
-    """Block sums of an axis whose noise is smaller than its bins, and that noise; None if too few bins are seen.
+    """Block sums of an axis whose noise is smaller than its bins, and that noise; None if too few edges are passed.
+
+    Between two edges the same number repeats, which tells next to nothing however often it does: the data are the
+    places at which the curve passes an edge. As many of them as coefficients fit exactly and leave no residual to judge
+    the fit by, so that one more is asked for.
 
     The interval likelihood's estimate is least squares on ``expected + score/information``, with the information of
     each sample as its weight. The same sums therefore carry on from there.
@@ -389,7 +395,7 @@ def _coarse_axis(
         design[rows], bins.values[rows], bins.half[rows], weights=counts, smallest=_SMALLEST_NOISE * quantum
     )
     levels = len(np.unique(np.round(bins.values[rows] / quantum, 3)))
-    if fit.at_limit and levels < degree + 3:
+    if (fit.at_limit and levels < degree + 3) or _crossings(at, bins, fit.coefficients, quantum) < degree + 2:
         return None
     expected = design @ fit.coefficients
     mean, variance = impute(bins.values, bins.half, expected, fit.sigma)
@@ -406,6 +412,13 @@ def _coarse_axis(
         time = time[bins.rows]
     blocks = DriftBlocks.of(at, time, pseudo[:, None], degree=degree, weights=weights, means=means)
     return blocks, fit.sigma
+
+
+def _crossings(x: Array, bins: TemperatureBins, coefficients: Array, quantum: float) -> int:
+    """How many edges between the bins the curve passes on its way through the temperatures; there and back are two."""
+    lower = np.unique(np.round((bins.values - bins.half) / (_GRAIN * quantum))) * _GRAIN * quantum
+    curve = np.linspace(x.min(), x.max(), _STEPS)[:, None] ** np.arange(len(coefficients)) @ coefficients
+    return int(np.abs(np.diff(np.searchsorted(lower[1:], curve))).sum())
 
 
 def _distinct(x: Array, bins: TemperatureBins, quantum: float) -> tuple[NDArray[np.intp], Array]:
