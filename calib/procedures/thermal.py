@@ -260,10 +260,14 @@ class ThermalProcedure(TickedProcedure):
         span, target, rate = self._warmth.span, float(self.options["span"]), self._warmth.rate
         eta = (target - span) / abs(rate) if abs(rate) > 1e-4 and span < target else None
         text = f"{span:.1f} of {target:.0f} degC"
+        if self.options["extend"] and span >= target:
+            text = f"{span:.1f} degC covered, waiting until it settles (below {self.options['settled']:g} degC/min)"
         settles = self._warmth.settles(self.options["settled"])
         if self.options["extend"] and settles is not None:
-            eta, at = settles
-            text += f", {60.0 * rate:+.1f} degC/min, to settle near {at:.0f} degC"
+            eta = settles.left
+            text += (
+                f", {60.0 * rate:+.1f} degC/min, to settle at {settles.at:.0f} +- {max(settles.spread, 1.0):.0f} degC"
+            )
         elif self.options["extend"]:
             eta = None if span >= target else eta
             text += f", {60.0 * rate:+.1f} degC/min"

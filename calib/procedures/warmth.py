@@ -4,10 +4,30 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from mavcal.calib.procedures.roster import TickChannels
 from mavcal.calib.recording import Sensor
+
+_PARTS = (0.0, 0.25, 0.5)
+"""Shares of the last minute after which it is extrapolated from."""
+_SPREAD = 0.25
+"""Share of what is left by which these may differ."""
+_NEAR = 1.0
+"""degC by which they always may."""
+
+
+@dataclass(frozen=True)
+class Settling:
+    """Where a temperature is heading."""
+
+    left: float
+    """Seconds until its rate falls below the bound."""
+    at: float
+    """Where it ends, degC."""
+    spread: float
+    """How far extrapolations from parts of the last minute differ from that, degC."""
 
 
 class Warmth:
@@ -57,32 +77,52 @@ class Warmth:
         (t0, first), (t1, last) = self._history[0], self._history[-1]
         return (last - first) / (t1 - t0) if t1 > t0 else 0.0
 
-    def settles(self, bound: float) -> tuple[float, float] | None:
-        """Seconds until the rate falls below `bound` (degC per minute), and where the first unit's temperature ends.
+    def settles(self, bound: float) -> Settling | None:
+        """When the rate falls below `bound` (degC per minute), and where the first unit's temperature ends.
 
-        From how the rate fell within the last minute, as of a body that comes to the temperature around it; None as
-        long as it does not fall.
+        From how the rate fell within the last minute, as of a body that comes to the temperature around it, and again
+        from the later parts of that minute. None as long as it does not fall, or as the parts do not agree: a curve
+        that has hardly bent yet says nothing of its end.
         """
         if len(self._history) < 3 or self._history[-1][0] - self._history[0][0] < 0.5 * self._over:
             return None
-        middle = 0.5 * (self._history[0][0] + self._history[-1][0])
-        (t0, first), (t2, last) = self._history[0], self._history[-1]
-        t1, between = min(self._history, key=lambda point: abs(point[0] - middle))
-        if not t0 < t1 < t2:
+        begin, (end, last) = self._history[0][0], self._history[-1]
+        found = []
+        for share in _PARTS:
+            start = begin + share * (end - begin)
+            told = _extrapolated([point for point in self._history if point[0] >= start])
+            if told is None:
+                return None
+            found.append(told)
+        constant, at = found[0]
+        spread = max(abs(other - at) for _, other in found[1:])
+        if spread > max(_SPREAD * abs(at - last), _NEAR):
             return None
-        early, late = (between - first) / (t1 - t0), (last - between) / (t2 - t1)
-        if early * late <= 0.0 or abs(late) >= 0.98 * abs(early):
-            return None
-        constant = 0.5 * (t2 - t0) / math.log(early / late)
-        now = late * math.exp(-0.5 * (t2 - t1) / constant)
         left = constant * math.log(max(abs(self.rate) * 60.0 / bound, 1.0))
-        return left, last + now * constant
+        return Settling(left, at, spread)
 
     def settled(self, bound: float) -> bool:
         """Whether the rate over a whole minute lies below `bound` (degC per minute)."""
         if len(self._history) < 2 or self._history[-1][0] - self._history[0][0] < self._over:
             return False
         return abs(self.rate) * 60.0 < bound
+
+
+def _extrapolated(history: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
+    """Time constant (s) and end (degC) of the exponential through the first, the middle and the last point."""
+    if len(history) < 3:
+        return None
+    middle = 0.5 * (history[0][0] + history[-1][0])
+    (t0, first), (t2, last) = history[0], history[-1]
+    t1, between = min(history, key=lambda point: abs(point[0] - middle))
+    if not t0 < t1 < t2:
+        return None
+    early, late = (between - first) / (t1 - t0), (last - between) / (t2 - t1)
+    if early * late <= 0.0 or abs(late) >= 0.98 * abs(early):
+        return None
+    constant = 0.5 * (t2 - t0) / math.log(early / late)
+    now = late * math.exp(-0.5 * (t2 - t1) / constant)
+    return constant, last + now * constant
 
 
 class _Range:

@@ -60,11 +60,15 @@ async def _tell_wait(link: Link, url: str, wait: float, screen: Screen) -> None:
 
 
 async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, *, doubt_s: float = DOUBT_S) -> Job:
-    """Show what happens after that event until the job ends, waits for acceptance, or stays in doubt for too long."""
+    """Show what happens after that event until the job ends, waits for acceptance, or stays in doubt for too long.
+
+    What is in doubt is said once, however often the vehicle falls silent and comes back.
+    """
     from mavcal.service.jobs.recovery import ending, unfinished
     from mavcal.service.jobs.states import ENDED, JobState
 
     loop = asyncio.get_running_loop()
+    told: set[str] = set()
     with suppress(TimeoutError):
         async with asyncio.timeout(None) as limit:
             if service.jobs.get(job_id).state is JobState.IN_DOUBT:
@@ -80,7 +84,9 @@ async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, 
                     limit.reschedule(None)
                 elif limit.when() is None:
                     for sentence in ending(unfinished(service.store, job)):
-                        screen.line(sentence, bold=True)
+                        if sentence not in told:  # a busy machine puts a job in doubt again and again
+                            screen.line(sentence, bold=True)
+                        told.add(sentence)
                     limit.reschedule(loop.time() + doubt_s)
     return service.jobs.get(job_id)
 

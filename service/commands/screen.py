@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import click
@@ -11,6 +13,8 @@ import click
 from mavcal.service.commands.place import NOWHERE, Place
 
 BAR = 28
+SAY_EVERY_S = 10.0
+"""Without a terminal, whoever reads the lines hears at least so often what is waited for."""
 
 
 class Screen:
@@ -19,9 +23,12 @@ class Screen:
     A command that a line names is told with the options of `place`, so that it can be run as it stands.
     """
 
-    def __init__(self, place: Place = NOWHERE, *, quiet: bool = False) -> None:
+    def __init__(
+        self, place: Place = NOWHERE, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.place = place
-        self._quiet = quiet
+        self._quiet, self._clock = quiet, clock
+        self._said_at = -math.inf
         self._terminal = sys.stderr.isatty()
         self._open = False
         self._told: tuple[object, ...] = ()
@@ -32,6 +39,7 @@ class Screen:
         if self._quiet:
             return
         self._close()
+        self._said_at = self._clock()
         click.secho(self.place.completed(text), err=True, bold=bold)
 
     def prompt(self, text: str) -> None:
@@ -42,7 +50,7 @@ class Screen:
         self.line(f"  > {text}", bold=True)
 
     def progress(self, progress: Mapping[str, Any]) -> None:
-        """A bar; without a terminal, a line at every quarter."""
+        """A bar; without a terminal, a line at every quarter, and when nothing was said for ten seconds."""
         if self._quiet:
             return
         target = progress["target"] or 1.0
@@ -50,8 +58,8 @@ class Screen:
         eta = "" if progress["eta"] is None else f"  {progress['eta']:.0f} s left"
         if not self._terminal:
             key = (int(share * 4), progress["unit"])
-            if key != self._told:
-                self._told = key
+            if key != self._told or self._clock() - self._said_at >= SAY_EVERY_S:
+                self._told, self._said_at = key, self._clock()
                 click.echo(f"    {share:4.0%}  {progress['text']}", err=True)
             return
         bar = "#" * round(share * BAR)

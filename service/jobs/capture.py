@@ -8,10 +8,11 @@ its calibration between them and the reading.
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mavcal.calib.errors import ProcedureError
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS
@@ -45,6 +46,9 @@ from mavcal.service.jobs.write import read_values
 from mavcal.service.store.rows import SegmentPurpose, SegmentRow
 from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS
 
+SILENT_S = 5.0
+"""After so long without progress, by the wall clock, a capture says that it waits for samples."""
+WAITS = "; waiting for more samples of the vehicle"
 BATCH_S = 0.05
 """Frames are digested at most so often, seconds of the wall clock."""
 
@@ -64,6 +68,7 @@ class Capture:
     parameters: dict[str, Value] = field(default_factory=dict)
     """What the job rests on; the calibration is the same before and after the capture."""
     _frames: list[Frame] = field(default_factory=list)
+    _told_at: float = -math.inf
     _disk: DiskFull | None = None
 
     async def run(self) -> Done:
@@ -156,6 +161,7 @@ class Capture:
             if frames:
                 steps += await asyncio.to_thread(digest.feed, frames)
             self._told(steps)
+            self._say_that_it_waits()
             self.reach(At.CAPTURE_RUNNING)
             outcome = digest.outcome
             for warning in digest.warnings:
@@ -165,6 +171,16 @@ class Capture:
             watch.look(digest)
             if isinstance(outcome, GaveUp):
                 raise CaptureEnded(outcome.cause, remedy=outcome.remedy)
+
+    def _say_that_it_waits(self) -> None:
+        """A procedure counts in samples: where none come, or none are of use, it says nothing by itself."""
+        now, last = self.clock(), self.handle.job.progress
+        if math.isinf(self._told_at):
+            self._told_at = now
+        if now - self._told_at < SILENT_S or last is None:
+            return
+        self._told_at = now
+        self.handle.progress(replace(last, text=f"{last.text.partition(WAITS)[0]}{WAITS}", eta=None))
 
     def _answered(self, digest: LiveDigest) -> list[Step]:
         """Hand on the answers that came; those that are taken are kept with the procedure's time for the replay."""
@@ -187,6 +203,7 @@ class Capture:
                 self.handle.prompt(step)
                 self._show(JobState.WAITING_FOR_OPERATOR if _asks(step) else JobState.RUNNING)
             elif isinstance(step, Progress):
+                self._told_at = self.clock()
                 self.handle.progress(step)
 
     def _show(self, state: JobState) -> None:

@@ -1,8 +1,8 @@
 """PX4's module gyro_calibration: it writes the mean gyroscope into CAL_GYRO by itself.
 
 It looks only at the accelerometer for motion, so a steady turn about the vertical counts as rest. Measured: 5 s after
-the last parameter change, if the offset would move by more than 0.01 rad/s. A gyroscope without a row gets one, whatever
-its mean. Each save of a row stores its id, priority and rotation beside the offsets (Gyroscope::ParametersSave).
+the last parameter change, if the offset would move by more than 0.01 rad/s. A gyroscope without a row gets one,
+whatever its mean. Each save of a row stores its id, priority and rotation too (Gyroscope::ParametersSave).
 """
 
 from __future__ import annotations

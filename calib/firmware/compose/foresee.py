@@ -25,8 +25,8 @@ STREAMED_INSTANCES: Final = 3
 """MAVLink carries RAW_IMU or SCALED_IMU, SCALED_IMU2 and SCALED_IMU3."""
 
 OWN_OFFSETS: Final = (
-    "PX4 rewrites the offsets of its gyros by itself while it lies still (IMU_GYRO_CAL_EN = 1), whenever they have drifted "
-    "by more than 0.01 rad/s. Each such change is taken out of the samples; nothing needs to be done"
+    "PX4 rewrites the offsets of its gyros by itself while it lies still (IMU_GYRO_CAL_EN = 1), whenever they have "
+    "drifted by more than 0.01 rad/s. Each such change is taken out of the samples; nothing needs to be done"
 )
 """``GyroCalibration::Run`` (PX4 src/modules/gyro_calibration); IMU_GYRO_CAL_EN is read by the start script only."""
 

@@ -36,6 +36,17 @@ def test_without_a_terminal_a_quarter_is_a_line(shown):
     assert [line.split()[0] for line in lines] == ["0%", "25%", "50%", "75%", "100%"]
 
 
+def test_without_a_terminal_ten_silent_seconds_end_in_a_line(shown):
+    now = [0.0]
+
+    def show(screen):
+        for _ in range(60):  # at 100 %, for five minutes
+            screen.progress(progress(4.0))
+            now[0] += 5.0
+
+    assert len(shown(io.StringIO(), show, clock=lambda: now[0]).splitlines()) == 30
+
+
 def test_another_unit_begins_again(shown):
     def show(screen):
         screen.progress(progress(1.0, unit="poses"))

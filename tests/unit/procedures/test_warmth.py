@@ -97,7 +97,8 @@ def test_a_rate_below_the_bound_is_settled_either_way(sign, per_minute, settled)
 def test_where_a_body_ends_and_when_is_told_from_how_its_rate_falls(start, end):
     tau, bound, at = 200.0, 1.0, 150.0
     warmth = followed(lambda t: approaching(t, start, end, tau), at)
-    left, final = warmth.settles(bound)
+    told = warmth.settles(bound)
+    left, final = told.left, told.at
     assert final == pytest.approx(end, abs=0.6)
     # the mean rate over the last minute falls below the bound when the curve itself says so
     mean = abs(approaching(at, start, end, tau) - approaching(at - 60.0, start, end, tau))
@@ -105,7 +106,7 @@ def test_where_a_body_ends_and_when_is_told_from_how_its_rate_falls(start, end):
 
 
 def test_a_body_that_is_below_the_bound_needs_no_time():
-    left, _ = followed(approaching, 1500.0).settles(1.0)
+    left = followed(approaching, 1500.0).settles(1.0).left
     assert left == 0.0
 
 
@@ -125,3 +126,16 @@ def test_a_rate_that_does_not_fall_tells_no_end(curve):
 @pytest.mark.parametrize(("seconds", "told"), [(29.0, False), (31.0, True)])
 def test_half_a_minute_is_needed_to_tell_the_end(seconds, told):
     assert (followed(approaching, seconds).settles(1.0) is not None) is told
+
+
+@pytest.mark.parametrize("knee", [0.0, 10.0, 25.0, 40.0])
+def test_no_end_is_told_that_is_far_from_the_true_one(knee):
+    """A vehicle that is switched on, or a curve that has hardly bent: 124 degC was said where 58 were true."""
+
+    def curve(t):
+        return 11.3 + 47.4 * (1.0 - np.exp(-np.maximum(t - knee, 0.0) / 55.0))
+
+    for seconds in np.arange(20.0, 300.0, 10.0):
+        told = followed(curve, seconds).settles(0.2)
+        if told is not None:
+            assert abs(told.at - 58.7) <= max(3.0 * told.spread, 2.0), (seconds, told)
