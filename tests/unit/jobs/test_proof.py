@@ -36,7 +36,8 @@ def checked(*verdicts: ProofVerdict, silent: int = 0) -> Verification:
         (
             checked(P, C, N, N),
             "partial",
-            "The stream proves 1 of the 4 parameters that act on it; 1 agree with it, as their old values would, 2 could not be seen in it.",
+            "The stream proves 1 of the 4 parameters that act on it; 1 agree with it, as their old values would, "
+            "2 could not be seen in it.",
             "A1 A2 A3",
         ),
         (
