@@ -91,6 +91,20 @@ def largest_error(stored: Array, fitted: Array, magnitude: float) -> float:
     return float(np.linalg.norm((stored - fitted) @ np.linalg.inv(fitted), 2) * magnitude)
 
 
+def largest_sd(parts: Parts, stored: Array) -> float:
+    """Standard deviation of :func:`largest_error` for scales `stored` (3,) and a true vector of length 1.
+
+    A scale that is stored as it was fitted is not left out, and adds nothing.
+
+    To first order the error is the largest eigenvalue of ``S - D``, whose derivative is ``v v^T``.
+    """
+    values, vectors = np.linalg.eigh(parts.symmetric - np.diag(stored))
+    v = vectors[:, int(np.abs(values).argmax())]
+    row = np.array([v[i] * v[j] * (1.0 if i == j else 2.0) for i, j in _PAIRS])
+    row[:3] *= np.abs(parts.diagonal - stored) > 1e-6
+    return float(np.sqrt(max(row @ parts.covariance[3:, 3:] @ row, 0.0)))
+
+
 def rotation_angle(rotation: Array) -> float:
     """Angle of a rotation matrix, rad; exact for small angles too."""
     skew = rotation - rotation.T

@@ -166,13 +166,14 @@ def _ins(config: VehicleConfig) -> Iterator[SimParameter]:
     ):
         yield _make(f"INS_{name}", kind, value)
     for k in range(MAX_IMUS):
-        yield from _thermal(f"INS_TCAL{k + 1}")
+        yield from _thermal(f"INS_TCAL{k + 1}", factory=config.factory)
 
 
-def _thermal(group: str) -> Iterator[SimParameter]:
+def _thermal(group: str, *, factory: bool) -> Iterator[SimParameter]:
+    # the documented default of TMAX is 70, but a group that was never switched on holds 0 (captured, 4.7-dev)
     yield _make(f"{group}_ENABLE", _I8, 0)
     yield _make(f"{group}_TMIN", _F, 0)
-    yield _make(f"{group}_TMAX", _F, 70)
+    yield _make(f"{group}_TMAX", _F, 0 if factory else 70)
     for sensor in ("ACC", "GYR"):
         for order in (1, 2, 3):
             yield from _vector(f"{group}_{sensor}{order}", 0.0)

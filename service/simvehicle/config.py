@@ -63,6 +63,7 @@ class VehicleConfig:
     highres_mag_defect: bool = True  # ArduPilot 4.7-dev before 2026-02 multiplies by 1000 instead of dividing
     sitl: bool = False  # PX4: the simulator build refuses to reboot and knows no TC_* module
     calibration: Calibration = Calibration.EARLIER
+    factory: bool = False  # never booted before: hidden groups hold zeros, no row of PX4 has an id; nothing calibrated
     gps: bool = True
     signing_key: str = ""  # 64 hexadecimal digits: what the vehicle signs with, and all that it listens to
     boot_s: float = 3.0
@@ -126,6 +127,8 @@ def _converted(name: str, value: Any, present: Any) -> Any:
 
 
 def _checked(config: VehicleConfig) -> VehicleConfig:
+    if config.factory:
+        config = replace(config, calibration=Calibration.NONE)
     if not 1 <= config.imu_count <= MAX_IMUS:
         raise ConfigurationError(f"imu_count must be 1..{MAX_IMUS}, got {config.imu_count}")
     if not 0 <= config.mag_count <= MAX_MAGS:

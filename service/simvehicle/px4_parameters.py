@@ -96,7 +96,7 @@ def _inertial(config: VehicleConfig) -> Iterator[SimParameter]:
     for k in range(SLOTS):
         for sensor, ids in (("ACC", ACCEL_IDS), ("GYRO", GYRO_IDS)):
             slot = f"CAL_{sensor}{k}"
-            present = k < config.imu_count
+            present = k < config.imu_count and not config.factory
             yield _int(f"{slot}_ID", ids[k] if present else 0)
             yield _int(f"{slot}_PRIO", DEFAULT_PRIORITY if present else UNINITIALISED)
             yield _int(f"{slot}_ROT", -1)
@@ -110,7 +110,7 @@ def _magnetic(config: VehicleConfig) -> Iterator[SimParameter]:
     orientations = config.mag_orientation_parameters or config.mag_orientations
     for k in range(SLOTS):
         slot = f"CAL_MAG{k}"
-        present = k < config.mag_count
+        present = k < config.mag_count and not config.factory
         yield _int(f"{slot}_ID", MAG_IDS[k] if present else 0)
         yield _int(f"{slot}_PRIO", DEFAULT_PRIORITY if present else UNINITIALISED)
         yield _int(f"{slot}_ROT", orientations[k] if present and config.mag_external[k] else -1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
@@ -17,6 +18,10 @@ ALIGNED = 1e-9
 """rad; smaller turns are rounding."""
 SINGLE_PRECISION = 1e-5
 """m/s2; what storing a scale as float32 may cost, and not worth a word."""
+_BY_CHANCE = 0.05
+"""Chance at which terms that are truly zero still count as seen."""
+_ONE_SIDED = 1.645
+"""Standard deviations of a bound that holds with 95 %."""
 
 
 def offsets_usable(draft: Draft, about: Subject, fit: FitResult, *, thermal: bool) -> bool:
@@ -61,7 +66,7 @@ def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array,
         what, text = "cross terms", f"cross-axis terms (xy xz yz: {cross}) cannot be stored"
         if not np.allclose(stored, parts.diagonal, rtol=0, atol=1e-6):
             what, text = "scale and cross terms", f"scales so near to 1 never reach PX4's memory, and {text}"
-        draft.lose(about, what, cost, "m/s2", f"{about}: {text}; up to {cost:.4f} m/s2 stay, depending on the attitude")
+        draft.lose(about, what, cost, "m/s2", f"{about}: {text}; {_left(parts, stored, cost)}")
     angle = min(losses.rotation_angle(parts.rotation), losses.rotation_angle(body_from_sensor.T @ parts.rotation))
     if angle > ALIGNED:
         draft.lose(
@@ -72,6 +77,22 @@ def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array,
             f"{about}: turned by {np.degrees(angle):.3f} deg in its mounting; there is no parameter for one sensor. "
             "What is common to all sensors goes into the level trim: run the level job",
         )
+
+
+def _left(parts: losses.Parts, stored: Array, cost: float) -> str:
+    """In words, what stays of a matrix that is left out, with its uncertainty; a fit without one says the bound."""
+    left = np.concatenate((parts.diagonal - stored, parts.cross))
+    covariance = parts.covariance[3:, 3:]
+    if not (np.diag(covariance)[3:] > 0.0).all():
+        return f"up to {cost:.4f} m/s2 stay, depending on the attitude"
+    kept = np.abs(left) > SINGLE_PRECISION  # a scale that is stored leaves nothing
+    kept[3:] = True
+    change = covariance[np.ix_(kept, kept)]
+    squares = float(left[kept] @ np.linalg.pinv(change, hermitian=True) @ left[kept])
+    sd = STANDARD_GRAVITY * losses.largest_sd(parts, stored)
+    if squares <= scipy.special.chdtri(int(kept.sum()), _BY_CHANCE):
+        return f"they agree with zero: at most {cost + _ONE_SIDED * sd:.4f} m/s2 stay (95 %), perhaps nothing"
+    return f"up to {cost:.4f} ± {sd:.4f} m/s2 stay, depending on the attitude"
 
 
 def lose_gyro_matrix(draft: Draft, about: Subject, fit: FitResult) -> None:

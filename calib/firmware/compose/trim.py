@@ -40,6 +40,9 @@ AHRS_TRIM: Final = ("AHRS_TRIM_X", "AHRS_TRIM_Y")
 NOTICEABLE: Final = 1e-4
 """rad; a smaller turn of the level is not worth a change."""
 
+NOTED: Final = 0.2
+"""deg; a larger turn of the level is said: a sensor that has changed since its level was measured makes it wrong."""
+
 UNMEASURED: Final = 1e-6
 """rad; PX4's start scripts set SENS_BOARD_X_OFF to 1e-6 deg to mark a board as levelled that never was."""
 
@@ -102,6 +105,12 @@ def adjust_trim(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> None
     if np.abs(new).max() > TRIM_MAX_RAD:
         draft.warn("the level trim would exceed 10 deg with the new calibration and is left alone; run the level job")
         return
+    turned = float(np.degrees(np.linalg.norm(new - old)))
+    if turned >= NOTED:
+        draft.warn(
+            f"the level trim is turned by {turned:.1f} deg with the new calibration of {about}. That keeps what was "
+            "level before; if the sensor has changed since its level was measured, run the level job"
+        )
     sd = float(np.sqrt(np.diag(fit.covariance)[:2].max())) / STANDARD_GRAVITY
     why = f"the same attitude stays level ({np.degrees(new - old).round(2).tolist()} deg, from the new calibration)"
     _set_trim(draft, autopilot, new, np.array([sd, sd]), why)

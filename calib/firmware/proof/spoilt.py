@@ -36,7 +36,7 @@ def spoilt(vectors: Array, covariance: Array, candidates: NDArray[np.bool_]) -> 
     candidates : shape (n,)
         The rows that may be spoilt.
     """
-    precision = np.linalg.inv(covariance)
+    precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     most = int(MOST * candidates.sum())
     best, found = np.inf, np.zeros(len(candidates), dtype=bool)
     for vector in vectors:

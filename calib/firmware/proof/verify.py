@@ -10,6 +10,7 @@ observable, never verified.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.compose.content import contents
@@ -117,6 +118,14 @@ def _parameters(before: Recording | None, after: Recording) -> dict[str, Value]:
     return known
 
 
+_RAW: Final = (
+    "the stream of this sensor is raw and does not depend on it; the corrected one is sent less a bias that the "
+    "estimator learns within seconds, so it proves nothing; it was read back"
+)
+"""PX4's magnetometers: SCALED_IMU raw, HIGHRES_IMU less the estimator's bias (FLIGHT_CONTROLLERS 2.2). Half of a new
+offset was seen there within 2 s; to judge by that, the state of the estimator had to be streamed too, and it is not."""
+
+
 def _unknown(about: Subject, force: Force, now: StreamEvidence) -> str:
     """In words, why nothing undoes the stream of `about` as it should be by now; empty if something does."""
     readings = (*now.readings.get(about, ()), *now.moving.get(about, ()))
@@ -147,7 +156,7 @@ def _verdict(
     if waiting:
         text = next((outside[about] for about in waiting if about in outside), "") or _why_nothing(waiting, now)
     elif now.raw:
-        text = "the stream of this sensor is raw and does not depend on it; it was read back"
+        text = _RAW
     elif change.sensor in CALIBRATED and name in force.without_alternative(Subject(change.sensor, change.instance)):
         text = "its old value fits beside no other, so there is nothing to tell it from; it was read back"
     else:

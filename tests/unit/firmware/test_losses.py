@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavcal.calib.firmware.losses import largest_error, rotation_angle, split
+from mavcal.calib.firmware.losses import largest_error, largest_sd, rotation_angle, split
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
@@ -51,6 +51,19 @@ def test_turned_parts_describe_the_same_sensor_in_other_axes(make_fit):
         (raw @ turn.T - turned.offset) @ turned.symmetric.T, fit.model.apply(raw) @ turn.T, atol=1e-12
     )
     np.testing.assert_allclose(turned.sd[3:], np.full(6, 1e-3), rtol=1e-12)
+
+
+def test_the_sd_of_the_largest_error_is_that_of_scattered_fits(make_fit):
+    rng = np.random.default_rng(8)
+    matrix = np.array([[1.01, 0.02, -0.004], [0.02, 0.98, 0.003], [-0.004, 0.003, 1.02]])
+    parts = split(make_fit(Sensor.ACCEL, matrix=matrix, matrix_sd=2e-4))
+    root = np.linalg.cholesky(parts.covariance[3:, 3:] + 1e-18 * np.eye(6))
+    found = []
+    for _ in range(2000):
+        d = root @ rng.normal(size=6)
+        moved = matrix + np.array([[d[0], d[3], d[4]], [d[3], d[1], d[5]], [d[4], d[5], d[2]]])
+        found.append(largest_error(np.diag(np.diag(moved)), moved, 1.0))
+    assert largest_sd(parts, parts.diagonal) == pytest.approx(np.std(found), rel=0.1)
 
 
 def test_the_largest_error_is_reached_and_never_exceeded():

@@ -31,15 +31,21 @@ def checked(*verdicts: ProofVerdict, silent: int = 0) -> Verification:
     ("verification", "level", "reason", "unproved"),
     [
         (None, "none", "No stream was checked after the write.", ""),
-        (checked(silent=2), "none", "None of the written parameters shows on a stream; all were read back.", ""),
-        (checked(P, P, silent=2), "full", "The stream proves all 2 parameters that show on it.", ""),
+        (checked(silent=2), "none", "No stream can prove the written parameters; all were read back.", ""),
+        (checked(P, P, silent=2), "full", "The stream proves all 2 parameters that act on it.", ""),
         (
             checked(P, C, N, N),
             "partial",
-            "The stream proves 1 of 4 parameters that show on it; 1 consistent, 2 not observable.",
+            "The stream proves 1 of the 4 parameters that act on it; 1 agree with it, as their old values would, "
+            "2 could not be seen in it.",
             "A1 A2 A3",
         ),
-        (checked(N, N), "none", "The stream proves 0 of 2 parameters that show on it; 2 not observable.", "A0 A1"),
+        (
+            checked(N, N),
+            "none",
+            "The stream proves none of the 2 parameters that act on it; 2 could not be seen in it.",
+            "A0 A1",
+        ),
     ],
 )
 def test_how_far_a_write_is_proved(verification: Verification | None, level: str, reason: str, unproved: str) -> None:

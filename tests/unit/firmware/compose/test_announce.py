@@ -78,6 +78,17 @@ def test_cross_terms_cost_what_they_turn_gravity_by(draft, make_fit):
     assert "scales so near to 1 never reach PX4's memory" in draft.losses[1].text
 
 
+@pytest.mark.parametrize(("sd", "said"), [(1e-4, "0.0295 ± 0.0010"), (3e-3, "at most 0.0")])
+def test_what_stays_of_cross_terms_is_said_with_its_uncertainty(draft, make_fit, sd, said):
+    matrix = np.array([[1.0, 0.003, 0.0], [0.003, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    parts = losses.split(make_fit(Sensor.ACCEL, matrix=matrix, matrix_sd=sd))
+    announce.lose_accel(draft, ACCEL, parts, np.ones(3), np.eye(3))
+    assert said in draft.losses[0].text
+    if sd > 1e-3:  # as large as the terms: nothing of them need be real
+        assert "they agree with zero" in draft.losses[0].text
+        assert draft.losses[0].text.endswith("perhaps nothing")
+
+
 def test_what_single_precision_costs_is_not_worth_a_word(draft, make_fit):
     for scale, told in ((1.0 + 0.9e-6, 0), (1.0 + 1.1e-6, 1)):
         announce.lose_accel(draft, ACCEL, parts_of(make_fit, np.diag([scale, 1, 1])), np.ones(3), np.eye(3))

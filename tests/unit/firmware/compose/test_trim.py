@@ -72,6 +72,25 @@ def test_px4_keeps_the_same_physical_attitude_level(px4_parameters, px4_fingerpr
     assert {c.unit for c in plan.changes if "SENS_BOARD" in c.name} == {"deg"}
 
 
+@pytest.mark.parametrize(("offset", "said"), [(0.7, "4.1 deg"), (0.05, "0.3 deg"), (0.02, "")])
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_level_that_is_turned_noticeably_is_said(
+    autopilot, offset, said, ardupilot_parameters, ardupilot_fingerprint, px4_parameters, px4_fingerprint, make_fit
+):
+    parameters = {
+        "ardupilot": ardupilot_parameters | {"AHRS_TRIM_X": 0.02, "AHRS_TRIM_Y": -0.01},
+        "px4": px4_parameters | {"SENS_BOARD_X_OFF": 1.5, "SENS_BOARD_Y_OFF": -0.8},
+    }[autopilot]
+    fit = make_fit(Sensor.ACCEL, offset=[0.0, offset, 0.0], matrix_sd=1e-4)
+    plan = compose([fit], parameters, {"ardupilot": ardupilot_fingerprint, "px4": px4_fingerprint}[autopilot])
+    notes = [text for text in plan.warnings if "level trim is turned" in text]
+    assert len(notes) == bool(said)
+    if said:
+        assert f"turned by {said} with the new calibration of accel 1" in notes[0]
+        assert "run the level job" in notes[0]
+        assert any(c.name in ("AHRS_TRIM_X", "SENS_BOARD_X_OFF") for c in plan.changes)
+
+
 def level_fit(make_fit, roll, pitch, **more):
     native = {"roll": roll, "pitch": pitch, "roll_sd": 1e-4, "pitch_sd": 2e-4}
     return make_fit(Sensor.ACCEL, method="level", native=native, **more)

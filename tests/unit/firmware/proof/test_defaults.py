@@ -14,7 +14,7 @@ import pytest
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.draft import Subject
-from mavcal.calib.firmware.compose.plan import compose
+from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.calib.firmware.proof.force import force_of
 from mavcal.calib.firmware.proof.hypotheses import combinations_of
@@ -22,6 +22,8 @@ from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
+from mavcal.service.simvehicle.config import load_config
+from mavcal.service.simvehicle.server import make_vehicle
 
 FIELD = np.array([20.0, 3.0, 43.0])
 TRUE = {Sensor.ACCEL: np.array([0.0, 0.0, -STANDARD_GRAVITY]), Sensor.GYRO: np.zeros(3), Sensor.MAG: FIELD}
@@ -101,7 +103,8 @@ def started(ardupilot_parameters, px4_parameters, ardupilot_fingerprint, px4_fin
             matrix_sd={"mag": 5e-4, "accel": 1e-4}.get(kind, 0.0),
             quality=quality,
         )
-        plan = compose([fit], held, print_of)
+        ids = {(s, 0): 1310988 + k for k, s in enumerate((Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))}
+        plan = compose([fit], held, print_of, options=ComposeOptions(device_ids=ids))
         assert plan.changes
         assert not plan.blockers
         return plan, fit, held, {s: TriadModel() for s in (Sensor.ACCEL, Sensor.GYRO)} | {sensor: truth}
@@ -172,3 +175,30 @@ def test_a_drive_that_is_not_streamed_leaves_a_motor_gain_open(started, make_fit
     assert result.must_go == ""
     assert {p.verdict for p in result.parameters} == {ProofVerdict.NOT_OBSERVABLE}
     assert "BATTERY_STATUS" in result.parameters[0].text
+
+
+@pytest.mark.parametrize("kind", TRUTH)
+@pytest.mark.parametrize("autopilot", MODULES)
+def test_on_a_simulated_vehicle_that_never_booted_before(autopilot, kind, started):
+    """Its table is another reading of the firmwares' defaults; PX4's rows have no id, so they are given."""
+    vehicle = make_vehicle(load_config({"autopilot": autopilot, "factory": True, "imu_count": 1, "mag_count": 1}))
+    table = {p.name: p.value for p in vehicle.table}
+    if autopilot == "ardupilot":
+        assert (table["INS_TCAL1_TMIN"], table["INS_TCAL1_TMAX"], table["INS_ACC1_CALTEMP"]) == (0.0, 0.0, -300.0)
+    else:
+        assert (table["CAL_ACC0_ID"], table["CAL_GYRO0_ID"], table["CAL_MAG0_ID"]) == (0, 0, 0)
+        assert (table["CAL_ACC0_PRIO"], table["TC_G0_TMAX"], table["TC_G0_TREF"]) == (-1, 100.0, 25.0)
+    if autopilot == "px4" and kind in HEAT:
+        table["CAL_GYRO0_ID"] = 1310989  # a thermal row is found by the id that the firmware's own calibration left
+    plan, fit, held, truth = started(autopilot, kind, table)
+    rng, module, heat = np.random.default_rng(11), MODULES[autopilot], HEAT.get(kind, 32.0)
+    stored = held | {c.name: c.new for c in plan.changes}
+    streams = [standing(rng, v, module, truth, t, heat) for v, t in ((held, 0.0), (stored, 9.0), (held, 18.0))]
+    if autopilot == "px4" and kind == "mag":
+        streams = [s.with_channels(c for c in s.channels if c.sensor != Sensor.MAG) for s in streams]
+    before, after, unchanged = streams
+    result = verify(plan, [fit], before, after, parameters=stored)
+    assert result.must_go == ""
+    if (autopilot, kind) != ("px4", "mag"):
+        assert any(p.verdict == ProofVerdict.PROVED for p in result.parameters)
+        assert verify(plan, [fit], before, unchanged, parameters=stored).must_go

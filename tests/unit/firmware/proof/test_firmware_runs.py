@@ -1,4 +1,4 @@
-"""The proof of whole jobs that were captured from a running ArduCopter: what is right stays, what had no effect goes."""
+"""The proof of whole jobs captured from a running ArduCopter: what is right stays, what had no effect goes."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def compasses(shared_data, tmp_path):
 
 
 def test_one_late_sample_of_three_turned_compasses_takes_nothing_back(compasses):
-    """It is 6 mG too short in all three, beside a scatter of 0.5 mG: "without effect" for 17 names, and all was right."""
+    """It is 6 mG too short in all three, beside a scatter of 0.5 mG; all was right, 17 names were "without effect"."""
     fits, (start, end) = compasses.fits("mag", 203.0), compasses.written
     assert len(compasses.plan.changes) == 27
     earlier = compasses.span(203.0, start - 0.1)
