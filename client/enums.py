@@ -246,6 +246,7 @@ class SensorCheckId(StrEnum):
     ACCEL_GRAVITY = "accel_gravity"
     ACCEL_DIRECTION = "accel_direction"
     LEVEL = "level"
+    ATTITUDE = "attitude"
 
 
 class SensorVerdict(StrEnum):

@@ -1202,7 +1202,7 @@ export interface SegmentsEvent {
 export type Sensor = "accel" | "gyro" | "mag" | "temperature" | "current" | "throttle" | "motor" | "rotor_speed" | "attitude" | "position" | "velocity" | "place" | "vibration" | "gyro_vibration";
 
 /** What a sensor should read after a write. */
-export type SensorCheckId = "gyro_zero" | "accel_gravity" | "accel_direction" | "level";
+export type SensorCheckId = "gyro_zero" | "accel_gravity" | "accel_direction" | "level" | "attitude";
 
 /** What a sensor reads after the write beside what it should. */
 export interface SensorCheckModel {
