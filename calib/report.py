@@ -104,9 +104,13 @@ def _register_plan(made: Converter) -> None:
             raise InvalidInputError("the write plan was altered: its digest is not that of its content; plan again")
         return plan
 
-    made.register_unstructure_hook(
-        WritePlan, lambda plan: {**written(plan), "needs_reboot": plan.needs_reboot, "sha256": plan.sha256}
-    )
+    def write_plan(plan: WritePlan) -> Json:
+        data = {**written(plan), "needs_reboot": plan.needs_reboot, "sha256": plan.sha256}
+        if not plan.left_out:
+            del data["left_out"]  # as plans of before there were any
+        return data
+
+    made.register_unstructure_hook(WritePlan, write_plan)
     made.register_structure_hook(WritePlan, read_plan)
 
 

@@ -62,7 +62,7 @@ def job_model(job: Job) -> JobModel:
             "plan_options": to_json(job.context.get("plan_options", {})),
             "warnings": list(job.warnings),
             "results": to_json(job.results),
-            "plan": to_json(job.plan),
+            "plan": None if job.plan is None else _plan(job.plan),
             "verification": to_json(job.verification),
             "readiness": to_json(readiness_of(job)),
             "standing": to_json(job.standing),
@@ -84,7 +84,11 @@ def sensors_model(states: Sequence[SensorState]) -> VehicleSensorsModel:
 
 def plan_model(plan: WritePlan) -> PlanModel:
     """A plan."""
-    return PlanModel.model_validate(to_json(plan))
+    return PlanModel.model_validate(_plan(plan))
+
+
+def _plan(plan: WritePlan) -> Json:
+    return {"left_out": [], **to_json(plan)}
 
 
 def review_model(job: Job, review: Review) -> ReviewModel:

@@ -39,6 +39,8 @@ FAILURES: Mapping[str, type[Failure]] = {"failure": Failure, "write_failed": Unw
 def row_from_job(job: Job) -> JobRow:
     """The job as the store keeps it."""
     body = to_json(job)
+    if not job.missed:
+        del body["missed"]  # as jobs of before there were any
     return JobRow(**{name: body.pop(name) for name in _COLUMNS}, body=body)
 
 

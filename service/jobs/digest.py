@@ -249,8 +249,12 @@ def fit_segments(request: JobFitRequest) -> Fitted:
     answers = [OperatorAnswer(t, value) for t, value in request.answers]
     known = KnownCalibration(_read_at_first(request.kind, recording.identity, parameters))
     outcome = replay(request.kind, request.options, context, known.feed(undo(recording)), answers)
-    said = without_row(recording.events) if recording.identity.autopilot == "px4" else frozenset()
+    said = _said_by_px4(recording) if recording.identity.autopilot == "px4" else frozenset()
     return Fitted(outcome, parameters, said)
+
+
+def _said_by_px4(recording: Recording) -> frozenset[Key]:
+    return without_row(recording.events, recording.parameters.entries)
 
 
 def _read_at_first(kind: str, identity: Identity, parameters: Mapping[str, Value]) -> list[str]:

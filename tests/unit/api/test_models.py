@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.plan import LeftOut, Value
 from mavcal.calib.procedures.registry import PROCEDURES
+from mavcal.calib.recording import Sensor
 from mavcal.service.api.models import (
     FitModel,
     FitsModel,
@@ -51,9 +53,12 @@ def test_a_job_is_told_as_before_to_the_byte(name: str) -> None:
     job = getattr(samples, name)()
     told = json.loads(without(job_model(job).model_dump_json(), "parameters"))
     assert told.pop("readiness") is None  # added since
+    assert told.pop("left_out") == []
+    assert told["plan"] is None or told["plan"].pop("left_out") == []
     assert text(told) == text(json.loads(BEFORE[name]))
     told = json.loads(job_summary(job).model_dump_json())
     assert told.pop("options") == json.loads(BEFORE[name])["options"]
+    assert told.pop("left_out") == []
     assert text(told) == BEFORE[f"{name}_summary"]
 
 
@@ -62,10 +67,13 @@ def test_fits_are_told_as_before_to_the_byte() -> None:
     assert without(told.model_dump_json(), "parameters") == text(json.loads(BEFORE["fits"]))
 
 
+LEFT = (LeftOut(Sensor.MAG, 1, "it does not stream"),)
+
+
 @pytest.mark.parametrize(
     ("model", "domain"),
     [
-        (PlanModel, to_json(samples.PLAN)),
+        (PlanModel, json.loads(plan_model(replace(samples.PLAN, left_out=LEFT)).model_dump_json())),
         (VerificationModel, to_json(samples.VERIFICATION)),
         (PromptModel, to_json(samples.PROMPT)),
         (ProgressModel, to_json(samples.PROGRESS)),

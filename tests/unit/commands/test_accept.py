@@ -159,7 +159,7 @@ def settled(monkeypatch):
 
 
 @pytest.mark.usefixtures("settled")
-async def test_with_all_the_newest_write_of_this_vehicle_is_taken_back(make_service):
+async def test_with_all_every_write_of_this_vehicle_is_taken_back_the_newest_first(make_service):
     wrote = {"accept": Accept(PLAN.sha256), "outcome": FULL}
     service = make_service(
         plain("old", JobState.SUCCEEDED, **{**wrote, "updated_at": 1.0}),
@@ -170,17 +170,36 @@ async def test_with_all_the_newest_write_of_this_vehicle_is_taken_back(make_serv
         plain("gone", JobState.REVERTED, **{**wrote, "updated_at": 7.0}),
     )
     service.joined("tcp:v:1", "v1", "v2")
-    acted = await revert._last_write(service, service.vehicles.get("v1"), 1.0)
-    assert service.jobs.done == [("revert", "newest")]
+    acted = await revert._all_writes(service, service.vehicles.get("v1"), 1.0)
+    assert service.jobs.done == [("revert", "newest"), ("revert", "middle"), ("revert", "old")]
     assert acted.good
-    assert acted.text == "job newest (gyro) is reverted: It is written."
-    assert acted.document["state"] == "reverted"
+    assert acted.text.startswith("job newest (gyro) is reverted: It is written. job middle (gyro) is reverted")
+    assert [told["state"] for told in acted.document["jobs"]] == ["reverted"] * 3
 
 
 async def test_a_vehicle_to_which_nothing_was_written_is_no_failure(make_service):
     service = make_service()
-    acted = await revert._last_write(service, FakeVehicle(), 1.0)
-    assert (acted.good, acted.document, service.jobs.done) == (True, {"job": None}, [])
+    acted = await revert._all_writes(service, FakeVehicle(), 1.0)
+    assert (acted.good, acted.document, service.jobs.done) == (True, {"jobs": []}, [])
+
+
+@pytest.mark.usefixtures("settled")
+async def test_an_older_write_waits_for_a_newer_one_that_is_not_taken_back(make_service, monkeypatch):
+    wrote = {"accept": Accept(PLAN.sha256), "outcome": FULL}
+    service = make_service(
+        plain("old", JobState.SUCCEEDED, **{**wrote, "updated_at": 1.0}),
+        plain("new", JobState.SUCCEEDED, **{**wrote, "updated_at": 5.0}),
+    )
+    service.joined("tcp:v:1", "v1")
+
+    async def stuck(_jobs, job_id):
+        return plain(job_id, JobState.IN_DOUBT, outcome=Failure("in-doubt", "It fell silent", "Switch it on"))
+
+    monkeypatch.setattr("mavcal.service.jobs.fixing.settled", stuck)
+    acted = await revert._all_writes(service, service.vehicles.get("v1"), 1.0)
+    assert service.jobs.done == [("revert", "new")]
+    assert not acted.good
+    assert acted.text.endswith("job old (gyro) was not tried")
 
 
 @pytest.mark.parametrize(("job", "code"), [(ended(), 0), (in_review(BLOCKED), 1), (ended(state=JobState.REVERTED), 1)])

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import click
@@ -150,7 +151,12 @@ def tells(monkeypatch):
 
         monkeypatch.setattr(every, "with_each", each)
         monkeypatch.setattr("mavcal.service.logs.configure_logging", lambda **_: None)
-        return run_every(SimpleNamespace(log_json=False), Whom((A,), every=True, wait_s=1.0), None, as_json=as_json)
+        return run_every(
+            SimpleNamespace(log_json=False, connect=(), data_dir=Path("/d")),
+            Whom((A,), every=True, wait_s=1.0),
+            None,
+            as_json=as_json,
+        )
 
     return run
 
@@ -180,4 +186,7 @@ def test_every_vehicle_is_told_as_json(tells, capsys):
 def test_the_exit_code_says_whether_all_are_good_or_which_signal_came(tells):
     assert tells(GOOD) == 0
     assert tells(GOOD, (GOOD[0], Acted(good=False, text="no"))) == 1
+    partly = (GOOD[0], Acted(good=True, text="gyro: succeeded", in_part=True))
+    assert tells(GOOD, partly) == 3
+    assert tells(partly, BAD) == 1
     assert tells(143) == 143

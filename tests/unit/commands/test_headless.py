@@ -198,14 +198,14 @@ async def test_a_vehicle_that_does_not_confirm_its_rates_is_not_waited_for_longe
 @pytest.mark.parametrize("state", [JobState.QUEUED, JobState.WAITING_FOR_OPERATOR, JobState.FITTING])
 async def test_a_stopped_run_cancels_what_has_written_nothing(make_service, screen, state):
     service = make_service(plain("j", state))
-    await put_down(service, "j", URL, screen)
+    await put_down(service, "j", screen)
     assert service.jobs.done == [("cancel", "j"), ("tidied",)]
     assert screen.lines == ["stopped: job j (gyro) was cancelled, nothing was written"]
 
 
 async def test_a_stopped_run_leaves_a_plan_in_review(make_service, screen):
     service = make_service(plain("j", JobState.REVIEW))
-    await put_down(service, "j", URL, screen)
+    await put_down(service, "j", screen)
     assert service.jobs.done == [("tidied",)]
     assert screen.lines == ["stopped: job j (gyro) is review"]
 
@@ -215,7 +215,7 @@ async def test_a_stopped_run_says_what_a_write_leaves_behind(make_service, scree
     service = make_service(plain("j", JobState.VERIFYING))
     if wrote:
         sent(service, "j")
-    await put_down(service, "j", URL, screen)
+    await put_down(service, "j", screen)
     assert service.jobs.done == [("tidied",)]
     assert screen.lines[0].startswith(f"stopped while job j (gyro) is verifying: {said}")
-    assert f"`mavcal recover --connect {URL}`" in screen.lines[1]
+    assert screen.lines[1].startswith("`mavcal recover` finishes it")

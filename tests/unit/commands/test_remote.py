@@ -126,7 +126,7 @@ def test_a_plan_that_may_be_written_came_well_unless_a_write_of_it_failed():
     [
         (SUCCEEDED, "succeeded: It is written."),
         (plain("j", JobState.FAILED, outcome=Failure("x", "It moved", "hold it")), "failed: It moved. Hold it."),
-        (plain("j", JobState.REVIEW, plan=PLAN), "review: its plan waits: `mavcal accept` writes it"),
+        (plain("j", JobState.REVIEW, plan=PLAN), "review: its plan waits: `mavcal accept j` writes it"),
         (plain("j", JobState.CANCELLED), "cancelled"),
     ],
 )

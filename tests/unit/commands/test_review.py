@@ -4,16 +4,17 @@ import asyncio
 import json
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from mavcal.calib.firmware.options import to_confirm
-from mavcal.calib.firmware.plan import Change, Loss, ParameterKind, WritePlan
+from mavcal.calib.firmware.plan import Change, LeftOut, Loss, ParameterKind, WritePlan
 from mavcal.calib.recording import Sensor
 from mavcal.service.commands import keyboard, review
 from mavcal.service.commands.keyboard import Keyboard
-from mavcal.service.commands.review import JobWish, good, run_job, show_end, show_plan, taken_back, writable
+from mavcal.service.commands.review import JobWish, exit_code, good, run_job, show_end, show_plan, taken_back, writable
 from mavcal.service.errors import AnswerRefused, PhysicalJobRunning
 from mavcal.service.jobs.model import Accept, Failure, Result
 from mavcal.service.jobs.proof import ProofLevel, Unproved
@@ -22,13 +23,14 @@ from mavcal.service.jobs.states import JobState
 from tests.unit.api.samples import FINGERPRINT
 from tests.unit.commands.doubles import FakeVehicle, plain
 
-SETTINGS = SimpleNamespace(connect=("tcp:v:1",), log_json=False)
+SETTINGS = SimpleNamespace(connect=("tcp:v:1",), log_json=False, data_dir=Path("/d"))
 CHANGE = Change("CAL_GYRO0_XOFF", None, 0.25, ParameterKind.REAL32, "offset", sd=0.0125, unit="rad/s")
 PLAN = WritePlan(FINGERPRINT, "0" * 64, (CHANGE,))
 EMPTY = WritePlan(FINGERPRINT, "0" * 64, ())
 TO_CONFIRM = f"The compass is mounted otherwise. {to_confirm('confirm_mounting')}"
 ASKING = replace(PLAN, blockers=(TO_CONFIRM,))
 BLOCKED = replace(PLAN, blockers=("The offset is too large.",))
+LEFT = (LeftOut(Sensor.MAG, 1, "it does not stream"),)
 FULL, HALF = Result("It is written.", ProofLevel.FULL), Result("It is written.", ProofLevel.PARTIAL)
 
 
@@ -83,7 +85,7 @@ def test_what_a_person_can_confirm_is_no_end(screen):
 
 def test_the_end_of_a_write_says_what_is_not_proved(screen):
     outcome = replace(HALF, unproved=(Unproved("CAL_GYRO0_XOFF", "consistent", "turn it"),))
-    show_end(succeeded(outcome=outcome), screen, "tcp:v:1", written=True)
+    show_end(succeeded(outcome=outcome), screen, written=True)
     assert screen.lines == [
         "succeeded: It is written.",
         "proof: partial",
@@ -91,13 +93,42 @@ def test_the_end_of_a_write_says_what_is_not_proved(screen):
     ]
 
 
+def test_the_end_of_a_write_names_the_job_that_can_be_taken_back_and_what_is_left_out(screen):
+    plan = replace(PLAN, left_out=(LeftOut(Sensor.GYRO, 1, "it is frozen"),))
+    missed = (LeftOut(Sensor.MAG, 2, "it does not stream"),)
+    show_end(succeeded(plan=plan, missed=missed, outcome=FULL, accept=Accept(plan.sha256)), screen, written=True)
+    assert screen.lines[2:5] == [
+        "left out: gyro 2: it is frozen",
+        "left out: compass 3: it does not stream",
+        "this was job j: `mavcal revert j` takes it back",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("job", "wish", "code"),
+    [
+        (succeeded(plan=PLAN, outcome=FULL), JobWish(write=True, require_proof=True), 0),
+        (succeeded(plan=PLAN, outcome=HALF), JobWish(write=True), 0),
+        (succeeded(plan=PLAN, outcome=HALF), JobWish(write=True, require_proof=True), 3),
+        (succeeded(plan=PLAN, outcome=Result("x")), JobWish(write=True, require_proof=True), 1),
+        (succeeded(plan=PLAN, missed=LEFT, outcome=FULL), JobWish(write=True), 3),
+        (review_of(replace(PLAN, left_out=LEFT)), JobWish(write=False), 3),
+        (review_of(replace(BLOCKED, left_out=LEFT)), JobWish(write=False), 1),
+        (plain("j", JobState.REVERTED, plan=PLAN, missed=LEFT, outcome=FULL), JobWish(write=True), 1),
+        (plain("j", JobState.REVERTED, plan=PLAN, missed=LEFT), JobWish(write=True, revert=True), 0),
+    ],
+)
+def test_what_is_done_in_part_has_an_exit_code_of_its_own(job, wish, code):
+    assert exit_code(job, wish) == code
+
+
 def test_the_end_of_a_job_that_wrote_nothing_speaks_of_no_proof(screen):
-    show_end(succeeded(outcome=HALF), screen, "tcp:v:1", written=False)
+    show_end(succeeded(outcome=HALF), screen, written=False)
     assert screen.lines == ["succeeded: It is written."]
 
 
 def test_the_end_of_a_failure_is_cause_and_remedy(screen):
-    show_end(plain("j", JobState.FAILED, outcome=Failure("x", "It moved", "hold it")), screen, "", written=True)
+    show_end(plain("j", JobState.FAILED, outcome=Failure("x", "It moved", "hold it")), screen, written=True)
     assert screen.lines == ["failed: It moved. Hold it."]
 
 
@@ -163,7 +194,7 @@ async def test_without_apply_the_plan_is_shown_and_kept(run, screen, monkeypatch
     Typist(monkeypatch)
     job, done = await run(plain("j", JobState.RUNNING), JobWish(write=False), (review_of(PLAN), "state", {}))
     assert (job.state, done) == (JobState.REVIEW, [])
-    assert screen.lines[-1].endswith("`mavcal accept j --connect tcp:v:1` writes it")
+    assert screen.lines[-1].endswith("`mavcal accept j` writes it")
 
 
 async def test_with_apply_the_plan_that_was_shown_is_written(run, monkeypatch):
@@ -257,7 +288,7 @@ def test_nothing_new_begins_while_an_earlier_job_is_in_doubt(make_service):
     ("came", "wish", "code"),
     [
         (succeeded(plan=PLAN, outcome=FULL), JobWish(write=True, require_proof=True), 0),
-        (succeeded(plan=PLAN, outcome=HALF), JobWish(write=True, require_proof=True), 1),
+        (succeeded(plan=PLAN, outcome=HALF), JobWish(write=True, require_proof=True), 3),
         (plain("j", JobState.REVERTED), JobWish(write=True, revert=True), 0),
         (succeeded(plan=PLAN, outcome=FULL), JobWish(write=True, revert=True), 1),
         (130, JobWish(write=True), 130),

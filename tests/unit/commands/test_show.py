@@ -6,6 +6,7 @@ import pytest
 
 from mavcal.calib.firmware.options import to_confirm
 from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
+from mavcal.service.commands.place import Place
 from mavcal.service.commands.review import show_end, show_plan
 from mavcal.service.commands.screen import Screen
 from mavcal.service.jobs.model import Failure, Job
@@ -44,7 +45,7 @@ MOUNTED = f"compass 1 is mounted turned by yaw 270. {to_confirm('confirm_mountin
     [
         (("too far",), "blocked: nothing was written"),
         ((MOUNTED, "too far"), "blocked: nothing was written"),
-        ((MOUNTED,), "`mavcal accept j --connect tcp:v:1 --confirm-mounting` writes it"),
+        ((MOUNTED,), "`mavcal accept j --confirm-mounting --connect tcp:v:1` writes it"),
         ((), "`mavcal accept j --connect tcp:v:1` writes it"),
     ],
 )
@@ -52,5 +53,6 @@ def test_nobody_is_told_to_apply_a_plan_that_is_blocked(
     capsys: pytest.CaptureFixture[str], blockers: tuple[str, ...], said: str
 ) -> None:
     plan = WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, (), blockers=blockers)
-    show_end(Job("j", "v", "gyro", {}, JobState.REVIEW, 0.0, 0.0, plan=plan), Screen(), "tcp:v:1", written=False)
+    screen = Screen(Place("tcp:v:1"))
+    show_end(Job("j", "v", "gyro", {}, JobState.REVIEW, 0.0, 0.0, plan=plan), screen, written=False)
     assert said in capsys.readouterr().err

@@ -13,6 +13,7 @@ import pytest
 from mavcal.calib.firmware.plan import (
     Change,
     Fingerprint,
+    LeftOut,
     Movement,
     ParameterKind,
     ParameterVerdict,
@@ -94,6 +95,7 @@ def full() -> Job:
         standing=(Standing("X", 0.0, 0.5, 0.25, certain=True, note="set by hand", holds=Holds.OTHER),),
         last_write=Attempt(WriteResult.IN_DOUBT, 3.5, "it fell silent", "switch it on", 1),
         warnings=("a", "b"),
+        missed=(LeftOut(Sensor.GYRO, 2, "it does not stream"),),
         context={"answers": [[1.5, "finish"]]},
     )
 

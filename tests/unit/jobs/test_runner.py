@@ -70,7 +70,7 @@ def runner(fitted: Any = None, registry: FakeRegistry | None = None) -> Runner:
     [
         (Fitted(GaveUp("it never rested", "Put it down."), {}), "It never rested.", "Put it down."),
         (CaptureEnded("it was damaged", remedy="Record again."), "It was damaged.", "Record again."),
-        (FirmwareError("no such slot"), "No such slot.", KEPT),
+        (FirmwareError("no such slot"), "No such slot.", "What was recorded is kept; start the job again."),
     ],
 )
 async def test_a_fit_that_fails_says_why_and_what_to_do(

@@ -411,3 +411,10 @@ def test_a_barometer_calibration_never_ends_and_blocks_the_others(bench: Any) ->
     b.heard[0].clear()
     b.command(241, 1)
     assert [m.result for m in b.take("COMMAND_ACK")] == [2, 2, 1]
+
+
+def test_a_compass_whose_id_is_in_no_row_is_said_to_be_uncalibrated(bench: Any) -> None:
+    """As a second compass on UAVCAN with the id of an earlier one in CAL_MAG1_ID: nothing reads that row."""
+    b = bench("px4", parameters={"IMU_GYRO_CAL_EN": 0, "CAL_MAG1_ID": 8944899})
+    b.run(4.5)
+    assert b.vehicle.arming_faults() == ["Preflight Fail: Compass 1 uncalibrated"]

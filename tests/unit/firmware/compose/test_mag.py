@@ -13,7 +13,7 @@ from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.without_row import without_row
 from mavcal.calib.firmware.rotations import rotation_matrix
 from mavcal.calib.logs.tlog import read_tlog
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Event, ParameterEntry, Sensor
 
 SOFT = np.array([[1.06, 0.03, -0.02], [0.03, 0.95, 0.015], [-0.02, 0.015, 1.03]])
 OFFSET = np.array([9.0, -5.5, 3.5])  # uT
@@ -383,6 +383,13 @@ def test_rows_by_order_are_said_to_be_a_guess_that_no_stream_shows(px4_parameter
     assert any("no stream shows whether that is right" in text for text in plan.warnings)
     assert not any("physical check will tell" in text for text in plan.warnings)
     assert plan.left_out == ()
+
+
+def test_what_px4_said_before_it_filled_a_row_counts_no_more():
+    said = [Event(1.0, "text", "Preflight Fail: Gyro 0 uncalibrated"), Event(5.0, "text", "Compass 1 uncalibrated")]
+    read = [ParameterEntry(0.5, "CAL_GYRO0_ID", 0), ParameterEntry(3.0, "CAL_GYRO0_ID", 1310988)]
+    assert without_row(said, read) == SECOND
+    assert without_row(said, read[:1]) == SECOND | {(Sensor.GYRO, 0)}
 
 
 @pytest.mark.shared
