@@ -18,7 +18,9 @@ HELD = {"CAL_GYRO0_PRIO": -1, "IMU_GYRO_CAL_EN": 1}
 
 
 @pytest.mark.parametrize("parameters", [FACTORY, HELD], ids=["no row", "no priority"])
-async def test_the_gyro_job_begins_again_when_px4_fills_the_row_late(tmp_path: Path, parameters: dict[str, int]) -> None:
+async def test_the_gyro_job_begins_again_when_px4_fills_the_row_late(
+    tmp_path: Path, parameters: dict[str, int]
+) -> None:
     """The vehicle is moved until the job runs, so that PX4's own estimate comes in the middle of the capture."""
     config = {"imu_count": 1, "parameters": parameters, "boot_s": 0.1}
     with SimulatedVehicle("px4", speed=SPEED, seed=4, config=config) as sim:

@@ -27,7 +27,9 @@ def test_every_float_of_a_px4_calibration_is_kept_beyond_the_epsilon_and_only_th
             assert retained(name, sign * LEAST_KEPT) == sign * LEAST_KEPT
 
 
-@pytest.mark.parametrize("name", ["INS_TCAL1_GYR3_X", "INS_TCAL1_TMAX", "INS_GYROFFS_X", "COMPASS_ODI_X", "AHRS_TRIM_X"])
+@pytest.mark.parametrize(
+    "name", ["INS_TCAL1_GYR3_X", "INS_TCAL1_TMAX", "INS_GYROFFS_X", "COMPASS_ODI_X", "AHRS_TRIM_X"]
+)
 def test_ardupilot_keeps_what_it_is_given(name):
     assert retained(name, 6e-9) == float(np.float32(6e-9))
     assert asks_for_save(name, 0.0, 6e-9)

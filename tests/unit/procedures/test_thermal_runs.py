@@ -100,6 +100,7 @@ def test_a_simulated_unit_below_the_resolution_does_not_keep_the_other_one_from_
     assert "INS_TCAL2_ENABLE" not in names
     assert any(text.startswith("gyro 2 is left out: its drift") and "resolves" in text for text in plan.warnings)
 
+
 PX4_GYRO = np.array([[1.636e-4, -8.6e-7, 0.0], [-3.735e-4, 7.4e-7, 0.0], [3.36e-4, -5.1e-7, 0.0]])
 """Drift of the gyro of px4_thermal_restart about 25 degC."""
 WRITTEN = 270.0
