@@ -2,9 +2,8 @@
 
 A sensor whose values never change is frozen only where a living one would have changed. Streams are whole numbers of
 1 mG, 1 mrad/s and 1 mgauss, so a quiet sensor at rest may repeat one value for long (FLIGHT_CONTROLLERS 2.1, 9). It is
-called frozen where its number is not rounded at all, where the vehicle was turned and others followed, where the others
-are so noisy that a much quieter part would still have changed, or where the vehicle itself says that one of its kind
-is ill.
+called frozen where its numbers are not rounded, or where the vehicle was turned and others followed. So it is
+where a much quieter part than the others would have changed, or where the vehicle says that one is ill.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ class Census:
     dead: Mapping[Key, str]
     """Sentences."""
     thin: Mapping[Key, str]
-    """Those of which the link brought too little."""
+    """The link brought too little to tell."""
     constant: frozenset[Key]
     """Those that are alive as far as can be told, and read one value all the time."""
     installed: Mapping[Sensor, int]

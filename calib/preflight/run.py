@@ -90,7 +90,7 @@ def preflight(snapshot: Snapshot) -> Report:
 
 
 def _unseen(there: Census, found: list[Check]) -> list[Check]:
-    """Checks of which no sensor is left: the link's fault is no sensor's, and a dead one is told once."""
+    """Checks that have no sensor left: the link's fault is no sensor's, and a dead one is told once."""
     told: dict[CheckId, tuple[str, str]] = {}
     for kind, checks in _ABOUT.items():
         dead = [why for (of, _), why in there.dead.items() if of == kind]
@@ -107,7 +107,7 @@ def _unseen(there: Census, found: list[Check]) -> list[Check]:
 
 
 def _still(there: Census, found: list[Check]) -> list[Check]:
-    """Of a compass that is off and read one value all the time, the first thing to see is whether it lives."""
+    """A compass that is off and read one value all the time: the first thing to see is whether it lives."""
     still = {f"{WORDS[kind][0]} {i + 1}" for kind, i in there.constant if kind == Sensor.MAG}
     compasses = _ABOUT[Sensor.MAG]
     return [
