@@ -231,7 +231,7 @@ def frozen_gyro(vehicle: BenchVehicle) -> None:
 
 
 def ill_gyro(vehicle: BenchVehicle) -> None:
-    """A second gyroscope that reads zero for ever, of which the vehicle says that it is not healthy."""
+    """A second gyroscope that reads zero for ever; the vehicle says that a gyroscope is not healthy."""
     use_all(vehicle)
     _kill(vehicle, Sensor.GYRO, _used(vehicle, Sensor.GYRO, least=1), "zero")
     vehicle.ill = frozenset({Sensor.GYRO})

@@ -76,7 +76,7 @@ class BenchVehicle:
     """By how much it is turned about its vertical in the middle of the capture."""
     heading_error: float = 0.0
     tilt_error: float = 0.0
-    """Of the vehicle's own attitude, rad."""
+    """How far the vehicle's own attitude is off, rad."""
     believed: tuple[float, float, float] | None = None
     """Where it believes to be; None: where it is."""
     _channels: list[Channel] = dataclasses.field(default_factory=list)

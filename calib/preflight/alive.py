@@ -2,16 +2,15 @@
 
 A sensor whose values never change is frozen only where a living one would have changed. Streams are whole numbers of
 1 mG, 1 mrad/s and 1 mgauss, so a quiet sensor at rest may repeat one value for long (FLIGHT_CONTROLLERS 2.1, 9). It is
-called frozen where its number is not rounded at all, where the vehicle was turned and others followed, where the others
-are so noisy that a much quieter part would still have changed, or where the vehicle itself says that one of its kind
-is ill.
+called frozen where its numbers are not rounded, or where the vehicle was turned and others followed. So it is
+where a much quieter part than the others would have changed, or where the vehicle says that one is ill.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -40,6 +39,7 @@ _HEALTHY: Final[Mapping[Sensor, float]] = {
 }
 """Noise of a sample that a healthy part has at most (rad/s, m/s2, uT): a noisier one is no measure for the others."""
 _LINK = "Check again over a better link, or with fewer other programs on this one."
+_ROW = "If the sensor is installed, look at its wiring and at its driver. If not, set the id in its row to 0."
 _POWER = (
     "Look at its wiring and at its driver; restart the vehicle. If it was removed, switch it off in the parameters."
 )
@@ -53,11 +53,13 @@ class Census:
     dead: Mapping[Key, str]
     """Sentences."""
     thin: Mapping[Key, str]
-    """Those of which the link brought too little."""
+    """The link brought too little to tell."""
     constant: frozenset[Key]
     """Those that are alive as far as can be told, and read one value all the time."""
     installed: Mapping[Sensor, int]
     """How many there are: announced, or heard without being announced."""
+    left_over: Mapping[Key, str] = field(default_factory=dict)
+    """PX4: rows of sensors that never sent anything here: these are dead, or gone for long."""
     beyond: tuple[str, ...] = ()
     """Announced sensors that no message of either firmware carries."""
 
@@ -75,6 +77,7 @@ def census(snapshot: Snapshot, announced: Mapping[Key, Announced], movement: Mov
     dead: dict[Key, str] = {}
     thin: dict[Key, str] = {}
     constant: set[Key] = set()
+    left_over: dict[Key, str] = {}
     for key in sorted(heard | streamed):
         name, by = _name(key), f" ({announced[key].by})" if key in announced else ""
         channel = _best(recording, key)
@@ -89,6 +92,8 @@ def census(snapshot: Snapshot, announced: Mapping[Key, Announced], movement: Mov
                 thin[key] = f"only {rows} messages with {name} came in {_span(recording):.0f} s"
             elif rows >= LEAST and STANDS * count > rows:
                 thin[key] = f"only {count} readings of {name} came in {_span(recording):.0f} s"
+            elif key in announced and rows == 0 and not _known(snapshot, announced[key]):
+                left_over[key] = f"{name}{by} sends nothing and was not seen here before"
             elif key in announced:
                 dead[key] = f"{name}{by} {_absent(recording, key, rows, count)}"
             continue
@@ -100,12 +105,13 @@ def census(snapshot: Snapshot, announced: Mapping[Key, Announced], movement: Mov
                 continue
             constant.add(key)
         alive.add(key)
-    present = {*streamed, *alive, *thin}
+    presumed = {key for key in left_over if announced[key].presumed}
+    present = {*(streamed - presumed), *alive, *thin}
     installed = {kind: len({key for key in present if key[0] == kind}) for kind in WORDS}
     beyond = tuple(one.name for key, one in sorted(announced.items()) if key[1] >= STREAMED)
     for kind in WORDS:
         installed[kind] += sum(key[0] == kind for key in announced if key[1] >= STREAMED)
-    return Census(frozenset(alive), dead, thin, frozenset(constant), installed, beyond)
+    return Census(frozenset(alive), dead, thin, frozenset(constant), installed, left_over, beyond)
 
 
 def sensors_heard(found: Census, announced: Mapping[Key, Announced], *, complete: bool) -> Check:
@@ -113,7 +119,7 @@ def sensors_heard(found: Census, announced: Mapping[Key, Announced], *, complete
     of = CheckId.SENSORS_HEARD
     notes = [f"announced: {one.name} by {one.by}" for _, one in sorted(announced.items())]
     notes += [f"{name} is announced, and neither firmware streams so many" for name in found.beyond]
-    notes += found.thin.values()
+    notes += [*found.thin.values(), *found.left_over.values()]
     if found.dead:
         said = list(found.dead.values())
         reason = f"{'; '.join(f'{line[:1].upper()}{line[1:]}' for line in said)}."
@@ -125,6 +131,12 @@ def sensors_heard(found: Census, announced: Mapping[Key, Announced], *, complete
     if not complete:
         reason = "Which sensors are installed could not all be read in time; those that were heard are alive."
         return unknown(of, reason, _LINK, notes)
+    settled = {key: why for key, why in found.left_over.items() if not announced[key].presumed}
+    if settled:
+        said = list(settled.values())
+        reason = f"{'; '.join(f'{line[:1].upper()}{line[1:]}' for line in said)}: it is dead, or its row is left over."
+        suspects = tuple(_name(key) for key in sorted(settled))
+        return Check(of, Verdict.WARN, float(len(said)), 0.0, 0.0, "", reason, _ROW, (*said, *notes), suspects)
     if not found.alive:
         return unknown(of, "No sensor is announced, and none was heard.", "Look at the link.", notes)
     counts = [_count(found, kind) for kind in WORDS if found.installed[kind]]
@@ -140,6 +152,11 @@ def _count(found: Census, kind: Sensor) -> str:
     alive, installed = len(found.of(kind)), found.installed[kind]
     word = WORDS[kind][0 if installed == 1 else 1]
     return f"{alive} {word}" if alive == installed else f"{alive} of {installed} {word}"
+
+
+def _known(snapshot: Snapshot, one: Announced) -> bool:
+    """Whether the sensor surely was there: by the firmware's own row, or by a verified calibration."""
+    return one.kept or any(one.device in entry.device_ids.values() for entry in snapshot.history)
 
 
 def _absent(recording: Recording, key: Key, rows: int, count: int) -> str:

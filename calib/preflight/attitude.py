@@ -1,7 +1,7 @@
 """The vehicle's own attitude beside its accelerometers: an estimator may remember offsets that are in force no more.
 
-After new accelerometer offsets the estimators of both firmwares carry the old ones for minutes, or until a restart, and
-the vehicle would fly by that attitude.
+After new accelerometer offsets the estimators of both firmwares carry the old ones for minutes, or until a restart. The
+vehicle would fly by that attitude.
 """
 
 from __future__ import annotations

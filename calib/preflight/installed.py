@@ -1,8 +1,8 @@
 """Which sensors a vehicle should show: those that its parameters announce and use, by streamed instance.
 
 FLIGHT_CONTROLLERS 1.1, 1.3, 1.4, 2.1, 2.2. ArduPilot clears the ids of inertial units that it did not find at its
-start; a compass is announced by its rank or by its slot. PX4 keeps a row for each sensor that was ever calibrated, and
-publishes no inertial unit of which one half has the priority 0.
+start; a compass is announced by its rank or by its slot. PX4 keeps a row for each sensor that was ever calibrated. It
+publishes no inertial unit if one half of it has the priority 0.
 """
 
 from __future__ import annotations
@@ -35,6 +35,11 @@ class Announced:
     instance: int
     by: str
     """The parameter that holds its device id, with the value."""
+    device: int
+    kept: bool = True
+    """Whether the firmware itself clears or completes the row. PX4 keeps rows of sensors that are gone."""
+    presumed: bool = False
+    """PX4: the priority is still -1, which the firmware replaces when it calibrates a sensor that is there."""
 
     @property
     def name(self) -> str:
@@ -55,14 +60,14 @@ def _ardupilot(parameters: Mapping[str, Value]) -> Iterator[Announced]:
         for slot in range(names.ARDUPILOT_IMU_SLOTS):
             row = names.ardupilot_imu_names(sensor, slot)
             if parameters.get(row[Role.ID], 0) and parameters.get(row[Role.USE], 1):
-                yield Announced(sensor, slot, _told(row[Role.ID], parameters))
+                yield Announced(sensor, slot, _told(row[Role.ID], parameters), int(parameters[row[Role.ID]]))
     if not parameters.get("COMPASS_ENABLE", 1):
         return
     for rank in range(names.ARDUPILOT_COMPASS_SLOTS):
         row = names.ardupilot_compass_names(rank, rank)
         name = next((row[role] for role in (Role.PRIORITY, Role.ID) if parameters.get(row[role], 0)), None)
         if name is not None and parameters.get(row[Role.USE], 1):
-            yield Announced(Sensor.MAG, rank, _told(name, parameters))
+            yield Announced(Sensor.MAG, rank, _told(name, parameters), int(parameters[name]))
 
 
 def _px4(parameters: Mapping[str, Value]) -> Iterator[Announced]:
@@ -71,12 +76,18 @@ def _px4(parameters: Mapping[str, Value]) -> Iterator[Announced]:
     units = _fewest(len(used[Sensor.ACCEL]), len(used[Sensor.GYRO]))
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         for instance, name in enumerate(used[sensor][:units]):
-            yield Announced(sensor, instance, _told(name, parameters))
+            yield _of_row(sensor, instance, name, parameters)
     if not parameters.get("SYS_HAS_MAG", 1):
         return
     for instance, (name, use) in enumerate(rows[Sensor.MAG]):
         if use:
-            yield Announced(Sensor.MAG, instance, _told(name, parameters))
+            yield _of_row(Sensor.MAG, instance, name, parameters)
+
+
+def _of_row(sensor: Sensor, instance: int, name: str, parameters: Mapping[str, Value]) -> Announced:
+    priority = parameters.get(f"{name.removesuffix('_ID')}_PRIO", -1)
+    told = _told(name, parameters)
+    return Announced(sensor, instance, told, int(parameters[name]), kept=False, presumed=priority == -1)
 
 
 def _fewest(accels: int, gyros: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ _FOLLOWS = {
 }
 """Checks whose failure explains that of others, whichever sensor it is."""
 _MEND = f"Mend {CheckId.SENSORS_HEARD} first, then check again."
+_FOLLOW = "It read one value all the time and may be frozen: turn the vehicle by 20 deg and see whether it follows."
 _TYPICAL_FIELD = 50.0
 
 
@@ -81,14 +83,14 @@ def preflight(snapshot: Snapshot) -> Report:
         own.onboard_calibration(snapshot.view),
         own.arming_checks(autopilot, snapshot.parameters, complete=snapshot.complete),
     ]
-    found = _attributed(snapshot, _unseen(there, _undisturbed(snapshot, found)))
+    found = _attributed(snapshot, _still(there, _unseen(there, _undisturbed(snapshot, found))))
     failed = [check.id for check in found if check.verdict == Verdict.FAIL]
     found.append(own.vehicle_prearm(snapshot.view, autopilot, snapshot.parameters, failed))
     return Report(tuple(found))
 
 
 def _unseen(there: Census, found: list[Check]) -> list[Check]:
-    """Checks of which no sensor is left: the link's fault is no sensor's, and a dead one is told once."""
+    """Checks that have no sensor left: the link's fault is no sensor's, and a dead one is told once."""
     told: dict[CheckId, tuple[str, str]] = {}
     for kind, checks in _ABOUT.items():
         dead = [why for (of, _), why in there.dead.items() if of == kind]
@@ -102,6 +104,16 @@ def _unseen(there: Census, found: list[Check]) -> list[Check]:
             said = (f"{reason} That is the link's fault.", "Check again over a better link.")
         told |= dict.fromkeys(checks, said)
     return [unknown(c.id, *told[c.id]) if c.id in told and c.verdict == Verdict.UNKNOWN else c for c in found]
+
+
+def _still(there: Census, found: list[Check]) -> list[Check]:
+    """A compass that is off and read one value all the time: the first thing to see is whether it lives."""
+    still = {f"{WORDS[kind][0]} {i + 1}" for kind, i in there.constant if kind == Sensor.MAG}
+    compasses = _ABOUT[Sensor.MAG]
+    return [
+        dataclasses.replace(c, remedy=f"{_FOLLOW} {c.remedy}") if c.id in compasses and still & set(c.suspects) else c
+        for c in found
+    ]
 
 
 def _astray(there: Census, rest: Check, followed: int) -> bool:

@@ -49,7 +49,7 @@ class OwnView:
     """What it said against arming since then."""
     calibrating: bool | None = None
     ill: frozenset[Sensor] = frozenset()
-    """Kinds of sensors of which it says that one is present, switched on and not healthy (SYS_STATUS, its texts)."""
+    """Kinds of sensors: it says that one of these is present, switched on and not healthy (SYS_STATUS, its texts)."""
 
 
 @dataclass(frozen=True)

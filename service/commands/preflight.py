@@ -45,7 +45,7 @@ def command(
     wait: float,
     as_json: bool,
 ) -> int:
-    """Check vehicles that stand still, within ten seconds; nothing is written without --fix and --apply.
+    """Check vehicles that stand still, within ten seconds (30 on a slow link); nothing is written without --apply.
 
     Exit code 0: every check passes. 1: a check failed, or a vehicle is armed, silent or busy. 3: nothing failed, but
     a check warns or could not be made.

@@ -45,8 +45,8 @@ History = Callable[[JobVehicle], Awaitable[tuple[VerifiedCalibration, ...]]]
 
 DEADLINE_S = 8.5
 """From the start to the last sample: what is left of ten seconds puts the streams back and computes."""
-LONGEST_S = 30.0
-"""From the start to the last sample on a link that brings them slowly."""
+LONGEST_S = 26.0
+"""From the start to the last sample on a link that brings them slowly; a client waits for thirty seconds in all."""
 LOOK_S = 0.5
 """How often the samples are counted meanwhile."""
 AGAIN = 8

@@ -130,6 +130,29 @@ async def test_healthy_and_with_each_fault(autopilot: str, tmp_path: Path) -> No
             assert failed(report) == [CheckId.PARAMETERS_CHANGED], to_json(report)
 
 
+@pytest.mark.parametrize("autopilot", ["ardupilot", pytest.param("px4", marks=pytest.mark.long)])
+async def test_a_dead_compass_fails_by_name(autopilot: str, tmp_path: Path) -> None:
+    with vehicle(autopilot) as sim:
+        async with looked_at(tmp_path, sim) as life:
+            await eventually(lambda: (life.vehicle.state.boot_time or 0.0) > 8.0)  # a PX4 is not ready before
+            await act(life, sim, {"do": "fault", "kind": "absent", "sensor": "mag", "instance": 1})
+            report = (await life.engine.preflight(life.vehicle.id)).report
+            assert failed(report) == [CheckId.SENSORS_HEARD], to_json(report)
+            assert report.check(CheckId.SENSORS_HEARD).suspects == ("compass 2",)
+            assert "1 of 2 compasses" in report.check(CheckId.COMPASS_FIELD).reason
+
+
+@pytest.mark.long
+async def test_a_slow_link_is_waited_for_and_no_sensor_is_blamed(tmp_path: Path) -> None:
+    with vehicle("ardupilot") as sim:
+        async with looked_at(tmp_path, sim) as life:
+            sim.call("fault", kind="throttle", bytes_per_s=1500.0, direction="out")
+            found = await life.engine.preflight(life.vehicle.id)
+            assert failed(found.report) == [], to_json(found.report)
+            told = [check.reason + check.remedy for check in found.report.checks if check.verdict != Verdict.PASS]
+            assert not any("ook at the compass" in said for said in told)
+
+
 async def test_a_swapped_board_is_known_by_its_unique_id(tmp_path: Path) -> None:
     with vehicle("ardupilot") as sim:
         async with looked_at(tmp_path, sim) as life:

@@ -154,6 +154,24 @@ def test_a_compass_whose_correction_was_not_read_is_not_dead() -> None:
     assert preflight(unread).check(CheckId.SENSORS_HEARD).verdict == Verdict.UNKNOWN
 
 
+@pytest.mark.parametrize(
+    ("known", "priority", "verdict"),
+    [(True, 50, Verdict.FAIL), (True, -1, Verdict.FAIL), (False, 50, Verdict.WARN), (False, -1, Verdict.PASS)],
+)
+def test_a_row_of_px4_whose_sensor_never_sends(known: bool, priority: int, verdict: Verdict) -> None:
+    """PX4 keeps the rows of sensors that are gone, and its simulator comes with rows for sensors that it has not."""
+    vehicle = three(1)
+    if not known:
+        ids = {key: device for key, device in vehicle.verified.device_ids.items() if not key.endswith("2")}
+        vehicle.verified = dataclasses.replace(vehicle.verified, device_ids=ids)
+    vehicle.parameters |= {f"CAL_{kind}2_PRIO": priority for kind in ("ACC", "GYRO", "MAG")}
+    vehicle.lost = frozenset({2})
+    report, suspects = dead(vehicle)
+    check = report.check(CheckId.SENSORS_HEARD)
+    assert check.verdict == verdict, check.reason
+    assert ("compass 3" in suspects) == (verdict != Verdict.PASS)
+
+
 def test_one_that_is_not_used_may_be_dead() -> None:
     vehicle = three(2)
     vehicle.parameters["COMPASS_USE3"] = 0
