@@ -26,7 +26,7 @@ async def asked(
     said: list[Any] = []
 
     async def receive() -> Any:
-        return {"type": "http.request", "body": b"", "more_body": False}
+        return await asyncio.get_running_loop().create_future()  # nobody leaves
 
     async def send(message: Any) -> None:
         said.append(message)
