@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 
 def page(package: str, template: str, /, **values: Any) -> str:
@@ -19,6 +20,8 @@ def page(package: str, template: str, /, **values: Any) -> str:
 
 @cache
 def _templates(package: str) -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # not at a start of the service: it costs .1 s
+
     return Environment(
         loader=PackageLoader(package),
         autoescape=True,

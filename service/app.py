@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import cache, partial
-from pathlib import Path
 
 from fastapi import FastAPI
 from fastapi.responses import FileResponse
@@ -31,8 +30,10 @@ from mavcal.service.api import (
 from mavcal.service.api.document import document
 from mavcal.service.api.middleware import Envelope
 from mavcal.service.api.problems import install_problem_handlers
-from mavcal.service.api.security import RequestGuard, check_exposure
+from mavcal.service.api.security import RequestGuard
 from mavcal.service.core import running_service
+from mavcal.service.doorway import UNCACHED, panel_folder
+from mavcal.service.exposure import check_exposure
 from mavcal.service.hosts import DESCRIPTION
 from mavcal.service.settings import Settings
 
@@ -87,23 +88,16 @@ def create_app(settings: Settings) -> FastAPI:
     return app
 
 
-def panel_folder() -> Path:
-    """Where the panel's files are: beside the package when installed, in ``web/`` in a clone."""
-    here = Path(__file__).resolve().parent
-    installed = here / "_web"
-    return installed if installed.is_dir() else here.parent / "web"
-
-
 def _add_panel(app: FastAPI) -> None:
     folder = panel_folder()
 
     @app.get("/", include_in_schema=False)
     async def index() -> FileResponse:
-        return FileResponse(folder / "index.html", headers={"Cache-Control": "no-cache"})
+        return FileResponse(folder / "index.html", headers=UNCACHED)
 
     @app.get("/docs", include_in_schema=False)
     async def docs() -> FileResponse:
-        return FileResponse(folder / "docs.html", headers={"Cache-Control": "no-cache"})
+        return FileResponse(folder / "docs.html", headers=UNCACHED)
 
     app.mount("/panel", StaticFiles(directory=folder), name="panel")
     app.mount("/swagger", StaticFiles(packages=[("fastapi_swagger", "resources")]), name="swagger")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-from collections import Counter
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
@@ -13,9 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import structlog
-from prometheus_client import CollectorRegistry
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
-from prometheus_client.registry import Collector
 
 from mavcal.service.campaigns.begin import CampaignDesk, works
 from mavcal.service.children import Children, Limits
@@ -81,12 +77,6 @@ class Service:
         if free < LEAST_FREE_BYTES:
             return f"only {free // 2**20} MiB are free for recordings: free some space"
         return None
-
-    def metrics(self) -> CollectorRegistry:
-        """What is counted, ready to be written out."""
-        registry = CollectorRegistry(auto_describe=False)
-        registry.register(_Counts(self))
-        return registry
 
 
 @asynccontextmanager
@@ -228,24 +218,3 @@ async def _open_links(links: LinkRegistry, settings: Settings, store: Store) -> 
             await links.open(row.url)
         except Exception as error:  # noqa: BLE001 - a row that cannot be used must not stop the start
             log.warning("link not opened again", url=row.url, reason=str(error))
-
-
-class _Counts(Collector):
-    def __init__(self, service: Service) -> None:
-        self._service = service
-
-    def collect(self) -> Iterable[Metric]:
-        labels = ["vehicle"]
-        received = CounterMetricFamily("mavcal_frames_received", "MAVLink frames received", labels=labels)
-        lost = CounterMetricFamily("mavcal_frames_lost", "MAVLink frames lost", labels=labels)
-        for vehicle in self._service.vehicles.all():
-            counted = vehicle.link.statistics(vehicle.system, vehicle.component)
-            received.add_metric([vehicle.id], counted.received)
-            lost.add_metric([vehicle.id], counted.lost)
-        jobs = GaugeMetricFamily("mavcal_jobs", "Jobs by state", labels=["state"])
-        for state, count in Counter(job.state.value for job in self._service.jobs.list()).items():
-            jobs.add_metric([state], count)
-        links = GaugeMetricFamily("mavcal_links", "Links by state", labels=["state"])
-        for state, count in Counter(link.state.value for link in self._service.links.all()).items():
-            links.add_metric([state], count)
-        return [received, lost, jobs, links]

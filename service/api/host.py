@@ -8,7 +8,6 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
-from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
 from mavcal import calib
 from mavcal.service.api.dependencies import ServiceDep
@@ -57,7 +56,9 @@ async def readyz(service: ServiceDep) -> Response:
 @router.get("/metrics", operation_id="get_metrics", dependencies=[READ], response_class=PlainTextResponse)
 async def metrics(service: ServiceDep) -> Response:
     """Counters in the format of Prometheus."""
-    return Response(generate_latest(service.metrics()), media_type=CONTENT_TYPE_LATEST)
+    from mavcal.service.counts import CONTENT_TYPE, counted
+
+    return Response(counted(service), media_type=CONTENT_TYPE)
 
 
 @router.get("/info", operation_id="get_info", dependencies=[READ])

@@ -12,6 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from mavcal.service.api.headers import CONSTANT, page_policy, report_policy
 from mavcal.service.api.problems import internal_problem, refusal
 from mavcal.service.api.security import SAFE_METHODS, RequestGuard
 from mavcal.service.errors import AuthError, TooManyStreams
@@ -37,13 +38,7 @@ class Envelope:
         self._window_s = settings.limits.body_window_s
         self._streams = 0
         self._most_streams = settings.limits.streams
-        shown_by = " ".join(settings.ancestors) or "'none'"
-        ancestors = f"frame-ancestors {shown_by}"
-        self._policy = (
-            "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'self'; "
-            f"{ancestors}"
-        )
-        self._reports = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox; {ancestors}"
+        self._policy, self._reports = page_policy(settings), report_policy(settings)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one connection."""
@@ -88,10 +83,7 @@ class Envelope:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-ID"] = scope["request_id"]
-                headers["X-Content-Type-Options"] = "nosniff"
-                headers["Referrer-Policy"] = "same-origin"
-                headers["Cross-Origin-Resource-Policy"] = "same-origin"
-                # Reports carry their styles with them and run nothing, whatever a recording has put into them.
+                headers.update(CONSTANT)
                 report = scope["path"].endswith(".html")
                 headers["Content-Security-Policy"] = self._reports if report else self._policy
             await send(message)

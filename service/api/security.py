@@ -54,21 +54,6 @@ def digest(key: str) -> str:
     return hashlib.sha256(key.encode()).hexdigest()
 
 
-def check_exposure(settings: Settings) -> None:
-    """Refuse to listen beyond loopback without keys.
-
-    Raises
-    ------
-    AuthError
-        If the service could be reached from other machines by anybody.
-    """
-    if settings.beyond_loopback and not settings.api_keys:
-        raise AuthError(
-            f"listening on {settings.host} would let anybody on the network write to vehicles: set api_keys "
-            "(`mavcal config key` makes one), or listen on 127.0.0.1"
-        )
-
-
 class RequestGuard:
     """Decides on one request; made once from the settings."""
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
 import socket
 import sys
 from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -15,6 +17,11 @@ from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option, write_json
 from mavcal.service.errors import PortBusy
 from mavcal.service.settings import Settings
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+
+    from mavcal.service.core import Service
 
 SWITCH_S = 0.001
 """After so long a thread that reads a link lets the event loop go on; Python's 5 ms add up where links are many."""
@@ -60,8 +67,8 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     """
     import uvicorn
 
-    from mavcal.service.app import create_app
-    from mavcal.service.core import running_service
+    from mavcal.service.doorway import Doorway
+    from mavcal.service.exposure import check_exposure
     from mavcal.service.freed import share_heaps
     from mavcal.service.http import server_config
     from mavcal.service.logs import configure_logging
@@ -69,34 +76,59 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     share_heaps()
     sys.setswitchinterval(SWITCH_S)
     configure_logging(as_json=settings.log_json)
-    app = create_app(settings)
+    check_exposure(settings)
     listener = _listen(settings.host, settings.port)
     host, port = listener.getsockname()[:2]
     shown = "127.0.0.1" if host in {"0.0.0.0", "::"} else host  # noqa: S104 - compared, not bound
     url = f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
 
     class Server(uvicorn.Server):
-        """Runs the service around itself, so that what keeps it from starting is told like any other error."""
+        """Answers for the page first, then loads the service and runs it; what keeps it from running is raised."""
+
+        def __init__(self, doorway: Doorway) -> None:
+            super().__init__(server_config(doorway, settings.limits, lifespan="off"))
+            self._doorway, self._over = doorway, asyncio.Event()
+            self._ending: asyncio.Event | None = None
 
         async def serve(self, sockets: list[socket.socket] | None = None) -> None:
             with self.capture_signals():
+                running = asyncio.create_task(self._run_service(), name="service")
+                try:
+                    await self._serve(sockets)
+                finally:
+                    self._over.set()
+                    await running
+
+        async def _run_service(self) -> None:
+            try:
+                app, running_service = await asyncio.to_thread(_load, settings)
+                self._ending = app.state.ending
+                if self._over.is_set():
+                    return
                 async with running_service(settings) as service:
                     app.state.service = service
-                    await self._serve(sockets)
-
-        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-            await super().startup(sockets)
-            if self.started:
-                announce(url)
+                    self._doorway.open(app)
+                    announce(url)
+                    await self._over.wait()
+            finally:
+                self.should_exit = True
 
         async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-            app.state.ending.set()
+            if self._ending is not None:
+                self._ending.set()
             await super().shutdown(sockets)
 
-    config = server_config(app, settings.limits, lifespan="off")
     signal.signal(signal.SIGTERM, _ended)  # uvicorn raises SIGTERM once more when everything is closed
     with listener:
-        Server(config).run(sockets=[listener])
+        Server(Doorway(settings)).run(sockets=[listener])
+
+
+def _load(settings: Settings) -> tuple[FastAPI, Callable[[Settings], AbstractAsyncContextManager[Service]]]:
+    """The application and what runs its service: most of a start."""
+    from mavcal.service.app import create_app
+    from mavcal.service.core import running_service
+
+    return create_app(settings), running_service
 
 
 def _ended(_number: int, _frame: object) -> NoReturn:

@@ -218,10 +218,13 @@ async def _fitted(request: _Request, planned: Mapping[int, float], measure_s: fl
     now = _Fitted(planned, await watch(vehicle, ids, measure_s, request.samples(planned)), None)
     if unlimited(vehicle.link.endpoint):
         return now
+    late_before = 0.0
     for _ in range(MOST_CUTS):
         late_s = 0.0
         if now.seen.short(now.rates) > SHORT:  # else no answer waits behind samples: they all came at once
             late_s = await _late_s(vehicle, ids, idle_s, asked_at)
+        if late_before > 0 and late_s <= _HARDLY * late_before:
+            late_s = 0.0  # the buffer that the earlier rates have filled is emptying
         carried = seen_capacity(now.rates, now.seen, late=late_s > 0)
         less = lowered(now.rates, carried)
         if less == now.rates:
@@ -230,6 +233,7 @@ async def _fitted(request: _Request, planned: Mapping[int, float], measure_s: fl
         await request.ask(less)
         asked_at = vehicle.clock()
         relieved = await watch(vehicle, ids, measure_s, request.samples(less))
+        late_before = late_s
         enough = relieved.short(less) <= SHORT  # else it is asked for too much still, and answers may be late
         late_s = late_s if enough else 0.0
         if not helped(now.rates, now.seen, less, relieved) or await _late_anyway(vehicle, ids, idle_s, late_s):

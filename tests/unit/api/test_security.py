@@ -3,8 +3,9 @@ from __future__ import annotations
 import pytest
 from starlette.datastructures import Headers
 
-from mavcal.service.api.security import RequestGuard, check_exposure, digest
+from mavcal.service.api.security import RequestGuard, digest
 from mavcal.service.errors import AuthError, Forbidden
+from mavcal.service.exposure import check_exposure
 from mavcal.service.settings import ApiKey, Settings
 
 KEY = ApiKey(name="ground", sha256=digest("secret"), scopes=frozenset({"read"}))

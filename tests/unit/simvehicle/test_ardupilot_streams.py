@@ -208,3 +208,17 @@ def test_the_primary_follows_its_use_switch(bench: Any) -> None:
     b.command(511, HIGHRES, 10000)
     b.run(0.1)
     assert b.take("HIGHRES_IMU")[-1].id == 1
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_streams_may_begin_late_and_go_on_at_once_with_another_rate(bench: Any, autopilot: str) -> None:
+    b = bench(autopilot, stream_start_s=1.5)
+    b.run(1.0)
+    b.command(511, SCALED_2, 20000)
+    b.run(1.4)
+    assert b.take("SCALED_IMU2") == []
+    b.run(1.0)
+    assert len(b.take("SCALED_IMU2")) == pytest.approx(45, abs=3)
+    b.command(511, SCALED_2, 40000)
+    b.run(1.0)
+    assert len(b.take("SCALED_IMU2")) == pytest.approx(25, abs=2)
