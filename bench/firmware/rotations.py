@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+FACES: Final[Mapping[str, tuple[float, float, float]]] = MappingProxyType(
+    {
+        "level": (0.0, 0.0, 0.0),
+        "left": (-90.0, 0.0, 0.0),
+        "right": (90.0, 0.0, 0.0),
+        "nose_down": (0.0, -90.0, 0.0),
+        "nose_up": (0.0, 90.0, 0.0),
+        "back": (180.0, 0.0, 0.0),
+    }
+)
+"""Roll, pitch and yaw (deg) in which a vehicle lies on each of its faces."""
 
 
 def multiplied(a: Array, b: Array) -> Array:
