@@ -57,7 +57,9 @@ def test_the_unit_that_drifts_is_written_although_the_other_one_cannot_be(one_un
             assert error < 4.5e-6 * sd[f"INS_TCAL1_GYR{order + 1}_{letter}"]
     (second,) = [text for text in plan.warnings if text.startswith("gyro 2 ")]
     assert second == ("gyro 2 is left out: its drift with temperature is below what the stream resolves, on every axis")
-    assert {(loss.sensor, loss.instance) for loss in plan.losses} == {(Sensor.ACCEL, 0), (Sensor.ACCEL, 1)}
+    # the second accelerometer does not drift either: it passes too few edges between its bins for a curve
+    assert any(text.startswith("accel 2 is left out: its drift with temperature is below") for text in plan.warnings)
+    assert {(loss.sensor, loss.instance) for loss in plan.losses} == {(Sensor.ACCEL, 0)}
     assert all("CALTEMP does not say" in loss.text for loss in plan.losses)
 
 
