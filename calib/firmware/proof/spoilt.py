@@ -38,7 +38,7 @@ def spoilt(vectors: Array, covariance: Array, candidates: NDArray[np.bool_]) -> 
     """
     precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     most = int(MOST * candidates.sum())
-    best, found = np.inf, np.zeros(len(candidates), dtype=bool)
+    best, found = float(np.inf), np.zeros(len(candidates), dtype=np.bool_)
     for vector in vectors:
         cost, out = _cheapest(vector, precision, candidates, most)
         if cost < best:

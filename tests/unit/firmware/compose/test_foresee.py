@@ -47,7 +47,7 @@ def test_a_fourth_unit_does_not_stream(ardupilot_parameters):
 
 
 def test_px4_does_not_store_the_temperature_unless_it_is_given(px4_parameters):
-    parameters = px4_parameters | {"CAL_ACC0_XOFF": 0.2, "TC_A_ENABLE": 1, "TC_G_ENABLE": 1}
+    parameters = px4_parameters | {"CAL_ACC0_XOFF": 0.2, "TC_A_ENABLE": 1, "TC_G_ENABLE": 1, "IMU_GYRO_CAL_EN": 0}
     (text,) = foreseen(PLANE, parameters, ComposeOptions())
     assert "does not store at which temperature" in text
     assert "accel_temperature (--accel-temperature)" in text

@@ -349,7 +349,7 @@ def test_an_axis_without_a_determined_drift_is_not_compensated_and_named(px4_par
         polynomial_sd=1e-5,
         undetermined=open_axis,
     )
-    plan = compose([fit], px4_parameters, px4_fingerprint)
+    plan = compose([fit], px4_parameters | {"IMU_GYRO_CAL_EN": 0}, px4_fingerprint)
     values = {c.name: c.new for c in plan.changes}
     assert any("the drift of the y axis is not determined and is not compensated" in text for text in plan.warnings)
     assert [values.get(f"TC_G0_X{k}_1", 0.0) for k in range(4)] == [0.0] * 4
@@ -358,7 +358,7 @@ def test_an_axis_without_a_determined_drift_is_not_compensated_and_named(px4_par
 
 
 def test_a_drift_of_a_lower_degree_clears_the_powers_above_it(px4_parameters, px4_fingerprint, make_fit):
-    held = {f"TC_G0_X{k}_{a}": 0.5 for k in range(4) for a in range(3)}
+    held = {f"TC_G0_X{k}_{a}": 0.5 for k in range(4) for a in range(3)} | {"IMU_GYRO_CAL_EN": 0}
     line = ThermalPolynomial(35.0, 15.0, 60.0, [[7e-3], [-4e-3], [9e-3]])
     fit = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057], polynomial=line, polynomial_sd=1e-5)
     values = after(compose([fit], px4_parameters | held, px4_fingerprint), px4_parameters | held)
