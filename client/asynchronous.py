@@ -60,7 +60,7 @@ class AsyncClient(AsyncTransport):
         return await self._ask("GET", f"/api/v1/links/{segment(link_id)}", answers.LINK_MODEL)
 
     async def close_link(self, link_id: str) -> None:
-        """Close a link; its recording stays."""
+        """Close a link; its recording stays. Not while a write needs it: 409."""
         await self._text("DELETE", f"/api/v1/links/{segment(link_id)}")
 
     async def list_signing_keys(self) -> list[SigningKeyModel]:

@@ -155,6 +155,24 @@ class SetAsideEvent(Answer):
     data: SetAsideData
 
 
+class VehicleData(Answer):
+    """Whose job it is."""
+
+    id: str
+
+
+class JobVehicleEvent(Answer):
+    """The vehicle of an interrupted write, which has no unique id, is heard on another link and named by that."""
+
+    job_id: str
+    sequence: int
+    """Number among the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["vehicle"]
+    data: VehicleData
+
+
 class PlanData(Answer):
     """The new plan."""
 
@@ -242,6 +260,7 @@ JobEvent = Annotated[
     | WarningEvent
     | SegmentsEvent
     | SetAsideEvent
+    | JobVehicleEvent
     | PlanEvent
     | WriteEvent
     | VerificationEvent

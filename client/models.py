@@ -653,7 +653,9 @@ class VehicleModel(Answer):
 
     id: str
     link: str
-    """Id of the link on which it is heard."""
+    """Id of the link in use: everything is sent over it."""
+    links: list[str]
+    """Ids of all links over which it was heard, the one in use first."""
     system: int
     """MAVLink system id."""
     component: int

@@ -33,6 +33,10 @@ class CaptureInterrupted(ApiProblem):
     """Capture interrupted (409). The vehicle was away for too long; what was recorded is kept."""
 
 
+class CaptureMoved(ApiProblem):
+    """Capture moved (409). Another link of the vehicle is in use; the capture goes on there."""
+
+
 class CommandForbidden(ApiProblem):
     """Command forbidden (409). A command that can harm the vehicle or people is never sent by this software."""
 
@@ -147,6 +151,12 @@ class JobUnknown(ApiProblem):
 
 class LeaseLost(ApiProblem):
     """Owned elsewhere (409). Another instance of the service owns that now: nothing more is written for it here."""
+
+
+class LinkBusy(ApiProblem):
+    """A write needs this link (409). A write runs over this link, or is in doubt. Let it end, or open another link
+    to the same vehicle first.
+    """
 
 
 class LinkDown(ApiProblem):
@@ -344,6 +354,7 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "capture-disturbed": CaptureDisturbed,
     "capture-ended": CaptureEnded,
     "capture-interrupted": CaptureInterrupted,
+    "capture-moved": CaptureMoved,
     "command-forbidden": CommandForbidden,
     "command-refused": CommandRefused,
     "command-timeout": CommandTimeout,
@@ -370,6 +381,7 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "job-error": JobError,
     "job-unknown": JobUnknown,
     "lease-lost": LeaseLost,
+    "link-busy": LinkBusy,
     "link-down": LinkDown,
     "link-elsewhere": LinkElsewhere,
     "link-error": LinkError,

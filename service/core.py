@@ -31,6 +31,7 @@ from mavcal.service.jobs.salvage import CODE as UNREADABLE
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link.allowed import Allowed
+from mavcal.service.link_closing import require_unneeded
 from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.recordings import Recordings
 from mavcal.service.retention import Retention
@@ -77,6 +78,19 @@ class Service:
         if free < LEAST_FREE_BYTES:
             return f"only {free // 2**20} MiB are free for recordings: free some space"
         return None
+
+    async def close_link(self, link_id: str) -> None:
+        """Close a link for good.
+
+        Raises
+        ------
+        LinkUnknown
+            If there is none of that id.
+        LinkBusy
+            If a write needs it.
+        """
+        require_unneeded(self.links.get(link_id), self.vehicles, self.jobs.list())
+        await self.links.close(link_id)
 
 
 @asynccontextmanager

@@ -26,13 +26,14 @@ class _Counts(Collector):
         self._service = service
 
     def collect(self) -> Iterable[Metric]:
-        labels = ["vehicle"]
+        labels = ["vehicle", "link"]
         received = CounterMetricFamily("mavcal_frames_received", "MAVLink frames received", labels=labels)
         lost = CounterMetricFamily("mavcal_frames_lost", "MAVLink frames lost", labels=labels)
         for vehicle in self._service.vehicles.all():
-            counted = vehicle.link.statistics(vehicle.system, vehicle.component)
-            received.add_metric([vehicle.id], counted.received)
-            lost.add_metric([vehicle.id], counted.lost)
+            for link in vehicle.links:
+                counted = link.statistics(vehicle.system, vehicle.component)
+                received.add_metric([vehicle.id, link.id], counted.received)
+                lost.add_metric([vehicle.id, link.id], counted.lost)
         jobs = GaugeMetricFamily("mavcal_jobs", "Jobs by state", labels=["state"])
         for state, count in Counter(job.state.value for job in self._service.jobs.list()).items():
             jobs.add_metric([state], count)

@@ -94,12 +94,16 @@ class _Losses:
     """What was lost of a vehicle's messages lately, by their sequence numbers."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
+        self._vehicle, self._way = vehicle, vehicle.way
         self._counted: deque[tuple[int, int]] = deque(maxlen=round(LOSS_S / BATCH_S))
 
     def share(self) -> float | None:
         """Called once a batch."""
-        now = self._vehicle.link.statistics(self._vehicle.system, self._vehicle.component)
+        vehicle = self._vehicle.unit
+        if vehicle.way != self._way:
+            self._way = vehicle.way
+            self._counted.clear()
+        now = vehicle.link.statistics(vehicle.system, vehicle.component)
         self._counted.append((now.received, now.lost))
         received, lost = (now.received - self._counted[0][0], now.lost - self._counted[0][1])
         return max(lost, 0) / (received + max(lost, 0)) if received > 0 else None

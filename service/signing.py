@@ -77,7 +77,7 @@ class SigningAdmin:
         link = self._links.get(link_id)
         if link.signing_key is not None:
             raise LinkOpen(f"link {link.id} is signed with the key {link.signing_key!r} already")
-        vehicles = [vehicle for vehicle in self._vehicles.all() if vehicle.link is link]
+        vehicles = [vehicle for vehicle in self._vehicles.all() if link in vehicle.links]
         if len(vehicles) != 1:
             raise SigningKeyError(
                 f"{len(vehicles)} vehicles are heard on link {link.id}: one is needed, because a vehicle without the "

@@ -540,7 +540,7 @@ export interface ItemModel {
 /** What became of an item. */
 export type ItemOutcome = "waiting" | "running" | "done" | "warned" | "review" | "refused" | "skipped" | "failed" | "in_doubt" | "cancelled";
 
-export type JobEvent = StateEvent | PromptEvent | ProgressEvent | AnswerEvent | WarningEvent | SegmentsEvent | SetAsideEvent | PlanEvent | WriteEvent | VerificationEvent | StandingEvent | ReadinessEvent | ItemEvent;
+export type JobEvent = StateEvent | PromptEvent | ProgressEvent | AnswerEvent | WarningEvent | SegmentsEvent | SetAsideEvent | JobVehicleEvent | PlanEvent | WriteEvent | VerificationEvent | StandingEvent | ReadinessEvent | ItemEvent;
 
 /** Something happened to a job. `id` continues the stream: it is sent again as `Last-Event-ID`. */
 export interface JobMessage {
@@ -627,6 +627,17 @@ export interface JobSummary {
   last_write: WriteModel | null;
   /** Options of the procedure or method, and what an upload adds. */
   options: Record<string, unknown>;
+}
+
+/** The vehicle of an interrupted write, which has no unique id, is heard on another link and named by that. */
+export interface JobVehicleEvent {
+  job_id: string;
+  /** Number among the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "vehicle";
+  data: VehicleData;
 }
 
 /** EXTENDED_SYS_STATE.landed_state. */
@@ -941,7 +952,7 @@ export interface Problem {
 }
 
 /** What kind of problem it is. */
-export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "hand-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-open" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "not-simulated" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "signing-key-error" | "signing-key-unknown" | "signing-not-confirmed" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "watch-unknown" | "write-failed" | "write-stopped";
+export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "capture-moved" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "hand-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-busy" | "link-down" | "link-elsewhere" | "link-error" | "link-open" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "not-simulated" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "signing-key-error" | "signing-key-unknown" | "signing-not-confirmed" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "watch-unknown" | "write-failed" | "write-stopped";
 
 /** A procedure: what it needs, ends on, writes and cannot represent. */
 export interface ProcedureModel {
@@ -1454,6 +1465,11 @@ export interface UnprovedModel {
   why: string;
 }
 
+/** Whose job it is. */
+export interface VehicleData {
+  id: string;
+}
+
 /** The present state of a vehicle. */
 export interface VehicleMessage {
   event: "vehicle";
@@ -1463,8 +1479,10 @@ export interface VehicleMessage {
 /** A vehicle in one page. */
 export interface VehicleModel {
   id: string;
-  /** Id of the link on which it is heard. */
+  /** Id of the link in use: everything is sent over it. */
   link: string;
+  /** Ids of all links over which it was heard, the one in use first. */
+  links: string[];
   /** MAVLink system id. */
   system: number;
   /** MAVLink component id. */
@@ -1654,7 +1672,7 @@ export interface Operations {
     parameters: { link_id: string };
     answer: LinkModel;
   };
-  /** Close a link; its recording stays. */
+  /** Close a link; its recording stays. Not while a write needs it: 409. */
   close_link: {
     method: "DELETE";
     path: "/api/v1/links/{link_id}";

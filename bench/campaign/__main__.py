@@ -34,7 +34,7 @@ from bench.campaign.scenario import scenarios
 from bench.campaign.starved import StarvedReport, of_starved, run_starved, starved_table
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "fault-campaign.md"
-RUNS = 224
+RUNS = 280
 STARVED_RUNS = 4
 PARTS = ("faults", "kills", "cli", "crossed", "starved", "all")
 MOST_REPETITIONS = 8

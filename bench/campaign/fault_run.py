@@ -14,13 +14,24 @@ from typing import Any
 
 from bench.campaign.judge import Ending, Evidence, OwnWrite, Stop, doubt_complaints, held_back, judge, stop_complaints
 from bench.campaign.report import FaultReport, Pinned
-from bench.campaign.scenario import OPTIONS, STOPPING, WIRE, Phase, Scenario, Strike
+from bench.campaign.scenario import (
+    LINK_DELETED,
+    LINK_DIES,
+    LINKS,
+    OPTIONS,
+    SECOND_LINK,
+    STOPPING,
+    WIRE,
+    Phase,
+    Scenario,
+    Strike,
+)
 from bench.campaign.session import POLL_S, Session, session
 from bench.campaign.truth import Holding, holding, residuals
 from mavcal.service.api.views import job_model
-from mavcal.service.errors import PlanChanged, ServiceError
+from mavcal.service.errors import LinkBusy, PlanChanged, ServiceError
 from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.states import WRITING, JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 
 Json = dict[str, Any]
@@ -31,6 +42,8 @@ TRACKED_S = 0.5
 """Wall time after arming in which a PARAM_SET may still arrive that had left before."""
 VISIBLE_S = {"arm": 0.5, "reboot": 2.0, "silence": 3.5, "onboard_calibration": 1.5, "move": 1.0, "twin": 5.0}
 """Wall time after which the service has to know of a stopping fault, over what its link takes."""
+JOINED_S = 30.0
+"""Wall time within which the same vehicle on one more link is recognised."""
 NOTED_S = 10.0
 """Wall time within which a run has heard of its job's last state."""
 ENDED = (JobState.SUCCEEDED, JobState.REVERTED, JobState.REVIEW)
@@ -78,13 +91,15 @@ class _FaultRun:
     stops: int = 0
     """Stopping faults after which nothing more could be sent."""
     _states: list[tuple[float, str]] = field(default_factory=list)
+    _link_changes: list[asyncio.Task[None]] = field(default_factory=list)
 
     async def outcome(self) -> tuple[Ending, tuple[str, ...]]:
         s = self.scenario
         async with asyncio.timeout(RUN_S):
             with tempfile.TemporaryDirectory(prefix="mavcal-campaign-") as folder:
+                seed, links = s.seed * 10_000 + s.index, ["udpout"] * s.links
                 vehicle = await asyncio.to_thread(
-                    SimulatedVehicle, s.autopilot, seed=s.seed * 10_000 + s.index, speed=s.speed, config=s.config
+                    SimulatedVehicle, s.autopilot, link=links, seed=seed, speed=s.speed, config=s.config
                 )
                 try:
                     async with session(Path(folder), vehicle) as bench:
@@ -98,6 +113,7 @@ class _FaultRun:
         if job.state != JobState.REVIEW or job.plan is None:
             return Ending.FAILURE, (f"no plan came of the capture: {job.outcome}",)
         before = await asyncio.to_thread(holding, vehicle)
+        await self._two_links(bench, vehicle, job)
         await self._let_loose(vehicle, self._of(Phase.WRITE), job)
         noting = asyncio.create_task(self._note_states(bench, vehicle, job.id))
         try:
@@ -109,6 +125,9 @@ class _FaultRun:
         finally:
             await self._all_noted(bench.engine.get(job.id))
             noting.cancel()
+            for change in self._link_changes:
+                change.cancel()
+            await asyncio.gather(*self._link_changes, return_exceptions=True)
             await self._count(vehicle, bench.engine.get(job.id))
         self.says = self.says or _sentence(job)
         if job.state == JobState.IN_DOUBT:
@@ -162,6 +181,8 @@ class _FaultRun:
 
     async def _let_loose(self, vehicle: SimulatedVehicle, strikes: tuple[Strike, ...], job: Job | None) -> None:
         for strike in strikes:
+            if strike.kind in (SECOND_LINK, LINK_DELETED):
+                continue  # of the service's end: see _two_links
             options = dict(strike.options)
             if "wall_s" in options:
                 options["duration_s"] = options.pop("wall_s") * self.scenario.speed
@@ -170,7 +191,55 @@ class _FaultRun:
                 options["trigger"] = {"nth_set": 1 + int(strike.share * len(job.plan.changes))}
             if strike.kind == "foreign_write":
                 self._aim(options, job)
-            await vehicle.acall("fault", kind=strike.kind, **options)
+            await vehicle.acall("fault", kind="cut" if strike.kind == LINK_DIES else strike.kind, **options)
+
+    async def _two_links(self, bench: Session, vehicle: SimulatedVehicle, job: Job) -> None:
+        """Open the second link, now or in mid-write, and have the first one closed where that is to be tried."""
+        assert job.plan is not None
+        for strike in self.scenario.strikes:
+            if strike.kind not in LINKS:
+                continue
+            nth = 1 + int(strike.share * len(job.plan.changes))
+            if strike.kind != SECOND_LINK and not strike.options.get("alone"):
+                await self._joined(bench, vehicle)
+            if strike.kind == SECOND_LINK:
+                change = self._second_link(bench, vehicle, nth)
+            elif strike.kind == LINK_DELETED:
+                change = self._first_deleted(bench, vehicle, nth, alone=bool(strike.options.get("alone")))
+            else:
+                continue
+            self._link_changes.append(asyncio.create_task(change))
+
+    async def _joined(self, bench: Session, vehicle: SimulatedVehicle) -> None:
+        await bench.more(vehicle.urls[1])
+        async with asyncio.timeout(JOINED_S):
+            while len(bench.vehicle.links) < 2:  # noqa: ASYNC110 - the vehicle's answers alone change it
+                await asyncio.sleep(POLL_S)
+
+    async def _second_link(self, bench: Session, vehicle: SimulatedVehicle, nth: int) -> None:
+        await self._until_set(vehicle, nth)
+        self.strikes[SECOND_LINK] += 1
+        try:
+            await self._joined(bench, vehicle)
+        except TimeoutError:
+            self.complaints.append("the same vehicle on a second link was not recognised")
+
+    async def _first_deleted(self, bench: Session, vehicle: SimulatedVehicle, nth: int, *, alone: bool) -> None:
+        await self._until_set(vehicle, nth)
+        self.strikes[LINK_DELETED] += 1
+        try:
+            await bench.close("campaign")
+        except LinkBusy:
+            if not alone:
+                self.complaints.append("the link was not closed although another one leads to the vehicle")
+        else:
+            if alone and any(job.state in WRITING for job in bench.engine.list()):
+                self.complaints.append("the only link was closed in mid-write")
+
+    async def _until_set(self, vehicle: SimulatedVehicle, nth: int) -> None:
+        before = (await vehicle.acall("state"))["param_sets"]
+        while (await vehicle.acall("state"))["param_sets"] < before + nth:
+            pass  # every question gives the loop away
 
     def _aim(self, options: Json, job: Job | None) -> None:
         """Point a third party's write at a parameter of the plan, with a value that is neither old nor new."""
@@ -262,6 +331,7 @@ class _FaultRun:
             return
         self._check_stops(state, faults)
         for fault in faults:
+            fault["kind"] = LINK_DIES if fault["kind"] == "cut" else fault["kind"]
             struck = bool(fault["struck"]) and (fault["kind"] not in WIRE or fault["hits"] > 0)
             self.strikes[fault["kind"]] += struck
         self.pinned += [pin for name in held_back(state, faults) if (pin := _pin(name, job)) is not None]

@@ -66,10 +66,11 @@ class _KillRun:
     def outcome(self) -> tuple[Ending, tuple[str, ...]]:
         scene = self._kill.scenery
         config = {"thermal": False, "parameters": dict(scene.parameters)}
+        links = ["udpout"] * (2 if scene.moves else 1)
         seed = self._kill.seed * 10_000 + 5_000 + self._kill.index
         with (
             tempfile.TemporaryDirectory(prefix="mavcal-campaign-") as folder,
-            SimulatedVehicle(scene.autopilot, seed=seed, speed=SPEED, config=config) as vehicle,
+            SimulatedVehicle(scene.autopilot, link=links, seed=seed, speed=SPEED, config=config) as vehicle,
         ):
             data_dir = Path(folder)
             try:
@@ -84,7 +85,7 @@ class _KillRun:
             self._second_life(data_dir, vehicle)
         if vehicle.state()["armed"]:
             vehicle.call("disarm")
-        service = ServiceProcess(data_dir, vehicle.url)
+        service = ServiceProcess(data_dir, vehicle.urls[-1])
         try:
             job = self._ended(service.client, RESOLVED_S)
         finally:

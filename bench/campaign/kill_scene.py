@@ -24,6 +24,8 @@ class Scene:
     """Let loose when the plan is accepted; `share` places it among the plan's parameters."""
     parameters: Mapping[str, float] = field(default_factory=dict)
     """Settings of the vehicle."""
+    moves: bool = False
+    """The vehicle is on two links; the service that takes the write up knows only the second."""
     gyro_off_by: float = 0.0
     """How far from its truth somebody has set PX4's first gyro along x before the job, rad/s: it is to be written."""
 
@@ -39,6 +41,7 @@ SCENES: Mapping[str, Scene] = {
     "not applied": Scene("ardupilot", "gyro", {"kind": "not_applied", "share": 0.5}, _BARE),
     "third party": Scene("ardupilot", "gyro", {"kind": "foreign_write", "share": 0.99, "value": 0.0321}, _BARE),
     "armed": Scene("ardupilot", "gyro", {"kind": "arm", "share": 0.6}, _BARE),
+    "other link": Scene("ardupilot", "gyro", None, _BARE, moves=True),
     "capture": Scene("px4", "gyro", None, {"IMU_GYRO_CAL_EN": 0.0}),
 }
 
@@ -59,6 +62,7 @@ _LEADS: Mapping[str, tuple[JournalStep, ...]] = {
     "not applied": (JournalStep.ROLL_BACK, JournalStep.UNDO, JournalStep.UNDONE),
     "third party": (JournalStep.LEFT,),
     "armed": (JournalStep.STOPPED,),
+    "other link": (JournalStep.SEND, JournalStep.ECHO),
     "capture": (JournalStep.STREAMS,),
 }
 """Which scene leads through which steps."""

@@ -6,7 +6,7 @@ import random
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from itertools import cycle
+from itertools import chain, cycle, islice, repeat
 from typing import Any
 
 Json = dict[str, Any]
@@ -25,8 +25,12 @@ STOPPING = ("arm", "reboot", "silence", "onboard_calibration", "move", "twin")
 SENSOR = ("stuck", "nan", "absent")
 FALSE = ("not_applied", "foreign_write", *SENSOR)
 """The write goes on, but what the vehicle holds or shows is not what was written."""
-KINDS = BENIGN + STOPPING + FALSE
+SECOND_LINK, LINK_DIES, LINK_DELETED = LINKS = ("second_link", "link_dies", "link_deleted")
+"""One vehicle on two links: the second appears, the first falls silent for good, the first is to be closed."""
+KINDS = BENIGN + STOPPING + FALSE + LINKS
 
+ONE_LINK = 224
+"""So many runs have one link; those that follow have two."""
 OWN, OTHER = "own", "other"
 """The sensor that the job calibrates, or one that it does not."""
 OTHER_SENSOR = {"gyro": "mag", "accel": "mag", "mag": "gyro"}
@@ -76,11 +80,13 @@ class Scenario:
     resolve: bool
     """Whether an operator puts things right when the job is in doubt; otherwise the run ends there."""
     config: Json
+    links: int = 1
+    """How many links the vehicle serves."""
 
 
 def scenarios(count: int, seed: int) -> tuple[Scenario, ...]:
     """The `count` runs of a campaign; run `i` of the same seed is always the same."""
-    recipes = cycle(_ROTATION)
+    recipes = chain(islice(cycle(_ROTATION), ONE_LINK), repeat("links"))
     decks: dict[str, Iterator[str]] = {name: cycle(kinds) for name, kinds in _DECKS.items()}
     return tuple(_scenario(i, seed, next(recipes), decks) for i in range(count))
 
@@ -94,6 +100,7 @@ _DECKS: dict[str, tuple[str, ...]] = {
     "check": STOPPING,
     "stop": STOPPING,
     "false": ("not_applied", "foreign_write", "not_applied", "stuck", "not_applied", "nan", "absent", "foreign_write"),
+    "links": LINKS,
     "harmless": ("foreign_write", "stuck", "silence", "nan", "absent"),
 }
 
@@ -117,6 +124,7 @@ def _scenario(index: int, seed: int, recipe: str, decks: dict[str, Iterator[str]
         speed=SLOWER if slow else SPEED,
         resolve=_resolved(draw, recipe, strikes),
         config=_config(draw, autopilot),
+        links=2 if recipe == "links" else 1,
     )
 
 
@@ -188,6 +196,12 @@ def _recipe_harmless(draw: random.Random, decks: dict[str, Iterator[str]], autop
         yield Strike(kind, Phase.WRITE, draw.random(), options)
 
 
+def _recipe_links(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str) -> Iterator[Strike]:
+    """The vehicle is heard on a second link as well, from the start or in mid-write."""
+    kind = next(decks["links"])
+    yield Strike(kind, Phase.WRITE, draw.random(), {"alone": draw.random() < 0.4} if kind == LINK_DELETED else {})
+
+
 def _recipe_check(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str) -> Iterator[Strike]:
     """Everything is written already when the vehicle arms, restarts, falls silent …"""
     yield from _wires(draw, decks, 2)
@@ -230,6 +244,7 @@ def _stop(draw: random.Random, kind: str, phase: Phase) -> Strike:
 _RECIPES = {
     "wire": _recipe_wire,
     "harmless": _recipe_harmless,
+    "links": _recipe_links,
     "check": _recipe_check,
     "stop": _recipe_stop,
     "false": _recipe_false,

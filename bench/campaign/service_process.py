@@ -16,7 +16,7 @@ from pathlib import Path
 from mavcal.client import Client
 from mavcal.service.lifetime import ending_with_us
 
-START_S = 40.0
+START_S = 120.0
 POLL_S = 0.0001
 DATABASE = "mavcal.sqlite3"
 

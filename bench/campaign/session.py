@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link import Link
+from mavcal.service.link_closing import require_unneeded
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.protocol import Store
@@ -39,6 +40,10 @@ class Session:
     engine: JobEngine
     vehicle: Vehicle
     operator: Operator
+    more: Callable[[str], Awaitable[Link]]
+    """Opens one more link, at that endpoint."""
+    close: Callable[[str], Awaitable[None]]
+    """Closes the link of that name as the service does. Raises LinkBusy."""
     _asked: Prompt | None = None
 
     async def reviewed(
@@ -89,18 +94,32 @@ async def session(
     """
     store = store or SqliteStore(folder)
     registry = VehicleRegistry()
-    link = Link("campaign", sim.url, tlog_dir=folder / "tlogs")
-    registry.attach(link)
     engine = JobEngine(store, RegistryAdapter(registry), **{"settings": SETTINGS, **engine_options})
+    links: dict[str, Link] = {}
+
+    async def more(url: str) -> Link:
+        name = f"campaign-{len(links)}" if links else "campaign"
+        links[name] = Link(name, url, tlog_dir=folder / "tlogs")
+        registry.attach(links[name])
+        await links[name].open()
+        return links[name]
+
+    async def close(name: str) -> None:
+        require_unneeded(links[name], registry, engine.list())
+        gone = links.pop(name)
+        await gone.close()
+        registry.detach(gone)
+
     try:
-        await link.open()
+        link = await more(sim.url)
         await engine.start()
         async with asyncio.timeout(FOUND_S):
             vehicle = await registry.wait_for_vehicle(link)
-        yield Session(engine, vehicle, Operator(sim))
+        yield Session(engine, vehicle, Operator(sim), more, close)
     finally:
         await engine.stop()
-        registry.detach(link)
-        await link.close()
+        for opened in links.values():
+            registry.detach(opened)
+            await opened.close()
         registry.close()
         store.close()

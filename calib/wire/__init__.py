@@ -30,9 +30,11 @@ from mavcal.calib.wire.parameters import (
     value_from_bits,
 )
 from mavcal.calib.wire.signing import SignatureState, Signing, check_signature, sign, signing_time
+from mavcal.calib.wire.texts import CHUNK_BYTES, joined_text, text_bytes
 from mavcal.calib.wire.tlog import TlogReader, iter_tlog, tlog_record
 
 __all__ = [
+    "CHUNK_BYTES",
     "CRC_EXTRA",
     "HASH_CHECK",
     "NO_INDEX",
@@ -53,12 +55,14 @@ __all__ = [
     "encode",
     "heard_value",
     "iter_tlog",
+    "joined_text",
     "padded_payload",
     "param_bytes",
     "param_set",
     "raw_message",
     "sign",
     "signing_time",
+    "text_bytes",
     "tlog_record",
     "usual_encoding",
     "value_from_bits",

@@ -121,5 +121,7 @@ class Sight:
         if kind in ("job_id", "gap_id"):
             return self.job_of(name)
         if kind == "link_id":
-            return any(v.link.id == name and self.vehicle(v.id) for v in self._service.vehicles.all())
+            return any(
+                name in [link.id for link in v.links] and self.vehicle(v.id) for v in self._service.vehicles.all()
+            )
         return False

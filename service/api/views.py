@@ -131,7 +131,7 @@ def link_model(link: Link, vehicles: VehicleRegistry) -> LinkModel:
         state=link.state,
         reason=link.reason,
         signing_key=link.signing_key,
-        vehicles=[v.id for v in vehicles.all() if v.link is link],
+        vehicles=[v.id for v in vehicles.all() if link in v.links],
         crc_errors=link.crc_errors,
     )
 
@@ -143,7 +143,8 @@ def vehicle_model(vehicle: Vehicle) -> VehicleModel:
     counted = vehicle.link.statistics(vehicle.system, vehicle.component)
     return VehicleModel(
         id=vehicle.id,
-        link=vehicle.link.id,
+        link=vehicle.way,
+        links=[link.id for link in vehicle.links],
         system=vehicle.system,
         component=vehicle.component,
         autopilot=identity.autopilot,

@@ -107,7 +107,7 @@ async def _heard(service: Service, wish: VehicleWish, screen: Screen) -> tuple[s
     if len(silent) < len(urls):
         await asyncio.sleep(GATHER_S)
     links = {one.link for one in found if not isinstance(one, BaseException)}
-    known = [vehicle.id for vehicle in service.vehicles.all() if vehicle.link in links]
+    known = [vehicle.id for vehicle in service.vehicles.all() if links.intersection(vehicle.links)]
     unknown = sorted(set(wish.ids) - set(known))
     if unknown:
         raise click.UsageError(f"no vehicle {', '.join(unknown)} was heard: there are {', '.join(known) or 'none'}")

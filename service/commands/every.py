@@ -100,15 +100,17 @@ async def vehicles_of(service: Service, whom: Whom, screen: Screen) -> list[Foun
 
 async def _of_link(service: Service, url: str, whom: Whom, screen: Screen) -> list[Found]:
     from mavcal.service.commands.headless import heard
+    from mavcal.service.link_registry import link_id_of
 
     try:
         vehicle = await heard(service, url, whom.wait_s, screen)
+        link = service.links.get(link_id_of(url))
     except ServiceError as error:
         return [Found(url, error=error)]
     if not whom.every:
         return [Found(url, vehicle)]
     await asyncio.sleep(LISTEN_S)
-    there = [v for v in service.vehicles.all() if v.link is vehicle.link and v.identity.known]
+    there = [v for v in service.vehicles.all() if v.identity.known and link in v.links]
     return [Found(url, v) for v in there]
 
 

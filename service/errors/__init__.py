@@ -10,6 +10,7 @@
     |   +-- LinkUnknown           404
     |   +-- LinkElsewhere         409
     |   +-- LinkOpen              409
+    |   +-- LinkBusy              409
     |   +-- SigningKeyError       409
     |   |   +-- SigningKeyUnknown 404
     |   |   +-- SigningNotConfirmed 503
@@ -53,6 +54,7 @@
     |   +-- CaptureEnded          409
     |   |   +-- CaptureDisturbed  409
     |   |   +-- CaptureLost       409
+    |   |   +-- CaptureMoved      409
     |   +-- WriteFailed           409
     |   +-- WriteStopped          409
     +-- StoreError                500
@@ -108,6 +110,7 @@ from mavcal.service.errors.jobs import (
     CaptureDisturbed,
     CaptureEnded,
     CaptureLost,
+    CaptureMoved,
     DocumentUnknown,
     ExportUnknown,
     IdempotencyConflict,
@@ -136,6 +139,7 @@ from mavcal.service.errors.vehicles import (
     EndpointRefused,
     ForbiddenCommand,
     HandBusy,
+    LinkBusy,
     LinkDown,
     LinkElsewhere,
     LinkError,
@@ -167,6 +171,7 @@ __all__ = [
     "CaptureDisturbed",
     "CaptureEnded",
     "CaptureLost",
+    "CaptureMoved",
     "ChildEnded",
     "ChildrenBusy",
     "CommandRefused",
@@ -191,6 +196,7 @@ __all__ = [
     "JobError",
     "JobUnknown",
     "LeaseLost",
+    "LinkBusy",
     "LinkDown",
     "LinkElsewhere",
     "LinkError",

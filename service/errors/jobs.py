@@ -164,6 +164,13 @@ class CaptureDisturbed(CaptureEnded):
     code = "capture-disturbed"
 
 
+class CaptureMoved(CaptureEnded):
+    """Another link of the vehicle is in use; the capture goes on there."""
+
+    title = "Capture moved"
+    code = "capture-moved"
+
+
 class CaptureLost(CaptureEnded):
     """The vehicle was away for too long; what was recorded is kept."""
 

@@ -62,6 +62,14 @@ class LinkOpen(LinkError):
     code = "link-open"
 
 
+class LinkBusy(LinkError):
+    """A write runs over this link, or is in doubt. Let it end, or open another link to the same vehicle first."""
+
+    status_code = 409
+    title = "A write needs this link"
+    code = "link-busy"
+
+
 class SigningKeyError(LinkError):
     """The signing key cannot be used like that."""
 

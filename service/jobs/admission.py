@@ -24,6 +24,9 @@ from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.port import JobVehicle
 from mavcal.service.jobs.states import PHYSICAL, JobState
 
+WAY = "way"
+"""In a job's context: the link in use when its plan was accepted."""
+
 
 def require_ready(vehicle: JobVehicle, *, busy: bool = False) -> None:
     """Raise the VehicleError that stands in the way of a job; with `busy` a calibration of its own does not."""

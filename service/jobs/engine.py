@@ -15,9 +15,17 @@ from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.calib.report import to_json
-from mavcal.service.errors import AnswerRefused, Forbidden, IllegalTransition, NotCancellable, NotRevertible
+from mavcal.service.errors import (
+    AnswerRefused,
+    Forbidden,
+    IllegalTransition,
+    NotCancellable,
+    NotRevertible,
+    VehicleUnknown,
+)
 from mavcal.service.jobs.acceptance import Acceptance
 from mavcal.service.jobs.admission import (
+    WAY,
     request_digest,
     require_acceptable,
     require_finite,
@@ -52,7 +60,7 @@ from mavcal.service.jobs.restoring import planned_restore, require_restorable, r
 from mavcal.service.jobs.resumption import Resumption
 from mavcal.service.jobs.runner import Runner
 from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, JobState
+from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, PHYSICAL, JobState
 from mavcal.service.jobs.tasks import JobTasks, Work
 from mavcal.service.jobs.tidying import Tidying
 from mavcal.service.jobs.verified import history_of, verified_jobs
@@ -211,7 +219,9 @@ class JobEngine:
         """See :func:`service.jobs.claims.claim_of`."""
         if self._resumption.waiting:
             return TAKING_UP
-        return claim_of(vehicle_id, self.list(), self._tasks.running, self._tidying, self._preflights)
+        return claim_of(
+            vehicle_id, map(self._named_now, self.list()), self._tasks.running, self._tidying, self._preflights
+        )
 
     async def document(self, job_id: str, name: str) -> JobDocument:
         """A document that the job has made. Raises JobUnknown, DocumentUnknown."""
@@ -403,7 +413,8 @@ class JobEngine:
         self._require_writing()
         require_acceptable(handle.job, accept)
         self._require_free(require_vehicle(handle.job), besides=job_id)
-        require_ready(self._vehicles.vehicle(require_vehicle(handle.job)), busy=True)
+        vehicle = self._vehicles.vehicle(require_vehicle(handle.job))
+        require_ready(vehicle, busy=True)
         await check_plan(self._writes.attempt(dataclasses.replace(handle.job, accept=accept), handle))
         require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
         self._require_free(require_vehicle(handle.job), besides=job_id)
@@ -418,7 +429,9 @@ class JobEngine:
             require_acceptable(handle.job, accept)
             self._require_free(require_vehicle(handle.job), besides=job_id)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
-        handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=(), last_write=attempt)
+        context = {**handle.job.context, WAY: vehicle.condition().way}
+        fresh: dict[str, Any] = {"outcome": None, "verification": None, "standing": ()}
+        handle.move(JobState.APPLYING, accept=accept, context=context, last_write=attempt, **fresh)
         known = self._history if look else None
         self._tasks.spawn(handle, partial(self._writes.applied, handle, self._preflights, self._tidying, known))
         self._reach(At.ACCEPTED)
@@ -459,8 +472,17 @@ class JobEngine:
 
     def _require_free(self, vehicle_id: str, *, besides: str = "") -> None:
         """Raise PhysicalJobRunning or PreflightRunning if something else claims this vehicle."""
-        require_free(vehicle_id, self.list(), besides=besides)
+        require_free(vehicle_id, map(self._named_now, self.list()), besides=besides)
         self._preflights.require_idle(vehicle_id)
+
+    def _named_now(self, job: Job) -> Job:
+        """A job that claims its vehicle, with the name that this has by now: another link may have named it before."""
+        if job.vehicle_id is None or job.state not in PHYSICAL:
+            return job
+        try:
+            return dataclasses.replace(job, vehicle_id=self._vehicles.vehicle(job.vehicle_id).id)
+        except VehicleUnknown:
+            return job
 
     def _require_writing(self) -> None:
         if self._read_only:

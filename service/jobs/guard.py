@@ -44,6 +44,8 @@ class WriteGuard:
         self._watch_s = watch_s
         self._uid = vehicle.identity.uid
         self._before = vehicle.condition()
+        self._peers = {self._before.way: self._before.peer}
+        """The address on each link, as it was when that came into use."""
 
     def reason(self) -> str | None:
         """Why nothing may be written now; None: it may."""
@@ -61,11 +63,15 @@ class WriteGuard:
             return "the vehicle fell silent"
         if now.armed:
             return "the vehicle is armed"
-        if now.peer != before.peer:
-            return f"the vehicle speaks from another address ({before.peer}, now {now.peer})"
+        if self._elsewhere(now):
+            return f"the vehicle speaks from another address ({self._peers[now.way]}, now {now.peer})"
         if now.calibrating:
             return "the vehicle runs a calibration of its own"
         return self._meanwhile(now) or "; ".join(now.obstacles) or None
+
+    def _elsewhere(self, now: Condition) -> bool:
+        """Whether it speaks from another address on the same link; another link is another way to the same unit."""
+        return self._peers.setdefault(now.way, now.peer) != now.peer
 
     def _meanwhile(self, now: Condition) -> str | None:
         """What came and went since the guard was set up."""
@@ -92,7 +98,7 @@ class WriteGuard:
         before = self._before
         if now.reboots != before.reboots:
             return "before the vehicle restarted"
-        if now.conflict is not None or now.peer != before.peer or self._vehicle.identity.uid != self._uid:
+        if now.conflict is not None or self._elsewhere(now) or self._vehicle.identity.uid != self._uid:
             return "possibly said by another vehicle"
         silent = now.silent or now.silences != before.silences
         return "before the vehicle fell silent" if silent else None
@@ -106,6 +112,7 @@ class WriteGuard:
     def expect_restart(self) -> None:
         """From now on the vehicle is to stay as it is after its restart."""
         self._before = self._vehicle.condition()
+        self._peers = {self._before.way: self._before.peer}
 
     async def run(self, act: Callable[[], Awaitable[T]]) -> T:
         """Await ``act()`` and abandon it as soon as the preconditions fail.

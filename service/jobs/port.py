@@ -42,7 +42,9 @@ class Condition:
     conflict: str | None
     """Why it is not certain whom we talk to (DESIGN 6 rule 3); None: it is."""
     peer: str = ""
-    """The address that it speaks from."""
+    """The address that it speaks from, on the link in use."""
+    way: str = ""
+    """Name of the link in use: another one of the same vehicle takes its place when it falls silent."""
     boot_time: float | None = None
     """Its own clock, s since its start; None: it has not said."""
     armings: int = 0
@@ -63,7 +65,7 @@ FramesCallback = Callable[[Sequence[Frame], DiskFull | None], None]
 
 
 class JobVehicle(Protocol):
-    """One vehicle on one link."""
+    """One vehicle, over whichever of its links is in use."""
 
     @property
     def id(self) -> str:
@@ -247,4 +249,8 @@ class VehicleSource(Protocol):
 
     def vehicle(self, vehicle_id: str) -> JobVehicle:
         """The vehicle of that id. Raises VehicleUnknown."""
+        ...
+
+    def nameless(self, identity: Identity) -> Sequence[JobVehicle]:
+        """Vehicles without a unique id of their own that say the same of themselves as `identity`, on any link."""
         ...

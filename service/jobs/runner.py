@@ -18,7 +18,14 @@ from mavcal.calib.fit import FitStatus
 from mavcal.calib.procedures.protocol import GaveUp
 from mavcal.calib.recording import Identity
 from mavcal.calib.report import from_json, to_json
-from mavcal.service.errors import CaptureDisturbed, CaptureEnded, CaptureLost, ServiceError, VehicleUnknown
+from mavcal.service.errors import (
+    CaptureDisturbed,
+    CaptureEnded,
+    CaptureLost,
+    CaptureMoved,
+    ServiceError,
+    VehicleUnknown,
+)
 from mavcal.service.jobs.admission import require_vehicle
 from mavcal.service.jobs.capture import Capture
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
@@ -96,6 +103,8 @@ class Runner:
             capture.foresee = partial(self._foresee, handle.job)
             try:
                 await capture.run()
+            except CaptureMoved as moved:
+                handle.warn(str(moved))
             except CaptureDisturbed as disturbed:
                 late = handle.job.kind in EARLY and self.clock() - began > EARLY_S
                 if left == 0 or late:

@@ -159,6 +159,10 @@ async def _resume(w: Writing) -> None:
     identity = await w.guard.run(w.vehicle.identify)
     if (identity.uid or "") != w.plan.fingerprint.uid:
         raise WriteStopped("another vehicle answers under this one's address")
+    if not w.plan.fingerprint.uid:
+        await w.guard.run(partial(_same_sensors, w))
+    if w.vehicle.id != w.handle.job.vehicle_id:
+        w.handle.change("vehicle", {"id": w.vehicle.id}, vehicle_id=w.vehicle.id)
     readings = await w.guard.run(partial(read_values, w.vehicle, [s.name for s in record.sent]))
     values = {name: reading.value for name, reading in readings.items()}
     following = decide(record, w.plan, values)
@@ -185,6 +189,16 @@ async def _has_restarted(w: Writing, record: WriteRecord) -> bool:
     await w.same_boot()  # its clock is heard
     boot_time = w.vehicle.condition().boot_time
     return boot_time is not None and record.saved.restarted_since(w.handle.now(), boot_time)
+
+
+async def _same_sensors(w: Writing) -> None:
+    """Raise WriteStopped if a vehicle that no unique id names has other sensors than that of the plan."""
+    planned = {c.name for c in w.plan.changes}
+    before = {n: v for n, v in w.composed_on().items() if "_ID" in n and n not in planned and v}
+    now = await read_values(w.vehicle, before, absent=True)
+    other = [name for name, value in before.items() if name in now and now[name].value not in (0, value)]
+    if other or (before and not now):
+        raise WriteStopped(f"a vehicle with other sensors answers ({', '.join(other or before)} differs)")
 
 
 async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None:

@@ -35,9 +35,14 @@ class VehicleAdapter:
     def __init__(
         self, vehicle: Vehicle, doubted: Doubted = lambda _: None, give_way: GiveWay = _nobody_watches
     ) -> None:
-        self._vehicle = vehicle
+        self._known = vehicle
         self._doubted = doubted
         self._give_way = give_way
+
+    @property
+    def _vehicle(self) -> Vehicle:
+        """The unit, also where it turned out to be one that was known on another link."""
+        return self._known.unit
 
     @property
     def id(self) -> str:
@@ -76,6 +81,7 @@ class VehicleAdapter:
             conflict=self._doubted(vehicle.id) or next(iter(vehicle.conflicts), None),
             peer="" if address is None else f"{address[0]}:{address[1]}",
             boot_time=state.boot_time,
+            way=vehicle.way,
         )
 
     async def caught_up(self) -> None:
@@ -182,7 +188,21 @@ class RegistryAdapter:
 
     def vehicle(self, vehicle_id: str) -> VehicleAdapter:
         """See VehicleSource."""
-        return VehicleAdapter(self._registry.get(vehicle_id), self._doubted, self._give_way)
+        return self._adapted(self._registry.get(vehicle_id))
+
+    def nameless(self, identity: Identity) -> tuple[VehicleAdapter, ...]:
+        """See VehicleSource."""
+        alike = (identity.autopilot, identity.vehicle_type, identity.firmware, identity.system, identity.component)
+        found = [self._adapted(vehicle) for vehicle in self._registry.all() if vehicle.identity.known]
+        return tuple(
+            one
+            for one in found
+            if (known := one.identity).uid is None
+            and (known.autopilot, known.vehicle_type, known.firmware, known.system, known.component) == alike
+        )
+
+    def _adapted(self, vehicle: Vehicle) -> VehicleAdapter:
+        return VehicleAdapter(vehicle, self._doubted, self._give_way)
 
 
 def _reading(parameter: Parameter) -> ParameterReading:

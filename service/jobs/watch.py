@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from mavcal.calib.procedures.protocol import Prompt, PromptStep
-from mavcal.service.errors import CaptureDisturbed, CaptureEnded, CaptureLost
+from mavcal.service.errors import CaptureDisturbed, CaptureEnded, CaptureLost, CaptureMoved
 from mavcal.service.jobs.digest import LiveDigest
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.port import Condition, JobVehicle
@@ -64,13 +64,15 @@ class CaptureWatch:
     clock: Callable[[], float]
     warn: Callable[[str], None]
     _reboots: int = field(init=False)
+    _way: str = field(init=False)
     _silent_since: float | None = None
     _moved_at: float = field(init=False)
     _last_time: float = float("-inf")
     _before: tuple[float, float, Callable[[], float]] | None = None
 
     def __post_init__(self) -> None:
-        self._reboots = self.vehicle.condition().reboots
+        now = self.vehicle.condition()
+        self._reboots, self._way = now.reboots, now.way
         self._moved_at = self.clock()
 
     def resume(self, last_time: float, last_record: float, wall: Callable[[], float]) -> None:
@@ -83,6 +85,11 @@ class CaptureWatch:
         now = self.vehicle.condition()
         self._check_same_boot(digest)
         self._check_state(now)
+        if now.way != self._way:
+            raise CaptureMoved(
+                f"link {self._way} fell silent, and the capture goes on over link {now.way}",
+                remedy="What was recorded is kept; start the job again.",
+            )
         self._check_silence(now)
         if digest is not None:
             self._check_samples(now, digest)

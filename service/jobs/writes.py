@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 
+from mavcal.calib.recording import Identity
+from mavcal.calib.report import from_json
 from mavcal.service.errors import VehicleUnknown
 from mavcal.service.jobs.admission import require_vehicle
 from mavcal.service.jobs.crashpoints import CrashPoint
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.port import VehicleSource
+from mavcal.service.jobs.port import JobVehicle, VehicleSource
 from mavcal.service.jobs.preflight import History, Preflights
 from mavcal.service.jobs.ready import look_after
 from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.tidying import Tidying
 from mavcal.service.jobs.transaction import Transaction
 from mavcal.service.jobs.verify import StreamProof
@@ -38,9 +41,23 @@ class Writes:
         """A context for writing, with the vehicle as it is known now."""
         assert job.plan is not None
         accept = job.accept or Accept(job.plan.sha256)
-        vehicle = self._vehicles.vehicle(require_vehicle(job))
+        vehicle = self._heard(job)
         check = StreamProof(handle, vehicle, job.plan, accept.prove_s, self._settings, self._clock)
         return Writing(handle, vehicle, job.plan, accept, check, self._settings, self._reach)
+
+    def _heard(self, job: Job) -> JobVehicle:
+        """The job's vehicle. One without a unique id is named by a link, and may be heard on another one by now.
+
+        Raises VehicleUnknown. Whether its sensors are those of the plan is asked before anything is sent.
+        """
+        try:
+            return self._vehicles.vehicle(require_vehicle(job))
+        except VehicleUnknown:
+            known = job.context.get("identity")
+            alike = [] if known is None else self._vehicles.nameless(from_json(known, Identity))
+            if job.state != JobState.IN_DOUBT or len(alike) != 1:
+                raise
+            return alike[0]
 
     async def applied(self, handle: JobHandle, preflights: Preflights, tidying: Tidying, look: History | None) -> None:
         """The write, once nobody puts message rates back any more: it needs the same ones as the capture.

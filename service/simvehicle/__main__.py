@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from mavcal.service.simvehicle.config import SimAutopilot, VehicleConfig, load_config
 from mavcal.service.simvehicle.errors import SimulatedVehicleError
-from mavcal.service.simvehicle.links import SimEndpoint, TcpServer, UdpIn, UdpOut
+from mavcal.service.simvehicle.links import SerialPort, SimEndpoint, TcpServer, UdpIn, UdpOut
 from mavcal.service.simvehicle.parameters import load_table
 from mavcal.service.simvehicle.scripts import SCRIPTS
 from mavcal.service.simvehicle.server import SimServer, make_vehicle
@@ -24,6 +24,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--udpout", metavar="HOST:PORT", action="append", default=[], help="send to a ground station")
     p.add_argument("--udpin", metavar="HOST:PORT", action="append", default=[], help="listen for ground stations")
     p.add_argument("--tcp", metavar="HOST:PORT", action="append", default=[], help="serve one TCP client at a time")
+    p.add_argument("--serial", action="store_true", help="a serial port: a pseudo-terminal, whose name is said")
     p.add_argument("--seed", type=int, default=None)
     p.add_argument("--speed", type=float, default=1.0, help="vehicle seconds per wall second")
     p.add_argument("--system-id", type=int, default=None)
@@ -51,6 +52,7 @@ def _links(args: argparse.Namespace, config: VehicleConfig) -> list[SimEndpoint]
     links: list[SimEndpoint] = [UdpOut(a) for a in args.udpout]
     links += [UdpIn(a, first_for_ever=config.autopilot is SimAutopilot.PX4) for a in args.udpin]
     links += [TcpServer(a) for a in args.tcp]
+    links += [SerialPort()] if args.serial else []
     return links or [UdpOut("127.0.0.1:14550")]
 
 

@@ -85,8 +85,8 @@ class SimulatedVehicle:
 
     Args:
         autopilot: "ardupilot" or "px4".
-        link: "udpout" (the vehicle sends to a free port, `url` is udpin:…), "udpin", "tcp", or a full
-            "kind:HOST:PORT" with an address of the caller's; a list gives the vehicle several links.
+        link: "udpout" (the vehicle sends to a free port, `url` is udpin:…), "udpin", "tcp", "serial" (a pseudo-
+            terminal), or a full "kind:HOST:PORT" with an address of the caller's; a list makes several links.
         seed: draws the truth of the sensors.
         speed: vehicle seconds per wall second.
         system_id: MAVLink system id.
@@ -231,8 +231,10 @@ class SimulatedVehicle:
 
 def _link_arguments(link: str) -> list[str]:
     kind, _, address = link.partition(":")
+    if link == "serial":
+        return ["--serial"]
     if kind not in ("udpout", "udpin", "tcp"):
-        raise StartError(f"link {link!r} must begin with udpout, udpin or tcp")
+        raise StartError(f"link {link!r} must be serial, or begin with udpout, udpin or tcp")
     if not address:
         # A listening vehicle takes any free port itself; a sending one needs one that is free now.
         address = f"127.0.0.1:{free_udp_port() if kind == 'udpout' else 0}"

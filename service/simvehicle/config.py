@@ -65,6 +65,7 @@ class VehicleConfig:
     calibration: Calibration = Calibration.EARLIER
     factory: bool = False  # never booted before: hidden groups hold zeros, no row of PX4 has an id; nothing calibrated
     gps: bool = True
+    unique_id: bool = True  # False: zeros, as boards say that have none
     signing_key: str = ""  # 64 hexadecimal digits: what the vehicle signs with, and all that it listens to
     boot_s: float = 3.0
     stream_start_s: float = 0.0  # how long after the request a stream begins; ArduCopter was seen to take .97 s

@@ -16,6 +16,7 @@ delays of the wire, which are the wall's)::
     stuck, nan, absent   sensor (accel, gyro, mag), instance
     twin                 a second vehicle of the same system id
     move                 the vehicle goes on from another address
+    cut                  link (0: the first): nothing passes on it in either direction
     disconnect           the TCP connection is cut; the ground station may connect again
 
 Triggers: "now", {"time": t}, {"after_s": s}, {"nth_set": n} (the n-th PARAM_SET from now, before it acts).
@@ -102,6 +103,7 @@ class Injector:
             "absent": self._sensor,
             "twin": lambda _f, _n: self._site.add_twin(),
             "move": lambda _f, _n: self._move(),
+            "cut": lambda f, _n: self._cut(f),
             "disconnect": lambda _f, _n: self._disconnect(),
         }
         site.vehicle.echo_filter = self._filter_echo
@@ -140,8 +142,10 @@ class Injector:
         if fault.kind in PERSISTENT:
             _impairment_values(fault)
             _direction(fault)
-        for name in ("duration_s", "delay_s", "count", "value", "instance"):
+        for name in ("duration_s", "delay_s", "count", "value", "instance", "link"):
             _finite(name, fault.options.get(name, 0))
+        if fault.kind == "cut" and not 0 <= int(fault.options.get("link", 0)) < len(self._site.links):
+            raise ControlError(f"there is no link {fault.options['link']}")
         if fault.kind in ("not_applied", "foreign_write") and not (fault.nth_set and "name" not in fault.options):
             target = fault.options.get("name")
             if target not in self._vehicle.table:
@@ -174,6 +178,7 @@ class Injector:
         self._echoes.clear()
         for link in self._site.links:
             link.set_impairments(Impairment(), Impairment())
+            link.cut = False
         self._vehicle.faults.clear()
         self._vehicle.table.unpin_all()
         self._vehicle.reload_calibration()
@@ -259,6 +264,9 @@ class Injector:
     def _move(self) -> None:
         for link in self._site.links:
             link.move()
+
+    def _cut(self, fault: Fault) -> None:
+        self._site.links[int(fault.options.get("link", 0))].cut = True
 
     def _disconnect(self) -> None:
         for link in self._site.links:

@@ -45,7 +45,10 @@ CLEAN = Impairment()
 
 
 class FaultyLink:
-    """A link seen through its impairments; `channel` is the vehicle's end, `spoilt` counts the frames hit, by kind."""
+    """A link seen through its impairments.
+
+    `channel` is the vehicle's end; `cut`: nothing passes; `spoilt` counts the frames hit, by kind.
+    """
 
     def __init__(self, link: SimEndpoint, seed: int) -> None:
         self._link = link
@@ -55,6 +58,7 @@ class FaultyLink:
         self._tickets = itertools.count()
         self.spoilt: Counter[str] = Counter()
         self.incoming, self.outgoing = CLEAN, CLEAN
+        self.cut = False
         self.channel: MavlinkChannel | None = None
         self.url = link.url
         self._free_out = self._free_in = 0.0  # when the wire has carried what it was given, monotonic
@@ -63,12 +67,14 @@ class FaultyLink:
         """Spoil what passes from now on."""
         self.incoming, self.outgoing = incoming, outgoing
 
-    def sockets(self) -> list[socket.socket]:
+    def sockets(self) -> list[socket.socket | int]:
         """What to wait on."""
         return self._link.sockets()
 
     def send(self, frame: bytes) -> None:
         """Send one frame, or what is left of it, perhaps later, perhaps twice."""
+        if self.cut:
+            return
         if self.outgoing.clean and not self._held_out:
             self._link.send(frame)
             return
@@ -106,6 +112,8 @@ class FaultyLink:
     def received(self) -> Iterator[Received]:
         """The intact messages that have arrived and were not lost."""
         for data in self._link.poll():
+            if self.cut:
+                continue
             if self.incoming.clean:
                 yield from self._link.messages(data)
                 continue

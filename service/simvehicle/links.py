@@ -1,13 +1,15 @@
-"""Sockets of the simulated vehicle: UDP in both directions, and a TCP server for one client at a time.
+"""Ports of the simulated vehicle: UDP in both directions, a TCP server for one client at a time, a pseudo-terminal.
 
 Every link is non-blocking and polled; what cannot be sent now is dropped, as a flight controller's port does.
 """
 
 from __future__ import annotations
 
+import os
 import socket
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import suppress
 
 from mavcal.service.simvehicle.errors import ConfigurationError
 from mavcal.service.simvehicle.wire import Received, Splitter, split_datagram
@@ -50,7 +52,7 @@ class SimEndpoint(ABC):
     url: str
 
     @abstractmethod
-    def sockets(self) -> list[socket.socket]:
+    def sockets(self) -> list[socket.socket | int]:
         """What to wait on."""
 
     @abstractmethod
@@ -87,7 +89,7 @@ class UdpOut(SimEndpoint):
         self._socket = bound_socket(socket.SOCK_DGRAM, ("0.0.0.0", 0))  # noqa: S104 - answers come from any route
         self.url = f"udpin:{target}"
 
-    def sockets(self) -> list[socket.socket]:
+    def sockets(self) -> list[socket.socket | int]:
         """See Link."""
         return [self._socket]
 
@@ -124,7 +126,7 @@ class UdpIn(SimEndpoint):
         self._first_for_ever = first_for_ever
         self._peer: Address | None = None
 
-    def sockets(self) -> list[socket.socket]:
+    def sockets(self) -> list[socket.socket | int]:
         """See Link."""
         return [self._socket]
 
@@ -161,10 +163,9 @@ class TcpServer(SimEndpoint):
         self._unsent = bytearray()
         self._splitter = Splitter()
 
-    def sockets(self) -> list[socket.socket]:
+    def sockets(self) -> list[socket.socket | int]:
         """See Link."""
-        listening = [self._listener] if self._client is None else []
-        return listening + ([self._client] if self._client is not None else [])
+        return [self._listener if self._client is None else self._client]
 
     def poll(self) -> Iterator[bytes]:
         """See Link."""
@@ -229,6 +230,42 @@ class TcpServer(SimEndpoint):
         """See Link."""
         self._drop()
         self._listener.close()
+
+
+class SerialPort(SimEndpoint):
+    """The far end of a serial line: a pseudo-terminal whose other end a ground station opens as a device."""
+
+    def __init__(self) -> None:
+        import tty
+
+        self._ours, self._theirs = os.openpty()  # held open: without a reader our end would report an error
+        tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
+        self.url = f"serial:{os.ttyname(self._theirs)}:921600"
+        self._splitter = Splitter()
+
+    def sockets(self) -> list[socket.socket | int]:
+        """See Link."""
+        return [self._ours]
+
+    def poll(self) -> Iterator[bytes]:
+        """See Link."""
+        with suppress(OSError):
+            yield os.read(self._ours, DATAGRAM)
+
+    def messages(self, data: bytes) -> Iterator[Received]:
+        """See Link."""
+        return self._splitter.feed(data)
+
+    def send(self, frame: bytes) -> None:
+        """See Link."""
+        with suppress(OSError):  # nobody reads, and the line is full
+            os.write(self._ours, frame)
+
+    def close(self) -> None:
+        """See Link."""
+        os.close(self._ours)
+        os.close(self._theirs)
 
 
 def _datagrams(sock: socket.socket) -> Iterator[tuple[bytes, Address]]:

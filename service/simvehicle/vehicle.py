@@ -300,7 +300,9 @@ class FlightController(ABC):
         return self._unix_base + self.elapsed
 
     def uid2(self) -> bytes:
-        """Eighteen bytes that differ from seed to seed."""
+        """Eighteen bytes that differ from seed to seed, or zeros."""
+        if not self.config.unique_id:
+            return bytes(18)
         text = f"simvehicle {self.config.autopilot} {self.config.seed}"
         return hashlib.sha256(text.encode()).digest()[:18]
 

@@ -79,6 +79,8 @@ class Watch:
     def __init__(self, vehicle: Vehicle, message_ids: Collection[int]) -> None:
         self.meters = {message_id: Meter() for message_id in message_ids}
         self._vehicle = vehicle
+        self._link = vehicle.link
+        """Whose losses count, also where another one comes into use meanwhile."""
         self._began: tuple[float, LinkStatistics] | None = None
 
     @property
@@ -109,7 +111,7 @@ class Watch:
         )
 
     def _statistics(self) -> LinkStatistics:
-        return self._vehicle.link.statistics(self._vehicle.system, self._vehicle.component)
+        return self._link.statistics(self._vehicle.system, self._vehicle.component)
 
 
 async def watch(vehicle: Vehicle, message_ids: Collection[int], seconds: float, fast: Collection[int] = ()) -> Arrivals:

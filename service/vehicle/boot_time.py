@@ -1,12 +1,25 @@
-"""The times that messages carry: since boot, or by any clock of the vehicle."""
+"""The times that messages carry, and what they tell: a restart, and whether two links lead to one vehicle."""
 
 from __future__ import annotations
 
+import statistics
 import struct
+from collections import deque
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire import Frame, padded_payload
+
+_BACK_S = 1.0
+_BACK_COUNT = 3
+"""So many messages in a row from before are a reboot; fewer are late ones."""
+_KEPT = 8
+_APART_S = 0.2
+"""Stamps that are kept for comparison lie so far apart at least."""
+_LEAST_SPAN_S = 0.5
+"""Over a shorter time nothing is said of how fast a clock runs: a simulated vehicle's may run faster than ours."""
+_COMPARED = 3
+_FAR_S = 5.0
 
 
 def _offsets(field: str) -> dict[int, int]:
@@ -43,3 +56,67 @@ def own_time(frame: Frame) -> float | None:
     if offset is None:
         return boot_time(frame)
     return int.from_bytes(padded_payload(frame, offset + 8)[offset : offset + 8], "little") / 1e6
+
+
+class BootClock:
+    """A vehicle's time since its start, as it comes over one link.
+
+    Links differ in delay: stamps of one link are compared with each other, never one by one with those of another.
+    """
+
+    def __init__(self) -> None:
+        self.latest: float | None = None
+        """The latest stamp, s; None: none has come."""
+        self.restarts = 0
+        """How many restarts this clock has seen."""
+        self._backwards = 0
+        self._stamps: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+
+    def see(self, stamp: float, at: float) -> bool:
+        """Take note of a stamp that came at `at`; True if the vehicle has restarted: the clock stays behind.
+
+        A single late message is no restart: several in a row must come from before.
+        """
+        restarted = False
+        if self.latest is not None and stamp < self.latest - _BACK_S:
+            self._backwards += 1
+            if self._backwards < _BACK_COUNT:
+                return False
+            self._stamps.clear()
+            self.restarts += 1
+            self.latest, restarted = stamp, True
+        self.latest = stamp if self.latest is None else max(stamp, self.latest)
+        self._backwards = 0
+        if not self._stamps or at - self._stamps[-1][0] >= _APART_S:
+            self._stamps.append((at, stamp))
+        return restarted
+
+    def forget(self) -> None:
+        """The next stamp is the first one again: nothing was heard for so long that it need not be the same boot."""
+        self.latest, self._backwards = None, 0
+        self._stamps.clear()
+
+    def ahead_of(self, other: BootClock) -> float | None:
+        """By how many seconds of ours this clock is ahead of another one that runs beside it.
+
+        None: too little was heard of one of them. The delay of the other link counts as well.
+        """
+        speeds = [clock._speed() for clock in (self, other)]
+        if speeds[0] is None or speeds[1] is None:
+            return None
+        speed = max(speeds[0], speeds[1])
+        found = []
+        for at, stamp in list(self._stamps)[-_COMPARED:]:
+            when, beside = min(other._stamps, key=lambda one: abs(one[0] - at))
+            if abs(when - at) <= _FAR_S:
+                found.append((stamp - beside) / speed - (at - when))
+        return statistics.median(found) if found else None
+
+    def _speed(self) -> float | None:
+        """Seconds of the vehicle in one of ours; 1 but for simulated vehicles."""
+        if len(self._stamps) < 2:
+            return None
+        (first, start), (last, end) = self._stamps[0], self._stamps[-1]
+        if last - first < _LEAST_SPAN_S:
+            return None
+        return max((end - start) / (last - first), 0.1)

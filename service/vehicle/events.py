@@ -22,6 +22,8 @@ class VehicleEventKind(StrEnum):
     CONFLICT = "conflict"
     PEER_CHANGED = "peer_changed"
     REPLACED = "replaced"
+    LINKS = "links"  # it is heard over one link more or less
+    MOVED = "moved"  # it is spoken to over another link
 
 
 @dataclass(frozen=True)

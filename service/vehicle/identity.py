@@ -7,6 +7,7 @@ from enum import StrEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from mavcal.calib.firmware.unit_id import unit_id
 from mavcal.calib.wire import Message, ParameterEncoding, usual_encoding
 
 
@@ -53,7 +54,7 @@ class VehicleIdentity:
     board, vendor, product
         Hardware numbers as the firmware gives them.
     uid2
-        Unique id in hexadecimal, trailing zeros cut; None if unknown or all zero.
+        Unique id in hexadecimal, trailing zeros cut; None if unknown, or if every vehicle of its kind says the same.
     capabilities
         MAV_PROTOCOL_CAPABILITY bits, or None.
     """
@@ -113,7 +114,7 @@ def identity_from_version(known: VehicleIdentity, message: Message) -> VehicleId
         board=message.board_version,
         vendor=message.vendor_id,
         product=message.product_id,
-        uid2=_unique(message),
+        uid2=unit_id(known.autopilot, bytes(message.uid2), message.uid),
         capabilities=message.capabilities,
     )
 
@@ -124,10 +125,3 @@ def _git_hash(autopilot: Autopilot, custom: bytes) -> str:
         text = custom.split(b"\x00", 1)[0].decode("ascii", "replace")
         return text if text.isalnum() else ""
     return custom[::-1].hex() if any(custom) else ""
-
-
-def _unique(message: Message) -> str | None:
-    uid2 = bytes(message.uid2)
-    if any(uid2):
-        return uid2.rstrip(b"\x00").hex()
-    return f"{message.uid:016x}" if message.uid else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -51,6 +51,8 @@ _MOST_TRIES = 16
 _SILENCES = 5
 """So many silences prove absence: at 30 % loss each way a parameter that exists is missed once in 200 times."""
 _GRACE_S = 0.3
+_WAYS = 3
+"""A write is tried over so many links, one after the other, as each falls silent."""
 _VALUE, _ERROR = dialect.MAVLINK_MSG_ID_PARAM_VALUE, dialect.MAVLINK_MSG_ID_PARAM_ERROR
 _DOES_NOT_EXIST = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
 _ERRORS = {2: "the value is out of range", 3: "permission denied", 5: "it is read only", 6: "type unsupported"}
@@ -89,6 +91,11 @@ class Holder(Addressee, Protocol):
     @property
     def pace(self) -> Pace:
         """How fast it answers."""
+        ...
+
+    @property
+    def way(self) -> str:
+        """Name of the link in use: it changes when that falls silent and there is another one."""
         ...
 
     async def caught_up(self) -> None:
@@ -284,18 +291,35 @@ class Parameters(Mapping[str, Parameter]):
 
         message = param_set(vehicle.system, vehicle.component, name, bits, kind)
         sent = 0
-        expected: Expectation[Parameter | ParameterError] = vehicle.waits.expect({_VALUE, _ERROR}, match)
-        with expected as answer:
-            while sent < TRIES:
-                await self._transmit(message, name, sent)
-                sent += 1
-                got = await answer.within(self._patience())
-                if isinstance(got, ParameterError):
-                    got.sent = sent
-                    raise got
-                if got is not None:
-                    return Echo(got, sent, "echo")
-        return await self._settle(name, value, bits, kind, sent)
+        expected: Expectation[Parameter | ParameterError] = vehicle.waits.expect({_VALUE, _ERROR}, match, anywhere=True)
+        settled: Echo | ParameterRejected
+        for _ in range(_WAYS):
+            way, tries = vehicle.way, 0
+            with expected as answer:
+                while tries < TRIES:
+                    await self._transmit(message, name, sent)
+                    sent, tries = sent + 1, tries + 1
+                    got = await answer.within(self._patience())
+                    if isinstance(got, ParameterError):
+                        got.sent = sent
+                        raise got
+                    if got is not None:
+                        self._note(got)
+                        return Echo(got, sent, "echo")
+            settled = await self._settle(name, value, bits, kind, sent)
+            if isinstance(settled, Echo):
+                return settled
+            if vehicle.way == way:
+                break  # else what was sent went into a link that is dead: the one that took its place is tried
+        assert isinstance(settled, ParameterRejected)
+        raise settled
+
+    def _note(self, confirmed: Parameter) -> None:
+        """What was confirmed is known, also where the echo came over a link that is not in use."""
+        known = self._known.get(confirmed.name)
+        if known is not None and known.bits != confirmed.bits:
+            index = known.index if confirmed.index is None else confirmed.index
+            self._known[confirmed.name] = replace(confirmed, index=index)
 
     async def _transmit(self, message: RawMessage, name: str, sent: int) -> None:
         """Send if the vehicle may be written to by everything that it has said until now, however late the loop is."""
@@ -309,7 +333,9 @@ class Parameters(Mapping[str, Parameter]):
             error.sent = sent
             raise error from exc
 
-    async def _settle(self, name: str, value: float, bits: bytes, kind: ParamType, sent: int) -> Echo:
+    async def _settle(
+        self, name: str, value: float, bits: bytes, kind: ParamType, sent: int
+    ) -> Echo | ParameterRejected:
         """No echo came: ask what the vehicle holds."""
         try:
             held = await self.read(name)
@@ -318,7 +344,7 @@ class Parameters(Mapping[str, Parameter]):
             raise
         if held.kind is kind and same_value(held.bits, bits, kind, self.encoding):
             return Echo(held, sent, "read")
-        raise ParameterRejected(f"{name}: {value} was written, the vehicle holds {held.value}.", name=name, sent=sent)
+        return ParameterRejected(f"{name}: {value} was written, the vehicle holds {held.value}.", name=name, sent=sent)
 
     async def _kind(self, name: str, kind: ParamType | None) -> ParamType:
         known = self._known.get(name)

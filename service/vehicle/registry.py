@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -13,7 +14,10 @@ from mavcal.calib.wire import Frame, Message, decode
 from mavcal.service.errors import LinkDown, VehicleError, VehicleUnknown
 from mavcal.service.link import Batch, Link, LinkEvent
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
-from mavcal.service.vehicle.vehicle import CORE_IDS, YIELD_S, Vehicle
+from mavcal.service.vehicle.heard import CORE_IDS
+from mavcal.service.vehicle.kin import Kin
+from mavcal.service.vehicle.streams import follow
+from mavcal.service.vehicle.vehicle import YIELD_S, Vehicle
 
 TICK_S = 0.05
 """How often time passes for a vehicle that an answer is waited for from."""
@@ -49,6 +53,7 @@ class VehicleRegistry:
         self._detachers: dict[str, list[Callable[[], None]]] = {}
         self._subscribers: dict[object, VehicleCallback] = {}
         self._identifying: dict[Vehicle, asyncio.Task[None]] = {}
+        self._kin = Kin(clock)
         self._changed: set[asyncio.Future[None]] = set()
         self._ticker: asyncio.TimerHandle | None = None
         self._turns: list[tuple[int, tuple[str, int, int]]] = []
@@ -69,27 +74,37 @@ class VehicleRegistry:
             self._tick()
 
     def detach(self, link: Link) -> None:
-        """Forget this link and its vehicles; whatever waits for them ends with LinkDown."""
+        """Forget this link. A vehicle that is heard on no other one is forgotten too: what waits for it ends with
+        LinkDown.
+        """
         for detach in self._detachers.pop(link.id, []):
             detach()
         for key, vehicle in list(self._vehicles.items()):
-            if vehicle.link is link:
-                del self._vehicles[key]
-                self._period.pop(key, None)
+            if key[0] != link.id:
+                continue
+            del self._vehicles[key]
+            self._period.pop(key, None)
+            if len(vehicle.channels) > 1:
+                vehicle.leave(link, "the link was closed")
+            else:
                 self._stop_identifying(vehicle)
                 vehicle.close(LinkDown(f"Link {link.id} was closed."))
+        for vehicle in self._units():
+            if not vehicle.settled:
+                self._settle(vehicle)
         if not self._detachers and self._ticker is not None:
             self._ticker.cancel()
             self._ticker = None
 
     def close(self) -> None:
         """Detach from every link; closes none of them."""
-        for link in {vehicle.link for vehicle in self._vehicles.values()}:
+        for link in {link for vehicle in self._vehicles.values() for link in vehicle.links}:
             self.detach(link)
         for detachers in self._detachers.values():
             for detach in detachers:
                 detach()
         self._detachers.clear()
+        self._kin.close()
         if self._ticker is not None:
             self._ticker.cancel()
             self._ticker = None
@@ -97,21 +112,31 @@ class VehicleRegistry:
     # --- vehicles ---------------------------------------------------------------------------------------------------
 
     def all(self) -> tuple[Vehicle, ...]:
-        """Every vehicle that was heard, in the order in which they were found."""
-        return tuple(self._vehicles.values())
+        """Every unit that was heard, in the order in which they were found.
+
+        One that may still turn out to be another one is left out until that is decided.
+        """
+        return tuple(vehicle for vehicle in self._units() if not vehicle.undecided)
+
+    def _units(self) -> tuple[Vehicle, ...]:
+        return tuple(dict.fromkeys(self._vehicles.values()))
 
     def get(self, vehicle_id: str) -> Vehicle:
-        """The vehicle of that id, or of the id ``<link>-<system>-<component>`` that it had before it was identified.
+        """The vehicle of that id, or of an id ``<link>-<system>-<component>`` that one of its links gives it.
 
         Raises
         ------
         VehicleUnknown
             If there is none.
         """
-        for vehicle in self._vehicles.values():
-            if vehicle_id in (vehicle.id, _place(vehicle)):
+        units = self._units()
+        for vehicle in units:
+            if vehicle_id == vehicle.id:
                 return vehicle
-        heard = ", ".join(vehicle.id for vehicle in self._vehicles.values()) or "none"
+        for vehicle in units:
+            if vehicle_id in _places(vehicle):
+                return vehicle
+        heard = ", ".join(vehicle.id for vehicle in units) or "none"
         raise VehicleUnknown(f"There is no vehicle {vehicle_id}; heard so far: {heard}.")
 
     async def wait_for_vehicle(self, link: Link | None = None, *, identified: bool = True) -> Vehicle:
@@ -120,8 +145,8 @@ class VehicleRegistry:
         Wrap it in ``asyncio.timeout``: it waits for ever.
         """
         while True:
-            for vehicle in self._vehicles.values():
-                if (link is None or vehicle.link is link) and (vehicle.identity.known or not identified):
+            for vehicle in self.all():
+                if (link is None or link in vehicle.links) and (vehicle.identity.known or not identified):
                     return vehicle
             changed = asyncio.get_running_loop().create_future()
             self._changed.add(changed)
@@ -151,9 +176,15 @@ class VehicleRegistry:
             if vehicle is None and component == _AUTOPILOT_COMPONENT:
                 vehicle = self._find(link, frames)
             if vehicle is not None:
-                vehicle.feed(frames, batch)
+                vehicle.feed(frames, batch, link)
                 if vehicle.successor is not None:
-                    self._replace(vehicle).feed(frames, batch)
+                    vehicle = self._replace(vehicle)
+                    vehicle.feed(frames, batch, link)
+                elif vehicle.channels.of(link).stranger is not None:
+                    vehicle = self._part(vehicle, link, "another unit answers there")
+                    vehicle.feed(frames, batch, link)
+                if not vehicle.settled:
+                    self._settle(vehicle)
 
     def _find(self, link: Link, frames: list[Frame]) -> Vehicle | None:
         for frame in frames:
@@ -178,9 +209,33 @@ class VehicleRegistry:
         self._announce(gone, VehicleEventKind.REPLACED, gone.give_way())
         return self._add(gone.link, gone.system, gone.component, gone.heartbeat)
 
+    def _part(self, unit: Vehicle, link: Link, why: str) -> Vehicle:
+        """What speaks on this link is another unit than the one heard on the others: a vehicle of its own."""
+        heartbeat = unit.heartbeat
+        unit.leave(link, why)
+        return self._add(link, unit.system, unit.component, heartbeat)
+
+    def _settle(self, vehicle: Vehicle) -> None:
+        """Decide which unit this is, as far as that is known (decision 44)."""
+        address = (vehicle.system, vehicle.component)
+        units = [self._vehicles[link, *address] for link in self._detachers if (link, *address) in self._vehicles]
+        decided = self._kin.decide(vehicle, units)
+        if decided is None:
+            return
+        vehicle.settled = True
+        was, vehicle.undecided = vehicle.undecided, ""
+        if decided is not vehicle:
+            self._stop_identifying(vehicle)
+            for key, known in self._vehicles.items():
+                if known is vehicle:
+                    self._vehicles[key] = decided
+            decided.join(vehicle)
+        elif was and vehicle.identity.known:
+            self._announce(vehicle, VehicleEventKind.IDENTIFIED, f"A vehicle of its own: {was}")
+
     def _link_event(self, link: Link, event: LinkEvent) -> None:
-        for vehicle in self._vehicles.values():
-            if vehicle.link is link:
+        for vehicle in self._units():
+            if link in vehicle.links:
                 vehicle.link_event(event)
 
     def _tick(self) -> None:
@@ -197,12 +252,18 @@ class VehicleRegistry:
             if vehicle is not None and (vehicle.waits.any or period != self._period.get(place)):
                 self._period[place] = period
                 vehicle.tick()
+                if not vehicle.settled:
+                    self._settle(vehicle)
+                for channel in self._kin.apart(vehicle):
+                    self._part(vehicle, channel.link, "its clock is another one's")
 
     def _announce(self, vehicle: Vehicle, kind: VehicleEventKind, text: str) -> None:
         if kind is VehicleEventKind.IDENTIFIED:
             vehicle.id = self._name(vehicle)
         elif kind is VehicleEventKind.REBOOTED:
             self._identify(vehicle)
+        elif kind is VehicleEventKind.MOVED:
+            vehicle.streams.move(partial(follow, vehicle))
         event = VehicleEvent(kind, vehicle.id, text)
         loop = asyncio.get_running_loop()
         for key in list(self._subscribers):
@@ -220,10 +281,10 @@ class VehicleRegistry:
         """From the unique id; by place if it has none, or if another vehicle has the same."""
         uid2 = vehicle.identity.uid2
         if uid2 is None:
-            return _place(vehicle)
+            return vehicle.id
         name = f"uid-{uid2}"
-        taken = any(other is not vehicle and other.id == name for other in self._vehicles.values())
-        return _place(vehicle) if taken else name
+        taken = any(other is not vehicle and other.id == name for other in self._units())
+        return place(vehicle.link, vehicle) if taken else name
 
     def _identify(self, vehicle: Vehicle) -> None:
         self._stop_identifying(vehicle)
@@ -258,5 +319,10 @@ def is_vehicle(heartbeat: Any) -> bool:
     return bool(heartbeat.autopilot != dialect.MAV_AUTOPILOT_INVALID and heartbeat.type != dialect.MAV_TYPE_GCS)
 
 
-def _place(vehicle: Vehicle) -> str:
-    return f"{vehicle.link.id}-{vehicle.system}-{vehicle.component}"
+def place(link: Link, vehicle: Vehicle) -> str:
+    """The id that a vehicle without a unique one has from the link on which it was found."""
+    return f"{link.id}-{vehicle.system}-{vehicle.component}"
+
+
+def _places(vehicle: Vehicle) -> tuple[str, ...]:
+    return tuple(place(link, vehicle) for link in vehicle.links)

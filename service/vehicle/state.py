@@ -21,9 +21,6 @@ DISARMED_S = 2.0
 LANDED_FRESH_S = 10.0
 """A landed state older than this says no more than UNDEFINED."""
 KEPT_TEXTS = 50
-_BACK_S = 1.0
-_BACK_COUNT = 3
-"""So many messages in a row from before are a reboot; fewer are late ones."""
 
 
 class Landed(StrEnum):
@@ -79,7 +76,6 @@ class VehicleState:
     boot_time: float | None = None
     onboard_calibration: OnboardCalibration | None = None
     texts: tuple[StatusText, ...] = ()
-    _backwards: int = 0
     _chunks: tuple[ChunkedText, ...] = ()
 
     def silent(self, now: float) -> bool:
@@ -156,21 +152,6 @@ def _heartbeat(state: VehicleState, message: Message, now: float, since: float) 
         custom_mode=message.custom_mode,
         last_heartbeat=now,
     )
-
-
-def note_boot_time(state: VehicleState, boot_time: float) -> VehicleState:
-    """Take the time since boot of a message into account; a clock that stays behind means a restart.
-
-    A single late message does not: several in a row must come from before.
-    """
-    latest = state.boot_time
-    if latest is None or boot_time >= latest - _BACK_S:
-        if state._backwards == 0 and latest is not None and boot_time <= latest:
-            return state
-        return changed(state, boot_time=max(boot_time, latest or 0.0), _backwards=0)
-    if state._backwards + 1 < _BACK_COUNT:
-        return changed(state, _backwards=state._backwards + 1)
-    return restarted(state, boot_time)
 
 
 def restarted(state: VehicleState, boot_time: float | None) -> VehicleState:

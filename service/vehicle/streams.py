@@ -120,12 +120,18 @@ class StreamReport:
 
     async def restore(self) -> tuple[int, ...]:
         """Put the old intervals back; returns the messages for which that could not be confirmed."""
-        failed = []
-        for message_id, interval in self.previous.items():
+        vehicle, failed = self.vehicle.unit, []
+        ledger, way = vehicle.streams, vehicle.way
+        await ledger.moved()
+        for message_id, interval in ledger.to_restore(way, self.previous).items():
             try:
-                await set_interval(self.vehicle, message_id, interval)
+                await set_interval(vehicle, message_id, interval)
             except (VehicleError, LinkError):
                 failed.append(message_id)
+        left = ledger.restored(way, tuple(key for key in self.previous if key not in failed))
+        for link in vehicle.links:
+            for message_id, interval in left.get(link.id, {}).items():
+                vehicle.demand_over(link, commands.SET_MESSAGE_INTERVAL, message_id, interval)
         return tuple(failed)
 
 
@@ -152,6 +158,8 @@ async def get_interval(vehicle: Vehicle, message_id: int) -> int | None:
                 continue
             interval = await answer.within(1.0)
             if interval is not None:
+                if message_id not in vehicle.streams.asked:
+                    vehicle.streams.before(vehicle.way, message_id, interval)
                 return interval
     return None
 
@@ -251,6 +259,7 @@ def demand_streams(vehicle: Vehicle, requested_hz: Mapping[int, float]) -> Mappi
     """
     planned = plan_rates(requested_hz, _smaller(nominal_capacity(vehicle.link.endpoint), _remembered(vehicle)))
     for message_id, rate in sorted(planned.items(), key=lambda item: item[1]):
+        vehicle.streams.ask(message_id, _interval_us(rate))
         vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
     return planned
 
@@ -324,6 +333,7 @@ class _Request:
     def hurry(self, rates_hz: Mapping[int, float]) -> None:
         """Ask without waiting for answers: they stand in the queue that is to be relieved."""
         for message_id, rate in rates_hz.items():
+            self.vehicle.streams.ask(message_id, _interval_us(rate))
             self.vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
 
     async def ask(self, rates_hz: Mapping[int, float]) -> None:
@@ -331,9 +341,11 @@ class _Request:
 
         The slow ones first: the link is busy only when the last ones are on, and answers then wait.
         """
+        await self.vehicle.streams.moved()
         for message_id, rate in sorted(rates_hz.items(), key=lambda item: item[1]):
             if message_id not in self._previous:
                 self._previous[message_id] = await get_interval(self.vehicle, message_id) or DEFAULT_INTERVAL
+            self.vehicle.streams.ask(message_id, _interval_us(rate))
             self._results[message_id] = await self._set(message_id, rate)
 
     async def _set(self, message_id: int, rate: float) -> int | None:
@@ -360,6 +372,18 @@ class _Request:
         asked = {key: interval for key, interval in self._previous.items() if key in self._results}
         previous = {key: interval for key, interval in asked.items() if key not in untouched}
         return StreamReport(self.vehicle, rates, previous, capacity)
+
+
+async def follow(vehicle: Vehicle) -> None:
+    """Ask for the rates that are ours over the link that has come into use; what it had before is noted."""
+    ledger, way = vehicle.streams, vehicle.way
+    for message_id, interval in dict(ledger.asked).items():
+        try:
+            if not ledger.knows(way, message_id):
+                ledger.before(way, message_id, await get_interval(vehicle, message_id) or DEFAULT_INTERVAL)
+            await set_interval(vehicle, message_id, interval)
+        except (VehicleError, LinkError):
+            continue  # a stream that does not come shows where it is needed
 
 
 def _interval_us(rate: float) -> float:

@@ -1,12 +1,11 @@
-"""STATUSTEXT: long texts come in chunks of 50 bytes."""
+"""STATUSTEXT: long texts come in chunks, by id and number."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mavcal.calib.wire import Message
+from mavcal.calib.wire import CHUNK_BYTES, Message, joined_text, text_bytes
 
-_CHUNK = 50
 _WAIT_S = 5.0
 _MOST_WAITING = 8
 
@@ -27,18 +26,19 @@ class ChunkedText:
     id: int
     severity: int
     at: float
-    pieces: tuple[tuple[int, str], ...]
+    pieces: tuple[tuple[int, bytes], ...]
 
     def complete(self) -> bool:
         """True if the last chunk, which is shorter, and all before it are there."""
         numbers = [number for number, _ in self.pieces]
         last = max(self.pieces)
-        return len(last[1]) < _CHUNK and numbers == list(range(len(numbers)))
+        return len(last[1]) < CHUNK_BYTES and numbers == list(range(len(numbers)))
 
     def text(self, at: float) -> StatusText:
         """What has come, with a mark where a chunk is missing."""
         pieces = dict(self.pieces)
-        joined = "".join(pieces.get(number, "…") for number in range(max(pieces) + 1))
+        gap = "…".encode()
+        joined = joined_text(pieces.get(number, gap) for number in range(max(pieces) + 1))
         return StatusText(joined, self.severity, at)
 
 
@@ -49,11 +49,11 @@ def add_chunk(
     done = [chunked.text(now) for chunked in waiting if now - chunked.at > _WAIT_S]
     waiting = tuple(chunked for chunked in waiting if now - chunked.at <= _WAIT_S)
     if message.id == 0:
-        return waiting, (*done, StatusText(message.text, message.severity, now))
+        return waiting, (*done, StatusText(joined_text([text_bytes(message)]), message.severity, now))
     before = next((chunked for chunked in waiting if chunked.id == message.id), None)
     others = tuple(chunked for chunked in waiting if chunked.id != message.id)
     pieces = dict(before.pieces if before else ())
-    pieces[message.chunk_seq] = message.text
+    pieces[message.chunk_seq] = text_bytes(message)
     chunked = ChunkedText(message.id, message.severity, before.at if before else now, tuple(sorted(pieces.items())))
     if chunked.complete():
         return others, (*done, chunked.text(now))

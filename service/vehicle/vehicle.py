@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import NoReturn
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -14,58 +13,33 @@ from mavcal.service.errors import (
     CommandTimeout,
     LinkDown,
     ServiceError,
-    VehicleArmed,
     VehicleBusy,
     VehicleConflict,
-    VehicleError,
-    VehicleSilent,
 )
 from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind, OwnIdentity
 from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
+from mavcal.service.vehicle.channels import Channel, Channels
 from mavcal.service.vehicle.events import VehicleEventKind
+from mavcal.service.vehicle.heard import STATE_IDS, VERSION_ID
 from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
+from mavcal.service.vehicle.ledger import StreamLedger
 from mavcal.service.vehicle.listing import ParameterSet, Progress, list_all
 from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.parameters import Parameters
+from mavcal.service.vehicle.refusal import refuse
 from mavcal.service.vehicle.state import (
     Refusal,
     VehicleState,
     Writable,
     changed,
     expire,
-    note_boot_time,
     reduce,
+    restarted,
     writable,
 )
+from mavcal.service.vehicle.subscribers import FramesCallback, Subscribers, begun_at
 from mavcal.service.vehicle.waits import Waits
-
-VERSION_ID = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-STATE_IDS = frozenset(
-    {
-        dialect.MAVLINK_MSG_ID_HEARTBEAT,
-        dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-        dialect.MAVLINK_MSG_ID_VFR_HUD,
-        dialect.MAVLINK_MSG_ID_STATUSTEXT,
-        dialect.MAVLINK_MSG_ID_MAG_CAL_PROGRESS,
-        dialect.MAVLINK_MSG_ID_MAG_CAL_REPORT,
-        dialect.MAVLINK_MSG_ID_COMMAND_LONG,
-    }
-)
-"""Messages that make the state."""
-_CLOCK_IDS = frozenset({dialect.MAVLINK_MSG_ID_SYSTEM_TIME, dialect.MAVLINK_MSG_ID_ATTITUDE})
-CORE_IDS = (
-    STATE_IDS
-    | _CLOCK_IDS
-    | {
-        VERSION_ID,
-        dialect.MAVLINK_MSG_ID_PARAM_VALUE,
-        dialect.MAVLINK_MSG_ID_PARAM_ERROR,
-        dialect.MAVLINK_MSG_ID_COMMAND_ACK,
-        dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL,
-    }
-)
-"""Messages that every vehicle needs of its link."""
 
 CONFLICT_S = 30.0
 """A doubt about who is being talked to holds for so long after its last sign."""
@@ -75,19 +49,18 @@ YIELD_S = 30.0
 It is asked every 5 s: as long as both are there, both answer, and that stays a conflict."""
 _POLL_S = 2.0
 _WHO_S = 5.0
-_MARK_S = 5.0
 _SECOND_ANSWER_S = 0.3
 _IDENTIFY_TRIES = 5
 
 
-FramesCallback = Callable[[Sequence[Frame], Batch], None]
 Announce = Callable[["Vehicle", VehicleEventKind, str], None]
 """Told which vehicle, what happened to it, and the same in a sentence."""
 
 
 class Vehicle:
-    """A vehicle on a link, addressed by (system, component). Everything is called from the event loop.
+    """A unit, addressed by (system, component) over one or more links. Everything is called from the event loop.
 
+    It is spoken to over the link in use; see :mod:`service.vehicle.channels` for what counts from which link.
     ``state`` is a snapshot that is replaced, never changed; ``parameters`` is what was heard of them last.
     """
 
@@ -102,7 +75,7 @@ class Vehicle:
         announce: Announce,
         yield_s: float = YIELD_S,
     ) -> None:
-        self.link = link
+        self.channels = Channels(link, clock)
         self.system = system
         self.component = component
         self.clock = clock
@@ -121,13 +94,21 @@ class Vehicle:
         self._announce = announce
         self._listing_lock = asyncio.Lock()
         self._command_locks: dict[int, asyncio.Lock] = {}
-        self._subscribers: dict[object, tuple[frozenset[int], FramesCallback, Callable[[], None]]] = {}
+        self._subscribers = Subscribers()
         self._conflicts: dict[str, tuple[str, float]] = {}
         self._silent = False
-        self._clock_heard = False
         self._polled_at = self._asked_who_at = -1e9
         self._yield_s = yield_s
-        self._stated_at = clock()
+        self.found_at = clock()
+        self.settled = False
+        """Whether it was decided which unit this is: until then it may be one that is known on another link."""
+        self.undecided = ""
+        """What is to be decided still, in a sentence: nothing is written meanwhile."""
+        self.joined: Vehicle | None = None
+        """The vehicle that this one turned out to be, over another link."""
+        self.gone = False
+        """Whether it was closed."""
+        self.streams = StreamLedger()
         self._replaced = ""
         self.heartbeat = heartbeat
         """The last one heard at this address, be it of another unit."""
@@ -137,13 +118,40 @@ class Vehicle:
     # --- talking ----------------------------------------------------------------------------------------------------
 
     @property
+    def link(self) -> Link:
+        """The link in use."""
+        return self.channels.in_use.link
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """Every link over which it was heard, the one in use first."""
+        others = [channel.link for channel in self.channels if channel is not self.channels.in_use]
+        return (self.link, *others)
+
+    @property
+    def way(self) -> str:
+        """Name of the link in use."""
+        return self.link.id
+
+    @property
+    def unit(self) -> Vehicle:
+        """The vehicle itself, or the one that it turned out to be."""
+        return self if self.joined is None else self.joined.unit
+
+    @property
     def own(self) -> OwnIdentity:
         """The ids that it is spoken to with."""
         return self.link.ids
 
     def send(self, message: Message | RawMessage) -> None:
-        """Send to this vehicle. Raises LinkDown if that is not possible."""
-        self.link.send(message, (self.system, self.component))
+        """Send to this vehicle over the link in use, or where that is down over another one. Raises LinkDown."""
+        target = (self.system, self.component)
+        try:
+            self.link.send(message, target)
+        except LinkDown as down:
+            if not self._fail_over(str(down)):
+                raise
+            self.link.send(message, target)
 
     async def command(
         self,
@@ -174,9 +182,12 @@ class Vehicle:
 
     def _send_command(self, command_id: int, *params: float) -> None:
         """Send a command whose acknowledgement does not matter, since its effect is seen."""
+        self.send(self._command_message(command_id, *params))
+
+    def _command_message(self, command_id: int, *params: float) -> Message:
         full = [*map(float, params), *[0.0] * 7][:7]
         commands.check_allowed(command_id, full)
-        self.send(dialect.MAVLink_command_long_message(self.system, self.component, command_id, 0, *full))
+        return dialect.MAVLink_command_long_message(self.system, self.component, command_id, 0, *full)
 
     async def identify(self) -> VehicleIdentity:
         """Ask who the vehicle is, the new way and the old one. Raises CommandTimeout if it does not say.
@@ -196,103 +207,132 @@ class Vehicle:
 
     # --- hearing ----------------------------------------------------------------------------------------------------
 
-    def subscribe(self, message_ids: frozenset[int], callback: FramesCallback) -> Callable[[], None]:
-        """Hand this vehicle's frames of these messages to `callback`, until the returned function is called."""
-        key = object()
-        forget_ids = self.link.subscribe(lambda _batch: None, message_ids)
-        self._subscribers[key] = (message_ids, callback, forget_ids)
+    def subscribe(
+        self, message_ids: frozenset[int], callback: FramesCallback, *, over: Link | None = None
+    ) -> Callable[[], None]:
+        """Hand this vehicle's frames of these messages to `callback`, until the returned function is called.
 
-        def unsubscribe() -> None:
-            if self._subscribers.pop(key, None) is not None:
-                forget_ids()
-
-        return unsubscribe
+        They are those of the link in use, whichever that is, or of the link `over`.
+        """
+        return self._subscribers.add(message_ids, callback, self.links, over)
 
     async def record(self, message_ids: frozenset[int], callback: FramesCallback) -> tuple[int, Callable[[], None]]:
-        """Subscribe to exactly what the link's recording holds from a byte on; that byte, and how to stop.
+        """Subscribe to exactly what the recording of the link in use holds from a byte on; that byte, and how to stop.
+
+        The frames stay those of that link, also when another one comes into use.
 
         Raises
         ------
         LinkDown
             If the link is not connected.
         """
-        begun: asyncio.Future[tuple[int, Callable[[], None]]] = asyncio.get_running_loop().create_future()
+        link = self.link
+        return await begun_at(link, message_ids, lambda: self.subscribe(message_ids, callback, over=link))
 
-        def reached(position: int) -> None:
-            if not begun.done():
-                begun.set_result((position, self.subscribe(message_ids, callback)))
-
-        hold = self.link.subscribe(lambda _batch: None, message_ids)
-        try:
-            self.link.mark(reached)
-            await asyncio.wait({begun}, timeout=_MARK_S)
-            if not begun.done():
-                raise LinkDown(f"Link {self.link.id} ({self.link.endpoint}) does not read: {self.link.reason}")
-        except BaseException:
-            if begun.done():
-                begun.result()[1]()
-            begun.cancel()
-            raise
-        finally:
-            hold()
-        return begun.result()
-
-    def feed(self, frames: Sequence[Frame], batch: Batch) -> None:
-        """Take the frames of this vehicle out of a batch, in order."""
+    def feed(self, frames: Sequence[Frame], batch: Batch, link: Link | None = None) -> None:
+        """Take the frames of this vehicle out of a batch of a link (None: the one in use), in order."""
+        channel = self.channels.in_use if link is None else self.channels.of(link)
         now, since = batch.received_at, batch.since
-        clock: float | None = None
-        beating = False
+        channel.hear(now, self.state.rebooted)
+        beating, stamp = False, None
         for frame in frames:
-            message_id = frame.message_id
-            clock = boot_time(frame) if message_id in BOOT_TIME_IDS else clock
-            if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
-                beating = True
-                self._ask_clock()
-                self.heartbeat = decode(frame)
-            if message_id in STATE_IDS:
-                self._change(reduce(self.state, decode(frame), now, since))
-            elif message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
-                self.parameters.hear(frame, now)
-            elif message_id == VERSION_ID:
-                self._identified(decode(frame), now)
-            self.waits.feed(frame)
-        if clock is not None:
-            self._clock_heard = True
-            self._change(note_boot_time(self.state, clock))
+            stamp = boot_time(frame) if frame.message_id in BOOT_TIME_IDS else stamp
+            beating |= frame.message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT
+            self._take(frame, channel, now, since)
+        if stamp is not None:
+            self._hear_clock(stamp, channel, now)
         if self.state.last_heard != now:
             self.state = changed(self.state, last_heard=now)
+        if self.channels.overdue():
+            self._fail_over(f"no heartbeat over link {self.way} for 3 s")
         if beating:
             self._poll_when_due(now)
-        self._hand_on(frames, batch)
+        self._subscribers.hand_on(frames, batch, channel.link, used=channel is self.channels.in_use)
 
-    def _hand_on(self, frames: Sequence[Frame], batch: Batch) -> None:
-        loop = asyncio.get_running_loop()
-        for key, (message_ids, _, _) in list(self._subscribers.items()):
-            chosen = [frame for frame in frames if frame.message_id in message_ids]
-            if chosen:
-                loop.call_soon(self._hand_frames, key, chosen, batch)
+    def _take(self, frame: Frame, channel: Channel, now: float, since: float | None) -> None:
+        message_id = frame.message_id
+        used = channel is self.channels.in_use
+        if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            channel.last_heartbeat = now
+            self.heartbeat = decode(frame)
+            self._ask_clock(channel)
+            self._change(reduce(self.state, self.heartbeat, now, since))
+        elif used and message_id in STATE_IDS:
+            self._change(reduce(self.state, decode(frame), now, since))
+        elif used and message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
+            self.parameters.hear(frame, now)
+        elif message_id == VERSION_ID:
+            self._identified(decode(frame), channel, now)
+        self.waits.feed(frame, beside=not used)
 
-    def _hand_frames(self, key: object, frames: Sequence[Frame], batch: Batch) -> None:
-        subscriber = self._subscribers.get(key)
-        if subscriber is not None:
-            subscriber[1](frames, batch)
+    def _hear_clock(self, stamp: float, channel: Channel, now: float) -> None:
+        """A restart that any link shows counts, once."""
+        channel.clock.see(stamp, now)
+        channel.clock_heard = True
+        if channel.clock.restarts > self.state.rebooted:
+            self._change(restarted(self.state, stamp))
+            self.channels.restarted(self.state.rebooted)
+        elif channel is self.channels.in_use and channel.clock.latest != self.state.boot_time:
+            self.state = changed(self.state, boot_time=channel.clock.latest)
 
-    def _identified(self, message: Message, now: float) -> None:
+    def _identified(self, message: Message, channel: Channel, now: float) -> None:
         before = self.identity
         identity = identity_from_version(before, message)
         if before.uid2 is not None and identity.uid2 is not None and identity.uid2 != before.uid2:
-            if self.clock() - self._stated_at >= self._yield_s:
-                self.successor = identity.uid2
-                return
-            self._conflict(
-                "uid2", f"Two vehicles answer to system id {self.system}: {before.uid2} and {identity.uid2}.", now
-            )
+            self._contradicted(identity.uid2, channel, now)
             return
-        self._stated_at = self.clock()
+        channel.stated_at = self.clock()
+        if channel is not self.channels.in_use:
+            return
         self.identity = identity
         if identity != before:
             said = f"{identity.autopilot} {identity.version_text}, unique id {identity.uid2 or 'unknown'}"
             self._tell(VehicleEventKind.IDENTIFIED, said)
+
+    def _contradicted(self, uid2: str, channel: Channel, now: float) -> None:
+        """Another unit answers at our address on this link."""
+        gone = self.clock() - channel.stated_at >= self._yield_s
+        if channel is not self.channels.in_use or (gone and len(self.channels) > 1):
+            channel.stranger = uid2
+        elif gone:
+            self.successor = uid2
+        else:
+            text = f"Two vehicles answer to system id {self.system}: {self.identity.uid2} and {uid2}."
+            self._conflict("uid2", text, now)
+
+    # --- links
+
+    def join(self, other: Vehicle) -> None:
+        """Take over the links of `other`, which turned out to be this unit; it is nobody of its own from now on."""
+        for channel in other.channels:
+            channel.clock.restarts = self.state.rebooted
+            self.channels.join(channel)
+            self._subscribers.join(channel.link)
+        other.joined = self
+        other.close(VehicleBusy(f"This is the vehicle {self.id}, heard over one more link: ask again."))
+        self._tell(VehicleEventKind.LINKS, f"It is heard over {', '.join(link.id for link in self.links)}.")
+
+    def leave(self, link: Link, why: str) -> None:
+        """Be heard over this link no more, which is not the only one."""
+        used = link is self.link
+        self.channels.leave(link)
+        self._subscribers.leave(link)
+        self.streams.drop(link.id)
+        if used:
+            self._moved(why)
+        self._tell(VehicleEventKind.LINKS, f"It is not heard over {link.id} any more: {why}.")
+
+    def _fail_over(self, why: str) -> bool:
+        """Use another link over which the vehicle is heard; False: there is none."""
+        if not self.channels.fail_over():
+            return False
+        self._moved(why)
+        return True
+
+    def _moved(self, why: str) -> None:
+        """Another link is in use: what was learnt of the old one says nothing of it."""
+        self.pace, self.carried = Pace(), None
+        self._tell(VehicleEventKind.MOVED, f"It is spoken to over {self.way} now: {why}.")
 
     def link_event(self, event: LinkEvent) -> None:
         """Take an event of the link into account if it concerns this vehicle."""
@@ -313,14 +353,21 @@ class Vehicle:
     @property
     def conflicts(self) -> tuple[str, ...]:
         """Doubts about who is being talked to, in sentences."""
+        return tuple(text for text in (self._replaced, *self._doubts(), self.undecided) if text)
+
+    @property
+    def conflicts_of_address(self) -> bool:
+        """Whether it is doubtful who answers at its address."""
+        return bool(self._doubts())
+
+    def _doubts(self) -> list[str]:
         now = self.clock()
-        doubts = [text for text, at in self._conflicts.values() if now - at < CONFLICT_S]
-        return tuple([self._replaced, *doubts] if self._replaced else doubts)
+        return [text for text, at in self._conflicts.values() if now - at < CONFLICT_S]
 
     @property
     def heard_until(self) -> float:
         """The time until which it was listened to, s: now, or earlier where this program is late."""
-        return min(self.clock(), self.link.heard_until)
+        return self.channels.heard_until
 
     @property
     def silent(self) -> bool:
@@ -329,7 +376,7 @@ class Vehicle:
 
     async def caught_up(self) -> None:
         """Return once everything that has arrived of it by now is in its state. Raises LinkDown."""
-        await self.link.caught_up()
+        await self.channels.caught_up()
 
     def writable(self) -> Writable:
         """Whether a parameter may be written by what was heard so far, and why not; see :meth:`caught_up`."""
@@ -344,10 +391,14 @@ class Vehicle:
         """Raise VehicleSilent, VehicleArmed, VehicleConflict or VehicleBusy if it may not be written to."""
         found = self.writable()
         if not found.ok:
-            _refuse(found, name, sent)
+            refuse(found, name, sent)
 
     def tick(self) -> None:
         """Let time pass: deadlines, silence, and asking again for a state that has grown old."""
+        if self.channels.overdue():
+            self._fail_over(f"no heartbeat over link {self.way} for 3 s")
+        elif not (self._subscribers or self.waits.any or self.streams.asked) and self.channels.prefer():
+            self._moved("it carries more")
         now = self.heard_until
         self.waits.tick(now)
         self._change(expire(self.state, now))
@@ -365,11 +416,11 @@ class Vehicle:
             self._polled_at = now
             self._poll(now)
 
-    def _ask_clock(self) -> None:
+    def _ask_clock(self, channel: Channel) -> None:
         """With every heartbeat, where no stream tells the vehicle's time: a restart shows in it, and nowhere else."""
-        if not self._clock_heard:
-            self._ask_for([dialect.MAVLINK_MSG_ID_SYSTEM_TIME])
-        self._clock_heard = False
+        if not channel.clock_heard:
+            self._ask_over(channel, dialect.MAVLINK_MSG_ID_SYSTEM_TIME)
+        channel.clock_heard = False
 
     def _poll(self, now: float) -> None:
         """Ask for what makes the state where the vehicle does not send it by itself; changes no setting.
@@ -381,18 +432,21 @@ class Vehicle:
             wanted.append(dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE)
         if state.throttle_at is None or now - state.throttle_at >= _POLL_S:
             wanted.append(dialect.MAVLINK_MSG_ID_VFR_HUD)
+        for message_id in wanted:
+            self._ask_over(self.channels.in_use, message_id)
         if self.identity.known and now - self._asked_who_at >= _WHO_S:
             self._asked_who_at = now
-            wanted.append(VERSION_ID)
-        self._ask_for(wanted)
+            for channel in self.channels:
+                self._ask_over(channel, VERSION_ID)
 
-    def _ask_for(self, message_ids: Sequence[int]) -> None:
-        """Ask for messages whose absence does no harm."""
-        try:
-            for message_id in message_ids:
-                self._send_command(commands.REQUEST_MESSAGE, message_id)
-        except LinkDown:
-            return
+    def _ask_over(self, channel: Channel, message_id: int) -> None:
+        """Ask over this very link for a message whose absence does no harm."""
+        self.demand_over(channel.link, commands.REQUEST_MESSAGE, message_id)
+
+    def demand_over(self, link: Link, command_id: int, *params: float) -> None:
+        """See :meth:`demand`, over this very link."""
+        with suppress(LinkDown):
+            link.send(self._command_message(command_id, *params), (self.system, self.component))
 
     def give_way(self) -> str:
         """Another unit has taken this address: nothing is sent on behalf of this one any more. Says so."""
@@ -405,10 +459,9 @@ class Vehicle:
 
     def close(self, error: ServiceError) -> None:
         """End everything that waits for this vehicle, with an error."""
+        self.gone = True
         self.waits.close(error)
-        for _, _, forget_ids in self._subscribers.values():
-            forget_ids()
-        self._subscribers.clear()
+        self._subscribers.close()
 
     def _change(self, state: VehicleState) -> None:
         before, self.state = self.state, state
@@ -431,20 +484,3 @@ class Vehicle:
 
     def _tell(self, kind: VehicleEventKind, text: str) -> None:
         self._announce(self, kind, text)
-
-
-def _refuse(found: Writable, name: str, sent: int) -> NoReturn:
-    doing = f"{name} was not written" if name else "Nothing is written"
-    if sent:
-        doing = f"{name} was sent {sent} times and not confirmed; it is not sent again"
-    text = f"{doing}: {'; '.join(found.reasons)}."
-    errors: dict[Refusal, type[VehicleError]] = {
-        Refusal.SILENT: VehicleSilent,
-        Refusal.ARMED: VehicleArmed,
-        Refusal.CONFLICT: VehicleConflict,
-        Refusal.NOT_LANDED: VehicleBusy,
-        Refusal.CALIBRATING: VehicleBusy,
-    }
-    error = next(errors[refusal] for refusal in errors if refusal in found.refusals)(text)
-    error.sent = sent
-    raise error

@@ -20,9 +20,13 @@ class Expectation(Generic[T]):
     ``match`` turns a frame into an answer, or into None if it is none.
     """
 
-    def __init__(self, waits: Waits, message_ids: frozenset[int], match: Callable[[Frame], T | None]) -> None:
+    def __init__(
+        self, waits: Waits, message_ids: frozenset[int], match: Callable[[Frame], T | None], anywhere: bool
+    ) -> None:
         self._waits = waits
         self.message_ids = message_ids
+        self.anywhere = anywhere
+        """Whether an answer counts that comes over another link than the one that is in use."""
         self._match = match
         self._answers: list[T] = []
         self._future: asyncio.Future[None] | None = None
@@ -73,9 +77,11 @@ class Waits:
         self._expectations: list[Expectation[object]] = []
         self._error: Exception | None = None
 
-    def expect(self, message_ids: set[int], match: Callable[[Frame], T | None]) -> Expectation[T]:
-        """Prepare to wait for frames; they are noticed from entering the returned context on."""
-        return Expectation(self, frozenset(message_ids), match)
+    def expect(
+        self, message_ids: set[int], match: Callable[[Frame], T | None], *, anywhere: bool = False
+    ) -> Expectation[T]:
+        """Prepare to wait for frames, be it `anywhere`; they are noticed from entering the returned context on."""
+        return Expectation(self, frozenset(message_ids), match, anywhere)
 
     async def sleep(self, seconds: float) -> None:
         """Wait by this clock."""
@@ -93,10 +99,10 @@ class Waits:
         """Notice no longer."""
         self._expectations.remove(expectation)  # type: ignore[arg-type]
 
-    def feed(self, frame: Frame) -> None:
-        """Hand a frame to those who wait for its kind."""
+    def feed(self, frame: Frame, *, beside: bool = False) -> None:
+        """Hand a frame to those who wait for its kind; `beside`: it came over a link that is not in use."""
         for expectation in list(self._expectations):
-            if frame.message_id in expectation.message_ids:
+            if frame.message_id in expectation.message_ids and (expectation.anywhere or not beside):
                 expectation.feed(frame)
 
     @property

@@ -22,7 +22,7 @@ from bench.campaign.scenario import KINDS, scenarios
 pytestmark = [pytest.mark.campaign, pytest.mark.long, pytest.mark.timeout(300)]
 
 SEED = 1
-RUNS = (1, 5, 6, 10, 36, 42, 53, 70, 72, 73, 79, 139)
+RUNS = (1, 5, 6, 10, 36, 42, 53, 70, 72, 73, 79, 139, 224, 225, 226)
 """Short ones that have every kind of fault among them."""
 KILLS = (16,)
 """While an old value is on its way back."""

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from mavcal.calib.firmware.unit_id import unit_id
 from mavcal.calib.recording import Event, Identity
-from mavcal.calib.wire import decode
+from mavcal.calib.wire import CHUNK_BYTES, decode, joined_text, text_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,7 +21,6 @@ AUTOPILOTS: Final = {
     dialect.MAV_AUTOPILOT_PX4: "px4",
 }
 CALIBRATION_TAG: Final = "[cal]"
-CHUNK_LENGTH: Final = 50
 
 
 class Announcements:
@@ -30,7 +30,7 @@ class Announcements:
         self.identity = identity
         self._armed: bool | None = None
         self._calibrating = False
-        self._chunks: dict[int, list[str]] = {}
+        self._chunks: dict[int, list[bytes]] = {}
         self._handlers: dict[int, Callable[[float, Any], list[Event]]] = {
             dialect.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
@@ -68,7 +68,7 @@ class Announcements:
 
     def _version(self, t: float, message: Any) -> list[Event]:
         packed = int(message.flight_sw_version)
-        uid = bytes(message.uid2).rstrip(b"\0").hex() or (f"{message.uid:016x}" if message.uid else None)
+        uid = unit_id(self.identity.autopilot, bytes(message.uid2), message.uid)
         self.identity = dataclasses.replace(
             self.identity,
             firmware=(packed >> 24, packed >> 16 & 0xFF, packed >> 8 & 0xFF),
@@ -77,16 +77,17 @@ class Announcements:
         return []
 
     def _text(self, t: float, message: Any) -> list[Event]:
-        text = _string(message.text)
+        pieces = [text_bytes(message)]
         if message.id:
-            # a long text comes in chunks of 50; the one that is not full is the last
+            # a long text comes in chunks; the one that is not full is the last
             if message.chunk_seq == 0:
                 self._chunks[message.id] = []
             parts = self._chunks.setdefault(message.id, [])
-            parts.append(text)
-            if len(text) == CHUNK_LENGTH:
+            parts += pieces
+            if len(pieces[0]) == CHUNK_BYTES:
                 return []
-            text = "".join(self._chunks.pop(message.id))
+            pieces = self._chunks.pop(message.id)
+        text = joined_text(pieces)
         kind = "onboard_calibration" if CALIBRATION_TAG in text else "text"
         return [Event(t, kind, text)]
 
@@ -99,8 +100,3 @@ class Announcements:
         if message.command != dialect.MAV_CMD_ACCELCAL_VEHICLE_POS:
             return []
         return [Event(t, "onboard_calibration", "the vehicle asks for a pose of its own accelerometer calibration")]
-
-
-def _string(text: bytes | str) -> str:
-    raw = text if isinstance(text, str) else text.decode("utf-8", "replace")
-    return raw.split("\0", 1)[0]

@@ -103,6 +103,19 @@ class SetAsideEvent(_Event):
     data: SetAsideData
 
 
+class VehicleData(BaseModel):
+    """Whose job it is."""
+
+    id: str
+
+
+class JobVehicleEvent(_Event):
+    """The vehicle of an interrupted write, which has no unique id, is heard on another link and named by that."""
+
+    kind: Literal["vehicle"]
+    data: VehicleData
+
+
 class PlanData(BaseModel):
     """The new plan."""
 
@@ -185,6 +198,7 @@ JobEvent = TypeAliasType(
         | WarningEvent
         | SegmentsEvent
         | SetAsideEvent
+        | JobVehicleEvent
         | PlanEvent
         | WriteEvent
         | VerificationEvent

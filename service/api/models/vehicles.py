@@ -15,7 +15,8 @@ class VehicleModel(BaseModel):
     """A vehicle in one page."""
 
     id: str
-    link: str = Field(description="id of the link on which it is heard")
+    link: str = Field(description="id of the link in use: everything is sent over it")
+    links: list[str] = Field(description="ids of all links over which it was heard, the one in use first")
     system: int = Field(description="MAVLink system id")
     component: int = Field(description="MAVLink component id")
     autopilot: Autopilot

@@ -194,3 +194,7 @@ class FakeRegistry:
         if vehicle_id not in self.vehicles:
             raise VehicleUnknown(f"there is no vehicle {vehicle_id}")
         return self.vehicles[vehicle_id]
+
+    def nameless(self, identity: Identity) -> list[JobVehicle]:
+        """See VehicleSource."""
+        return [vehicle for vehicle in self.vehicles.values() if vehicle.identity == replace(identity, uid=None)]

@@ -91,3 +91,11 @@ async def test_what_waits_for_an_answer_is_abandoned_as_soon_as_the_peer_moves(v
         with pytest.raises(WriteStopped, match="another address"):
             await running
     assert abandoned.is_set()
+
+
+def test_another_link_of_the_same_vehicle_is_no_other_address(vehicle: FakeVehicle) -> None:
+    guard = WriteGuard(vehicle, 0.05)
+    vehicle.change_state(way="other", peer="10.0.0.2:5760")
+    assert guard.reason() is None
+    vehicle.change_state(peer="10.0.0.3:5760")
+    assert guard.reason() == "the vehicle speaks from another address (10.0.0.2:5760, now 10.0.0.3:5760)"

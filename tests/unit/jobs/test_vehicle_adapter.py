@@ -138,7 +138,7 @@ async def test_a_full_disk_is_no_kept_recording(fake: FakeVehicle, seen: Vehicle
 
 
 def test_a_vehicle_is_found_by_its_id() -> None:
-    registry = SimpleNamespace(get=lambda vehicle_id: SimpleNamespace(id=vehicle_id))
+    registry = SimpleNamespace(get=lambda vehicle_id: SimpleNamespace(unit=SimpleNamespace(id=vehicle_id)))
     assert RegistryAdapter(registry).vehicle("v7").id == "v7"  # type: ignore[arg-type]
 
 

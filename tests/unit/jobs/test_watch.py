@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from mavcal.calib.procedures.protocol import Prompt, PromptStep
-from mavcal.service.errors import CaptureEnded, CaptureLost
+from mavcal.service.errors import CaptureEnded, CaptureLost, CaptureMoved
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.settings import JobSettings
@@ -59,6 +59,12 @@ def test_what_ends_a_capture_is_one_sentence_with_a_remedy(bench: Bench, trouble
     with pytest.raises(CaptureEnded, match=text) as caught:
         bench.look()
     assert "start the job again" in caught.value.remedy
+
+
+def test_a_capture_goes_on_over_another_link_in_a_segment_of_its_own(bench: Bench) -> None:
+    bench.vehicle.change_state(way="cable")
+    with pytest.raises(CaptureMoved, match="goes on over link cable"):
+        bench.look()
 
 
 def test_a_gap_is_survived_and_told_and_a_long_one_keeps_the_data(bench: Bench) -> None:

@@ -79,14 +79,6 @@ async def test_a_vehicle_is_named_by_its_place_until_its_unique_id_is_known(regi
         registry.get("uid-ffff")
 
 
-async def test_one_unique_id_on_two_links_names_only_one_of_them(registry: VehicleRegistry) -> None:
-    for name in ("one", "two"):
-        air = attached(registry, name)
-        air.say(heartbeat())
-        air.say(version(uid2=b"\x01"))
-    assert [v.id for v in registry.all()] == ["uid-01", "two-1-1"]
-
-
 async def test_two_unique_ids_behind_one_system_id_forbid_writing(registry: VehicleRegistry) -> None:
     events: list[VehicleEventKind] = []
     registry.subscribe(lambda event: events.append(event.kind))
@@ -181,8 +173,8 @@ async def test_our_own_ids_heard_from_elsewhere_forbid_writing_to_anybody(regist
 
 async def test_an_event_of_a_link_reaches_only_the_vehicles_on_it(registry: VehicleRegistry) -> None:
     airs = {name: attached(registry, name) for name in ("one", "two")}
-    for air in airs.values():
-        air.say(heartbeat())
+    for system, air in enumerate(airs.values(), start=1):
+        air.say(heartbeat(), system)
     for kind, text in (
         (LinkEventKind.OWN_IDS_HEARD, "somebody speaks with our ids"),
         (LinkEventKind.DUPLICATE_SYSTEM, "two of system 1"),

@@ -181,7 +181,7 @@ async def test_who_waited_for_a_vehicle_is_forgotten(registry: VehicleRegistry) 
     await turns(3)
     assert not waiting.done()  # that one is on another link
     assert len(registry._changed) == 1
-    other.say(heartbeat())
+    other.say(heartbeat(), 2)
     assert (await waiting).link is cast(Link, other)
     assert registry._changed == set()
 
@@ -204,8 +204,11 @@ async def test_a_fleet_has_its_turns_in_parts_and_none_is_left_out(registry: Veh
     clock.advance(10.0)
     told = []
     for _ in range(3 * IDLE_TURNS):
+        assert registry._ticker is not None
+        registry._ticker.cancel()  # by hand alone, however long a turn of a busy machine takes
         clock.advance(TICK_S)
         registry._tick()
+        registry._ticker.cancel()
         await turns(3)
         told.append(len(silent))
     assert told[-1] == len(set(silent)) == count

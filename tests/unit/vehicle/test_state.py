@@ -15,7 +15,6 @@ from mavcal.service.vehicle.state import (
     VehicleState,
     changed,
     expire,
-    note_boot_time,
     reduce,
     restarted,
     writable,
@@ -34,8 +33,9 @@ def throttle(percent: int) -> Any:
     return dialect.MAVLink_vfr_hud_message(0, 0, 0, percent, 0, 0)
 
 
-def text(words: str, severity: int = 6, number: int = 0, chunk: int = 0) -> Any:
-    return dialect.MAVLink_statustext_message(severity, words.encode(), number, chunk)
+def text(words: str | bytes, severity: int = 6, number: int = 0, chunk: int = 0) -> Any:
+    raw = words.encode() if isinstance(words, str) else words
+    return dialect.MAVLink_statustext_message(severity, raw, number, chunk)
 
 
 READY = told(*[heartbeat()] * 4, landed(), step=1.0)  # the last heartbeat came at 103
@@ -43,8 +43,8 @@ READY = told(*[heartbeat()] * 4, landed(), step=1.0)  # the last heartbeat came 
 
 def test_a_changed_state_is_what_replace_makes_and_the_one_before_stays() -> None:
     before = dataclasses.replace(READY)
-    after = changed(READY, throttle=0.5, _backwards=2)
-    assert after == dataclasses.replace(READY, throttle=0.5, _backwards=2)
+    after = changed(READY, throttle=0.5, rebooted=2)
+    assert after == dataclasses.replace(READY, throttle=0.5, rebooted=2)
     assert before == READY != after
     with pytest.raises(TypeError, match="throtle"):
         changed(READY, throtle=0.5)
@@ -193,27 +193,32 @@ def test_texts_in_chunks_are_put_together_in_any_order() -> None:
     assert [t.text for t in state.texts] == [first + second]
 
 
+def test_a_character_that_lies_in_two_chunks_is_one_character() -> None:
+    whole = ("a" * 49 + "°C is enough").encode()  # the first 50 bytes end in the middle of a character
+    state = told(text(whole[:50], number=7, chunk=0), text(whole[50:], number=7, chunk=1))
+    assert [one.text for one in state.texts] == [whole.decode()]
+
+
+def test_a_full_chunk_is_told_by_its_bytes() -> None:
+    first = "é" * 25
+    state = told(text(first, number=7, chunk=0))
+    assert state.texts == ()
+    assert [one.text for one in told(text("!", number=7, chunk=1), state=state).texts] == [first + "!"]
+
+
+@pytest.mark.parametrize("kept", [1, 2])
+def test_a_character_that_the_vehicle_has_cut_off_is_left_out(kept: int) -> None:
+    assert [one.text for one in told(text(b"85" + "€".encode()[:kept])).texts] == ["85"]
+    assert [one.text for one in told(text(b"85\xff")).texts] == ["85\ufffd"]  # no UTF-8 at all
+
+
 def test_a_text_with_a_lost_chunk_is_shown_with_its_gap() -> None:
     state = told(text("the end", number=7, chunk=1), text("other", number=8), at=100, step=6.0)
     assert {t.text for t in state.texts} == {"…the end", "other"}
 
 
-def test_only_several_messages_from_before_are_a_restart() -> None:
-    state = note_boot_time(note_boot_time(VehicleState(), 50.0), 60.0)
-    late = note_boot_time(note_boot_time(state, 40.0), 60.1)
-    assert late.rebooted == 0
-    assert note_boot_time(note_boot_time(late, 58.0), 60.2).rebooted == 0
-    again = state
-    for stamp in (1.0, 1.1, 1.2, 1.3):
-        again = note_boot_time(again, stamp)
-    assert again.rebooted == 1
-    assert again.boot_time == 1.3
-
-
 def test_a_restart_takes_back_what_was_said_before() -> None:
-    state = READY
-    for stamp in (100.0, 1.0, 1.1, 1.2):
-        state = note_boot_time(state, stamp)
+    state = restarted(READY, 1.2)
     assert state.landed is Landed.UNDEFINED
     assert state.disarmed_since is None
 
@@ -280,18 +285,6 @@ def test_a_restart_keeps_what_the_vehicle_does_not_take_back() -> None:
     assert (state.last_heartbeat, state.last_heard, state.system_status) == (100.0, 101.0, 3)
     assert [one.text for one in state.texts] == ["hello"]
     assert (state.landed_at, state.throttle_at, state.disarmed_since) == (None, None, None)
-
-
-def test_a_clock_that_goes_on_after_a_late_message_is_no_restart() -> None:
-    state = note_boot_time(VehicleState(), 100.0)
-    late = note_boot_time(state, 90.0)
-    assert late.boot_time == 100.0
-    on = note_boot_time(late, 100.5)
-    assert (on.boot_time, on.rebooted) == (100.5, 0)
-    for _ in range(10):  # one late message at a time never adds up
-        on = note_boot_time(note_boot_time(on, 90.0), 100.5)
-    assert on.rebooted == 0
-    assert note_boot_time(on, 100.5) is on
 
 
 def test_only_the_newest_texts_are_kept() -> None:

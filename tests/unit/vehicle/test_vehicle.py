@@ -18,8 +18,7 @@ from mavcal.service.errors import (
     VehicleSilent,
 )
 from mavcal.service.link import LinkEvent, LinkEventKind
-from mavcal.service.vehicle import VehicleEventKind
-from mavcal.service.vehicle import vehicle as vehicle_module
+from mavcal.service.vehicle import VehicleEventKind, subscribers
 from mavcal.service.vehicle.commands import REQUEST_CAPABILITIES, REQUEST_MESSAGE
 from tests.unit.vehicle.fake import FakeVehicle, heartbeat, landed, param_value, real, version
 
@@ -245,7 +244,7 @@ async def test_one_that_another_unit_has_replaced_says_so_for_ever(ardupilot: Fa
 async def test_a_recording_that_does_not_begin_is_refused_and_forgotten(
     ardupilot: FakeVehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(vehicle_module, "_MARK_S", 0.01)
+    monkeypatch.setattr(subscribers, "_MARK_S", 0.01)
     ardupilot.link.mark = lambda _reached: None  # type: ignore[attr-defined]
     ardupilot.link.reason = "it does not answer"  # type: ignore[attr-defined]
     with pytest.raises(LinkDown, match="does not read: it does not answer"):

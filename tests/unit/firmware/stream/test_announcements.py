@@ -90,6 +90,13 @@ def test_a_long_text_is_told_when_its_last_chunk_has_come(listener):
     assert told(listener, text("rest", id_=9, chunk=3)) == [(5.0, "text", "rest")]
 
 
+def test_a_character_that_lies_in_two_chunks_is_one_character(listener):
+    whole = ("a" * 49 + "°C").encode()
+    first, last = (dialect.MAVLink_statustext_message(6, part, 7, k) for k, part in enumerate((whole[:50], whole[50:])))
+    assert told(listener, first) == []
+    assert told(listener, last) == [(5.0, "text", whole.decode())]
+
+
 def test_a_compass_calibration_is_told_but_of_px4(listener):
     report = dialect.MAVLink_mag_cal_report_message(1, 3, 4, 1, 0.5, *[0.0] * 9)
     assert told(listener, report) == [(5.0, "onboard_calibration", "MAG_CAL_REPORT of compass 2")]

@@ -1,0 +1,152 @@
+"""The links over which one vehicle is heard, and which of them is in use.
+
+Whatever is sent goes out over one link, the one in use. Heartbeats and the echoes of writes count from every link; the
+rest of what is heard counts from the link in use alone, so that nothing counts twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+from mavcal.service.errors import LinkDown
+from mavcal.service.link import Link
+from mavcal.service.link.capacity import nominal_capacity
+from mavcal.service.vehicle.boot_time import BootClock
+from mavcal.service.vehicle.state import SILENT_S
+
+AWAY_S = 3.0
+"""After so long without a frame what a link tells need not be of the same boot."""
+
+
+class Channel:
+    """One link as a way to one vehicle."""
+
+    def __init__(self, link: Link, now: float) -> None:
+        self.link = link
+        self.clock = BootClock()
+        self.clock_heard = False
+        """Whether it was heard since the last heartbeat."""
+        self.last_heard: float | None = None
+        self.last_heartbeat: float | None = None
+        self.stated_at = now
+        """When the vehicle last said here who it is, or was found."""
+        self.stranger: str | None = None
+        """Unique id of another unit that answers here while ours is heard elsewhere; None: there is none."""
+        self.apart_since: float | None = None
+        """Since when its clock contradicts that of the link in use; None: it does not."""
+
+    def silent(self, now: float) -> bool:
+        """Whether the last heartbeat over this link is more than 3 s older than what was read of it."""
+        heard_until = min(now, self.link.heard_until)
+        return self.last_heartbeat is None or heard_until - self.last_heartbeat > SILENT_S
+
+    def hear(self, at: float, restarts: int) -> None:
+        """Note that a frame has come; `restarts` of the vehicle are known by now."""
+        if self.last_heard is not None and at - self.last_heard > AWAY_S and self.clock.restarts < restarts:
+            self.missed(restarts)
+        self.last_heard = at
+
+    def missed(self, restarts: int) -> None:
+        """The vehicle has restarted without this link: its next stamp is of the new boot."""
+        self.clock.forget()
+        self.clock.restarts = restarts
+
+
+class Channels:
+    """At least one channel; the first is the one in use."""
+
+    def __init__(self, link: Link, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self.in_use = Channel(link, clock())
+        self._all = [self.in_use]
+
+    def __iter__(self) -> Iterator[Channel]:
+        return iter(tuple(self._all))
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def of(self, link: Link) -> Channel:
+        """The channel of a link."""
+        return next(channel for channel in self._all if channel.link is link)
+
+    def join(self, channel: Channel) -> None:
+        """One more way to the vehicle."""
+        self._all.append(channel)
+
+    def leave(self, link: Link) -> None:
+        """Without this link, which is not the only one. Where it was in use the best of the others is from now on."""
+        gone = self.of(link)
+        self._all.remove(gone)
+        if gone is self.in_use:
+            self.in_use = self._best(self._all)
+
+    @property
+    def alive(self) -> tuple[Channel, ...]:
+        """Those over which the vehicle is heard."""
+        now = self._clock()
+        return tuple(channel for channel in self._all if not channel.silent(now))
+
+    @property
+    def heard_until(self) -> float:
+        """The time until which every link was listened to, s: now, or earlier where this program is late."""
+        return min(self._clock(), *(channel.link.heard_until for channel in self._all))
+
+    def overdue(self) -> bool:
+        """Whether the link in use is silent while the vehicle is heard over another one."""
+        return len(self._all) > 1 and self.in_use.silent(self._clock()) and bool(self.alive)
+
+    def fail_over(self) -> bool:
+        """Use the best of the other links over which the vehicle is heard; False: there is none."""
+        others = [channel for channel in self.alive if channel is not self.in_use]
+        if others:
+            self.in_use = self._best(others)
+        return bool(others)
+
+    def prefer(self) -> bool:
+        """Use a link that carries more than the one in use, while nobody would notice; True if there was one."""
+        if len(self._all) == 1:
+            return False
+        best = self._best(list(self.alive) or [self.in_use])
+        better = _carries(best) > _carries(self.in_use)
+        if better:
+            self.in_use = best
+        return better
+
+    @staticmethod
+    def _best(channels: list[Channel]) -> Channel:
+        """The one that carries most, of equals the first."""
+        return max(channels, key=_carries)
+
+    async def caught_up(self) -> None:
+        """Return once everything that has arrived over any of them was handed on.
+
+        Raises
+        ------
+        LinkDown
+            If none of them is connected and read.
+        """
+        error: LinkDown | None = None
+        reached = False
+        for channel in self:
+            try:
+                await channel.link.caught_up()
+                reached = True
+            except LinkDown as down:
+                error = down
+        if not reached and error is not None:
+            raise error
+
+    def restarted(self, restarts: int) -> None:
+        """A restart was counted: what is silent now will not see it."""
+        now = self._clock()
+        for channel in self._all:
+            if channel.silent(now) and channel.clock.restarts < restarts:
+                channel.missed(restarts)
+
+
+def _carries(channel: Channel) -> float:
+    """Bytes per second that are known beforehand; a link without such a limit carries most."""
+    known = nominal_capacity(channel.link.endpoint)
+    return math.inf if known is None else known
