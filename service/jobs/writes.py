@@ -51,13 +51,23 @@ class Writes:
         Raises VehicleUnknown. Whether its sensors are those of the plan is asked before anything is sent.
         """
         try:
-            return self._vehicles.vehicle(require_vehicle(job))
+            vehicle = self._vehicles.vehicle(require_vehicle(job))
         except VehicleUnknown:
-            known = job.context.get("identity")
-            alike = [] if known is None else self._vehicles.nameless(from_json(known, Identity))
-            if job.state != JobState.IN_DOUBT or len(alike) != 1:
+            elsewhere = self._elsewhere(job)
+            if elsewhere is None:
                 raise
-            return alike[0]
+            return elsewhere
+        gone = vehicle.identity.uid is None and vehicle.condition().silent
+        return (self._elsewhere(job) if gone else None) or vehicle
+
+    def _elsewhere(self, job: Job) -> JobVehicle | None:
+        """The one vehicle that may be that of a write in doubt, heard on another link than the one that names it."""
+        known = job.context.get("identity")
+        if job.state != JobState.IN_DOUBT or known is None:
+            return None
+        found = self._vehicles.nameless(from_json(known, Identity))
+        heard = [one for one in found if one.id != job.vehicle_id and not one.condition().silent]
+        return heard[0] if len(heard) == 1 else None
 
     async def applied(self, handle: JobHandle, preflights: Preflights, tidying: Tidying, look: History | None) -> None:
         """The write, once nobody puts message rates back any more: it needs the same ones as the capture.

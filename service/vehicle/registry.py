@@ -262,6 +262,8 @@ class VehicleRegistry:
             vehicle.id = self._name(vehicle)
         elif kind is VehicleEventKind.REBOOTED:
             self._identify(vehicle)
+        elif kind is VehicleEventKind.HEARD_AGAIN and vehicle.identity.uid2 is None:
+            vehicle.decide_again()  # it may have been found on another link meanwhile, as nobody known
         elif kind is VehicleEventKind.MOVED:
             vehicle.streams.move(partial(follow, vehicle))
         event = VehicleEvent(kind, vehicle.id, text)

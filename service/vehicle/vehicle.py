@@ -312,6 +312,10 @@ class Vehicle:
         other.close(VehicleBusy(f"This is the vehicle {self.id}, heard over one more link: ask again."))
         self._tell(VehicleEventKind.LINKS, f"It is heard over {', '.join(link.id for link in self.links)}.")
 
+    def decide_again(self) -> None:
+        """Which unit this is is open once more."""
+        self.settled, self.found_at = False, self.clock()
+
     def leave(self, link: Link, why: str) -> None:
         """Be heard over this link no more, which is not the only one."""
         used = link is self.link

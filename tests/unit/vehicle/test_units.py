@@ -358,3 +358,18 @@ async def test_the_link_that_carries_more_is_used(world: World) -> None:
     world.board(radio, cable)
     await world.live(4.0)
     assert ways(world.only()) == ["cable", "radio"]
+
+
+async def test_a_board_without_a_unique_id_that_comes_back_on_its_first_link_is_one_again(world: World) -> None:
+    one, two = world.air("one"), world.air("two")
+    board = world.board(one, uid2=b"", values=BOARD)
+    await world.live(4.0)
+    one.down = True
+    await world.live(20.0)
+    two.boards.append(board)
+    board.airs = (one, two)
+    await world.live(20.0)
+    assert len(world.registry.all()) == 2  # nothing can be compared with a silent one
+    one.down = False
+    await world.live(60.0)
+    assert sorted(ways(world.only())) == ["one", "two"]
