@@ -1,8 +1,11 @@
 """``python -m bench.sequence``: every calibration in a row, as a person makes them, on both simulated autopilots.
 
 Each vehicle has two inertial units and two compasses, and its board is turned by yaw 90 deg. Its external compass is
-mounted otherwise than its parameters say. Every sensor has an older calibration in force. Each job builds on what the
-one before has written. Exit code 1: an outcome is neither proved nor tells its reason, or a job did not succeed.
+mounted otherwise than its parameters say. `--vehicle` chooses how it starts: every sensor with an older calibration in
+force (earlier), as the firmware's factory defaults are (factory), or with streams that begin seconds late (late). Each
+job builds on what the one before has written; `--rounds 2` does all of them twice, and after each round the vehicle is
+restarted and must hold what was written. Exit code 1: an outcome is neither proved nor tells its reason, a job did not
+succeed, or a value was lost.
 """
 
 from __future__ import annotations
@@ -32,12 +35,26 @@ SPEED: Final = 20.0
 WRITING_SPEED: Final = 4.0
 """Vehicle seconds per wall second: while parameters are written, the wall's delays must not look like hours."""
 START_C, END_C, SPAN_C, PROOF_C = 22.0, 75.0, 48.0, 60.0
+SAVED_S, BOOT_S = 5.0, 10.0
+"""Of the vehicle's clock: until PX4 has saved, and until it has started."""
 OPTIONS: Final[Mapping[str, Json]] = MappingProxyType({"thermal": {"span": SPAN_C}})
 DECISIONS: Final[Mapping[str, Json]] = MappingProxyType({"mag": {"confirm_mounting": True}})
 """What the operator has looked at: the external compass is mounted otherwise than stated."""
 SETTINGS: Final[Mapping[str, Json]] = MappingProxyType({"ardupilot": {"INS_GYR_CAL": 0}, "px4": {"IMU_GYRO_CAL_EN": 0}})
 """Settings under which a vehicle keeps what is written."""
+SENSORS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {"gyro": ("gyros",), "accel": ("accels",), "mag": ("mags",), "thermal": ("accels", "gyros")}
+)
 YAW_90, YAW_270 = 2, 6
+OWN_OFFSETS: Final = ("INS_GYR", "CAL_GYRO")
+"""What a firmware may rewrite by itself at a start."""
+VEHICLES: Final[Mapping[str, Json]] = MappingProxyType(
+    {
+        "earlier": {},
+        "factory": {"factory": True, "mag_orientation_parameters": [YAW_90, YAW_270], "parameters": {}},
+        "late": {"stream_start_s": 2.0},
+    }
+)
 CONFIG: Final[Json] = {
     "imu_count": 2,
     "mag_count": 2,
@@ -54,6 +71,7 @@ class Row:
 
     autopilot: str
     kind: str
+    """Of the job; or restart."""
     state: JobState
     acting: int
     """Written parameters that act on a stream."""
@@ -72,9 +90,11 @@ class Row:
         return self.state == JobState.SUCCEEDED and (whole or bool(self.reason))
 
 
-async def sequence(autopilot: str, seed: int, kinds: Sequence[str] = KINDS) -> list[Row]:
+async def sequence(
+    autopilot: str, seed: int, kinds: Sequence[str] = KINDS, *, vehicle: str = "earlier", rounds: int = 1
+) -> list[Row]:
     """Calibrate one vehicle, sensor after sensor; ends with the first job that does not succeed."""
-    config = {**CONFIG, "parameters": SETTINGS[autopilot]}
+    config = {**CONFIG, "parameters": SETTINGS[autopilot], **VEHICLES[vehicle]}
     rows: list[Row] = []
     with (
         tempfile.TemporaryDirectory(prefix="mavcal-sequence-") as folder,
@@ -82,18 +102,48 @@ async def sequence(autopilot: str, seed: int, kinds: Sequence[str] = KINDS) -> l
     ):
         async with session(Path(folder), sim) as service:
             service.operator = Operator(sim, warm_from=START_C, warm_to=END_C)
-            for kind in kinds:
-                began = time.monotonic()
-                job = await _calibrated(service, sim, kind)
-                rows.append(row_of(autopilot, job, time.monotonic() - began))
-                if not rows[-1].good:
-                    break
+            for _ in range(rounds):
+                written: dict[str, float] = {}
+                for kind in kinds:
+                    began = time.monotonic()
+                    job = await _calibrated(service, sim, kind)
+                    rows.append(row_of(autopilot, job, time.monotonic() - began))
+                    if not rows[-1].good:
+                        return rows
+                    written |= {} if job.plan is None else {c.name: c.new for c in job.plan.changes if not c.session}
+                if rounds > 1:
+                    rows.append(await _restarted(autopilot, sim, written))
     return rows
+
+
+async def _restarted(autopilot: str, sim: SimulatedVehicle, written: Mapping[str, float]) -> Row:
+    """Whether the vehicle still holds what was written, after its power was off."""
+    began = time.monotonic()
+    await asyncio.to_thread(sim.wait, SAVED_S)
+    await sim.acall("reboot")
+    await asyncio.to_thread(sim.wait, BOOT_S)
+    stored = (await sim.acall("parameters"))["stored"]
+    lost = [n for n, new in written.items() if not n.startswith(OWN_OFFSETS) and stored.get(n) != new]
+    state = JobState.FAILED if lost else JobState.SUCCEEDED
+    kept = len(written) - len(lost)
+    reason = f"lost: {', '.join(lost)}" if lost else f"all {kept} values are still there"
+    return Row(autopilot, "restart", state, len(written), kept, 0, 0, time.monotonic() - began, reason)
+
+
+async def _decisions(kind: str, sim: SimulatedVehicle) -> Json:
+    """What the operator has looked at, and ids of sensors for which a PX4 may have no row yet."""
+    decided = dict(DECISIONS.get(kind, {}))
+    truth = (await sim.acall("truth"))["truth"]
+    if truth["autopilot"] == "px4" and kind in SENSORS:
+        decided["device_ids"] = {
+            f"{name[:-1]}{i}": sensor["id"] for name in SENSORS[kind] for i, sensor in enumerate(truth[name])
+        }
+    return decided
 
 
 async def _calibrated(service: Session, sim: SimulatedVehicle, kind: str) -> Job:
     """One job from its start to its end, by an operator who does what the prompts say."""
-    job = await service.reviewed(sim, kind, dict(OPTIONS.get(kind, {})), dict(DECISIONS.get(kind, {})))
+    job = await service.reviewed(sim, kind, dict(OPTIONS.get(kind, {})), await _decisions(kind, sim))
     if job.state != JobState.REVIEW or job.plan is None or job.plan.blockers or not job.plan.changes:
         return job
     if kind == "thermal":
@@ -160,11 +210,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--autopilot", choices=AUTOPILOTS, action="append")
     parser.add_argument("--seed", type=int, default=61)
     parser.add_argument("--kind", choices=KINDS, action="append")
+    parser.add_argument("--vehicle", choices=VEHICLES, default="earlier")
+    parser.add_argument("--rounds", type=int, default=1)
     args = parser.parse_args(argv)
     kinds = args.kind or KINDS
-    rows = [row for a in args.autopilot or AUTOPILOTS for row in asyncio.run(sequence(a, args.seed, kinds))]
+    autopilots = args.autopilot or AUTOPILOTS
+    rows = [
+        row
+        for autopilot in autopilots
+        for row in asyncio.run(sequence(autopilot, args.seed, kinds, vehicle=args.vehicle, rounds=args.rounds))
+    ]
     print(table(rows))
-    expected = len(args.autopilot or AUTOPILOTS) * len(kinds)
+    restarts = args.rounds if args.rounds > 1 else 0
+    expected = len(autopilots) * (args.rounds * len(kinds) + restarts)
     return 0 if len(rows) == expected and all(row.good for row in rows) else 1
 
 
