@@ -3,7 +3,8 @@
 A sensor whose values never change is frozen only where a living one would have changed. Streams are whole numbers of
 1 mG, 1 mrad/s and 1 mgauss, so a quiet sensor at rest may repeat one value for long (FLIGHT_CONTROLLERS 2.1, 9). It is
 called frozen where its numbers are not rounded, or where the vehicle was turned and others followed. So it is
-where a much quieter part than the others would have changed, or where the vehicle says that one is ill.
+where a much quieter part than the others would have changed, or where the vehicle says that one is ill. A compass that
+never changes and is none of these is no pass either: the noise of present parts is above 1 mgauss.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ _HEALTHY: Final[Mapping[Sensor, float]] = {
     Sensor.MAG: 2.0,
 }
 """Noise of a sample that a healthy part has at most (rad/s, m/s2, uT): a noisier one is no measure for the others."""
+_TURN = "Turn the vehicle by 20 deg or more while you check again: a living compass follows."
 _LINK = "Check again over a better link, or with fewer other programs on this one."
 _ROW = "If the sensor is installed, look at its wiring and at its driver. If not, set the id in its row to 0."
 _POWER = (
@@ -139,6 +141,11 @@ def sensors_heard(found: Census, announced: Mapping[Key, Announced], *, complete
         return Check(of, Verdict.WARN, float(len(said)), 0.0, 0.0, "", reason, _ROW, (*said, *notes), suspects)
     if not found.alive:
         return unknown(of, "No sensor is announced, and none was heard.", "Look at the link.", notes)
+    still = sorted(key for key in found.constant if key[0] == Sensor.MAG)
+    if still:
+        listed = ", ".join(_name(key) for key in still)
+        reason = f"Not one step of change was seen in {listed}: at rest a frozen compass reads the same."
+        return unknown(of, reason, _TURN, notes)
     counts = [_count(found, kind) for kind in WORDS if found.installed[kind]]
     reason = f"Heard and alive: {', '.join(counts)}."
     if found.constant:

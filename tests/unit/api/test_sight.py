@@ -40,7 +40,8 @@ def job(job_id: str, vehicle_id: str | None) -> Job:
 class Vehicles:
     """Two that are heard: one is tagged, one has another tag."""
 
-    heard = tuple(SimpleNamespace(id=f"uid-{x}", link=SimpleNamespace(id=f"link-{x}")) for x in "ab")
+    roads = tuple((x, SimpleNamespace(id=f"link-{x}")) for x in "ab")
+    heard = tuple(SimpleNamespace(id=f"uid-{x}", link=road, links=(road,)) for x, road in roads)
 
     def all(self) -> tuple[Any, ...]:
         return self.heard

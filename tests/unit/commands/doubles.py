@@ -15,6 +15,7 @@ from mavcal.service.commands.screen import Screen
 from mavcal.service.errors import JobUnknown, VehicleUnknown
 from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.states import JobState
+from mavcal.service.link_registry import link_id_of
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import EventRow, JobRow
 
@@ -59,6 +60,11 @@ class FakeVehicle:
             **vars(Identity("px4", 2, (1, 17, 0), "00ab", 1, 1)), version_text="1.17.0", known=True
         )
     )
+
+    @property
+    def links(self) -> tuple[Any, ...]:
+        """See Vehicle."""
+        return () if self.link is None else (self.link,)
 
     def writable(self) -> Any:
         """See Vehicle."""
@@ -164,6 +170,10 @@ class FakeLinks:
     def all(self) -> list[Any]:
         """See LinkRegistry."""
         return list(self.known.values())
+
+    def get(self, link_id: str) -> Any:
+        """See LinkRegistry."""
+        return next(link for url, link in self.known.items() if link_id_of(url) == link_id)
 
 
 @dataclass
