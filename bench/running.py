@@ -37,9 +37,8 @@ class RunningService:
         return resident_bytes(Path(f"/proc/{self.pid}/status").read_text())
 
     def processor_s(self) -> float:
-        """Processor time used so far (Linux: utime and stime in ticks of 10 ms, proc(5))."""
-        fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / 100.0
+        """See :func:`processor_s`."""
+        return processor_s(self.pid)
 
     def children(self) -> list[int]:
         """Processes that it has started and that have not ended."""
@@ -102,22 +101,29 @@ def service(connect: str, data_dir: Path) -> Iterator[RunningService]:
     RuntimeError
         If it does not come up.
     """
-    command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0"]
+    with starting(connect, data_dir) as process:
+        assert process.stdout is not None
+        readable, _, _ = select.select([process.stdout], [], [], _START_S)
+        line = process.stdout.readline() if readable else b""
+        if not line:
+            said = _log(data_dir).read_text(errors="replace").strip().splitlines()[-3:]
+            raise RuntimeError(f"the service did not come up: {said}")
+        answer: dict[str, Any] = json.loads(line)
+        with Client(answer["url"]) as client:
+            yield RunningService(client, process.pid, data_dir, answer["url"])
+
+
+@contextmanager
+def starting(connect: str, data_dir: Path, port: int = 0) -> Iterator[subprocess.Popen[bytes]]:
+    """The process of ``mavcal serve`` until the context ends; once ready it says its address on stdout."""
+    command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", str(port)]
     command += ["--connect", connect, "--data-dir", str(data_dir)]
     root = Path(__file__).resolve().parents[1]
-    log_path = data_dir.with_suffix(".log")
-    with log_path.open("wb") as log:
+    with _log(data_dir).open("wb") as log:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, cwd=root, env=ending_with_us())
         assert process.stdout is not None
         try:
-            readable, _, _ = select.select([process.stdout], [], [], _START_S)
-            line = process.stdout.readline() if readable else b""
-            if not line:
-                said = log_path.read_text(errors="replace").strip().splitlines()[-3:]
-                raise RuntimeError(f"the service did not come up: {said}")
-            answer: dict[str, Any] = json.loads(line)
-            with Client(answer["url"]) as client:
-                yield RunningService(client, process.pid, data_dir, answer["url"])
+            yield process
         finally:
             process.terminate()
             try:
@@ -126,3 +132,13 @@ def service(connect: str, data_dir: Path) -> Iterator[RunningService]:
                 process.kill()
                 process.wait()
             process.stdout.close()
+
+
+def processor_s(pid: int) -> float:
+    """Processor time that a process has used so far (Linux: utime and stime in ticks of 10 ms, proc(5))."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / 100.0
+
+
+def _log(data_dir: Path) -> Path:
+    return data_dir.with_suffix(".log")

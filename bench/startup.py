@@ -1,27 +1,32 @@
-"""What a start costs: processor time of the command line's help, and of a service until it answers."""
+"""What a start costs: processor time of the command line's help, and of a service until its page and its API answer."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from bench.rows import Row, Section
-from bench.running import service
+from bench.running import processor_s, service, starting
 
 HELP_S = 0.3
 READY_S = 3.0
+PAGE_S = 1.0
+_GIVE_UP_S = 60.0
 RUNS = 5
 
 
 def run() -> Section:
     """Help of the command line, the best of some runs; the service once."""
     rows = [_help(words) for words in (["--help"], ["fit", "--help"], ["calibrate", "--help"])]
-    return Section("Start", (*rows, _ready()))
+    return Section("Start", (*rows, _page(), _ready()))
 
 
 def _help(words: list[str]) -> Row:
@@ -40,6 +45,37 @@ def _help(words: list[str]) -> Row:
         f"{best:.2f} s of processor time",
         best <= HELP_S if target else None,
     )
+
+
+def _page() -> Row:
+    began = time.monotonic()
+    port = _free_port()
+    with (
+        TemporaryDirectory() as folder,
+        starting("udpin:127.0.0.1:0", Path(folder) / "data", port) as process,
+    ):
+        while not _answers(f"http://127.0.0.1:{port}/") and time.monotonic() - began < _GIVE_UP_S:
+            time.sleep(0.02)
+        took, spent = time.monotonic() - began, processor_s(process.pid)
+    return Row(
+        "service until its page answers",
+        f"<= {PAGE_S:.0f} s",
+        f"{took:.1f} s, {spent:.1f} s of processor time",
+        min(took, spent) <= PAGE_S,
+    )
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
+
+
+def _answers(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(url, timeout=_GIVE_UP_S) as response:
+            return bool(response.status == 200)
+    except (urllib.error.URLError, ConnectionError):
+        return False
 
 
 def _ready() -> Row:

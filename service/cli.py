@@ -13,6 +13,7 @@ from mavcal.calib.errors import CalibError
 from mavcal.service.commands.output import EXIT_NO, EXIT_USAGE, AnsweredNo, wants_json, write_json
 from mavcal.service.errors import JobError, LinkDown, ServiceError, VehicleError
 from mavcal.service.lifetime import follow
+from mavcal.service.loading import loading
 
 COMMANDS = {
     "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
@@ -58,7 +59,8 @@ class LazyGroup(click.Group):
         """The command of that name; None: there is none."""
         if cmd_name not in COMMANDS:
             return None
-        command = importlib.import_module(f"mavcal.service.commands.{cmd_name}").command
+        with loading():
+            command = importlib.import_module(f"mavcal.service.commands.{cmd_name}").command
         assert isinstance(command, click.Command)
         return command
 

@@ -13,6 +13,7 @@ from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json
 from mavcal.service.commands.place import place_of
 from mavcal.service.errors import ServiceError
+from mavcal.service.loading import loading
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -142,8 +143,9 @@ async def with_each(
 
     What an earlier run has left on a vehicle is finished first.
     """
-    from mavcal.service.commands.headless import earlier, recovered, stoppable
-    from mavcal.service.core import running_service
+    with loading():
+        from mavcal.service.commands.headless import earlier, recovered, stoppable
+        from mavcal.service.core import running_service
 
     async def one(found: Found) -> T | ServiceError:
         if found.vehicle is None:

@@ -16,6 +16,7 @@ import click
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option, write_json
 from mavcal.service.errors import PortBusy
+from mavcal.service.loading import loading
 from mavcal.service.settings import Settings
 
 if TYPE_CHECKING:
@@ -65,13 +66,14 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     PortBusy
         If the address cannot be listened on.
     """
-    import uvicorn
+    with loading():
+        import uvicorn
 
-    from mavcal.service.doorway import Doorway
-    from mavcal.service.exposure import check_exposure
-    from mavcal.service.freed import share_heaps
-    from mavcal.service.http import server_config
-    from mavcal.service.logs import configure_logging
+        from mavcal.service.doorway import Doorway
+        from mavcal.service.exposure import check_exposure
+        from mavcal.service.freed import share_heaps
+        from mavcal.service.http import server_config
+        from mavcal.service.logs import configure_logging
 
     share_heaps()
     sys.setswitchinterval(SWITCH_S)
@@ -125,10 +127,11 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
 def _load(settings: Settings) -> tuple[FastAPI, Callable[[Settings], AbstractAsyncContextManager[Service]]]:
     """The application and what runs its service: most of a start."""
-    from mavcal.service.app import create_app
-    from mavcal.service.core import running_service
+    with loading():
+        from mavcal.service.app import create_app
+        from mavcal.service.core import running_service
 
-    return create_app(settings), running_service
+        return create_app(settings), running_service
 
 
 def _ended(_number: int, _frame: object) -> NoReturn:

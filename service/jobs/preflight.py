@@ -157,14 +157,14 @@ class Preflights:
             await _present_rates(vehicle, rates, before, heard)
             # the parameters first: on a slow link the streams leave no room for them
             await asyncio.wait({reading}, timeout=max(FIRST_S - (self._clock() - began), 0.0))
+            demanded = self._clock()
             slower = vehicle.demand_streams(rates)
             if slower > SLOW:
                 heard.notes.append(f"the link is slow: {slower:.1f} times fewer samples come")
             for _ in range(1, DEMANDS):
                 await asyncio.sleep(DEMAND_S)
                 vehicle.demand_streams(rates)
-            left = max(DEADLINE_S - (self._clock() - began), 0.0)
-            await asyncio.sleep(min(self._capture_s, left))
+            await asyncio.sleep(max(min(demanded + self._capture_s, began + DEADLINE_S) - self._clock(), 0.0))
             await self._gather(vehicle, rates, began, heard)
             complete = await self._finished(reading, began, heard)
             asked = _asked(asking, heard)

@@ -14,7 +14,8 @@ from mavcal.service.link import Batch
 from mavcal.service.link.capacity import slowdown
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
 from mavcal.service.vehicle.encoding import Parameter
-from mavcal.service.vehicle.streams import DEFAULT_INTERVAL, StreamReport, demand_streams, get_interval, request_streams
+from mavcal.service.vehicle.intervals import get_intervals
+from mavcal.service.vehicle.streams import StreamReport, demand_streams, request_streams
 
 SLOW = 1.2
 """From here on a job takes so much longer that it is said."""
@@ -111,7 +112,7 @@ class VehicleAdapter:
         wanted = tuple(message_ids)
         known = await self._give_way(self.id, wanted)
         asked = [message_id for message_id in wanted if message_id not in known]
-        return {**known, **{i: await get_interval(self._vehicle, i) or DEFAULT_INTERVAL for i in asked}}
+        return {**known, **await get_intervals(self._vehicle, asked)}
 
     async def request_streams(
         self, rates: Mapping[int, float], *, measure_s: float, before: Mapping[int, int]

@@ -1,11 +1,23 @@
-"""How long a vehicle takes to answer, so that nothing is asked again while its answer is still under way."""
+"""How long a vehicle takes to answer, so that nothing is asked again while its answer is still under way.
+
+And how many of its answers are lost, so that silence proves what it can.
+"""
 
 from __future__ import annotations
+
+from collections import deque
 
 MOST_S = 5.0
 """Nothing is waited for longer than this, however slow the answers have become."""
 _SMOOTHING, _SPREADING = 1 / 8, 1 / 4
 _SPREADS = 4.0
+_TRIPS = 100
+"""Of so many questions it is remembered whether they were answered; a link may become worse or better."""
+MISSED = 1 / 200
+"""A parameter that exists may count as absent once in so many times."""
+MOST_SILENCES, FEWEST_SILENCES = 5, 2
+"""Five: at 30 % loss each way a parameter that exists is missed once in 200 times. Two: one gap of the link proves
+nothing."""
 
 
 class Pace:
@@ -14,6 +26,7 @@ class Pace:
     def __init__(self) -> None:
         self._mean: float | None = None
         self._spread = 0.0
+        self._trips: deque[bool] = deque(maxlen=_TRIPS)
 
     def answered(self, seconds: float) -> None:
         """An answer took so long. Leave out a question that was asked twice: nobody knows which was answered."""
@@ -36,3 +49,20 @@ class Pace:
         if self._mean is None:
             return at_first
         return min(max(self._mean + _SPREADS * self._spread, least), MOST_S)
+
+    def trip(self, *, answered: bool) -> None:
+        """A question to which there is an answer was answered in time, or not."""
+        self._trips.append(answered)
+
+    def silences(self) -> int:
+        """So many silences prove absence: loss explains them all less often than once in 200 times.
+
+        Of the share lost nothing is known but the questions so far: any was equally likely before them. The chance of
+        k losses in a row is then the product of (lost + 1 + i) / (asked + 2 + i) for i below k.
+        """
+        asked, lost = len(self._trips), sum(not answered for answered in self._trips)
+        chance, k = 1.0, 0
+        while k < MOST_SILENCES and (k < FEWEST_SILENCES or chance > MISSED):
+            chance *= (lost + 1 + k) / (asked + 2 + k)
+            k += 1
+        return k

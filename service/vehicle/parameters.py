@@ -48,8 +48,6 @@ READ_LEAST_S = 0.5
 """A vehicle whose answers come at once is asked again after so long: on a bad link it is loss, and asking is cheap."""
 TRIES = 3
 _MOST_TRIES = 16
-_SILENCES = 5
-"""So many silences prove absence: at 30 % loss each way a parameter that exists is missed once in 200 times."""
 _GRACE_S = 0.3
 _WAYS = 3
 """A write is tried over so many links, one after the other, as each falls silent."""
@@ -183,7 +181,8 @@ class Parameters(Mapping[str, Parameter]):
         """Ask for one parameter by name; hidden ones answer too.
 
         Silence alone may be loss, so a parameter that exists is asked for right behind it. The silence of this one
-        counts only where that one is answered: answers come in the order of the questions.
+        counts only where that one is answered: answers come in the order of the questions. How many silences it takes
+        depends on how many answers were lost before: see :meth:`Pace.silences`.
 
         Raises
         ------
@@ -220,7 +219,7 @@ class Parameters(Mapping[str, Parameter]):
             expected_too = parameter.name == other if other is not None else parameter.index == 0
             return _Other() if expected_too else None
 
-        silences = 0
+        silences, proved = 0, False
         expected: Expectation[Parameter | ParameterError | _Other] = vehicle.waits.expect({_VALUE, _ERROR}, match)
         with expected as answer:
             for attempt in range(_MOST_TRIES):
@@ -240,11 +239,16 @@ class Parameters(Mapping[str, Parameter]):
                 if isinstance(got, Parameter):
                     if not attempt:
                         vehicle.pace.answered(vehicle.clock() - asked)
+                    for earlier in range(attempt + 1):
+                        vehicle.pace.trip(answered=earlier == attempt)
                     return self._known.get(name, got)
+                if attempt:
+                    vehicle.pace.trip(answered=others > 0)
                 silences += others > 0
-                if silences >= _SILENCES:
+                proved = silences >= vehicle.pace.silences()
+                if proved:
                     break
-        raise self._silence(name, proved=silences >= _SILENCES)
+        raise self._silence(name, proved=proved)
 
     def _silence(self, name: str, *, proved: bool) -> VehicleError:
         vehicle = self._vehicle

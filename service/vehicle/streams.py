@@ -12,10 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
-
-from mavcal.calib.wire import Frame, decode
-from mavcal.service.errors import CommandRefused, CommandTimeout, LinkError, VehicleError
+from mavcal.service.errors import LinkError, VehicleError
 from mavcal.service.link.capacity import (
     SHORT,
     Arrivals,
@@ -30,12 +27,17 @@ from mavcal.service.link.capacity import (
 )
 from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.arrivals import watch
-from mavcal.service.vehicle.identity import Autopilot
+from mavcal.service.vehicle.intervals import (
+    DEFAULT_INTERVAL,
+    get_interval,
+    get_intervals,
+    set_interval,
+    set_intervals,
+)
 
 if TYPE_CHECKING:
     from mavcal.service.vehicle.vehicle import Vehicle
 
-_INTERVAL = dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL
 LATE_S, LATER = 0.4, 3.0
 """Answers that take so long, and so many times as long as before the streams, have a full link before them."""
 GROWTH, GROWN_S = SHORT, 0.06
@@ -53,8 +55,6 @@ FRESH_S = 60.0
 """What a slow link was seen to carry counts twice as much with each such time that it was not measured again."""
 REMEMBERED_S = 600.0
 """After this time nothing is known of a link."""
-DEFAULT_INTERVAL = 0
-"""Interval that means: as the firmware would without us."""
 
 
 @dataclass(frozen=True)
@@ -120,48 +120,19 @@ class StreamReport:
 
     async def restore(self) -> tuple[int, ...]:
         """Put the old intervals back; returns the messages for which that could not be confirmed."""
-        vehicle, failed = self.vehicle.unit, []
+        vehicle = self.vehicle.unit
         ledger, way = vehicle.streams, vehicle.way
         await ledger.moved()
-        for message_id, interval in ledger.to_restore(way, self.previous).items():
-            try:
-                await set_interval(vehicle, message_id, interval)
-            except (VehicleError, LinkError):
-                failed.append(message_id)
+        try:
+            results = await set_intervals(vehicle, ledger.to_restore(way, self.previous))
+        except (VehicleError, LinkError):
+            return tuple(self.previous)
+        failed = tuple(message_id for message_id, result in results.items() if result != commands.ACCEPTED)
         left = ledger.restored(way, tuple(key for key in self.previous if key not in failed))
         for link in vehicle.links:
             for message_id, interval in left.get(link.id, {}).items():
                 vehicle.demand_over(link, commands.SET_MESSAGE_INTERVAL, message_id, interval)
-        return tuple(failed)
-
-
-async def set_interval(vehicle: Vehicle, message_id: int, interval_us: float) -> None:
-    """SET_MESSAGE_INTERVAL: -1 off, 0 default. Parameters 3 to 7 must be 0 (ArduPilot refuses others)."""
-    await vehicle.command(commands.SET_MESSAGE_INTERVAL, (message_id, interval_us))
-
-
-async def get_interval(vehicle: Vehicle, message_id: int) -> int | None:
-    """The interval in us as the vehicle says it (-1 off, 0 unknown to it), or None if it does not say."""
-    ask = [(commands.GET_MESSAGE_INTERVAL, (message_id,)), (commands.REQUEST_MESSAGE, (_INTERVAL, message_id))]
-    if vehicle.identity.autopilot is Autopilot.PX4:
-        ask.reverse()
-
-    def match(frame: Frame) -> int | None:
-        message = decode(frame)
-        return int(message.interval_us) if message.message_id == message_id else None
-
-    with vehicle.waits.expect({_INTERVAL}, match) as answer:
-        for command_id, params in ask:
-            try:
-                await vehicle.command(command_id, params, retries=1)
-            except (CommandRefused, CommandTimeout):
-                continue
-            interval = await answer.within(1.0)
-            if interval is not None:
-                if message_id not in vehicle.streams.asked:
-                    vehicle.streams.before(vehicle.way, message_id, interval)
-                return interval
-    return None
+        return failed
 
 
 async def request_streams(
@@ -342,20 +313,14 @@ class _Request:
         The slow ones first: the link is busy only when the last ones are on, and answers then wait.
         """
         await self.vehicle.streams.moved()
-        for message_id, rate in sorted(rates_hz.items(), key=lambda item: item[1]):
-            if message_id not in self._previous:
-                self._previous[message_id] = await get_interval(self.vehicle, message_id) or DEFAULT_INTERVAL
+        unknown = [message_id for message_id in rates_hz if message_id not in self._previous]
+        if unknown:
+            self._previous |= await get_intervals(self.vehicle, unknown)
+        slow_first = sorted(rates_hz.items(), key=lambda item: item[1])
+        for message_id, rate in slow_first:
             self.vehicle.streams.ask(message_id, _interval_us(rate))
-            self._results[message_id] = await self._set(message_id, rate)
-
-    async def _set(self, message_id: int, rate: float) -> int | None:
-        try:
-            await set_interval(self.vehicle, message_id, _interval_us(rate))
-        except CommandRefused as exc:
-            return exc.result
-        except CommandTimeout:
-            return None
-        return commands.ACCEPTED
+            self._results.setdefault(message_id, None)  # what is cut short is put back too
+        self._results |= await set_intervals(self.vehicle, {key: _interval_us(rate) for key, rate in slow_first})
 
     def samples(self, rates_hz: Mapping[int, float]) -> tuple[int, ...]:
         """The streams of samples that may come."""

@@ -178,10 +178,10 @@ class Vehicle:
     def demand(self, command_id: int, *params: float) -> None:
         """Send a command whose acknowledgement is not waited for; where the link is down it is lost."""
         with suppress(LinkDown):
-            self._send_command(command_id, *params)
+            self.tell(command_id, *params)
 
-    def _send_command(self, command_id: int, *params: float) -> None:
-        """Send a command whose acknowledgement does not matter, since its effect is seen."""
+    def tell(self, command_id: int, *params: float) -> None:
+        """Send a command whose acknowledgement does not matter, since its effect is seen. Raises LinkDown."""
         self.send(self._command_message(command_id, *params))
 
     def _command_message(self, command_id: int, *params: float) -> Message:
@@ -197,9 +197,9 @@ class Vehicle:
         with self.waits.expect({VERSION_ID}, decode) as answer:
             for attempt in range(2 * _IDENTIFY_TRIES):
                 if attempt % 2 == 0:
-                    self._send_command(commands.REQUEST_MESSAGE, VERSION_ID)
+                    self.tell(commands.REQUEST_MESSAGE, VERSION_ID)
                 else:
-                    self._send_command(commands.REQUEST_CAPABILITIES, 1)
+                    self.tell(commands.REQUEST_CAPABILITIES, 1)
                 if await answer.within(1.0) is not None:
                     await answer.within(_SECOND_ANSWER_S)
                     return self.identity

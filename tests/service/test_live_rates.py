@@ -16,7 +16,7 @@ from mavcal.calib.wire import Frame, decode
 from mavcal.service.link import Batch
 from mavcal.service.simvehicle import ControlChannel
 from mavcal.service.vehicle import Vehicle
-from mavcal.service.vehicle.streams import DEFAULT_INTERVAL, get_interval, set_interval
+from mavcal.service.vehicle.intervals import DEFAULT_INTERVAL, get_interval, set_interval
 from tests.patience import scaled
 from tests.service.api_bench import Api, Json, served
 

@@ -12,13 +12,13 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.calib import wire
 from mavcal.service.vehicle import request_streams
 from mavcal.service.vehicle.arrivals import LONGEST_S, OTHERS_S, START_S, Meter, watch
+from mavcal.service.vehicle.intervals import get_interval
 from mavcal.service.vehicle.streams import (
     LATE_S,
     _interval_us,
     _late_anyway,
     _late_s,
     _smaller,
-    get_interval,
 )
 from tests.unit.vehicle.fake import FakeVehicle, ack, delay_answers
 

@@ -164,9 +164,29 @@ async def test_names_that_are_not_there_are_proved_absent_side_by_side(ardupilot
     assert [type(e) for e in await ardupilot.run(finished(both))] == [ParameterMissing, ParameterMissing]
     assert ardupilot.clock.now - began < 3.5
     asked = [m.param_id for m in ardupilot.link.sent_of("PARAM_REQUEST_READ")]
-    assert min(asked.count("NOPE"), asked.count("NEITHER")) >= 6
+    assert min(asked.count("NOPE"), asked.count("NEITHER")) >= 4
     beside = {m for m in asked if m not in ("NOPE", "NEITHER")}
     assert len(beside) == 2
+
+
+@pytest.mark.parametrize(("lost", "questions", "limit_s"), [(0, 3, 1.5), (12, 6, 3.5)])
+async def test_absence_takes_more_questions_where_answers_were_lost(
+    ardupilot: FakeVehicle, lost: int, questions: int, limit_s: float
+) -> None:
+    firmware = three(ardupilot)
+    vehicle = ardupilot.vehicle
+    for number in range(30):
+        await ardupilot.run(vehicle.parameters.read("INS_ACCOFFS_X"))
+        if number < lost:
+            vehicle.pace.trip(answered=False)
+    ardupilot.link.sent.clear()
+    ardupilot.link.respond = firmware.respond
+    began = ardupilot.clock.now
+    with pytest.raises(ParameterMissing):
+        await ardupilot.run(vehicle.parameters.read("NOPE"))
+    assert ardupilot.clock.now - began < limit_s
+    asked = [m.param_id for m in ardupilot.link.sent_of("PARAM_REQUEST_READ")]
+    assert asked.count("NOPE") >= questions
 
 
 async def test_nothing_is_asked_again_while_its_answer_is_under_way(ardupilot: FakeVehicle) -> None:
