@@ -11,7 +11,7 @@ from mavcal.calib.recording import Sensor
 
 def test_every_decision_of_composing_is_an_option_and_nothing_else_is() -> None:
     fields = {field.name for field in dataclasses.fields(ComposeOptions)}
-    assert fields - {"unproved_origin"} == set(PLAN_OPTIONS)
+    assert fields - {"unproved_origin", "without_row"} == set(PLAN_OPTIONS)
 
 
 def test_plain_data_become_options() -> None:
