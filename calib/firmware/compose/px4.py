@@ -113,7 +113,10 @@ def _may_take(draft: Draft, about: Subject, name: str, held: int, filled: int) -
     Rows that hold an id are not always those of the sensors that stream: PX4 keeps the id of one that was taken away.
     """
     without = draft.options.without_row
-    ask = "Run PX4's own calibration of it once, which writes the ids anew, or give its id with " + how("device_ids")
+    ask = (
+        "Run PX4's own calibration of it once, which writes the ids anew; or give its id, which "
+        f"`listener sensor_{about.sensor}` on PX4's console says, with {how('device_ids')}"
+    )
     if (about.sensor, about.instance) in without:
         draft.block(
             f"PX4 says that {about} is in none of its rows, so {name} = {held} is the id of another sensor. {ask}",
