@@ -114,8 +114,8 @@ def _may_take(draft: Draft, about: Subject, name: str, held: int, filled: int) -
     """
     without = draft.options.without_row
     ask = (
-        "Run PX4's own calibration of it once, which writes the ids anew; or give its id, which "
-        f"`listener sensor_{about.sensor}` on PX4's console says, with {how('device_ids')}"
+        f"Run PX4's own calibration of it once: that writes the ids anew. Or give its id with {how('device_ids')}; "
+        f"`listener sensor_{about.sensor}` on PX4's console says it"
     )
     if (about.sensor, about.instance) in without:
         draft.block(
