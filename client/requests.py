@@ -27,7 +27,7 @@ class PlanOptions(Request):
     confirm_other_unit: bool = False
     """A recording without a board id is of this vehicle; the audit keeps it."""
     device_ids: dict[str, int] = Field(default_factory=dict)
-    """PX4: device id of a sensor without a row, by sensor."""
+    """PX4: device id that no stream says, by sensor."""
     accel_temperature: dict[str, Number] = Field(default_factory=dict)
     """PX4: degC at which CAL_ACC in force was taken, by sensor."""
 

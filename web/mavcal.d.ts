@@ -874,7 +874,7 @@ export interface PlanOptions {
   confirm_mounting?: boolean;
   /** A recording without a board id is of this vehicle; the audit keeps it. */
   confirm_other_unit?: boolean;
-  /** PX4: device id of a sensor without a row, by sensor. */
+  /** PX4: device id that no stream says, by sensor. */
   device_ids?: Record<string, number>;
   /** PX4: degC at which CAL_ACC in force was taken, by sensor. */
   accel_temperature?: Record<string, number>;

@@ -175,7 +175,7 @@ PLAN_OPTIONS: Final[Mapping[str, PlanOption]] = MappingProxyType(
                 "Confirm that a recording without board id is of this vehicle.",
                 live=False,
             ),
-            PlanOption("device_ids", _ids, "PX4: device id of a sensor that has no row yet, as gyro0=1310988."),
+            PlanOption("device_ids", _ids, "PX4: device id of a sensor, which no stream says, as gyro0=1310988."),
             PlanOption(
                 "accel_temperature", _temperatures, "PX4: degC at which CAL_ACC in force was taken, as accel0=31.5."
             ),

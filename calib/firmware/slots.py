@@ -6,8 +6,9 @@ lie in state slots (``COMPASS_DEV_IDn``). PX4 matches every row by device id. FL
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import names
@@ -15,12 +16,11 @@ from mavcal.calib.firmware.names import Role
 from mavcal.calib.recording import Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from mavcal.calib.firmware.plan import Value
 
 CALIBRATED = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 """The sensors that have calibration parameters."""
+NOTHING: Final[Mapping[tuple[Sensor, int], int]] = MappingProxyType({})
 
 
 def ardupilot_compass_slot(parameters: Mapping[str, Value], priority: int) -> int:
@@ -62,29 +62,59 @@ def ardupilot_calibration_names(parameters: Mapping[str, Value], sensor: Sensor,
     return names.ardupilot_compass_names(ardupilot_compass_slot(parameters, instance), instance)
 
 
-def px4_slot(parameters: Mapping[str, Value], sensor: Sensor, instance: int, device_id: int | None = None) -> int:
-    """``CAL_*`` row of `sensor` `instance`.
+def px4_rows(
+    parameters: Mapping[str, Value], sensor: Sensor, told: Mapping[tuple[Sensor, int], int] = NOTHING
+) -> tuple[int, ...]:
+    """``CAL_*`` row of each streamed instance of `sensor`; rows that are left count as those of further instances.
 
-    The stream does not carry device ids. Without `device_id` the rows that hold an id are taken in their order, which
-    is how the firmware fills them, then the free ones. A wrong guess is caught by the physical check, never by the
-    read-back.
+    The stream does not carry device ids. The rows that hold an id are taken in their order, which is how the firmware
+    fills them, then the free ones. That is a guess: PX4 leaves the id of a sensor that was taken away in its row.
+    `told` are device ids that somebody has read, by streamed instance. Such a sensor has the row with its id, else its
+    row by order if that is free, else the first free one.
 
     Raises
     ------
     FirmwareError
-        If `device_id` is in no row, or there is no row left.
+        If there is no row left for a sensor that was told.
     """
     ids = _px4_ids(parameters, sensor)
-    if device_id is not None:
-        if device_id not in ids:
-            raise FirmwareError(f"no {names.px4_names(sensor, 0)[Role.ID][:-4]}n_ID holds the device id {device_id}")
-        return ids.index(device_id)
-    filled = [slot for slot, held in enumerate(ids) if held != 0]
-    free = [slot for slot, held in enumerate(ids) if held == 0]
-    ordered = filled + free
-    if instance >= len(ordered):
+    ordered = [slot for slot, held in enumerate(ids) if held != 0] + [slot for slot, held in enumerate(ids) if not held]
+    known = {i: device for (kind, i), device in sorted(told.items()) if kind == sensor and i < len(ordered)}
+    rows = {i: ids.index(device) for i, device in known.items() if device in ids}
+    for i in sorted(known.keys() - rows.keys()):
+        free = [slot for slot in (ordered[i], *ordered) if not ids[slot] and slot not in rows.values()]
+        if not free:
+            names_of = ", ".join(names.px4_names(sensor, slot)[Role.ID] for slot in range(names.PX4_SLOTS))
+            raise FirmwareError(
+                f"every row holds an id ({names_of}), and none is {known[i]}: set that of a sensor that is gone to 0"
+            )
+        rows[i] = free[0]
+    left = iter([slot for slot in ordered if slot not in rows.values()])
+    return tuple(rows[i] if i in rows else next(left) for i in range(len(ordered)))
+
+
+def px4_slot(
+    parameters: Mapping[str, Value],
+    sensor: Sensor,
+    instance: int,
+    told: Mapping[tuple[Sensor, int], int] = NOTHING,
+) -> int:
+    """``CAL_*`` row of `sensor` `instance`; see :func:`px4_rows`.
+
+    Raises
+    ------
+    FirmwareError
+        If there is no row left.
+    """
+    rows = px4_rows(parameters, sensor, told)
+    if instance >= len(rows):
         raise FirmwareError(f"PX4 has {names.PX4_SLOTS} rows for {sensor}; instance {instance} has none")
-    return ordered[instance]
+    return rows[instance]
+
+
+def px4_instance(parameters: Mapping[str, Value], sensor: Sensor, slot: int) -> int:
+    """The instance that has `slot` by order: what is read of it by order is read of that row."""
+    return px4_rows(parameters, sensor).index(slot)
 
 
 def px4_thermal_slot(parameters: Mapping[str, Value], sensor: Sensor, device_id: int) -> int | None:
@@ -106,16 +136,14 @@ def px4_thermal_slot(parameters: Mapping[str, Value], sensor: Sensor, device_id:
     return dict(zip(without, free, strict=False)).get(device_id)
 
 
-def px4_calibration_names(
-    parameters: Mapping[str, Value], sensor: Sensor, instance: int, device_id: int | None = None
-) -> Mapping[Role, str]:
+def px4_calibration_names(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> Mapping[Role, str]:
     """Names by role of the parameters that correct `sensor` `instance` of a PX4, thermal row included.
 
     The thermal row is the one that holds the sensor's device id, else a free one (the value of its ``THERMAL_ID``
     says which); none for a sensor whose id is not known.
     """
     _check_sensor(sensor)
-    row = names.px4_names(sensor, px4_slot(parameters, sensor, instance, device_id))
+    row = names.px4_names(sensor, px4_slot(parameters, sensor, instance))
     thermal = px4_thermal_slot(parameters, sensor, int(parameters.get(row[Role.ID], 0)))
     if thermal is None:
         return row
@@ -139,12 +167,15 @@ def ardupilot_sensor_ids(parameters: Mapping[str, Value]) -> dict[tuple[Sensor, 
     return {key: value for key, value in found.items() if value != 0}
 
 
-def px4_sensor_ids(parameters: Mapping[str, Value]) -> dict[tuple[Sensor, int], int]:
-    """Device id of every calibrated sensor, by streamed instance (filled rows in their order)."""
+def px4_sensor_ids(
+    parameters: Mapping[str, Value], told: Mapping[tuple[Sensor, int], int] = NOTHING
+) -> dict[tuple[Sensor, int], int]:
+    """Device id of every calibrated sensor, by streamed instance; see :func:`px4_rows`."""
     found = {}
     for sensor in CALIBRATED:
-        held = [value for value in _px4_ids(parameters, sensor) if value != 0]
-        found.update({(sensor, i): value for i, value in enumerate(held)})
+        ids = _px4_ids(parameters, sensor)
+        rows = px4_rows(parameters, sensor, told)
+        found.update({(sensor, i): ids[slot] for i, slot in enumerate(rows) if ids[slot] != 0})
     return found
 
 

@@ -13,6 +13,7 @@ from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware import Assembler, calibration_in_force, calibration_names, requested_streams
 from mavcal.calib.firmware.names import BOARD_ROTATION, PX4_LEVEL, PX4_SLOTS, Role, px4_names
 from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.slots import NOTHING, px4_instance, px4_slot
 from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, SCALED_IMU
 from mavcal.calib.firmware.stream.rates import BY_INSTANCE
 from mavcal.calib.preflight.rest import LEAST
@@ -111,12 +112,19 @@ class Collected:
 
 
 def collect(
-    frames: Sequence[Frame], identity: Identity, parameters: Mapping[str, Value], *, asked: bool, complete: bool = True
+    frames: Sequence[Frame],
+    identity: Identity,
+    parameters: Mapping[str, Value],
+    *,
+    asked: bool,
+    complete: bool = True,
+    told: Mapping[tuple[Sensor, int], int] = NOTHING,
 ) -> Collected:
     """Read `frames` of one vehicle, in their order.
 
     `asked`: it took the request to run its checks. `complete`: every parameter was read, so that one that is not there
     is one that the vehicle does not have. A compass whose correction is not known for certain is left out.
+    `told`: PX4's device ids by streamed instance, as :func:`calib.preflight.snapshot.told_ids` finds them.
     """
     assembler = Assembler(identity, parameters)
     recording = assembler.feed([(None, frame) for frame in frames])
@@ -135,7 +143,7 @@ def collect(
         ill = frozenset(sensor for sensor, bits in _HEALTH.items() if there & bits & ~health)
         view = dataclasses.replace(view, present=bool(there & PREARM), ready=ready, ill=ill)
     current = None if status is None else int(status.current_battery) >= 0
-    made = [(c, _corrected(c, identity, parameters, complete=complete)) for c in recording.channels]
+    made = [(c, _corrected(c, identity, parameters, told, complete=complete)) for c in recording.channels]
     return Collected(
         recording.with_channels(c for _, c in made if c is not None),
         shaking,
@@ -155,7 +163,12 @@ def _ready(frames: Sequence[Frame], *, ready: bool, reported: bool) -> bool | No
 
 
 def _corrected(
-    channel: Channel, identity: Identity, parameters: Mapping[str, Value], *, complete: bool
+    channel: Channel,
+    identity: Identity,
+    parameters: Mapping[str, Value],
+    told: Mapping[tuple[Sensor, int], int],
+    *,
+    complete: bool,
 ) -> Channel | None:
     """PX4 streams its compasses as they are: the calibration in force makes of them what the vehicle uses.
 
@@ -164,8 +177,10 @@ def _corrected(
     if channel.stage != Stage.RAW or channel.sensor != Sensor.MAG:
         return channel
     try:
-        model = calibration_in_force(identity.autopilot, parameters, Sensor.MAG, channel.instance)
-        row = calibration_names(identity.autopilot, parameters, Sensor.MAG, channel.instance)
+        slot = px4_slot(parameters, Sensor.MAG, channel.instance, told)
+        place = px4_instance(parameters, Sensor.MAG, slot)
+        model = calibration_in_force(identity.autopilot, parameters, Sensor.MAG, place)
+        row = calibration_names(identity.autopilot, parameters, Sensor.MAG, place)
     except CalibError:
         return None
     ids = {px4_names(Sensor.MAG, slot)[Role.ID] for slot in range(PX4_SLOTS)}  # which row is whose

@@ -16,7 +16,7 @@ from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.options import Key
-from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.plan import LeftOut, Value
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Sensor
 
@@ -53,6 +53,8 @@ class ExpectedCalibration:
     """Sentences on verified sensors whose values belong nowhere now."""
     moved: tuple[str, ...] = ()
     """Sentences on sensors that sit elsewhere now."""
+    homeless: tuple[LeftOut, ...] = ()
+    """The sensors of `missing`, by the instance that they had when they were verified."""
     by_place: frozenset[Sensor] = frozenset()
     """Sensors that no device id tells apart: their values are expected where they were."""
 
@@ -84,6 +86,7 @@ def expected(
     places = _Px4Places(parameters) if autopilot == "px4" else _ArduPilotPlaces(parameters)
     values: list[ExpectedValue] = []
     missing: list[str] = []
+    homeless: list[LeftOut] = []
     moved: list[str] = []
     by_place: set[Sensor] = set()
     for sensor, entry in last_of_each(history).items():
@@ -95,9 +98,12 @@ def expected(
                 place = places.place(Sensor(sensor), then, device if known else 0, entry)
             except FirmwareError as error:
                 missing.append(f"{Subject(sensor, then)} (device id {device}): {error}")
+                homeless.append(LeftOut(Sensor(sensor), then, f"device id {device}: {error}"))
                 continue
             if place is None:
-                missing.append(f"{Subject(sensor, then)} had the device id {device}, which is not on this vehicle now")
+                why = f"had the device id {device}, which is not on this vehicle now"
+                missing.append(f"{Subject(sensor, then)} {why}")
+                homeless.append(LeftOut(Sensor(sensor), then, why))
                 continue
             if only and (sensor, place.about.instance) not in only:
                 continue
@@ -105,7 +111,7 @@ def expected(
                 moved.append(f"device id {device} was {Subject(sensor, then)} and is {place.about} now")
             values += _of_sensor(autopilot, parameters, entry, place)
     values += () if only else _shared(history, autopilot)
-    return ExpectedCalibration(tuple(_once(values)), tuple(missing), tuple(moved), frozenset(by_place))
+    return ExpectedCalibration(tuple(_once(values)), tuple(missing), tuple(moved), tuple(homeless), frozenset(by_place))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from mavcal.calib.firmware import names
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.slots import NOTHING, px4_rows
 from mavcal.calib.recording import Sensor
 
 WORDS: Mapping[Sensor, tuple[str, str]] = {
@@ -47,11 +48,16 @@ class Announced:
         return f"{WORDS[self.sensor][0]} {self.instance + 1}"
 
 
-def announced(autopilot: str, parameters: Mapping[str, Value]) -> dict[Key, Announced]:
-    """Every sensor that is announced and used; none for an autopilot that is neither ArduPilot nor PX4."""
+def announced(
+    autopilot: str, parameters: Mapping[str, Value], told: Mapping[Key, int] = NOTHING
+) -> dict[Key, Announced]:
+    """Every sensor that is announced and used; none for an autopilot that is neither ArduPilot nor PX4.
+
+    `told`: PX4's device ids by streamed instance, as :func:`calib.preflight.snapshot.told_ids` finds them.
+    """
     if autopilot not in names.CALIBRATION_PREFIXES:
         return {}
-    found = _px4(parameters) if autopilot == "px4" else _ardupilot(parameters)
+    found = _px4(parameters, told) if autopilot == "px4" else _ardupilot(parameters)
     return {(one.sensor, one.instance): one for one in found}
 
 
@@ -70,8 +76,8 @@ def _ardupilot(parameters: Mapping[str, Value]) -> Iterator[Announced]:
             yield Announced(Sensor.MAG, rank, _told(name, parameters), int(parameters[name]))
 
 
-def _px4(parameters: Mapping[str, Value]) -> Iterator[Announced]:
-    rows = {sensor: _px4_rows(sensor, parameters) for sensor in WORDS}
+def _px4(parameters: Mapping[str, Value], told: Mapping[Key, int]) -> Iterator[Announced]:
+    rows = {sensor: _px4_rows(sensor, parameters, told) for sensor in WORDS}
     used = {sensor: [name for name, use in found if use] for sensor, found in rows.items()}
     units = _fewest(len(used[Sensor.ACCEL]), len(used[Sensor.GYRO]))
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
@@ -95,9 +101,9 @@ def _fewest(accels: int, gyros: int) -> int:
     return min(accels, gyros) if accels and gyros else max(accels, gyros)
 
 
-def _px4_rows(sensor: Sensor, parameters: Mapping[str, Value]) -> list[tuple[str, bool]]:
+def _px4_rows(sensor: Sensor, parameters: Mapping[str, Value], told: Mapping[Key, int]) -> list[tuple[str, bool]]:
     """Names of the ids in the filled rows, in the order of the stream, and whether each is used."""
-    rows = [names.px4_names(sensor, slot) for slot in range(names.PX4_SLOTS)]
+    rows = [names.px4_names(sensor, slot) for slot in px4_rows(parameters, sensor, told)]
     return [
         (row[Role.ID], parameters.get(row[Role.PRIORITY], -1) != 0) for row in rows if parameters.get(row[Role.ID], 0)
     ]

@@ -20,6 +20,7 @@ from mavcal.calib.firmware.names import CROSS, LEVEL, MOTOR, OFFSET, ROTATION_EU
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.plan import (
     Fingerprint,
+    LeftOut,
     ParameterKind,
     SensorCheck,
     SensorCheckId,
@@ -78,8 +79,8 @@ def compose_restore(
     Returns
     -------
     WritePlan
-        What cannot be put back is among its warnings; if that is everything, among its blockers. No changes and no
-        blockers: the vehicle holds it all.
+        What cannot be put back is among its warnings and in `left_out`; if that is everything, among its blockers.
+        No changes and no blockers: the vehicle holds it all.
 
     Raises
     ------
@@ -125,6 +126,12 @@ class _Restoration:
         self._fingerprint, self._options = fingerprint, options
         self._draft = Draft(parameters, options)
         self._said: list[str] = []
+        asked = options.only
+        self._left_out = {
+            Subject(out.sensor, out.instance): out.reason
+            for out in wanted.homeless
+            if not asked or (out.sensor, out.instance) in asked
+        }
 
     def plan(self) -> WritePlan:
         values = list(self._usable())
@@ -142,7 +149,9 @@ class _Restoration:
         if nothing and not self._draft.changes:
             why = "; ".join((*self._wanted.missing, *self._said)) or "none of these sensors was verified"
             self._draft.block(f"nothing can be restored: {why}")
-        return self._draft.plan(self._fingerprint)
+        left = sorted(self._left_out.items(), key=lambda item: (item[0].sensor, item[0].instance))
+        out = [LeftOut(about.sensor, about.instance, reason) for about, reason in left]
+        return self._draft.plan(self._fingerprint, left_out=out)
 
     def _usable(self) -> Iterator[ExpectedValue]:
         """Everything that has a place, without any sensor that has only part of its places."""
@@ -155,7 +164,10 @@ class _Restoration:
                     out.add(wanted.about)
         for about, absent in lost.items():
             whole = f"{about} is left out" if about in out else f"{', '.join(absent)} cannot be put back"
-            self._said.append(f"{whole}: the vehicle does not have {', '.join(absent[:3])} any more")
+            why = f"the vehicle does not have {', '.join(absent[:3])} any more"
+            self._said.append(f"{whole}: {why}")
+            if about is not None:
+                self._left_out.setdefault(about, why if about in out else f"{whole}: {why}")
         for wanted in self._wanted.values:
             if wanted.about not in out and wanted.name in self._parameters:
                 yield wanted
@@ -165,10 +177,13 @@ class _Restoration:
         for sensor in sorted(self._wanted.by_place):
             about = {w.about for w in self._wanted.values if w.about is not None and w.about.sensor == sensor}
             if about:
-                self._said.append(
-                    f"every {sensor} is left out: no device ids say which one is which, then or now. Restart the "
-                    "vehicle, so that it registers its sensors, and try again"
+                why = (
+                    "no device ids say which one is which, then or now. Restart the vehicle, so that it registers its "
+                    "sensors, and try again"
                 )
+                self._said.append(f"every {sensor} is left out: {why}")
+                for each in about:
+                    self._left_out.setdefault(each, why)
             yield from about
 
     def _vectors(self, values: list[ExpectedValue]) -> None:

@@ -48,7 +48,7 @@ _TYPICAL_FIELD = 50.0
 def preflight(snapshot: Snapshot) -> Report:
     """Every check. Whoever reads the report acts on its causes: consequences are not failures of their own."""
     autopilot, parameters = snapshot.identity.autopilot or "", snapshot.parameters
-    installed, turning = announced(autopilot, parameters), movement(snapshot.recording)
+    installed, turning = announced(autopilot, parameters, snapshot.told), movement(snapshot.recording)
     there = census(snapshot, installed, turning)
     gyros, accels, compasses = (_means(snapshot, there, kind) for kind in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG))
     place, field = _place(snapshot.recording), _field(snapshot)

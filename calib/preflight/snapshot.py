@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.slots import px4_sensor_ids
 from mavcal.calib.recording import Identity, Recording, Sensor
 
 
@@ -25,6 +26,15 @@ class VerifiedCalibration:
     """At which the accelerometers were calibrated, degC by instance."""
     uid: str | None = None
     """Unique id of the autopilot; None: not known."""
+    told: Mapping[tuple[Sensor, int], int] = field(default_factory=dict)
+    """PX4: device ids that somebody stated, by streamed instance: no stream says them."""
+
+
+def told_ids(history: Iterable[VerifiedCalibration], parameters: Mapping[str, Value]) -> dict[tuple[Sensor, int], int]:
+    """The device ids that were stated last, as far as a row of a PX4 with `parameters` holds them."""
+    held = {(sensor, device) for (sensor, _), device in px4_sensor_ids(parameters).items()}
+    found = {key: device for entry in history for key, device in entry.told.items()}
+    return {key: device for key, device in found.items() if (key[0], device) in held}
 
 
 @dataclass(frozen=True)
@@ -89,3 +99,8 @@ class Snapshot:
     """How many messages came with the inertial unit and the compass of each instance; None: not counted."""
     uncorrected: frozenset[tuple[Sensor, int]] = frozenset()
     """Sensors that were heard, and whose calibration in force is not known."""
+
+    @property
+    def told(self) -> dict[tuple[Sensor, int], int]:
+        """See :func:`told_ids`."""
+        return told_ids(self.history, self.parameters)

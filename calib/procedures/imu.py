@@ -168,7 +168,7 @@ class ImuProcedure(AccelProcedure):
     def _done(self, fits: list[FitResult], because: str) -> None:
         self._dropped_rows()
         for instance in set(self.present(Sensor.ACCEL)) - set(self.present(Sensor.GYRO)):
-            self._leave_out((Sensor.ACCEL, instance), "its gyro does not stream")
+            self._leave_out((Sensor.ACCEL, instance), "the vehicle sends no samples of its gyro")
         self._finish(Done(tuple(annotated(f, self.context, self.warnings) for f in fits), because))
 
 

@@ -67,7 +67,7 @@ class LevelProcedure(TickedProcedure):
         models = {i: in_force(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._models = {i: m for i, m in models.items() if m is not None}
         for instance in models.keys() - self._models.keys():
-            self._leave_out((Sensor.ACCEL, instance), "its calibration in force is not known")
+            self._leave_out((Sensor.ACCEL, instance), "its present calibration could not be read")
         if not self._models:
             self._give_up(
                 "the calibration in force of no accelerometer is known",
@@ -113,7 +113,7 @@ class LevelProcedure(TickedProcedure):
     def _correctable(self, instance: int, mean: PoseMean) -> bool:
         if self._models[instance].polynomial is None or mean.temperature is not None:
             return True
-        self._leave_out((Sensor.ACCEL, instance), "it is corrected by a temperature that does not stream")
+        self._leave_out((Sensor.ACCEL, instance), "its correction needs a temperature, and the vehicle sends none")
         return False
 
     def _check(self, means: dict[int, PoseMean]) -> None:

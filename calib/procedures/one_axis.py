@@ -72,7 +72,7 @@ class AccelOneAxisProcedure(TickedProcedure):
         models = {i: in_force(self.context, Sensor.ACCEL, i) for i in instances}
         self._models = {i: m for i, m in models.items() if m is not None}
         for instance in models.keys() - self._models.keys():
-            self._leave_out((Sensor.ACCEL, instance), "the scale in force is not known")
+            self._leave_out((Sensor.ACCEL, instance), "its present scale could not be read")
         if not self._models:
             self._give_up("the scale in force of no accelerometer is known", "read the vehicle's parameters first")
         self._say(_PROMPT)

@@ -95,10 +95,10 @@ class ThermalProcedure(TickedProcedure):
         for sensor in (Sensor.ACCEL, Sensor.GYRO):
             for instance in self.present(sensor):
                 if (Sensor.TEMPERATURE, instance) not in present:
-                    self._leave_out((sensor, instance), "its temperature does not stream")
+                    self._leave_out((sensor, instance), "the vehicle sends no temperature of it")
         if not self._units():
             self._give_up(
-                "no inertial unit streams its temperature together with its samples",
+                "the vehicle sends no temperature with the samples of any inertial unit",
                 "a drift with temperature cannot be measured on this vehicle",
             )
         self._ask(still=True)
@@ -266,7 +266,7 @@ class ThermalProcedure(TickedProcedure):
         if self.options["extend"] and settles is not None:
             eta = settles.left
             text += (
-                f", {60.0 * rate:+.1f} degC/min, to settle at {settles.at:.0f} +- {max(settles.spread, 1.0):.0f} degC"
+                f", {60.0 * rate:+.1f} degC/min, will settle at {settles.at:.0f} +- {max(settles.spread, 1.0):.0f} degC"
             )
         elif self.options["extend"]:
             eta = None if span >= target else eta

@@ -209,7 +209,7 @@ class TickedProcedure(ABC):
                 return
             for instance in self.context.instances.get(sensor, ()):
                 if (sensor, instance) not in present:
-                    self._leave_out((sensor, instance), "it does not stream")
+                    self._leave_out((sensor, instance), "the vehicle sends no samples of it")
         self._attendance = Attendance(set(present))
         self._watch = StillWatch(self.limits, present)
         self._began = backlog[0].start

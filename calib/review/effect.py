@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware import calibration_in_force
+from mavcal.calib.firmware.names import PX4_SLOTS, px4_names
 from mavcal.calib.firmware.plan import Value, WritePlan
+from mavcal.calib.firmware.slots import px4_instance
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION, STEEPEST, TILT
 from mavcal.calib.mag.heading import heading_tilts as tilts
@@ -74,9 +76,22 @@ def effects_of(fits: Sequence[FitResult], plan: WritePlan, parameters: Mapping[s
 
 def _in_force(plan: WritePlan, parameters: Mapping[str, Value], fit: FitResult) -> TriadModel | None:
     try:
-        return calibration_in_force(plan.fingerprint.autopilot, parameters, fit.sensor, fit.instance)
+        return calibration_in_force(
+            plan.fingerprint.autopilot, parameters, fit.sensor, _instance(plan, parameters, fit)
+        )
     except CalibError:  # a sensor without a calibration: nothing is in force
         return None
+
+
+def _instance(plan: WritePlan, parameters: Mapping[str, Value], fit: FitResult) -> int:
+    """The instance that has by order the row that the plan writes for this sensor: a PX4's may be another one."""
+    if plan.fingerprint.autopilot == "px4":
+        for change in plan.changes:
+            if (change.sensor, change.instance) == (fit.sensor, fit.instance):
+                for slot in range(PX4_SLOTS):
+                    if change.name in px4_names(fit.sensor, slot).values():
+                        return px4_instance(parameters, fit.sensor, slot)
+    return fit.instance
 
 
 def _is_level(fit: FitResult) -> bool:

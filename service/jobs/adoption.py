@@ -25,6 +25,7 @@ from mavcal.service.jobs.planning import (
     make_plan,
     nothing_to_write,
     require_origin,
+    told_device_ids,
 )
 from mavcal.service.jobs.port import Computations, JobVehicle
 from mavcal.service.jobs.states import JobState
@@ -57,9 +58,11 @@ async def composed(
     if origin is not None:
         require_origin(from_json(origin, Origin), identity, parameters)
         doubt = unproved(from_json(origin, Origin), identity)
-    known = accel_temperatures(jobs, vehicle.id, parameters)
+    earlier = tuple(jobs)
+    known = accel_temperatures(earlier, vehicle.id, parameters)
+    told = told_device_ids(earlier, vehicle.id, parameters) if origin is None else {}  # a log says its own ids
     return identity, await asyncio.to_thread(
-        make_plan, results, parameters, identity, options, known, doubt, without_row
+        make_plan, results, parameters, identity, options, known, doubt, without_row, told
     )
 
 

@@ -13,7 +13,7 @@ from mavcal.calib.firmware.in_force.fingerprint import calibration_snapshot, fin
 from mavcal.calib.firmware.in_force.origin import Origin, differences
 from mavcal.calib.firmware.options import CONFIRMATIONS, Key, compose_options, key_text, parse_key, unknown_keys
 from mavcal.calib.firmware.plan import Value, WritePlan, snapshot_sha256
-from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.firmware.slots import CALIBRATED, NOTHING, px4_sensor_ids
 from mavcal.calib.fit import FitResult
 from mavcal.calib.procedures.spec import ProcedureSpec
 from mavcal.calib.recording import Identity, Sensor
@@ -118,6 +118,28 @@ def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping
     return {fit.instance: fit.temperature for fit in results if fit.temperature is not None}
 
 
+def told_device_ids(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[Key, int]:
+    """Device ids by sensor that were stated for a job that was written to this vehicle, if its rows still hold them.
+
+    Without them the next job would take the rows by order again, and write into that of another sensor.
+    """
+    found: dict[Key, int] = {}
+    written = [job for job in jobs if job.vehicle_id == vehicle_id and job.state == JobState.SUCCEEDED]
+    for job in sorted(written, key=lambda job: job.updated_at):
+        found |= stated_ids(job)
+    held = {(sensor, device) for (sensor, _), device in px4_sensor_ids(parameters).items()}
+    return {key: device for key, device in found.items() if (key[0], device) in held}
+
+
+def stated_ids(job: Job) -> dict[Key, int]:
+    """Device ids that were stated for this job, of the sensors that its plan wrote."""
+    if job.plan is None or job.plan.fingerprint.autopilot != "px4":
+        return {}
+    about = {(change.sensor, change.instance) for change in job.plan.changes}
+    ids = compose_options(job.context.get("plan_options", {})).device_ids
+    return {key: device for key, device in ids.items() if key in about}
+
+
 def _of_accel(job: Job) -> bool:
     """Whether the job writes an accelerometer's calibration."""
     if job.kind == FROM_RECORDING:
@@ -140,18 +162,24 @@ def make_plan(
     temperatures: Mapping[int, float],
     unproved_origin: str = "",
     without_row: Iterable[Key] = (),
+    told: Mapping[Key, int] = NOTHING,
 ) -> Planned:
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all.
 
     `options` are those of the plan as plain data, `temperatures` those of :func:`accel_temperatures`,
-    `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says, `without_row` what PX4 says itself.
+    `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says, `without_row` what PX4 says itself,
+    `told` what :func:`told_device_ids` finds.
     """
+    rowless = frozenset(without_row)
     chosen = compose_options(
         options,
         accel_temperature=dict(temperatures),
         unproved_origin=unproved_origin,
-        without_row=frozenset(without_row),
+        without_row=rowless,
     )
+    given = {(key[0], device) for key, device in chosen.device_ids.items()}
+    earlier = {k: device for k, device in told.items() if k not in rowless and (k[0], device) not in given}
+    chosen = dataclasses.replace(chosen, device_ids={**earlier, **chosen.device_ids})
     plan = compose(results, parameters, fingerprint(identity, parameters), options=chosen)
     return Planned(plan, calibration_snapshot(parameters))
 

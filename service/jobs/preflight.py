@@ -23,7 +23,7 @@ from mavcal.calib.preflight.collect import SENSORS, collect, gathered, preflight
 from mavcal.calib.preflight.own import LOOKED_AT, PARAMETERS
 from mavcal.calib.preflight.readings import RestReading, rest_readings
 from mavcal.calib.preflight.run import preflight
-from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration
+from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, told_ids
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import (
@@ -328,7 +328,8 @@ def _snapshot(
     complete: bool,
     asked: bool,
 ) -> Snapshot:
-    found = collect(heard.frames, identity, heard.parameters, asked=asked, complete=complete)
+    told = told_ids(history, heard.parameters)
+    found = collect(heard.frames, identity, heard.parameters, asked=asked, complete=complete, told=told)
     return Snapshot(
         found.recording,
         identity,

@@ -40,6 +40,7 @@ from mavcal.service.jobs.planning import (
     keep_plan,
     make_plan,
     nothing_to_write,
+    told_device_ids,
 )
 from mavcal.service.jobs.port import JobVehicle, VehicleSource
 from mavcal.service.jobs.settings import JobSettings
@@ -132,8 +133,9 @@ class Runner:
                 raise CaptureEnded(fitted.outcome.cause, remedy=fitted.outcome.remedy)
             results = fitted.outcome.results
             known = accel_temperatures(self.jobs(), require_vehicle(job), fitted.parameters)
+            stated = told_device_ids(self.jobs(), require_vehicle(job), fitted.parameters)
             planned = await asyncio.to_thread(
-                make_plan, results, fitted.parameters, identity, plan_options, known, "", fitted.without_row
+                make_plan, results, fitted.parameters, identity, plan_options, known, "", fitted.without_row, stated
             )
             await keep_plan(handle, planned)
         except CaptureEnded as ended:

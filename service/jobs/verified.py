@@ -6,13 +6,14 @@ from collections.abc import Iterable, Mapping
 
 from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware import sensor_ids
+from mavcal.calib.firmware.options import key_text
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.firmware.slots import CALIBRATED, px4_sensor_ids
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Identity, Sensor
 from mavcal.calib.report import from_json
 from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.planning import RESTORE
+from mavcal.service.jobs.planning import RESTORE, stated_ids
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import SnapshotPurpose
@@ -55,7 +56,9 @@ def _verified(job: Job, store: JobStore) -> VerifiedCalibration:
     written = {change.name: change.new for change in job.plan.changes if not change.session}
     left = {**parameters, **written}
     # as they stand afterwards: a plan may write ids, and its fingerprint is of before
-    ids = {f"{sensor}{i}": device for (sensor, i), device in sensor_ids(job.plan.fingerprint.autopilot, left).items()}
+    autopilot, told = job.plan.fingerprint.autopilot, stated_ids(job)
+    held = px4_sensor_ids(left, told) if autopilot == "px4" else sensor_ids(autopilot, left)
+    ids = {key_text(*key): device for key, device in held.items()}
     accels = [fit for fit in job.results if fit.sensor == Sensor.ACCEL and fit.temperature is not None]
     return VerifiedCalibration(
         job=job.id,
@@ -65,4 +68,5 @@ def _verified(job: Job, store: JobStore) -> VerifiedCalibration:
         parameters=left,
         temperatures={fit.instance: fit.temperature for fit in accels if fit.temperature is not None},
         uid=job.plan.fingerprint.uid or None,
+        told=told,
     )

@@ -21,6 +21,7 @@ from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import InForce, Pair
+from mavcal.calib.firmware.compose.px4_memory import placed
 from mavcal.calib.firmware.names import OFFSET, Role
 from mavcal.calib.firmware.plan import Agreement, Value
 from mavcal.calib.firmware.px4 import parameters as px4
@@ -47,7 +48,7 @@ def agreement(draft: Draft, autopilot: str, pair: Pair) -> Agreement | None:
     if draft.ranks(pair.about) & NEWS or _is_news(draft, autopilot, pair):
         return None
     try:
-        old, new = (_model(autopilot, p, pair.about) for p in (draft.parameters, draft.predicted))
+        old, new = (_model(draft, autopilot, p, pair.about) for p in (draft.parameters, draft.predicted))
     except FirmwareError:  # what is in force is not a calibration
         return None
     judged, name = [], str(pair.about)
@@ -61,8 +62,9 @@ def agreement(draft: Draft, autopilot: str, pair: Pair) -> Agreement | None:
     return agreed(pair.about.sensor, pair.about.instance, name, judged)
 
 
-def _model(autopilot: str, parameters: Mapping[str, Value], about: Subject) -> TriadModel:
-    return IN_FORCE[autopilot](parameters, about.sensor, about.instance)
+def _model(draft: Draft, autopilot: str, parameters: Mapping[str, Value], about: Subject) -> TriadModel:
+    of = placed(draft, about, parameters) if autopilot == "px4" else about
+    return IN_FORCE[autopilot](parameters, of.sensor, of.instance)
 
 
 def _is_news(draft: Draft, autopilot: str, pair: Pair) -> bool:

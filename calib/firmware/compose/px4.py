@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import losses, names
 from mavcal.calib.firmware.compose.announce import lose_accel, lose_gyro_matrix, offsets_usable, scale_usable
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
@@ -19,8 +20,10 @@ from mavcal.calib.firmware.compose.fitted import Pair, offset_at
 from mavcal.calib.firmware.compose.px4_memory import (
     Vector,
     acts_at_once,
+    held_by,
     neutral_model,
     representable,
+    row_of,
     set_vector,
     survives_restart,
 )
@@ -28,7 +31,6 @@ from mavcal.calib.firmware.compose.px4_thermal import add_constant, set_thermal,
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.options import how
 from mavcal.calib.firmware.plan import ParameterKind
-from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Sensor
 
@@ -61,17 +63,33 @@ def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
 
 def set_row(draft: Draft, about: Subject) -> bool:
     """Make sure that the sensor has a row of its own, that is, that its device id is known."""
-    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
+    try:
+        roles = row_of(draft, about)
+    except FirmwareError as error:
+        draft.block(f"{about}: {error}", about)
+        return False
     if int(draft.parameters.get(roles[Role.PRIORITY], -1)) == 0:
         draft.warn(f"{about} is disabled ({roles[Role.PRIORITY]} = 0); it stays so")
-    device = draft.options.device_ids.get((about.sensor, about.instance))
+    told = draft.options.device_ids
+    device = told.get((about.sensor, about.instance))
     held = int(draft.parameters.get(roles[Role.ID], 0))
     rows = _rows(draft, about.sensor)
+    twice = [Subject(*key) for key, other in sorted(told.items()) if key[0] == about.sensor and other == device]
+    if len(twice) > 1:
+        draft.block(f"{' and '.join(map(str, twice))} cannot both have the device id {device}", about)
+        return False
     if held != 0 and device == held:
-        return True  # the operator has read it
-    if device is not None and device in rows:
+        if (about.sensor, about.instance) not in draft.options.without_row:
+            return True  # the operator has read it
+        draft.block(f"PX4 says that {about} is in none of its rows, but {device} is in {roles[Role.ID]}", about)
+        return False
+    if held != 0 and device is not None:  # an inertial sensor: a compass has the row of its id, or a free one
+        where = f"is in {rows[device]}" if device in rows else "is in no row"
         draft.block(
-            f"{about} has the device id {device}, but that is in {rows[device]}, which belongs to another one", about
+            f"{about} has by order the row of another sensor: its device id {device} {where}, and {roles[Role.ID]} is "
+            f"{held}. That row's correction was taken out of its samples. If the other sensor is gone, set "
+            f"{roles[Role.ID]} to 0; else run PX4's own calibration once. Then start again",
+            about,
         )
         return False
     if held != 0:
@@ -95,7 +113,10 @@ def _may_take(draft: Draft, about: Subject, name: str, held: int, filled: int) -
     Rows that hold an id are not always those of the sensors that stream: PX4 keeps the id of one that was taken away.
     """
     without = draft.options.without_row
-    ask = "Run PX4's own calibration of it once, which writes the ids anew, or give its id with " + how("device_ids")
+    ask = (
+        f"Run PX4's own calibration of it once: that writes the ids anew. Or give its id with {how('device_ids')}; "
+        f"`listener sensor_{about.sensor}` on PX4's console says it"
+    )
     if (about.sensor, about.instance) in without:
         draft.block(
             f"PX4 says that {about} is in none of its rows, so {name} = {held} is the id of another sensor. {ask}",
@@ -136,8 +157,8 @@ def _set_offset(draft: Draft, about: Subject, fit: FitResult) -> None:
         )
         return
     offset, covariance = offset_at(fit, temperature if temperature is not None else 0.0)
-    memory = px4.Px4Calibration.load(draft.parameters, about.sensor, about.instance)
-    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
+    memory = held_by(draft, about)
+    roles = row_of(draft, about)
     known = np.array([fit.determined(f"offset_{a}") for a in AXES])
     wanted = Vector(
         about,
@@ -185,16 +206,17 @@ def _rewritten_before_restart(draft: Draft, about: Subject) -> bool:
 
 def _thermal_is_live(draft: Draft, about: Subject) -> bool:
     """Whether TC runs already, so that X0 acts at once."""
-    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
+    roles = row_of(draft, about)
     own = int(draft.parameters.get(roles[Role.ID], 0))
     return (
-        int(draft.parameters.get(roles[Role.THERMAL_ENABLE], 0)) == 1
+        own != 0
+        and int(draft.parameters.get(roles[Role.THERMAL_ENABLE], 0)) == 1
         and int(draft.parameters.get(roles[Role.THERMAL_ID], 0)) == own
     )
 
 
 def _set_scale(draft: Draft, about: Subject, fit: FitResult) -> None:
-    memory = px4.Px4Calibration.load(draft.parameters, about.sensor, about.instance)
+    memory = held_by(draft, about)
     if not scale_usable(draft, about, fit, memory.scale):
         return
     parts = losses.split(fit)

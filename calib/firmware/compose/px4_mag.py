@@ -17,7 +17,7 @@ from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair, keeps_matrix
 from mavcal.calib.firmware.compose.mounting import MountingRotation, ask_for_mounting, mounting_turn
 from mavcal.calib.firmware.compose.px4 import set_row
-from mavcal.calib.firmware.compose.px4_memory import Vector, neutral_model, representable, set_vector
+from mavcal.calib.firmware.compose.px4_memory import Vector, neutral_model, placed, representable, row_of, set_vector
 from mavcal.calib.firmware.limits import COMPASS_SCALE_WINDOW
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import ParameterKind
@@ -56,7 +56,9 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     if fit.undetermined and not keeps_matrix(fit):
         draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}", about)
         return
-    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
+    roles = row_of(draft, about)
+    if not _mounted_as_taken(draft, about, roles):
+        return
     turn = mounting_turn(draft, about, fit)
     if turn is not None and not _set_rotation(draft, about, roles, turn):
         return
@@ -124,8 +126,30 @@ def _lose(
         )
 
 
+def _mounted_as_taken(draft: Draft, about: Subject, roles: Mapping[Role, str]) -> bool:
+    """Whether the row says, or will say, the mounting that the capture took for granted: that of the row by order."""
+    if placed(draft, about, draft.parameters) == about:
+        return True
+    by_order = px4.calibration_names(draft.parameters, about.sensor, about.instance)[Role.ROTATION]
+    name = roles[Role.ROTATION]
+    taken, stated = (int(draft.parameters.get(each, -1)) for each in (by_order, name))
+    if taken == stated:
+        return True
+    if taken >= px4.ROTATION_CUSTOM or draft.parameters.get(roles[Role.ID], 0):
+        draft.block(
+            f"{about} was turned as if it were mounted as {by_order} says ({taken}), but its own row is another and "
+            f"{name} is {stated}. Set {by_order} to {stated}, and calibrate again",
+            about,
+        )
+        return False
+    draft.set_integer(
+        name, taken, Rank.ROTATION, f"{about} is mounted as {by_order} says", kind=ParameterKind.INT32, about=about
+    )
+    return True
+
+
 def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn: MountingRotation) -> bool:
-    number = int(draft.parameters.get(roles[Role.ROTATION], -1))
+    number = int(draft.get(roles[Role.ROTATION], -1))
     if number < 0:
         draft.block(
             f"{about} is internal and follows SENS_BOARD_ROT, but its field is turned by {turn.name} against the "

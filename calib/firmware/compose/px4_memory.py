@@ -21,6 +21,7 @@ from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.names import Role, Triple
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.slots import NOTHING, px4_instance, px4_slot
 from mavcal.calib.fit import AXES
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
@@ -43,6 +44,35 @@ class Vector:
     sd: Array
     unit: str
     why: str
+
+
+def placed(draft: Draft, about: Subject, parameters: Mapping[str, Value]) -> Subject:
+    """Who has by order in `parameters` the row of `about`, which may be another one.
+
+    An id that is planned changes the order of the filled rows. A magnetometer has the row of the device id that was
+    told, because its stream is raw; what was taken out of the others' by order is in their fits.
+    """
+    told = draft.options.device_ids if about.sensor == Sensor.MAG else NOTHING
+    slot = px4_slot(draft.parameters, about.sensor, about.instance, told)
+    return Subject(about.sensor, px4_instance(parameters, about.sensor, slot))
+
+
+def row_of(draft: Draft, about: Subject) -> Mapping[Role, str]:
+    """Names by role of the parameters that correct `about`; the thermal row is that of the id that will be there."""
+    after = draft.predicted
+    return px4.calibration_names(after, about.sensor, placed(draft, about, after).instance)
+
+
+def held_by(draft: Draft, about: Subject) -> px4.Px4Calibration:
+    """What PX4 has in memory for `about` after a restart as things stand."""
+    here = placed(draft, about, draft.parameters)
+    return px4.Px4Calibration.load(draft.parameters, about.sensor, here.instance)
+
+
+def model_after(draft: Draft, about: Subject) -> TriadModel:
+    """As :func:`neutral_model`, once the draft is written."""
+    after = draft.predicted
+    return neutral_model(after, placed(draft, about, after))
 
 
 def neutral_model(parameters: Mapping[str, Value], about: Subject) -> TriadModel:
@@ -71,11 +101,11 @@ def representable(vector: Vector) -> Array:
 
 def acts_at_once(draft: Draft, vector: Vector, values: Array) -> tuple[int, ...] | None:
     """An order of the axes in which writing `values` brings them into memory; None: only a restart does."""
-    roles = px4.calibration_names(draft.parameters, vector.about.sensor, vector.about.instance)
+    roles = row_of(draft, vector.about)
     if int(draft.parameters.get(roles[Role.ID], 0)) == 0:
         return (0, 1, 2)  # an empty row is loaded from neutral when its id is written, which comes last
     axes = [i for i in range(3) if np.float32(draft.get(roles[vector.triple[i]], np.nan)) != np.float32(values[i])]
-    memory = px4.Px4Calibration.load(draft.parameters, vector.about.sensor, vector.about.instance)
+    memory = held_by(draft, vector.about)
     for order in permutations(axes):
         after = _write(memory, draft, roles, vector, values, order)
         held = {names.OFFSET: after.offset, names.SCALE: after.scale, names.CROSS: after.cross}[vector.triple]
@@ -86,7 +116,7 @@ def acts_at_once(draft: Draft, vector: Vector, values: Array) -> tuple[int, ...]
 
 def set_vector(draft: Draft, vector: Vector, values: Array) -> None:
     """Plan `values` (what :func:`representable` leaves of the wanted ones) in an order that works at once, if any."""
-    roles = px4.calibration_names(draft.parameters, vector.about.sensor, vector.about.instance)
+    roles = row_of(draft, vector.about)
     order = acts_at_once(draft, vector, values)
     if order is None and _is_noise(draft, roles, vector, values):
         return  # beside other changes of this sensor: a restart for it would be for nothing

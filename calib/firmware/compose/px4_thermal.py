@@ -18,12 +18,11 @@ from mavcal.calib.firmware.compose.announce import lose_drift
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair
 from mavcal.calib.firmware.compose.px4_held import held_drift
-from mavcal.calib.firmware.compose.px4_memory import neutral_model
+from mavcal.calib.firmware.compose.px4_memory import held_by, model_after, row_of
 from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
 from mavcal.calib.firmware.names import THERMAL, Role
 from mavcal.calib.firmware.options import how
 from mavcal.calib.firmware.plan import ParameterKind
-from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.retained import asks_for_save
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Sensor
@@ -37,7 +36,7 @@ DEGREE: Final = 3
 
 def thermal_term(draft: Draft, about: Subject, temperature: float | None) -> Array | None:
     """``TC(T)`` (3,) once the draft is written; zero where it does not run, None if it runs and T is not known."""
-    model = neutral_model(draft.predicted, about)
+    model = model_after(draft, about)
     if model.polynomial is None:
         return np.zeros(3)
     if temperature is None:
@@ -47,14 +46,14 @@ def thermal_term(draft: Draft, about: Subject, temperature: float | None) -> Arr
 
 def thermal_runs(draft: Draft, about: Subject) -> bool:
     """Whether TC corrects `about` once the draft is written."""
-    return neutral_model(draft.predicted, about).polynomial is not None
+    return model_after(draft, about).polynomial is not None
 
 
 def set_thermal(draft: Draft, pair: Pair) -> None:
     """Plan the thermal row of one sensor."""
     fit, about = pair.drift, pair.about
     assert fit is not None
-    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
+    roles = row_of(draft, about)
     if not _may_store(draft, about, roles, fit):
         return
     held = held_drift(fit)
@@ -141,7 +140,7 @@ def _constant(draft: Draft, pair: Pair, fit: FitResult) -> tuple[Array | None, A
     polynomial = fit.model.polynomial
     assert polynomial is not None
     taken = draft.options.accel_temperature.get(about.instance)
-    memory = px4.Px4Calibration.load(draft.parameters, about.sensor, about.instance)
+    memory = held_by(draft, about)
     if taken is None and memory.offset.any():
         lose_drift(
             draft,
@@ -203,7 +202,7 @@ def add_constant(
     draft: Draft, about: Subject, more: Array, sd: Array, why: str = "too fine a change for PX4's calibration memory"
 ) -> None:
     """Move `more` (3,) of an offset into X0, which has no threshold."""
-    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
+    roles = row_of(draft, about)
     for axis, role in enumerate(names.THERMAL[0]):
         draft.set_real(
             roles[role],

@@ -20,7 +20,7 @@ class PlanOptions(Request):
     confirm_other_unit: bool = Field(
         default=False, description="a recording without a board id is of this vehicle; the audit keeps it"
     )
-    device_ids: dict[str, int] = Field(default={}, description="PX4: device id of a sensor without a row, by sensor")
+    device_ids: dict[str, int] = Field(default={}, description="PX4: device id that no stream says, by sensor")
     accel_temperature: dict[str, float] = Field(
         default={}, description="PX4: degC at which CAL_ACC in force was taken, by sensor"
     )

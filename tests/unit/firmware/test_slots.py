@@ -17,6 +17,8 @@ from mavcal.calib.firmware.slots import (
     ardupilot_compass_slot,
     ardupilot_sensor_ids,
     px4_calibration_names,
+    px4_instance,
+    px4_rows,
     px4_sensor_ids,
     px4_slot,
     px4_thermal_slot,
@@ -51,10 +53,34 @@ def test_every_row_is_of_one_stream_and_filled_rows_come_first(sensor: Sensor, i
 
 def test_a_device_id_goes_before_the_order() -> None:
     parameters = px4(Sensor.GYRO, [5, 0, 7, 9])
-    assert px4_slot(parameters, Sensor.GYRO, 0, 9) == 3
-    assert px4_slot(parameters, Sensor.GYRO, 1) == 2
-    with pytest.raises(FirmwareError, match="CAL_GYROn_ID holds the device id 8"):
-        px4_slot(parameters, Sensor.GYRO, 0, 8)
+    first, second = (Sensor.GYRO, 0), (Sensor.GYRO, 1)
+    assert px4_rows(parameters, Sensor.GYRO) == (0, 2, 3, 1)
+    assert px4_rows(parameters, Sensor.GYRO, {first: 9}) == (3, 0, 2, 1)  # the others keep their order
+    assert px4_rows(parameters, Sensor.GYRO, {second: 8}) == (0, 1, 2, 3)  # in no row: the free one
+    assert px4_rows(parameters, Sensor.GYRO, {(Sensor.ACCEL, 0): 9}) == px4_rows(parameters, Sensor.GYRO)
+    with pytest.raises(FirmwareError, match="none is 8: set that of a sensor that is gone to 0"):
+        px4_rows(parameters, Sensor.GYRO, {first: 4, second: 8})
+    assert px4_sensor_ids(parameters, {second: 9}) == {first: 5, second: 9, (Sensor.GYRO, 2): 7}
+
+
+@settings(max_examples=40)
+@given(SENSORS, HELD, st.dictionaries(st.sampled_from(ROWS), st.integers(1, 9), max_size=4))
+def test_told_ids_never_share_a_row_and_take_none_of_another_one(
+    sensor: Sensor, ids: list[int], told: dict[int, int]
+) -> None:
+    parameters = px4(sensor, ids)
+    known = {(sensor, i): device for i, device in told.items()}
+    if len(set(told.values())) < len(told):
+        return  # two with one id: refused before
+    try:
+        rows = px4_rows(parameters, sensor, known)
+    except FirmwareError:
+        assert len(set(told.values()) - set(ids)) > ids.count(0)
+        return
+    assert sorted(rows) == list(ROWS)
+    for i, device in told.items():
+        assert ids[rows[i]] == device if device in ids else ids[rows[i]] == 0
+        assert px4_rows(parameters, sensor)[px4_instance(parameters, sensor, rows[i])] == rows[i]
 
 
 @settings(max_examples=40)

@@ -92,6 +92,27 @@ def test_a_sensor_that_is_gone_is_said_and_left() -> None:
     plan = restored(vehicle)
     assert [c.name for c in plan.changes] == ["INS_ACCOFFS_X"]
     assert any("is not on this vehicle now" in text for text in plan.warnings)
+    (out,) = plan.left_out
+    assert (out.sensor, out.instance) == (Sensor.ACCEL, 1)
+    assert "is not on this vehicle now" in out.reason
+    assert restored(vehicle, only=((Sensor.ACCEL, 0),)).left_out == ()  # it was not asked for
+
+
+def test_a_sensor_whose_parameters_are_gone_is_left_out_whole_and_a_lost_switch_alone() -> None:
+    vehicle = whole(PX4)
+    vehicle.parameters["CAL_ACC0_XOFF"] = 7.0
+    del vehicle.parameters["CAL_ACC1_YSCALE"]
+    del vehicle.parameters["CAL_MAG0_PRIO"]
+    plan = restored(vehicle)
+    assert [c.name for c in plan.changes] == ["CAL_ACC0_XOFF"]
+    accel, mag = plan.left_out
+    assert (accel.sensor, accel.instance, accel.reason) == (
+        Sensor.ACCEL,
+        1,
+        "the vehicle does not have CAL_ACC1_YSCALE any more",
+    )
+    assert (mag.sensor, mag.instance) == (Sensor.MAG, 0)
+    assert mag.reason.startswith("CAL_MAG0_PRIO cannot be put back")
 
 
 def test_it_is_never_for_another_unit() -> None:

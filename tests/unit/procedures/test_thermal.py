@@ -85,8 +85,8 @@ def test_a_warm_up_that_goes_on_extends_the_range_until_it_settles_and_says_when
     assert poly.t_max > 57.0
     told = [s for s in steps if isinstance(s, Progress) and s.eta is not None]
     began = procedure.time - procedure.elapsed
-    halfway = next(s for s in told if "to settle at" in s.text and s.current >= 25.0)
-    assert "to settle at 58 +- 1 degC" in halfway.text
+    halfway = next(s for s in told if "will settle at" in s.text and s.current >= 25.0)
+    assert "will settle at 58 +- 1 degC" in halfway.text
     times = [s.detail["still_s"] for s in told]
     at = told.index(halfway)
     assert halfway.eta == pytest.approx(times[-1] - times[at], rel=0.25), (began, times[at])

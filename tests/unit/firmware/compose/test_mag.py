@@ -373,9 +373,51 @@ def test_a_row_that_px4_says_is_not_this_compass_is_not_written(px4_parameters, 
     assert written == {"CAL_MAG0"}
     assert [out.instance for out in plan.left_out] == [1]
 
-    wrong = ComposeOptions(device_ids={(Sensor.MAG, 0): 197644})  # another one's row
-    plan = compose([fits[0]], parameters, px4_fingerprint, options=wrong)
-    assert "that is in CAL_MAG1_ID" in plan.blockers[0]
+    wrong = ComposeOptions(without_row=SECOND, device_ids={(Sensor.MAG, 1): 197644})
+    plan = compose(fits, parameters, px4_fingerprint, options=wrong)
+    assert "PX4 says that mag 2 is in none of its rows, but 197644 is in CAL_MAG1_ID" in plan.blockers
+
+
+def test_a_compass_whose_id_is_told_has_that_row_or_a_free_one(px4_parameters, px4_fingerprint, make_fit):
+    parameters = px4_parameters | STALE | {"CAL_MAG1_ROT": 6, "CAL_MAG1_XOFF": 0.3}
+    confirmed = KNOWN | {"orientation": {"verdict": "as_stated", "name": "none", "matrix": np.eye(3).tolist()}}
+    fits = [mag_fit(make_fit, i, quality=confirmed, offset=OFFSET * (i + 1)) for i in (0, 1)]
+    first, second = (Sensor.MAG, 0), (Sensor.MAG, 1)
+    told = ComposeOptions(without_row=SECOND, device_ids={first: 197388, second: 8944899})
+    plan = compose(fits, parameters, px4_fingerprint, options=told)
+    assert (plan.blockers, plan.left_out) == ((), ())
+    values = {c.name: c.new for c in plan.changes}
+    assert {name[:8] for name in values if name.startswith("CAL_MAG")} == {"CAL_MAG0", "CAL_MAG2"}
+    assert [values[f"CAL_MAG2_{a}OFF"] for a in "XYZ"] == pytest.approx(OFFSET * 2 / 100)
+    assert (plan.changes[-1].name, plan.changes[-1].new, plan.changes[-1].instance) == ("CAL_MAG2_ID", 8944899, 1)
+    assert values["CAL_MAG2_ROT"] == 6  # the capture turned it as the row by order says
+    assert not plan.needs_reboot
+
+    stored = after(plan, parameters)  # and again: it agrees with its own row, not with the one by order
+    plan = compose(fits, stored, px4_fingerprint, options=dataclasses.replace(told, without_row=frozenset()))
+    assert not plan.changes
+    assert [(a.sensor, a.instance) for a in plan.agreements] == [first, second]
+
+    gone = ComposeOptions(device_ids={first: 197644})  # the one of the first row was taken away
+    plan = compose([fits[0]], px4_parameters | STALE, px4_fingerprint, options=gone)
+    assert {c.name[:8] for c in plan.changes if c.name.startswith("CAL_MAG")} == {"CAL_MAG1"}
+
+
+def test_what_cannot_be_of_a_told_id_is_refused(px4_parameters, px4_fingerprint, make_fit):
+    both = ComposeOptions(device_ids={(Sensor.MAG, i): 5 for i in (0, 1)})
+    fits = [mag_fit(make_fit, i) for i in (0, 1)]
+    assert (
+        "mag 1 and mag 2 cannot both have the device id 5"
+        in compose(fits, px4_parameters | STALE, px4_fingerprint, options=both).blockers
+    )
+    full = px4_parameters | {f"CAL_MAG{slot}_ID": slot + 1 for slot in range(4)}
+    new = ComposeOptions(device_ids={(Sensor.MAG, 1): 9})
+    (text,) = compose([fits[1]], full, px4_fingerprint, options=new).blockers
+    assert "none is 9: set that of a sensor that is gone to 0" in text
+    held = px4_parameters | {"CAL_GYRO0_ID": 7}  # its values were taken out of the samples
+    gyro = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057])
+    (text,) = compose([gyro], held, px4_fingerprint, options=ComposeOptions(device_ids={(Sensor.GYRO, 0): 8})).blockers
+    assert "If the other sensor is gone, set CAL_GYRO0_ID to 0" in text
 
 
 def test_rows_by_order_are_said_to_be_a_guess_that_no_stream_shows(px4_parameters, px4_fingerprint, make_fit):

@@ -168,9 +168,7 @@ class TestSlots:
         assert [px4_slot(known, Sensor.ACCEL, k) for k in range(4)] == [1, 3, 0, 2]
         with pytest.raises(FirmwareError, match="PX4 has 4 rows for accel; instance 4 has none"):
             px4_slot(known, Sensor.ACCEL, 4)
-        assert px4_slot(known, Sensor.ACCEL, 0, 6) == 3
-        with pytest.raises(FirmwareError, match="no CAL_ACCn_ID holds the device id 7"):
-            px4_slot(known, Sensor.ACCEL, 0, 7)
+        assert px4_slot(known, Sensor.ACCEL, 0, {(Sensor.ACCEL, 0): 6}) == 3
         assert px4_sensor_ids(known) == {(Sensor.ACCEL, 0): 5, (Sensor.ACCEL, 1): 6}
 
     def test_thermal_rows_are_shared_out_among_those_without_one(self):

@@ -65,7 +65,6 @@ class TestNames:
         parameters = {"CAL_ACC0_ID": 0, "CAL_ACC1_ID": 77, "CAL_ACC3_ID": 99}
         assert px4.calibration_names(parameters, Sensor.ACCEL, 0)[Role.ID] == "CAL_ACC1_ID"
         assert px4.calibration_names(parameters, Sensor.ACCEL, 1)[Role.ID] == "CAL_ACC3_ID"
-        assert px4.calibration_names(parameters, Sensor.ACCEL, 0, device_id=99)[Role.ID] == "CAL_ACC3_ID"
         assert px4.sensor_ids(parameters) == {(Sensor.ACCEL, 0): 77, (Sensor.ACCEL, 1): 99}
 
     def test_a_new_sensor_takes_a_free_row(self) -> None:
@@ -85,10 +84,6 @@ class TestNames:
 
     def test_a_magnetometer_has_no_thermal_row(self) -> None:
         assert Role.THERMAL_0_X not in px4.calibration_names({"CAL_MAG0_ID": 5}, Sensor.MAG, 0)
-
-    def test_an_unknown_device_is_refused(self) -> None:
-        with pytest.raises(FirmwareError, match="12"):
-            px4.calibration_names({"CAL_ACC0_ID": 1}, Sensor.ACCEL, 0, device_id=12)
 
 
 class TestThresholds:
