@@ -119,7 +119,11 @@ class Round:
     def recovered(self, point: At, occurrence: int) -> None:
         """A calibration that is killed in mid-write, then `recover`: all old values or all new ones."""
         began = time.monotonic()
-        names = [n for n in self.rig.truth.parameters(self.rig.autopilot) if "GYR" in n and "OFF" in n]
+        truth = self.rig.truth.parameters(self.rig.autopilot)
+        names = [n for n in truth if "GYR" in n and "OFF" in n and self.rig.read(n) is not None]
+        for name in names:  # something to write
+            self.rig.set(name, float(np.float32(truth[name] + _aging(name))))
+        time.sleep(SETTLED_S)
         before = {name: self.rig.read(name) for name in names}
         arguments = ["calibrate", "gyro", "--apply", "--connect", self.rig.url, "--data-dir", str(self.folder)]
         killer = [sys.executable, "-m", "bench.campaign.cli_process", str(point), str(occurrence)]
