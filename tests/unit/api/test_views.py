@@ -107,7 +107,10 @@ def a_link(name: str) -> SimpleNamespace:
 
 def test_a_link_names_the_vehicles_on_it_and_no_others() -> None:
     ours, theirs = a_link("l1"), a_link("l2")
-    there = [SimpleNamespace(id=name, link=link, links=(link,)) for name, link in (("v1", ours), ("v2", theirs), ("v3", ours))]
+    there = [
+        SimpleNamespace(id=name, link=link, links=(link,))
+        for name, link in (("v1", ours), ("v2", theirs), ("v3", ours))
+    ]
     told = link_model(ours, SimpleNamespace(all=lambda: there))  # type: ignore[arg-type]
     assert told.vehicles == ["v1", "v3"]
     assert (told.url, told.crc_errors) == ("udpin:0.0.0.0:14550", 4)
