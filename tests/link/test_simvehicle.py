@@ -277,7 +277,7 @@ def test_stopping_twice_is_harmless_and_calls_afterwards_are_refused() -> None:
 def test_wrong_use_says_why_and_does_not_start() -> None:
     with pytest.raises(StartError, match="unknown configuration colour"):
         SimulatedVehicle(config={"colour": "red"})
-    with pytest.raises(StartError, match="must begin with"):
+    with pytest.raises(StartError, match="must be serial, or begin with"):
         SimulatedVehicle(link="serial:/dev/null")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
