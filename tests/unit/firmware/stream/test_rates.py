@@ -280,12 +280,19 @@ class TestAnnouncements:
         assert not Assembler(PX4).feed([report]).events
         assert kinds(Assembler(ARDUPILOT).feed([report])) == ["onboard_calibration"]
 
-    def test_identity(self) -> None:
+    @pytest.mark.parametrize(
+        ("uid", "known"),
+        [
+            (0x0123456789ABCDEF, "0123456789abcdef"),
+            (5283920058631409231, None),  # what every simulator of PX4 says
+        ],
+    )
+    def test_identity(self, uid: int, known: str | None) -> None:
         version = dialect.MAVLink_autopilot_version_message(
-            0, 67567616, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 5283920058631409231, [0] * 18
+            0, 67567616, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, uid, [0] * 18
         )
         identity = Assembler(ARDUPILOT).feed([frame(version)]).identity
-        assert (identity.firmware, identity.uid) == ((4, 7, 0), "4954414c44494e4f")
+        assert (identity.firmware, identity.uid) == ((4, 7, 0), known)
 
 
 class TestOthers:
