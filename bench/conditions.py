@@ -84,7 +84,7 @@ class Reached:
     kind: str
     state: JobState
     rate_hz: float
-    """Of the slowest inertial or compass stream, by the vehicle's stamps."""
+    """The slowest inertial or compass stream's, by the vehicle's stamps."""
     asking_s: float
     """From the beginning of the job until its capture began."""
     total_s: float

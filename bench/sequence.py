@@ -36,7 +36,7 @@ WRITING_SPEED: Final = 4.0
 """Vehicle seconds per wall second: while parameters are written, the wall's delays must not look like hours."""
 START_C, END_C, SPAN_C, PROOF_C = 22.0, 75.0, 48.0, 60.0
 SAVED_S, BOOT_S = 5.0, 10.0
-"""Of the vehicle's clock: until PX4 has saved, and until it has started."""
+"""Seconds of the vehicle's clock until PX4 has saved, and until it has started."""
 OPTIONS: Final[Mapping[str, Json]] = MappingProxyType({"thermal": {"span": SPAN_C}})
 DECISIONS: Final[Mapping[str, Json]] = MappingProxyType({"mag": {"confirm_mounting": True}})
 """What the operator has looked at: the external compass is mounted otherwise than stated."""
@@ -71,7 +71,7 @@ class Row:
 
     autopilot: str
     kind: str
-    """Of the job; or restart."""
+    """The job's; or restart."""
     state: JobState
     acting: int
     """Written parameters that act on a stream."""

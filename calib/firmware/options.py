@@ -44,7 +44,7 @@ class ComposeOptions:
     accel_temperature: Mapping[int, float] = field(default_factory=lambda: MappingProxyType({}))
     """PX4: temperature (degC) at which CAL_ACC of an instance was taken; PX4 does not store it."""
     without_row: frozenset[Key] = frozenset()
-    """PX4: sensors of which the vehicle says that their device id is in none of its rows."""
+    """PX4: sensors whose device id is in no row, as the vehicle itself says."""
     unproved_origin: str = ""
     """Why nothing shows that the fits are of this vehicle; empty: something does, or they are its own."""
 

@@ -1,6 +1,6 @@
 """Which values a firmware still holds after a restart: it does not save every one that it takes.
 
-PX4 leaves a float out of its file of parameters if it lies within FLT_EPSILON of the default, by absolute difference
+PX4 does not save a float within FLT_EPSILON of its default, by absolute difference
 (``param_export_internal`` in PX4 src/lib/parameters/parameters.cpp). It is echoed, read back and in force until the
 restart brings the default back. Boards that keep their parameters in flash save it (flashparams.cpp); no stream tells
 which kind a board is, so the stricter rule holds for all. A change by no more than FLT_EPSILON is stored in memory, but

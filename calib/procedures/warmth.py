@@ -80,8 +80,8 @@ class Warmth:
     def settles(self, bound: float) -> Settling | None:
         """When the rate falls below `bound` (degC per minute), and where the first unit's temperature ends.
 
-        From how the rate fell within the last minute, as of a body that comes to the temperature around it, and again
-        from the later parts of that minute. None as long as it does not fall, or as the parts do not agree: a curve
+        Told by how the rate fell within the last minute, as a body's does that comes to the temperature around it.
+        The later parts of that minute tell it again. None as long as it does not fall, or the parts disagree: a curve
         that has hardly bent yet says nothing of its end.
         """
         if len(self._history) < 3 or self._history[-1][0] - self._history[0][0] < 0.5 * self._over:

@@ -167,8 +167,8 @@ def make_plan(
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all.
 
     `options` are those of the plan as plain data, `temperatures` those of :func:`accel_temperatures`,
-    `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says, `without_row` what PX4 says itself,
-    `told` what :func:`told_device_ids` finds.
+    and `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says. PX4 itself says `without_row`.
+    `told` is what :func:`told_device_ids` finds.
     """
     rowless = frozenset(without_row)
     chosen = compose_options(
@@ -185,7 +185,7 @@ def make_plan(
 
 
 def keys_without_row(context: Mapping[str, Any]) -> tuple[Key, ...]:
-    """The sensors of which PX4 said, in the capture of this job's context, that they are in none of its rows."""
+    """The sensors that are in no row, as PX4 said in the capture of this job's context."""
     return tuple(parse_key(text) for text in context.get(WITHOUT_ROW, ()))
 
 

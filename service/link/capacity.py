@@ -24,7 +24,7 @@ LOSSY = 0.1
 EXACT_HZ = 50.0
 """Up to this rate both firmwares deliver what is asked for; what comes slower is held up by the link."""
 HELD_UP = 0.8
-"""A stream of which less than this share is sent is held up at its source: its port is full."""
+"""A stream that is sent to less than this share is held up at its source: its port is full."""
 SHORT = 0.03
 """A port that is asked for this share more than it carries fills its buffer; less may be chance."""
 MORE = 1.2
@@ -159,7 +159,7 @@ def plan_rates(
 def seen_capacity(requested_hz: Mapping[int, float], seen: Arrivals, *, late: bool) -> float | None:
     """What a link was seen to carry, in bytes per second of the vehicle's time; None if it carried everything.
 
-    It is too slow if it loses many frames, if the vehicle holds back many samples because its port is full, or if a
+    It is too slow if it loses many frames, or if the vehicle's full port holds back many samples. So it is if a
     buffer fills and answers wait behind the samples.
 
     Parameters

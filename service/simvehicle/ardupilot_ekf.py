@@ -2,8 +2,8 @@
 
 On the ground EKF3 learns the bias of an axis only while that axis is within 37 deg of the vertical
 (``NavEKF3_core::CovariancePrediction``: ``fabsF(prevTnb[index][2]) > 0.8``, else the state is held); at boot it knows
-none. A new INS_ACCOFFS leaves what it learned: the attitude is then wrong by that much, and stays so at rest (2.2 deg
-for 34 s, unchanged within 0.01 deg), until the axis stands upright again or the vehicle is restarted.
+none. A new INS_ACCOFFS leaves what it learned: the attitude is then wrong by that much. It stays so at rest (2.2 deg
+for 34 s, unchanged within 0.01 deg) until the axis stands upright again or the vehicle is restarted.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ ROUNDS = 6
 """At 15 % loss each way, so many leave one of eight messages unanswered in one of 30 times."""
 ANSWER_S, ANSWER_LEAST_S = 1.0, 0.5
 ROUNDED = 0.1
-"""Firmwares round intervals: what is told is what was asked for up to this share."""
+"""Firmwares round intervals: an interval in force may differ by this share."""
 _DIFFERENT = 2
 """Told so often to have another interval, a message is asked for by itself: it is refused, or slowed down."""
 _INTERVAL, _ACK = dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL, dialect.MAVLINK_MSG_ID_COMMAND_ACK

@@ -12,7 +12,7 @@ MOST_S = 5.0
 _SMOOTHING, _SPREADING = 1 / 8, 1 / 4
 _SPREADS = 4.0
 _TRIPS = 100
-"""Of so many questions it is remembered whether they were answered; a link may become worse or better."""
+"""Whether so many questions were answered is remembered; a link may become worse or better."""
 MISSED = 1 / 200
 """A parameter that exists may count as absent once in so many times."""
 MOST_SILENCES, FEWEST_SILENCES = 5, 2
@@ -57,7 +57,7 @@ class Pace:
     def silences(self) -> int:
         """So many silences prove absence: loss explains them all less often than once in 200 times.
 
-        Of the share lost nothing is known but the questions so far: any was equally likely before them. The chance of
+        Nothing but the questions so far tells the share lost: any was equally likely before them. The chance of
         k losses in a row is then the product of (lost + 1 + i) / (asked + 2 + i) for i below k.
         """
         asked, lost = len(self._trips), sum(not answered for answered in self._trips)

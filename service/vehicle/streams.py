@@ -154,7 +154,7 @@ async def request_streams(
     requested_hz
         Rate for each message id; 0 switches it off.
     measure_s
-        How long to watch, by the vehicle's time stamps, after each change. 0 leaves every measured rate at 0, and asks
+        How long to watch, by the vehicle's time stamps, after each change. 0 leaves every measured rate at 0. It asks
         for what the link was seen to carry a moment ago; if that is longer ago, it is measured again all the same.
     before
         Intervals in us as they were, where that is known already; the vehicle is not asked for these.

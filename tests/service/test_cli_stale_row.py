@@ -1,4 +1,4 @@
-"""A PX4 with a second compass whose device id is in no row, and the id of one that was taken away in the second row."""
+"""A PX4 with a second compass whose device id is in no row. The second row has the id of one that was taken away."""
 
 from __future__ import annotations
 

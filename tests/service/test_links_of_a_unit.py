@@ -38,7 +38,7 @@ async def eventually(condition: Callable[[], Any], seconds: float = 20.0) -> Non
 
 @asynccontextmanager
 async def connected(folder: Path, *urls: str) -> AsyncIterator[tuple[Api, Json]]:
-    """The service with these links, all of which lead to one vehicle that may be written to."""
+    """The service with these links, which all lead to one vehicle that may be written to."""
     async with api(folder, connect=urls) as a:
 
         async def together() -> bool:

@@ -114,7 +114,7 @@ def _may_take(draft: Draft, about: Subject, name: str, held: int, filled: int) -
     """
     without = draft.options.without_row
     ask = (
-        f"Run PX4's own calibration of it once: that writes the ids anew. Or give its id with {how('device_ids')}; "
+        f"Run PX4's own calibration of it once, which stores the id. Or give its id with {how('device_ids')}; "
         f"`listener sensor_{about.sensor}` on PX4's console says it"
     )
     if (about.sensor, about.instance) in without:

@@ -3,7 +3,7 @@
 PX4 saves no coefficient within FLT_EPSILON of zero (:mod:`calib.firmware.retained`). Over 30 degC a cubic term of that
 size is worth 0.003 in the unit of the sensor, so it is not just left out. It becomes zero, or the smallest number that
 is saved, whichever costs less. The free coefficients are fitted again by least squares to the measured curve, with
-equal weight over the range of temperature, and ``p(t_ref) = 0`` stays. What remains is the cost.
+equal weight over the range of temperature. ``p(t_ref) = 0`` stays. What remains is the cost.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ CLAIMED_AT_REST: Final = frozenset(
 """What PX4's gyro_calibration writes beside the offsets: it claims a row for a gyro that has none, and fills it.
 
 ``Gyroscope::ParametersSave`` (PX4 src/lib/sensor_calibration/Gyroscope.cpp) stores id, priority, offsets and rotation
-together, so that an uninitialised priority (-1) becomes the default (50) with the first save.
+together. So an uninitialised priority (-1) becomes the default (50) with the first save.
 """
 PX4_PRIORITY: Final = re.compile(r"CAL_(ACC|GYRO|MAG|BARO)\d_PRIO")
 BY_ITSELF: Final = REWRITTEN | CLAIMED_AT_REST

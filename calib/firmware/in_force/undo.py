@@ -196,8 +196,8 @@ class Undo:
 def _together(changes: Mapping[float, Parameters], entry: ParameterEntry) -> float:
     """The time from which a change counts: that of the same gyro's other axes, if they changed just before.
 
-    PX4's gyro_calibration stores the three axes of an offset at once, and PX4's memory takes them or leaves them by the
-    length of the whole change; they are told one after the other.
+    PX4's gyro_calibration stores the three axes of an offset at once. PX4's memory takes or leaves them by the
+    length of the whole change. They are told one after the other.
     """
     if entry.name not in REWRITTEN_AT_REST:
         return entry.t

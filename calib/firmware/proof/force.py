@@ -113,7 +113,7 @@ class Force:
         return "" if invertible else f"the correction of {about} has no inverse: a scale or a diagonal is zero"
 
     def without_alternative(self, about: Subject) -> frozenset[str]:
-        """Names of the changes whose old value fits beside no other: the stream cannot be held against it."""
+        """Names of the changes whose old value fits beside no other: no stream can tell them."""
         every = frozenset(change.name for change in self.changes)
         return frozenset(
             name

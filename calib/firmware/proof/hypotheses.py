@@ -69,7 +69,7 @@ def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array | None]) 
     """Weigh every combination of `names` by its whitened discrepancy (n,); None: no vehicle can have that one.
 
     "Everything applied" must not be None. If even the best combination is off by more than chance allows, the streams
-    scatter more than was known: every standard deviation is then taken as much larger as makes that one fit, so that
+    scatter more than was known. Every standard deviation is then widened until that one fits:
     the new values are given up only where the old ones fit far better.
     """
     found = [(h, point) for h in combinations_of(names) if (point := whitened(h)) is not None]

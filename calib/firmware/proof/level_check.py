@@ -6,8 +6,8 @@ shows it: with ``E = from_euler(trim)``, vehicle from board, "down" in the vehic
 From one trim to the next it is turned by ``E_new E_old^T``, whatever the estimator's own error.
 
 Whether the vehicle reads level is asked of its accelerometer through the parameters in force. The attitude of ArduPilot
-cannot refute that. On the ground EKF3 learns the bias of an axis only while that axis stands within 37 deg of the
-vertical (``NavEKF3_core::CovariancePrediction``) and holds it otherwise. What it learned under older offsets therefore
+cannot refute that. On the ground EKF3 learns the bias of an axis within 37 deg of the vertical alone
+(``NavEKF3_core::CovariancePrediction``). It holds the others. What it learned under older offsets therefore
 stays in the attitude as long as the vehicle lies: no time at rest makes it forget (2.2 deg, captured for 34 s, did not
 change by 0.01 deg). A restart begins without biases. Where attitude and accelerometer differ, that is said.
 """

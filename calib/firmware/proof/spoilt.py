@@ -5,8 +5,8 @@ while the vehicle turns, one sample is the mean over a longer arc, hence too sho
 ArduCopter on a busy machine, beside a scatter of 0.5 mG. Iron that passes by does the like. One such sample must not
 decide about a write.
 
-Each hypothesis pays :data:`PRICE` for a sample that it leaves out, so that none can leave out what contradicts it more
-cheaply than another explains it; the cheapest one says which samples are spoilt, for all of them.
+Each hypothesis pays :data:`PRICE` for a sample that it leaves out: none can leave out what contradicts it more
+cheaply than another explains it. The cheapest one says which samples are spoilt, for all of them.
 """
 
 from __future__ import annotations

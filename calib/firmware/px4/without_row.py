@@ -1,4 +1,4 @@
-"""Sensors of which PX4 itself says that their device id is in none of its calibration rows.
+"""Sensors whose device id is in no calibration row, as PX4 itself says.
 
 No stream carries a device id, and PX4 leaves the id of a sensor that was taken away in its row. What it says of its
 own arming checks is the only sign that a row is stale.

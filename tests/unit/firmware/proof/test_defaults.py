@@ -1,7 +1,7 @@
 """The proof on vehicles as the firmwares start: no mixture of old and new values that a vehicle cannot have is asked.
 
-Old values are the factory's, and those that other software leaves: a hidden group whose TMAX is 0, the zero scale of an
-accelerometer that the onboard calibration did not find, an all-zero compass diagonal, gains of rubbish.
+Old values are the factory's, and those that other software leaves: a hidden group whose TMAX is 0, and the zero scale
+of an absent accelerometer. Others are an all-zero compass diagonal and gains of rubbish.
 """
 
 from __future__ import annotations
