@@ -20,7 +20,7 @@ import scipy
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Check, CheckId, Verdict, unknown
 from mavcal.calib.preflight.installed import STREAMED, WORDS, Announced, Key
-from mavcal.calib.preflight.movement import Movement
+from mavcal.calib.preflight.movement import ObservedMovement
 from mavcal.calib.preflight.rest import LEAST
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
@@ -70,7 +70,7 @@ class Census:
         return frozenset(i for kind, i in self.alive if kind == sensor)
 
 
-def census(snapshot: Snapshot, announced: Mapping[Key, Announced], movement: Movement) -> Census:
+def census(snapshot: Snapshot, announced: Mapping[Key, Announced], movement: ObservedMovement) -> Census:
     """Look at every sensor that is announced, and at every other one that is heard."""
     recording = snapshot.recording
     heard = {(kind, i) for kind in WORDS for i in recording.instances(kind) if i < STREAMED}
@@ -182,7 +182,7 @@ def _span(recording: Recording) -> float:
     return float(max(end for _, end in ends) - min(start for start, _ in ends)) if ends else 0.0
 
 
-def _frozen(snapshot: Snapshot, key: Key, channel: Channel, movement: Movement) -> str:
+def _frozen(snapshot: Snapshot, key: Key, channel: Channel, movement: ObservedMovement) -> str:
     """Why a sensor that repeats itself cannot be alive; empty: a living one may read that."""
     kind, _ = key
     if channel.quantum == 0.0 and kind != Sensor.MAG:

@@ -23,7 +23,7 @@ _LEAST = 5
 
 
 @dataclass(frozen=True)
-class Movement:
+class ObservedMovement:
     """Angle by which the attitude, the force or the field turned (deg), and the largest rate (deg/s), by sensor."""
 
     turned: dict[tuple[Sensor, int], float]
@@ -59,7 +59,7 @@ class Movement:
         return f"the vehicle was turned: its field turned by {min(fields):.0f} deg meanwhile"
 
 
-def movement(recording: Recording) -> Movement:
+def movement(recording: Recording) -> ObservedMovement:
     """What the sensors show of a turn."""
     turned = {}
     for kind in (Sensor.ACCEL, Sensor.MAG):
@@ -75,7 +75,7 @@ def movement(recording: Recording) -> Movement:
             change = float(np.linalg.norm(blocks - blocks.mean(axis=0), axis=1).max())
             rates[instance] = max(change, 0.5 * float(np.linalg.norm(blocks.mean(axis=0))))
     attitudes = recording.find(Sensor.ATTITUDE)
-    return Movement(turned, rates, _attitude(attitudes[0]) if attitudes else 0.0)
+    return ObservedMovement(turned, rates, _attitude(attitudes[0]) if attitudes else 0.0)
 
 
 def _finite(recording: Recording, sensor: Sensor, instance: int) -> Channel | None:

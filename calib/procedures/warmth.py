@@ -19,7 +19,7 @@ _NEAR = 1.0
 
 
 @dataclass(frozen=True)
-class Settling:
+class WarmUpEnd:
     """Where a temperature is heading."""
 
     left: float
@@ -77,7 +77,7 @@ class Warmth:
         (t0, first), (t1, last) = self._history[0], self._history[-1]
         return (last - first) / (t1 - t0) if t1 > t0 else 0.0
 
-    def settles(self, bound: float) -> Settling | None:
+    def settles(self, bound: float) -> WarmUpEnd | None:
         """When the rate falls below `bound` (degC per minute), and where the first unit's temperature ends.
 
         Told by how the rate fell within the last minute, as a body's does that comes to the temperature around it.
@@ -99,7 +99,7 @@ class Warmth:
         if spread > max(_SPREAD * abs(at - last), _NEAR):
             return None
         left = constant * math.log(max(abs(self.rate) * 60.0 / bound, 1.0))
-        return Settling(left, at, spread)
+        return WarmUpEnd(left, at, spread)
 
     def settled(self, bound: float) -> bool:
         """Whether the rate over a whole minute lies below `bound` (degC per minute)."""

@@ -11,7 +11,7 @@ import click
 
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, json_option, write_json
-from mavcal.service.commands.place import Place
+from mavcal.service.commands.place import CommandPlace
 from mavcal.service.commands.plan_options import all_plan_options, given
 from mavcal.service.commands.remote import async_service_at, followed, may_be_remote, one_of, show_came_of
 from mavcal.service.commands.review import JobWish, run_job, show_plan
@@ -78,7 +78,7 @@ async def _at_service(url: str, key_file: Path | None, job_id: str, decided: dic
     """Have a running service plan again and write; the exit code."""
     from mavcal.service.commands.screen import Screen
 
-    screen = Screen(Place(url=url, key_file=key_file))
+    screen = Screen(CommandPlace(url=url, key_file=key_file))
     async with async_service_at(url, key_file) as client:
         job = await _accepted(client, job_id, decided, wish, screen)
     show_came_of(job, screen)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from mavcal.service.commands.output import json_option, write_json
-from mavcal.service.commands.place import Place
+from mavcal.service.commands.place import CommandPlace
 from mavcal.service.commands.remote import remote, service_at, show_came_of
 
 
@@ -21,7 +21,7 @@ def command(*, job_id: str, url: str, key_file: Path | None, as_json: bool) -> i
 
     with service_at(url, key_file) as client:
         job = client.cancel_job(job_id)
-    show_came_of(job, Screen(Place(url=url, key_file=key_file)))
+    show_came_of(job, Screen(CommandPlace(url=url, key_file=key_file)))
     if as_json:
         write_json(job.model_dump(mode="json"))
     return 0

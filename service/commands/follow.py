@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, json_option, write_json
-from mavcal.service.commands.place import Place
+from mavcal.service.commands.place import CommandPlace
 from mavcal.service.commands.remote import async_service_at, came_well, followed, remote, show_came_of
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def command(*, job_id: str, url: str, key_file: Path | None, as_json: bool) -> i
     """
     from mavcal.service.commands.screen import Screen
 
-    screen = Screen(Place(url=url, key_file=key_file))
+    screen = Screen(CommandPlace(url=url, key_file=key_file))
 
     async def until_it_rests() -> JobModel:
         async with async_service_at(url, key_file) as client:

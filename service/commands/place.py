@@ -19,7 +19,7 @@ _NAMED = re.compile(r"`mavcal ([a-z][^`]*)`")
 
 
 @dataclass(frozen=True)
-class Place:
+class CommandPlace:
     """The options of a command that its successors need; None: it was run without."""
 
     connect: str | None = None
@@ -46,16 +46,16 @@ class Place:
         return " ".join([words, *(text for text in more if text.split()[0] not in told)])
 
 
-NOWHERE = Place()
+NOWHERE = CommandPlace()
 
 
-def place_of(settings: Settings) -> Place:
+def place_of(settings: Settings) -> CommandPlace:
     """The place of a run with these settings; the default data directory needs no naming."""
     from mavcal.service.settings import default_data_dir
 
     kept = settings.data_dir
     own = None if kept == default_data_dir().absolute() else kept
-    return Place(settings.connect[0] if settings.connect else None, own)
+    return CommandPlace(settings.connect[0] if settings.connect else None, own)
 
 
 def _flags(words: Sequence[str]) -> frozenset[str]:

@@ -12,7 +12,7 @@ import click
 
 from mavcal.service.commands.every import Found, Whom, all_option, connect_option, with_each
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, json_option, write_json
-from mavcal.service.commands.place import NOWHERE, Place, place_of
+from mavcal.service.commands.place import NOWHERE, CommandPlace, place_of
 from mavcal.service.errors import ServiceError
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def _document(done: list[Answer], *, alone: bool) -> dict[str, Any]:
     return {name: value for name, value in told[0].items() if name != "connect"}
 
 
-def show(found: PreflightModel | ServiceError, title: str = "", place: Place = NOWHERE) -> None:
+def show(found: PreflightModel | ServiceError, title: str = "", place: CommandPlace = NOWHERE) -> None:
     """The report as a table, with what helps below each check that does not pass.
 
     Commands are named with the options of `place`.

@@ -12,7 +12,7 @@ from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.every import Acted, Whom, all_option, connect_option, run_every
 from mavcal.service.commands.every import one_of as one_endpoint
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
-from mavcal.service.commands.place import Place
+from mavcal.service.commands.place import CommandPlace
 from mavcal.service.commands.remote import async_service_at, followed, may_be_remote, one_of, show_came_of
 from mavcal.service.commands.review import JobWish, run_job
 
@@ -85,7 +85,7 @@ async def _at_service(url: str, key_file: Path | None, job_id: str, *, as_json: 
     from mavcal.client.enums import JobState
     from mavcal.service.commands.screen import Screen
 
-    screen = Screen(Place(url=url, key_file=key_file))
+    screen = Screen(CommandPlace(url=url, key_file=key_file))
     async with async_service_at(url, key_file) as client:
         before = await client.get_job(job_id)
         await client.revert_job(job_id)

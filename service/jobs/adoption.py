@@ -62,7 +62,15 @@ async def composed(
     known = accel_temperatures(earlier, vehicle.id, parameters)
     told = told_device_ids(earlier, vehicle.id, parameters) if origin is None else {}  # a log says its own ids
     return identity, await asyncio.to_thread(
-        make_plan, results, parameters, identity, options, known, doubt, without_row, told
+        make_plan,
+        results,
+        parameters,
+        identity,
+        options,
+        known,
+        unproved_origin=doubt,
+        without_row=without_row,
+        told=told,
     )
 
 

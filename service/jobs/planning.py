@@ -160,6 +160,7 @@ def make_plan(
     identity: Identity,
     options: Mapping[str, Any],
     temperatures: Mapping[int, float],
+    *,
     unproved_origin: str = "",
     without_row: Iterable[Key] = (),
     told: Mapping[Key, int] = NOTHING,

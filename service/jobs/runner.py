@@ -135,7 +135,14 @@ class Runner:
             known = accel_temperatures(self.jobs(), require_vehicle(job), fitted.parameters)
             stated = told_device_ids(self.jobs(), require_vehicle(job), fitted.parameters)
             planned = await asyncio.to_thread(
-                make_plan, results, fitted.parameters, identity, plan_options, known, "", fitted.without_row, stated
+                make_plan,
+                results,
+                fitted.parameters,
+                identity,
+                plan_options,
+                known,
+                without_row=fitted.without_row,
+                told=stated,
             )
             await keep_plan(handle, planned)
         except CaptureEnded as ended:

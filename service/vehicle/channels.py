@@ -19,7 +19,7 @@ AWAY_S = 3.0
 """After so long without a frame what a link tells need not be of the same boot."""
 
 
-class Channel:
+class LinkChannel:
     """One link as a way to one vehicle."""
 
     def __init__(self, link: Link, now: float) -> None:
@@ -58,20 +58,20 @@ class Channels:
 
     def __init__(self, link: Link, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self.in_use = Channel(link, clock())
+        self.in_use = LinkChannel(link, clock())
         self._all = [self.in_use]
 
-    def __iter__(self) -> Iterator[Channel]:
+    def __iter__(self) -> Iterator[LinkChannel]:
         return iter(tuple(self._all))
 
     def __len__(self) -> int:
         return len(self._all)
 
-    def of(self, link: Link) -> Channel:
+    def of(self, link: Link) -> LinkChannel:
         """The channel of a link."""
         return next(channel for channel in self._all if channel.link is link)
 
-    def join(self, channel: Channel) -> None:
+    def join(self, channel: LinkChannel) -> None:
         """One more way to the vehicle."""
         self._all.append(channel)
 
@@ -83,7 +83,7 @@ class Channels:
             self.in_use = self._best(self._all)
 
     @property
-    def alive(self) -> tuple[Channel, ...]:
+    def alive(self) -> tuple[LinkChannel, ...]:
         """Those over which the vehicle is heard."""
         now = self._clock()
         return tuple(channel for channel in self._all if not channel.silent(now))
@@ -115,7 +115,7 @@ class Channels:
         return better
 
     @staticmethod
-    def _best(channels: list[Channel]) -> Channel:
+    def _best(channels: list[LinkChannel]) -> LinkChannel:
         """The one that carries most, of equals the first."""
         return max(channels, key=_carries)
 
@@ -146,7 +146,7 @@ class Channels:
                 channel.missed(restarts)
 
 
-def _carries(channel: Channel) -> float:
+def _carries(channel: LinkChannel) -> float:
     """Bytes per second that are known beforehand; a link without such a limit carries most."""
     known = nominal_capacity(channel.link.endpoint)
     return math.inf if known is None else known

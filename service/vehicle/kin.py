@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from mavcal.service.errors import LinkDown, ParameterMissing, VehicleError
-from mavcal.service.vehicle.channels import Channel
+from mavcal.service.vehicle.channels import LinkChannel
 from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.unit import TELLING, WITH_ID_S, WITHOUT_ID_S, Kinship, clocks_agree, kinship
 from mavcal.service.vehicle.vehicle import Vehicle
@@ -89,7 +89,7 @@ class Kin:
             self._read[pair] = bool(names) and mine == its and any(value is not None for value in mine)
             return
 
-    def apart(self, vehicle: Vehicle) -> list[Channel]:
+    def apart(self, vehicle: Vehicle) -> list[LinkChannel]:
         """Links of a vehicle whose clock has contradicted that of the link in use for long."""
         if len(vehicle.channels) < 2:
             return []

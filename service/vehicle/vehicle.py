@@ -19,7 +19,7 @@ from mavcal.service.errors import (
 from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind, OwnIdentity
 from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
-from mavcal.service.vehicle.channels import Channel, Channels
+from mavcal.service.vehicle.channels import Channels, LinkChannel
 from mavcal.service.vehicle.events import VehicleEventKind
 from mavcal.service.vehicle.heard import STATE_IDS, VERSION_ID
 from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
@@ -249,7 +249,7 @@ class Vehicle:
             self._poll_when_due(now)
         self._subscribers.hand_on(frames, batch, channel.link, used=channel is self.channels.in_use)
 
-    def _take(self, frame: Frame, channel: Channel, now: float, since: float | None) -> None:
+    def _take(self, frame: Frame, channel: LinkChannel, now: float, since: float | None) -> None:
         message_id = frame.message_id
         used = channel is self.channels.in_use
         if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
@@ -265,7 +265,7 @@ class Vehicle:
             self._identified(decode(frame), channel, now)
         self.waits.feed(frame, beside=not used)
 
-    def _hear_clock(self, stamp: float, channel: Channel, now: float) -> None:
+    def _hear_clock(self, stamp: float, channel: LinkChannel, now: float) -> None:
         """A restart that any link shows counts, once."""
         channel.clock.see(stamp, now)
         channel.clock_heard = True
@@ -275,7 +275,7 @@ class Vehicle:
         elif channel is self.channels.in_use and channel.clock.latest != self.state.boot_time:
             self.state = changed(self.state, boot_time=channel.clock.latest)
 
-    def _identified(self, message: Message, channel: Channel, now: float) -> None:
+    def _identified(self, message: Message, channel: LinkChannel, now: float) -> None:
         before = self.identity
         identity = identity_from_version(before, message)
         if before.uid2 is not None and identity.uid2 is not None and identity.uid2 != before.uid2:
@@ -289,7 +289,7 @@ class Vehicle:
             said = f"{identity.autopilot} {identity.version_text}, unique id {identity.uid2 or 'unknown'}"
             self._tell(VehicleEventKind.IDENTIFIED, said)
 
-    def _contradicted(self, uid2: str, channel: Channel, now: float) -> None:
+    def _contradicted(self, uid2: str, channel: LinkChannel, now: float) -> None:
         """Another unit answers at our address on this link."""
         gone = self.clock() - channel.stated_at >= self._yield_s
         if channel is not self.channels.in_use or (gone and len(self.channels) > 1):
@@ -420,7 +420,7 @@ class Vehicle:
             self._polled_at = now
             self._poll(now)
 
-    def _ask_clock(self, channel: Channel) -> None:
+    def _ask_clock(self, channel: LinkChannel) -> None:
         """With every heartbeat, where no stream tells the vehicle's time: a restart shows in it, and nowhere else."""
         if not channel.clock_heard:
             self._ask_over(channel, dialect.MAVLINK_MSG_ID_SYSTEM_TIME)
@@ -443,7 +443,7 @@ class Vehicle:
             for channel in self.channels:
                 self._ask_over(channel, VERSION_ID)
 
-    def _ask_over(self, channel: Channel, message_id: int) -> None:
+    def _ask_over(self, channel: LinkChannel, message_id: int) -> None:
         """Ask over this very link for a message whose absence does no harm."""
         self.demand_over(channel.link, commands.REQUEST_MESSAGE, message_id)
 

@@ -58,7 +58,9 @@ def vehicle(link, *, armed=False):
         if armed:
             raise VehicleArmed(f"{name} is not given to an armed vehicle")
 
-    return SimpleNamespace(id="v1", link=link, system=1, component=190, require_writable=require_writable)
+    return SimpleNamespace(
+        id="v1", link=link, links=(link,), system=1, component=190, require_writable=require_writable
+    )
 
 
 @pytest.fixture

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from mavcal.service.commands.place import NOWHERE, Place, place_of
+from mavcal.service.commands.place import NOWHERE, CommandPlace, place_of
 from mavcal.service.settings import default_data_dir
 
-HERE = Place("tcp:v:1", Path("/d d"))
-THERE = Place(url="http://h:1", key_file=Path("/k"))
+HERE = CommandPlace("tcp:v:1", Path("/d d"))
+THERE = CommandPlace(url="http://h:1", key_file=Path("/k"))
 
 
 @pytest.mark.parametrize(
@@ -29,12 +29,12 @@ THERE = Place(url="http://h:1", key_file=Path("/k"))
         (NOWHERE, "`mavcal recover`", "`mavcal recover`"),
     ],
 )
-def test_a_named_command_has_the_options_of_the_run(place: Place, text: str, told: str) -> None:
+def test_a_named_command_has_the_options_of_the_run(place: CommandPlace, text: str, told: str) -> None:
     assert place.completed(text) == told
 
 
 def test_the_default_data_directory_needs_no_name() -> None:
     kept = SimpleNamespace(connect=("tcp:v:1",), data_dir=default_data_dir().absolute())
-    assert place_of(kept) == Place("tcp:v:1")  # type: ignore[arg-type]
+    assert place_of(kept) == CommandPlace("tcp:v:1")  # type: ignore[arg-type]
     kept.data_dir = Path("/elsewhere")
-    assert place_of(kept) == Place("tcp:v:1", Path("/elsewhere"))  # type: ignore[arg-type]
+    assert place_of(kept) == CommandPlace("tcp:v:1", Path("/elsewhere"))  # type: ignore[arg-type]

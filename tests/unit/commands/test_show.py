@@ -6,7 +6,7 @@ import pytest
 
 from mavcal.calib.firmware.options import to_confirm
 from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
-from mavcal.service.commands.place import Place
+from mavcal.service.commands.place import CommandPlace
 from mavcal.service.commands.review import show_end, show_plan
 from mavcal.service.commands.screen import Screen
 from mavcal.service.jobs.model import Failure, Job
@@ -53,6 +53,6 @@ def test_nobody_is_told_to_apply_a_plan_that_is_blocked(
     capsys: pytest.CaptureFixture[str], blockers: tuple[str, ...], said: str
 ) -> None:
     plan = WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, (), blockers=blockers)
-    screen = Screen(Place("tcp:v:1"))
+    screen = Screen(CommandPlace("tcp:v:1"))
     show_end(Job("j", "v", "gyro", {}, JobState.REVIEW, 0.0, 0.0, plan=plan), screen, written=False)
     assert said in capsys.readouterr().err
