@@ -323,7 +323,7 @@ async def test_a_recording_that_agrees_with_what_is_in_force_ends_with_nothing_t
     vehicle: FakeVehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = replace(make_plan(vehicle), changes=(), agreements=(Agreement(Sensor.GYRO, 0, 0.4, "gyro 1 agrees"),))
-    monkeypatch.setattr(adoption, "make_plan", lambda *_: Planned(plan, vehicle.values()))
+    monkeypatch.setattr(adoption, "make_plan", lambda *_, **__: Planned(plan, vehicle.values()))
     async with running(vehicle, computations=FakeComputations((gyro_fit(),), OURS)) as engine:
         job = await engine.adopt(vehicle.id, "a", "gyro-rest", {})
         await until(lambda: engine.get(job.id).state != JobState.FITTING)

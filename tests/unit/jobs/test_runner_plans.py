@@ -133,7 +133,7 @@ async def test_a_fit_that_agrees_with_what_is_in_force_ends_the_job(
     handle = job(store, JobState.FITTING)
     vehicle = FakeVehicle.with_floats(OLD)
     plan = replace(make_plan(vehicle), changes=(), agreements=(Agreement(Sensor.GYRO, 0, 0.4, "gyro 1 agrees"),))
-    monkeypatch.setattr(runner_module, "make_plan", lambda *_: Planned(plan, vehicle.values()))
+    monkeypatch.setattr(runner_module, "make_plan", lambda *_, **__: Planned(plan, vehicle.values()))
     await runner(Fitted(Done((fit(),), "enough"), dict(PARAMETERS))).fit(handle)
     assert handle.job.state == JobState.SUCCEEDED
     assert isinstance(handle.job.outcome, Result)
