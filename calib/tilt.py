@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -28,7 +31,7 @@ class TiltFilter:
     """
 
     def __init__(self) -> None:
-        self._body: scipy.spatial.transform.Rotation | None = None  # to north-east-down
+        self._body: Rotation | None = None  # to north-east-down
         self._t = math.nan
 
     @property
@@ -56,7 +59,7 @@ class TiltFilter:
             self._body = self._body * _turn(-share * np.cross(held, -force / length))
 
 
-def _held_with(down: Array) -> scipy.spatial.transform.Rotation:
+def _held_with(down: Array) -> Rotation:
     """The attitude nearest to level, heading north, in which the body direction `down` points down."""
     axis = np.cross(down, _DOWN)
     sine = float(np.linalg.norm(axis))
@@ -65,5 +68,8 @@ def _held_with(down: Array) -> scipy.spatial.transform.Rotation:
     return _turn(angle * unit)
 
 
-def _turn(vector: Array) -> scipy.spatial.transform.Rotation:
-    return scipy.spatial.transform.Rotation.from_rotvec(vector)
+def _turn(vector: Array) -> Rotation:
+    # A statement waits while another thread imports this; `scipy.spatial.transform` as an attribute is there half-made.
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(vector)

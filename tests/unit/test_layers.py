@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import importlib.util
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -92,7 +93,7 @@ def nodes(source: str) -> tuple[ast.AST, ...]:
     return tuple(
         node
         for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.Import | ast.ImportFrom | ast.Constant | ast.Call)
+        if isinstance(node, ast.Import | ast.ImportFrom | ast.Constant | ast.Call | ast.Attribute)
     )
 
 
@@ -200,6 +201,13 @@ def outsiders(name: str, source: str) -> set[str]:
     return {i for i in imports(name, source) if i.split(".")[0] == "mavcal" and not i.startswith("mavcal.client")}
 
 
+def half_made(_name: str, source: str) -> set[str]:
+    """Packages of scipy two levels down, reached as attributes: another thread that imports one has it there half-made."""
+    chains = {ast.unparse(node) for node in nodes(source) if isinstance(node, ast.Attribute)}
+    deep = {chain for chain in chains if re.fullmatch(r"scipy(\.\w+){2}", chain)}
+    return {chain for chain in deep if importlib.util.find_spec(chain) is not None}
+
+
 def offenders(package: str, rule: Callable[[str, str], set[str]]) -> dict[str, set[str]]:
     return {name: bad for name, source in modules(package).items() if (bad := rule(name, source))}
 
@@ -225,6 +233,11 @@ def test_a_room_of_the_gap_imports_only_the_layers_below_its_own():
 def test_calib_is_pure():
     assert not FORBIDDEN & (PURE | STANDARD)
     assert offenders("calib", impurities) == {}
+
+
+@pytest.mark.parametrize("package", ["calib", "service"])
+def test_a_package_is_whole_when_it_is_used(package):
+    assert offenders(package, half_made) == {}
 
 
 def test_calib_does_not_print():
@@ -274,6 +287,7 @@ def test_the_client_stands_alone():
         (BLIND.straying, "mavcal.calib.blind.cases", "from mavcal.calib.gap.diagnose import diagnose"),
         (BLIND.intruding, "mavcal.calib.gap.diagnose", "from ..blind import cases"),
         (BLIND.intruding, "mavcal.service.commands.gap", "from mavcal.calib.withheld_check import nothing"),
+        (half_made, "mavcal.calib.tilt", "import scipy\nturn = scipy.spatial.transform.Rotation"),
         (outsiders, "mavcal.client.models", "from mavcal.service.jobs.states import JobState"),
     ],
 )
