@@ -202,7 +202,7 @@ def outsiders(name: str, source: str) -> set[str]:
 
 
 def half_made(_name: str, source: str) -> set[str]:
-    """Packages of scipy two levels down, reached as attributes: another thread that imports one has it there half-made."""
+    """Packages of scipy two levels down, reached as attributes: half-made while another thread imports one."""
     chains = {ast.unparse(node) for node in nodes(source) if isinstance(node, ast.Attribute)}
     deep = {chain for chain in chains if re.fullmatch(r"scipy(\.\w+){2}", chain)}
     return {chain for chain in deep if importlib.util.find_spec(chain) is not None}
