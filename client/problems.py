@@ -254,7 +254,7 @@ class PortBusy(ApiProblem):
 
 
 class PreflightRunning(ApiProblem):
-    """A preflight is running (409). The vehicle is being checked; that takes ten seconds."""
+    """A preflight is running (409). The vehicle is being checked; that takes ten seconds, up to 30 on a slow link."""
 
 
 class RecordingUnknown(ApiProblem):

@@ -135,8 +135,9 @@ class Client(Transport):
     def run_preflight(
         self, vehicle_id: str, *, heading: Number | None = None, fix: list[Literal["gyro", "level"]] | None = None
     ) -> PreflightModel:
-        """Check a vehicle that stands still, within ten seconds; 409 while it is armed, silent, or has a job
-        running.
+        """Check a vehicle that stands still, in ten seconds (30 on a slow link).
+
+        409 while it is armed, silent, or has a job running.
         """
         return self._ask(
             "POST",

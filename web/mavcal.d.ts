@@ -1774,7 +1774,7 @@ export interface Operations {
     query: { watch?: string | null };
     message: LiveMessage;
   };
-  /** Check a vehicle that stands still, within ten seconds; 409 while it is armed, silent, or has a job running. */
+  /** Check a vehicle that stands still, in ten seconds (30 on a slow link). */
   run_preflight: {
     method: "POST";
     path: "/api/v1/vehicles/{vehicle_id}/preflight";

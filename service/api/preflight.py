@@ -19,7 +19,10 @@ OPERATE = Depends(require(Scope.OPERATE))
 async def run(
     vehicle_id: str, body: PreflightRequest, request: Request, service: ServiceDep, actor: ActorDep
 ) -> PreflightModel:
-    """Check a vehicle that stands still, within ten seconds; 409 while it is armed, silent, or has a job running."""
+    """Check a vehicle that stands still, in ten seconds (30 on a slow link).
+
+    409 while it is armed, silent, or has a job running.
+    """
     service.vehicles.get(vehicle_id)
     mended: tuple[Fix, ...] = ()
     if body.fix:

@@ -88,7 +88,7 @@ class NotRevertible(JobError):
 
 
 class PreflightRunning(JobError):
-    """The vehicle is being checked; that takes ten seconds."""
+    """The vehicle is being checked; that takes ten seconds, up to 30 on a slow link."""
 
     title = "A preflight is running"
     code = "preflight-running"

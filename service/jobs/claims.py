@@ -1,10 +1,13 @@
-"""Says what controls the message rates of a vehicle at the moment; nobody else may change them meanwhile."""
+"""Who claims a vehicle: what controls its message rates at the moment, and which jobs name it."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+import dataclasses
+from collections.abc import Collection, Iterable, Iterator
 
+from mavcal.service.errors import VehicleUnknown
 from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.port import VehicleSource
 from mavcal.service.jobs.preflight import Preflights
 from mavcal.service.jobs.states import PHYSICAL
 from mavcal.service.jobs.tidying import Tidying
@@ -27,3 +30,15 @@ def claim_of(
     if tidying.holds(vehicle_id):
         return "The message rates are still those of the last job; they are put back first."
     return None
+
+
+def named_now(jobs: Iterable[Job], vehicles: VehicleSource) -> Iterator[Job]:
+    """Jobs, and of those that claim a vehicle the name that it has by now: another link may have named it before."""
+    for job in jobs:
+        if job.vehicle_id is None or job.state not in PHYSICAL:
+            yield job
+            continue
+        try:
+            yield dataclasses.replace(job, vehicle_id=vehicles.vehicle(job.vehicle_id).id)
+        except VehicleUnknown:
+            yield job

@@ -21,7 +21,6 @@ from mavcal.service.errors import (
     IllegalTransition,
     NotCancellable,
     NotRevertible,
-    VehicleUnknown,
 )
 from mavcal.service.jobs.acceptance import Acceptance
 from mavcal.service.jobs.admission import (
@@ -36,7 +35,7 @@ from mavcal.service.jobs.admission import (
 from mavcal.service.jobs.adoption import adopted, composed
 from mavcal.service.jobs.book import JobBook
 from mavcal.service.jobs.campaigns import CAMPAIGN, Campaigns
-from mavcal.service.jobs.claims import TAKING_UP, claim_of
+from mavcal.service.jobs.claims import TAKING_UP, claim_of, named_now
 from mavcal.service.jobs.computing import COMPUTED, FIT, GAP, Computing
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.ending import INTERRUPTED, doubt
@@ -60,7 +59,7 @@ from mavcal.service.jobs.restoring import planned_restore, require_restorable, r
 from mavcal.service.jobs.resumption import Resumption
 from mavcal.service.jobs.runner import Runner
 from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, PHYSICAL, JobState
+from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, JobState
 from mavcal.service.jobs.tasks import JobTasks, Work
 from mavcal.service.jobs.tidying import Tidying
 from mavcal.service.jobs.verified import history_of, verified_jobs
@@ -83,12 +82,10 @@ class JobEngine:
         Where jobs find theirs.
     computations, ownership
         What is done with uploaded recordings (None: there are none), and which jobs are ours (None: all of them).
-    settings
-        How patient the engine is.
+    settings, read_only
+        How patient the engine is; whether nothing is ever written to a vehicle.
     executor
         Where closed segments are fitted; any ``concurrent.futures.Executor``. None: two threads of its own.
-    read_only
-        Nothing is ever written to a vehicle.
     clock, wall
         Monotonic time for time-outs; wall time for stamps.
     reach, record
@@ -111,23 +108,22 @@ class JobEngine:
         record: JobRecord | None = None,
     ) -> None:
         self.settings = settings or JobSettings()
-        self._store = store
-        self._vehicles = vehicles
-        self._read_only = read_only
+        self._store, self._vehicles, self._read_only = store, vehicles, read_only
         self._wall, self._clock, self._reach, self._record = wall, clock, reach, record or NoRecord()
         self._own_executor = ThreadPoolExecutor(2, thread_name_prefix="fit") if executor is None else None
         pool = executor or self._own_executor
         assert pool is not None
         self._ownership = ownership or Alone(store)
-        self._book = JobBook(store, self._ownership, self.settings.progress_s, clock, wall)
+        self.book = JobBook(store, self._ownership, self.settings.progress_s, clock, wall)
+        """Every job; one of several instances tells it what the others have done."""
         self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
         self._tidying = Tidying(self._runner.vehicle, self.settings.review_s)
         self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
         self._computations = computations or NoUploads()
         lanes = {FIT: self.settings.fits_at_once, GAP: self.settings.diagnoses_at_once}
-        self.computing = Computing(self._computations, self._book, self._tasks, self.cancel, wall, lanes=lanes)
+        self.computing = Computing(self._computations, self.book, self._tasks, self.cancel, wall, lanes=lanes)
         """Fits and diagnoses of uploads."""
-        self.campaigns = Campaigns(self._book, self._tasks, clock, wall)
+        self.campaigns = Campaigns(self.book, self._tasks, clock, wall)
         """Jobs for many vehicles or logs; what they do is put in before :meth:`start`."""
         self._preflights = Preflights(self.settings, wall, clock)
         self._writes = Writes(vehicles, self.settings, clock=clock, reach=reach)
@@ -136,8 +132,6 @@ class JobEngine:
             self._tasks, self.settings.recovery_alone_s, recover=self._recover, resume=self._resume
         )
 
-    # --- life
-
     async def start(self) -> None:
         """Take up every job of the store where it was left, however the service ended.
 
@@ -145,23 +139,18 @@ class JobEngine:
         several instances takes up nothing yet: :meth:`take_over` follows for what it comes to own.
         """
         if self._ownership.shared:
-            self._book.watch()
+            self.book.watch()
         else:
-            self._resumption.begin(self._book.load())
+            self._resumption.begin(self.book.load())
 
     def take_over(self, rows: Iterable[JobRow]) -> None:
         """Take up jobs that this instance owns from now on."""
-        self._resumption.begin(self._book.take(rows))
+        self._resumption.begin(self.book.take(rows))
 
     def give_up(self, of: Callable[[Job], bool]) -> None:
         """Stop what is done for these jobs, which are not ours any more; nothing more is sent or kept for them."""
-        for handle in self._book.drop(of):
+        for handle in self.book.drop(of):
             self._tasks.cancel(handle.id)
-
-    @property
-    def book(self) -> JobBook:
-        """Every job; one of several instances tells it what the others have done."""
-        return self._book
 
     def _recover(self, handle: JobHandle) -> None:
         """Finish or take back an interrupted write: the journal and the vehicle decide."""
@@ -190,12 +179,12 @@ class JobEngine:
     async def stop(self) -> None:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
         self._tasks.stopping = True
-        self._book.close()
+        self.book.close()
         tasks = [*self._tasks.running.values(), *self._tidying.tasks, *self._resumption.waiting]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        await self._book.kept(self.settings.last_save_s)
+        await self.book.kept(self.settings.last_save_s)
         await self._preflights.stop()
         if self._own_executor is not None:
             self._own_executor.shutdown(wait=False, cancel_futures=True)
@@ -209,32 +198,33 @@ class JobEngine:
 
     def list(self) -> tuple[Job, ...]:
         """Every job, oldest first."""
-        return self._book.list()
+        return self.book.list()
 
     def get(self, job_id: str) -> Job:
         """The job of that id. Raises JobUnknown."""
-        return self._book.job(job_id)
+        return self.book.job(job_id)
 
     def claim(self, vehicle_id: str) -> str | None:
         """See :func:`service.jobs.claims.claim_of`."""
         if self._resumption.waiting:
             return TAKING_UP
-        return claim_of(
-            vehicle_id, map(self._named_now, self.list()), self._tasks.running, self._tidying, self._preflights
-        )
+        jobs = named_now(self.list(), self._vehicles)
+        return claim_of(vehicle_id, jobs, self._tasks.running, self._tidying, self._preflights)
 
     async def document(self, job_id: str, name: str) -> JobDocument:
         """A document that the job has made. Raises JobUnknown, DocumentUnknown."""
-        return await self._book.document(job_id, name)
+        return await self.book.document(job_id, name)
 
     def subscribe(self, job_id: str | None = None, after: int = 0) -> AsyncIterator[EventRow]:
         """Events after `after` (a sequence of that job, or an id over all jobs), for ever."""
-        return self._book.subscribe(job_id, after)
+        return self.book.subscribe(job_id, after)
 
     # --- capturing
 
     async def preflight(self, vehicle_id: str, *, heading: float | None = None) -> Preflight:
-        """Check a vehicle within ten seconds; nothing is written. `heading`: the true one of its nose, deg.
+        """Check a vehicle within ten seconds (30 on a slow link); nothing is written.
+
+        `heading`: the true one of its nose, deg.
 
         Raises
         ------
@@ -332,7 +322,7 @@ class JobEngine:
 
     async def cancel(self, job_id: str) -> Job:
         """Cancel a job that has written nothing; what it recorded is kept. Raises NotCancellable."""
-        handle = self._book.handle(job_id)
+        handle = self.book.handle(job_id)
         state = handle.job.state
         if state not in CANCELLABLE:
             raise NotCancellable(f"job {job_id} is {state}: it cannot be cancelled now")
@@ -342,7 +332,7 @@ class JobEngine:
 
     async def answer(self, job_id: str, value: str) -> Job:
         """Answer the job's prompt. Raises AnswerRefused if it does not accept that."""
-        handle = self._book.handle(job_id)
+        handle = self.book.handle(job_id)
         prompt = handle.job.prompt
         if prompt is None or not prompt.accepts(value):
             choice = f"it accepts {prompt.choice}" if prompt and prompt.choice else "it asks for no answer now"
@@ -352,7 +342,7 @@ class JobEngine:
 
     async def refit(self, job_id: str) -> Job:
         """Fit what an interrupted job has recorded. Raises IllegalTransition."""
-        handle = self._book.handle(job_id)
+        handle = self.book.handle(job_id)
         if handle.job.state != JobState.INTERRUPTED:
             raise IllegalTransition(f"job {job_id} is {handle.job.state}: only an interrupted job is fitted again")
         handle.move(JobState.FITTING, outcome=None)
@@ -367,7 +357,7 @@ class JobEngine:
         `options` are those of :data:`calib.firmware.options.PLAN_OPTIONS`; None: as before.
         Raises IllegalTransition, InvalidInputError, FirmwareError, VehicleError.
         """
-        handle = self._book.handle(job_id)
+        handle = self.book.handle(job_id)
         job = handle.job
         if job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {job.state}: only a job in review can be planned again")
@@ -406,7 +396,7 @@ class JobEngine:
         Forbidden
             If this service never writes.
         """
-        handle = self._book.handle(job_id)
+        handle = self.book.handle(job_id)
         digest = request_digest(job_id, accept)
         if await self._acceptance.known(idempotency_key, digest, lambda: handle.job):
             return handle.job
@@ -442,7 +432,7 @@ class JobEngine:
 
         Raises NotRevertible if the job is not ``succeeded``; PhysicalJobRunning, VehicleError, Forbidden.
         """
-        handle = self._book.handle(job_id)
+        handle = self.book.handle(job_id)
         if handle.job.state != JobState.SUCCEEDED:
             raise NotRevertible(f"job {job_id} is {handle.job.state}: only a write that succeeded can be taken back")
         self._require_writing()
@@ -466,23 +456,14 @@ class JobEngine:
         return Job(new_id, vehicle.id, kind, dict(options), JobState.FITTING, now, now, context=dict(context))
 
     async def _begun(self, job: Job, work: Callable[[JobHandle], Work]) -> Job:
-        handle = await self._book.new(job)
+        handle = await self.book.new(job)
         self._tasks.spawn(handle, work(handle))
         return handle.job
 
     def _require_free(self, vehicle_id: str, *, besides: str = "") -> None:
         """Raise PhysicalJobRunning or PreflightRunning if something else claims this vehicle."""
-        require_free(vehicle_id, map(self._named_now, self.list()), besides=besides)
+        require_free(vehicle_id, named_now(self.list(), self._vehicles), besides=besides)
         self._preflights.require_idle(vehicle_id)
-
-    def _named_now(self, job: Job) -> Job:
-        """A job that claims its vehicle, with the name that this has by now: another link may have named it before."""
-        if job.vehicle_id is None or job.state not in PHYSICAL:
-            return job
-        try:
-            return dataclasses.replace(job, vehicle_id=self._vehicles.vehicle(job.vehicle_id).id)
-        except VehicleUnknown:
-            return job
 
     def _require_writing(self) -> None:
         if self._read_only:
@@ -505,7 +486,7 @@ class JobEngine:
 
     def _ended(self, handle: JobHandle) -> None:
         """A job's task is over; one that was given up is another's to tidy."""
-        if not self._book.holds(handle):
+        if not self.book.holds(handle):
             return
         self._ownership.ended(handle.job)
         self._record.job_ended(handle.job)

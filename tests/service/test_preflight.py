@@ -60,7 +60,7 @@ async def remember(life: Session) -> None:
               outcome=Result("in force"), context={"identity": to_json(identity)})  # fmt: skip
     await life.store.do(lambda: life.store.save_job(row_from_job(job)))
     await life.store.do(lambda: life.store.add_snapshot(job.id, now, SnapshotPurpose.COMPOSED_ON, digest, parameters))
-    life.engine._book.load()
+    life.engine.book.load()
 
 
 async def act(life: Session, sim: SimulatedVehicle, verb: dict[str, Any]) -> None:

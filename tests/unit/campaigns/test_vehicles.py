@@ -71,7 +71,7 @@ class Applies:
         if self.error is not None:
             raise self.error
         self.accepts.append((job_id, accept))
-        handle = self.engine._book.handle(job_id)
+        handle = self.engine.book.handle(job_id)
         handle.move(JobState.APPLYING)
         if self.to == JobState.SUCCEEDED:
             handle.move(JobState.VERIFYING)
@@ -94,7 +94,7 @@ class Life:
 
     async def ended(self, job: Job) -> list[Item]:
         await until(lambda: self.engine.get(job.id).state != JobState.RUNNING)
-        await self.engine._book.handle(job.id).kept()
+        await self.engine.book.handle(job.id).kept()
         return self.items(job)
 
     def items(self, job: Job) -> list[Item]:

@@ -90,7 +90,7 @@ async def begin(engine: JobEngine, subjects: Sequence[str], task: CampaignTask =
 
 async def ended(engine: JobEngine, job: Job) -> Job:
     await until(lambda: engine.get(job.id).state != JobState.RUNNING)
-    await engine._book.handle(job.id).kept()
+    await engine.book.handle(job.id).kept()
     return engine.get(job.id)
 
 

@@ -74,7 +74,7 @@ async def test_a_fit_of_an_upload_is_a_job_with_results_and_without_a_vehicle(ve
         assert isinstance(ended.outcome, Result)
         assert ended.outcome.text == "gyro-rest fitted 1 of 2 sensors."
         assert ended.outcome.proof is ProofLevel.NONE
-        await engine._book.handle(job.id).kept()
+        await engine.book.handle(job.id).kept()
         row = engine._store.job(job.id)
         assert row is not None
         again = job_from_row(row)

@@ -306,7 +306,7 @@ async def test_an_accept_that_cannot_be_is_refused_before_the_vehicle_is_asked(v
 
 async def test_an_answer_that_the_prompt_takes_reaches_the_job_and_another_does_not(vehicle: FakeVehicle) -> None:
     async with running(vehicle, reviewed(vehicle)) as engine:
-        handle = engine._book.handle("j1")
+        handle = engine.book.handle("j1")
         with pytest.raises(AnswerRefused, match="it asks for no answer now"):
             await engine.answer("j1", "finish")
         handle.prompt(Prompt(PromptStep.PROVE, "Hold it.", answers=("finish",)))

@@ -90,7 +90,7 @@ async def test_only_one_of_two_jobs_begins_while_the_vehicle_is_asked_who_it_is(
 
 async def test_a_job_keeps_what_was_asked_for(vehicle: FakeVehicle) -> None:
     async with started(kept(vehicle), vehicle) as engine:
-        engine._wall = engine._book._wall = lambda: 55.0
+        engine._wall = engine.book._wall = lambda: 55.0
         engine._runner.calibrate = Idle()  # type: ignore[method-assign]
         job = await engine.submit(vehicle.id, "gyro", {"uncertainty": 0.01}, {"only": ["gyro0"]})
         assert (job.vehicle_id, job.kind, job.state) == (vehicle.id, "gyro", JobState.QUEUED)
@@ -120,7 +120,7 @@ async def test_a_cancelled_job_asks_for_nothing_and_has_no_task(vehicle: FakeVeh
 
     async with started(kept(vehicle, bare(JobState.QUEUED)), vehicle, prepare) as engine:
         await until(lambda: idle.begun == ["j1"])
-        engine._book.handle("j1").prompt(Prompt(PromptStep.TURN, "Turn it."))
+        engine.book.handle("j1").prompt(Prompt(PromptStep.TURN, "Turn it."))
         job = await engine.cancel("j1")
         assert (job.state, job.prompt) == (JobState.CANCELLED, None)
         assert job.outcome == Failure("cancelled", "The operator cancelled it.", "")
@@ -130,7 +130,7 @@ async def test_a_cancelled_job_asks_for_nothing_and_has_no_task(vehicle: FakeVeh
 @pytest.mark.parametrize("state", sorted(set(JobState) - {JobState.INTERRUPTED} - WRITING))
 async def test_only_an_interrupted_job_is_fitted_again(vehicle: FakeVehicle, state: JobState) -> None:
     async with started(kept(vehicle), vehicle) as engine:
-        engine._book._hold(bare(state))
+        engine.book._hold(bare(state))
         with pytest.raises(IllegalTransition, match="only an interrupted job"):
             await engine.refit("j1")
         assert engine._tasks.running == {}
@@ -157,14 +157,14 @@ async def test_every_request_is_answered_with_the_job_as_it_is_then(vehicle: Fak
         engine._runner.calibrate = engine._runner.fit = Idle()  # type: ignore[method-assign]
 
     async with started(kept(vehicle, *jobs), vehicle, prepare) as engine:
-        engine._book.handle("asked").prompt(Prompt(PromptStep.TURN, "Turn it.", answers=("finish",)))
+        engine.book.handle("asked").prompt(Prompt(PromptStep.TURN, "Turn it.", answers=("finish",)))
         for told, job_id in (
             (await engine.answer("asked", "finish"), "asked"),
             (await engine.cancel("stopped"), "stopped"),
             (await engine.refit("fitted"), "fitted"),
         ):
             assert told is engine.get(job_id)
-        assert engine._book.handle("asked").answers.get_nowait() == "finish"
+        assert engine.book.handle("asked").answers.get_nowait() == "finish"
 
 
 # --- writing
@@ -202,7 +202,7 @@ async def test_a_write_neither_begins_nor_is_taken_back_where_it_may_not(vehicle
     error: type[Exception] = PhysicalJobRunning if others else VehicleArmed
     async with running(vehicle, job, done) as engine:
         for other in others:
-            engine._book._hold(other)
+            engine.book._hold(other)
         if trouble == "armed":
             vehicle.change_state(armed=True)
         with pytest.raises(error):
@@ -237,12 +237,12 @@ async def test_another_job_that_begins_meanwhile_has_the_vehicle(
 
         async def checked(*_: Any) -> None:
             if moment == "checked":
-                engine._book._hold(bare(JobState.RUNNING, id="j3"))
+                engine.book._hold(bare(JobState.RUNNING, id="j3"))
 
         async def audited(*told: Any) -> None:
             await audit(*told)
             if moment == "audited":
-                engine._book._hold(bare(JobState.RUNNING, id="j3"))
+                engine.book._hold(bare(JobState.RUNNING, id="j3"))
 
         monkeypatch.setattr(engine_module, "check_plan", checked)
         engine._acceptance.note = audited  # type: ignore[method-assign]
@@ -346,7 +346,7 @@ async def test_a_recording_is_not_adopted_where_a_job_could_not_begin(vehicle: F
         vehicle.change_state(armed=True)
         with pytest.raises(VehicleArmed):
             await engine.adopt(vehicle.id, "a", "gyro-rest", {})
-        engine._book._hold(bare(JobState.RUNNING))
+        engine.book._hold(bare(JobState.RUNNING))
         with pytest.raises(PhysicalJobRunning):
             await engine.adopt(vehicle.id, "a", "gyro-rest", {})
 
@@ -381,7 +381,7 @@ async def test_a_plan_made_again_replaces_the_old_one_and_is_kept(vehicle: FakeV
         assert engine._store.plan("j1", again.plan.sha256) is not None
         same = await engine.plan_again("j1")
         assert same.context["plan_options"] == {"keep_gyro_at_boot": True}
-        await engine._book.handle("j1").kept()
+        await engine.book.handle("j1").kept()
         told = [e.data for e in engine._store.events("j1") if e.kind == "plan"]
         assert told[0] == {"sha256": again.plan.sha256}
 

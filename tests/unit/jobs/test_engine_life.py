@@ -242,7 +242,7 @@ async def test_progress_of_a_job_that_is_over_is_dropped_but_for_the_last(vehicl
 
     async with started(store, vehicle, prepare) as engine:
         await until(lambda: not engine._tasks.running)
-        await engine._book.handle("j1").kept()
+        await engine.book.handle("j1").kept()
         left = [event.data for event in store.events("j1") if event.kind == "progress"]
         assert left == [{"current": 4}]
 
@@ -290,7 +290,7 @@ async def test_who_takes_a_write_back_is_in_the_audit(vehicle: FakeVehicle) -> N
     store = kept(vehicle, done)
     sent_one(store, vehicle, done)
     async with started(store, vehicle) as engine:
-        engine._book.handle("j1").job = replace(engine.get("j1"), prompt=None)
+        engine.book.handle("j1").job = replace(engine.get("j1"), prompt=None)
         await engine.revert("j1", "a person")
         (said,) = store.audit()
         assert (said.actor, said.action, said.subject, said.detail) == ("a person", "revert", "j1", {})

@@ -173,7 +173,7 @@ async def test_a_service_that_ends_saves_what_its_store_refused_as_soon_as_it_is
     store = Refusing(None)
     store.save_job(row_from_job(Job("j1", "v", "gyro", {}, JobState.QUEUED, 0.0, 0.0)))
     engine = JobEngine(store, FakeRegistry({}))
-    (handle,) = engine._book.load()
+    (handle,) = engine.book.load()
     store.refuses = True
     await handle.record_anyway(JournalStep.CLOSED)
     handle.move(JobState.FAILED)
