@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from bench.firmware.arducopter import ArduCopter, drifting
 from bench.firmware.px4 import Px4
-from bench.firmware.rounds import Fault, Round, running
+from bench.firmware.rounds import Broken, Fault, Round, running
 from bench.firmware.scoring import Row
 from bench.firmware.truth import drawn
 from mavcal.service.jobs.crashpoints import At
@@ -18,7 +19,13 @@ TESTED = ("gyro", "accel", "level", "mag")
 
 KILLS = ((At.BEFORE_SEND, 1), (At.AFTER_ECHO, 2), (At.READ_BACK, 1))
 
-PX4_FAULTS = (Fault("accelerometer 1 is 1 m/s2 off", {"CAL_ACC0_XOFF": 1.4}, "accel", "accelerometer"),)
+PX4_FAULTS = (
+    Fault("accelerometer 1 is 1 m/s2 off", {"CAL_ACC0_XOFF": 1.4}, "accel", "accelerometer"),
+    Fault("compass 1 is 0.5 G off", {"CAL_MAG0_XOFF": 0.5}, "compass", "compass 1"),
+    Fault("compass 1 dead", sensor=Broken("mag", 0, "dead"), fails="", blames="compass"),
+    Fault("gyroscope 1 frozen", sensor=Broken("gyro", 0, "frozen"), fails="", blames="gyroscope 1"),
+    Fault("accelerometer 1 dead", sensor=Broken("accel", 0, "dead"), fails="", blames="accelerometer"),
+)
 
 ARDUPILOT_FAULTS = (
     Fault("compass 2 dead", {"SIM_MAG2_FAIL": 1}, "mag", "compass 2"),
@@ -32,29 +39,10 @@ ARDUPILOT_FAULTS = (
 def arducopter(binary: Path, folder: Path, seed: int, instance: int, only: Sequence[str], report: Report) -> None:
     """Every round of ArduCopter with these errors."""
     for number, noise in enumerate(NOISES_MGAUSS):
-        kinds = [kind for kind in TESTED if kind in only]
-        if kinds or "preflight" in only or "kills" in only:
-            truth = drawn(10 * seed + number, 2, 3)
-            home = _fresh(folder / f"noise-{noise:g}")
-            rig = ArduCopter(binary, home, truth, instance, noise_mgauss=noise)
-            with running(rig):
-                fresh = Round(f"factory, {noise:g} mG", rig, home / "data", report)
-                fresh.folder.mkdir()
-                fresh.calibrations(kinds)
-                fresh.stays([n for n in truth.parameters("ardupilot") if "GYR" not in n])
-                if kinds:
-                    again = Round(f"on an older one, {noise:g} mG", rig, fresh.folder, report)
-                    again.aged()
-                    again.taken_back(kinds[-1])
-                    again.calibrations(kinds)
-                if "kills" in only:
-                    for point, occurrence in KILLS:
-                        fresh.recovered(point, occurrence)
-                if "preflight" in only and len(kinds) == len(TESTED):
-                    rig.restart()
-                    fresh.preflight(None)
-                    for fault in ARDUPILOT_FAULTS:
-                        fresh.preflight(fault)
+        truth = drawn(10 * seed + number, 2, 3)
+        home = _fresh(folder / f"noise-{noise:g}")
+        with running(ArduCopter(binary, home, truth, instance, noise_mgauss=noise)) as rig:
+            _on_one_vehicle(Round(f"factory, {noise:g} mG", rig, home / "data", report), only, ARDUPILOT_FAULTS)
     if "thermal" in only:
         truth = drawn(10 * seed + 5, 2, 1)
         home = _fresh(folder / "thermal")
@@ -69,29 +57,35 @@ def px4(build: Path, folder: Path, seed: int, instance: int, only: Sequence[str]
     """Every round of PX4 with these errors."""
     truth = drawn(100 + seed, 1, 1)
     home = _fresh(folder)
-    with running(Px4(build, home, truth, instance)) as rig:
-        fresh = Round("factory", rig, home / "data", report)
-        fresh.folder.mkdir()
-        kinds = [kind for kind in TESTED if kind in only]
+    rig = Px4(build, home, truth, instance)
+    with running(rig):
         rig.quick_calibrated()
-        fresh.calibrations(kinds)
-        fresh.stays([n for n in truth.parameters("px4") if "GYRO" not in n])
-        if kinds:
-            again = Round("on an older one", rig, fresh.folder, report)
-            again.aged()
-            again.taken_back(kinds[-1])
-            again.calibrations(kinds)
-        if "kills" in only:
-            for point, occurrence in KILLS:
-                fresh.recovered(point, occurrence)
-        if "preflight" in only and len(kinds) == len(TESTED):
-            rig.restart()
-            fresh.preflight(None)
-            for fault in PX4_FAULTS:
-                fresh.preflight(fault)
+        fresh = Round("factory", rig, home / "data", report)
+        _on_one_vehicle(fresh, only, PX4_FAULTS)
         if "thermal" in only:
             rig.drift()
             fresh.calibrations(["thermal"])
+
+
+def _on_one_vehicle(fresh: Round, only: Sequence[str], faults: Sequence[Fault]) -> None:
+    """Every calibration from the factory's values and on an older one, undo, kills and preflights."""
+    fresh.folder.mkdir()
+    rig, kinds = fresh.rig, [kind for kind in TESTED if kind in only]
+    fresh.calibrations(kinds)
+    if kinds:
+        fresh.stays([name for name in rig.truth.parameters(rig.autopilot) if "GYR" not in name])
+        again = replace(fresh, name=fresh.name.replace("factory", "on an older one"))
+        again.aged()
+        again.taken_back(kinds[-1])
+        again.calibrations(kinds)
+    if "kills" in only:
+        for point, occurrence in KILLS:
+            fresh.recovered(point, occurrence)
+    if "preflight" in only and len(kinds) == len(TESTED):
+        rig.restart()
+        fresh.preflight(None)
+        for fault in faults:
+            fresh.preflight(fault)
 
 
 def _fresh(folder: Path) -> Path:

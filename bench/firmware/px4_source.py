@@ -65,6 +65,7 @@ class Board:
         self._ramp: tuple[float, float] | None = None
         self._movement: Movement | None = None
         self._tumble_dps = 0.0
+        self._last: dict[tuple[str, int], Array] = {}
 
     def request(self, asked: dict[str, Any]) -> dict[str, Any]:
         """Do one request; the state."""
@@ -111,8 +112,8 @@ class Board:
         own = self._truth[sensor][instance]
         if own.get("dead"):
             return None
-        if "stuck" in own:
-            return np.array(own["stuck"])
+        if own.get("frozen") and (sensor, instance) in self._last:
+            return self._last[sensor, instance]
         true = {
             "accel": to_body(self.q, np.array([0.0, 0.0, -GRAVITY])),
             "gyro": self.rate,
@@ -121,7 +122,9 @@ class Board:
         warm = self.celsius - self._truth["middle_celsius"]
         drift = sum((np.array(c) * warm ** (k + 1) for k, c in enumerate(own.get("drift", []))), np.zeros(3))
         noise = self._rng.normal(0.0, own["noise"], 3)
-        return np.asarray(np.array(own["matrix"]) @ true + np.array(own["offset"]) + drift + noise)
+        reading = np.asarray(np.array(own["matrix"]) @ true + np.array(own["offset"]) + drift + noise)
+        self._last[sensor, instance] = reading
+        return reading
 
 
 class Source:

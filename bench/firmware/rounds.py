@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from types import MappingProxyType
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -34,10 +35,12 @@ HABITS: Final[Mapping[str, tuple[str, int]]] = {"ardupilot": ("INS_GYR_CAL", 0),
 class Rig(Protocol):
     """A firmware whose sensors, attitude and temperature are ours."""
 
-    autopilot: str
-    url: str
-    truth: VehicleTruth
-
+    @property
+    def autopilot(self) -> str: ...
+    @property
+    def url(self) -> str: ...
+    @property
+    def truth(self) -> VehicleTruth: ...
     def start(self) -> None: ...
     def stop(self) -> None: ...
     def restart(self) -> None: ...
@@ -47,15 +50,29 @@ class Rig(Protocol):
 
 
 @dataclass(frozen=True)
+class Broken:
+    """A sensor of PX4's bench source that says nothing any more, or always the same."""
+
+    sensor: str
+    instance: int
+    how: Literal["dead", "frozen"]
+
+    def change(self, *, broken: bool) -> dict[str, Any]:
+        """What the source is asked for."""
+        return {"sensor": self.sensor, "instance": self.instance, "change": {self.how: broken}}
+
+
+@dataclass(frozen=True)
 class Fault:
     """One thing that is made wrong before a preflight, and what should be said of it."""
 
     name: str
-    change: Mapping[str, float]
-    fails: str
-    """Part of the id of a check that has to fail; empty: none may."""
+    change: Mapping[str, float] = MappingProxyType({})
+    fails: str = ""
+    """Part of the id of a check that has to fail; empty: any."""
     blames: str = ""
     """What the reasons have to name."""
+    sensor: Broken | None = None
 
 
 @dataclass
@@ -156,6 +173,9 @@ class Round:
     def preflight(self, fault: Fault | None, *, well_s: float = SETTLED_S) -> None:
         """A preflight of the vehicle as it is, or with one fault."""
         began = time.monotonic()
+        broken = fault.sensor if fault else None
+        if broken is not None:
+            self.rig.call("set", **broken.change(broken=True))
         old = {name: self.rig.read(name) for name in (fault.change if fault else {})}
         for name, value in (fault.change if fault else {}).items():
             self.rig.set(name, value)
@@ -164,6 +184,8 @@ class Round:
         for name, value in old.items():
             if value is not None:
                 self.rig.set(name, value)
+        if broken is not None:
+            self.rig.call("set", **broken.change(broken=False))
         time.sleep(well_s)
         checks = document.get("checks", [])
         failed = [c for c in checks if c["verdict"] != "pass"]
