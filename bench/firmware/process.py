@@ -18,6 +18,8 @@ from mavcal.service.lifetime import ending_with_us
 COMPONENT = 1
 ACK_S = 2.0
 POLL_S = 0.02
+SILENT_S = 30.0
+"""A connection without a single message for so long is broken."""
 
 
 class FirmwareError(Exception):
@@ -78,6 +80,7 @@ class SecondConnection:
         self._lock = threading.Lock()
         self._link: Any = None
         self._latest: dict[str, Any] = {}
+        self._count = 0
         self._heard: list[Callable[[Any], None]] = []
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
@@ -86,7 +89,9 @@ class SecondConnection:
         """Connect, and wait for a heartbeat. Raises FirmwareError."""
         if self._address.startswith("tcp:"):
             self.wait(self._listens, wait_s, f"nothing listens on {self._address}")
-        self._link = mavutil.mavlink_connection(self._address, source_system=250, dialect="ardupilotmega")
+        self._link = mavutil.mavlink_connection(
+            self._address, source_system=250, dialect="ardupilotmega", autoreconnect=True
+        )
         self._ending.clear()
         self._thread = threading.Thread(target=self._read, name="second-connection", daemon=True)
         self._thread.start()
@@ -116,12 +121,21 @@ class SecondConnection:
         self.command(511, message, 1e6 / rate_hz)
 
     def read_parameter(self, name: str, wait_s: float = 3.0) -> float | int | None:
-        """The value that the vehicle holds; None: it does not answer."""
+        """The value that the vehicle holds; None: it has no such parameter.
+
+        Raises
+        ------
+        FirmwareError
+            If nothing at all is heard on this connection.
+        """
         found: list[Any] = []
+        before = self._count
         self._heard.append(lambda m: found.append(m) if m.get_type() == "PARAM_VALUE" and m.param_id == name else None)
         try:
             until = time.monotonic() + wait_s
-            while not found and time.monotonic() < until:
+            while not found and (time.monotonic() < until or self._count == before):
+                if time.monotonic() > until + SILENT_S:
+                    raise FirmwareError(f"nothing was heard on {self._address} for {wait_s + SILENT_S:g} s")
                 with self._lock:
                     self._link.mav.param_request_read_send(self._system, COMPONENT, name.encode(), -1)
                 self._pause(lambda: bool(found), 0.5)
@@ -163,6 +177,7 @@ class SecondConnection:
             except OSError:
                 return
             if message is not None:
+                self._count += 1
                 self._latest[message.get_type()] = message
                 for heard in tuple(self._heard):
                     heard(message)
