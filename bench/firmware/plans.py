@@ -41,8 +41,10 @@ def arducopter(binary: Path, folder: Path, seed: int, instance: int, only: Seque
     for number, noise in enumerate(NOISES_MGAUSS):
         truth = drawn(10 * seed + number, 2, 3)
         home = _fresh(folder / f"noise-{noise:g}")
+        # A compass without noise reads one value at rest, dead or alive: no preflight can pass it.
+        asked = [kind for kind in only if noise or kind != "preflight"]
         with running(ArduCopter(binary, home, truth, instance, noise_mgauss=noise)) as rig:
-            _on_one_vehicle(Round(f"factory, {noise:g} mG", rig, home / "data", report), only, ARDUPILOT_FAULTS)
+            _on_one_vehicle(Round(f"factory, {noise:g} mG", rig, home / "data", report), asked, ARDUPILOT_FAULTS)
     if "thermal" in only:
         truth = drawn(10 * seed + 5, 2, 1)
         home = _fresh(folder / "thermal")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
@@ -28,6 +29,7 @@ KINDS: Final = ("gyro", "accel", "level", "mag", "thermal", "kills", "preflight"
 SETTLED_S: Final = 4.0
 COLD_C, WARM_C, TAU_S, SPAN_C = 12.0, 62.0, 55.0, 40.0
 TUMBLE_DPS = 55.0
+KILL_S: Final = 300.0
 HABITS: Final[Mapping[str, tuple[str, int]]] = {"ardupilot": ("INS_GYR_CAL", 0), "px4": ("IMU_GYRO_CAL_EN", 0)}
 """What the firmware does with its gyroscopes by itself, switched off."""
 
@@ -67,7 +69,7 @@ class Fault:
     """One thing that is made wrong before a preflight, and what should be said of it."""
 
     name: str
-    change: Mapping[str, float] = MappingProxyType({})
+    change: Mapping[str, float] = field(default_factory=dict)
     fails: str = ""
     """Part of the id of a check that has to fail; empty: any."""
     blames: str = ""
@@ -144,21 +146,15 @@ class Round:
         before = {name: self.rig.read(name) for name in names}
         arguments = ["calibrate", "gyro", "--apply", "--connect", self.rig.url, "--data-dir", str(self.folder)]
         killer = [sys.executable, "-m", "bench.campaign.cli_process", str(point), str(occurrence)]
-        subprocess.run(
-            [*killer, *arguments],
-            capture_output=True,
-            stdin=subprocess.DEVNULL,
-            timeout=300.0,
-            env=ending_with_us(),
-            check=False,
-        )
+        died = _killed([*killer, *arguments])
         code, document, said = command("recover", "--connect", self.rig.url, "--data-dir", str(self.folder))
-        states = [str(job.get("state")) for job in document.get("jobs", [])]
+        states = [str(job.get("state")) for job in document.get("recovered", [])]
         after = {name: self.rig.read(name) for name in names}
         unchanged, changed = after == before, all(after[n] != before[n] for n in names)
         untrue = () if unchanged or changed else (f"a mixture of old and new: {after}",)
         if "reverted" in states and not unchanged:
             untrue += (f"reverted, but {after} is not {before}",)
+        untrue += died
         self.report(
             self._row(
                 f"kill at {point} {occurrence}",
@@ -228,6 +224,26 @@ def running(rig: Rig) -> Iterator[Rig]:
         yield rig
     finally:
         rig.stop()
+
+
+def _killed(command: Sequence[str]) -> tuple[str, ...]:
+    """Run what kills itself; what it did instead, if it did not."""
+    with tempfile.TemporaryFile() as heard:
+        try:
+            code = subprocess.run(
+                command,
+                stdout=heard,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                timeout=KILL_S,
+                env=ending_with_us(),
+                check=False,
+            ).returncode
+        except subprocess.TimeoutExpired:
+            heard.seek(0)
+            last = heard.read().decode(errors="replace").splitlines()[-3:]
+            return (f"it was not killed within {KILL_S:g} s: {' / '.join(last)}",)
+    return () if code == -signal.SIGKILL else (f"it ended with {code} before it was killed",)
 
 
 def _aging(name: str) -> float:
