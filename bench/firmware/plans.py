@@ -28,11 +28,11 @@ PX4_FAULTS = (
 )
 
 ARDUPILOT_FAULTS = (
-    Fault("compass 2 dead", {"SIM_MAG2_FAIL": 1}, "mag", "compass 2"),
-    Fault("compass 3 dead", {"SIM_MAG3_FAIL": 1}, "mag", "compass 3"),
-    Fault("gyroscope 2 frozen", {"SIM_GYR_FAIL_MSK": 2}, "gyro", "gyroscope 2"),
+    Fault("compass 2 dead", {"SIM_MAG2_FAIL": 1}, "sensors_heard", "compass 2"),
+    Fault("compass 3 dead", {"SIM_MAG3_FAIL": 1}, "sensors_heard", "compass 3"),
+    Fault("gyroscope 2 frozen", {"SIM_GYR_FAIL_MSK": 2}, "sensors_heard", "gyroscope 2"),
     Fault("accelerometer 2 is 1 m/s2 off", {"INS_ACC2OFFS_X": 1.4}, "accel", "accelerometer 2"),
-    Fault("declination of 34 deg", {"COMPASS_DEC": 0.6, "COMPASS_AUTODEC": 0}, "", ""),
+    Fault("declination of 34 deg", {"COMPASS_DEC": 0.6, "COMPASS_AUTODEC": 0}, "compass", "declination"),
 )
 
 
