@@ -120,16 +120,21 @@ async def _restarted(autopilot: str, sim: SimulatedVehicle, written: Mapping[str
     """Whether the vehicle still holds what was written, after its power was off."""
     began = time.monotonic()
     await asyncio.to_thread(sim.wait, SAVED_S)
-    before = (await sim.acall("state"))["time"]
-    await sim.acall("reboot")
-    while not BOOT_S < (await sim.acall("state"))["time"] < before:  # it counts from 0 again, a moment later
-        await asyncio.sleep(0.1)
+    await asyncio.to_thread(_reboot, sim)
     stored = (await sim.acall("parameters"))["stored"]
     lost = [n for n, new in written.items() if not n.startswith(OWN_OFFSETS) and stored.get(n) != new]
     state = JobState.FAILED if lost else JobState.SUCCEEDED
     kept = len(written) - len(lost)
     reason = f"lost: {', '.join(lost)}" if lost else f"all {kept} values are still there"
     return Row(autopilot, "restart", state, len(written), kept, 0, 0, time.monotonic() - began, reason)
+
+
+def _reboot(sim: SimulatedVehicle) -> None:
+    """Restart it and wait for its first seconds: its clock counts from 0 again, a moment after the command."""
+    before = sim.state()["time"]
+    sim.call("reboot")
+    while not BOOT_S < sim.state()["time"] < before:
+        time.sleep(0.1)
 
 
 async def _decisions(kind: str, sim: SimulatedVehicle) -> Json:

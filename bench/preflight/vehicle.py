@@ -28,7 +28,7 @@ from mavcal.calib.recording import Channel, Identity, Recording, Rounding, Senso
 
 Array = NDArray[np.float64]
 
-SECONDS = 6.0
+SECONDS, STILL_SECONDS = 6.0, 13.0
 NOW = 1798000000.0  # December 2026
 YEAR = 2026.95
 DAY_S = 86400.0
@@ -80,6 +80,7 @@ class BenchVehicle:
     believed: tuple[float, float, float] | None = None
     """Where it believes to be; None: where it is."""
     _channels: list[Channel] = dataclasses.field(default_factory=list)
+    _seconds: float = SECONDS
 
     @property
     def imus(self) -> int:
@@ -87,7 +88,17 @@ class BenchVehicle:
         return len(self.accel_errors)
 
     def snapshot(self) -> Snapshot:
-        """Six seconds of it."""
+        """Six seconds of it; as long as the service watches a compass that does not change by a step."""
+        short = self._snapshot(SECONDS)
+        mags = [c.values for c in short.recording.channels if c.sensor == Sensor.MAG]
+        still = [bool((values == values[0]).all()) for values in mags]
+        if not any(still) or (len(still) > 1 and all(still)):
+            return short
+        self._channels.clear()
+        return self._snapshot(STILL_SECONDS)
+
+    def _snapshot(self, seconds: float) -> Snapshot:
+        self._seconds = seconds
         down = self.body_from_ned @ np.array([0.0, 0.0, 1.0])
         earth = self.body_from_ned @ self.field.north_east_down
         for i in range(self.imus):
@@ -116,7 +127,7 @@ class BenchVehicle:
             )
         self._add(Sensor.ATTITUDE, 0, self._attitude, 1e-4, 10.0, 0.0)
         self._add(Sensor.POSITION, 0, lambda _t: np.array(self.believed or self.place), 0.0, 1.0, 0.0)
-        count = int(SECONDS * 50.0)
+        count = int(seconds * 50.0)
         messages = {i: 0 if i in self.lost else count for i in range(max(self.imus, len(self.mag_errors)))}
         ready = not self.texts
         return Snapshot(
@@ -158,7 +169,7 @@ class BenchVehicle:
     def _add(
         self, sensor: Sensor, i: int, truth: Callable[[float], Array], noise: float, rate: float, quantum: float
     ) -> None:
-        t = np.arange(0.0, SECONDS, 1.0 / rate)
+        t = np.arange(0.0, self._seconds, 1.0 / rate)
         moves = self.turned_deg and sensor not in (Sensor.TEMPERATURE, Sensor.POSITION)
         true = np.array([truth(x) for x in t.tolist()]) if moves else np.tile(truth(0.0), (len(t), 1))
         values = true + self.rng.normal(0.0, noise, true.shape)
@@ -198,7 +209,7 @@ def healthy(seed: int, *, redundant: bool = False) -> BenchVehicle:
     noises = {
         Sensor.GYRO: (4e-5 if not redundant else 5e-4, 1.5e-3, imus),
         Sensor.ACCEL: (9e-4 if not redundant else 0.01, 0.03, imus),
-        Sensor.MAG: (0.005 if not redundant else 0.1, 0.4, mags),
+        Sensor.MAG: (0.015 if not redundant else 0.1, 0.4, mags),  # uT; the least is an RM3100's (datasheet)
     }
     return BenchVehicle(
         rng,

@@ -4,7 +4,7 @@ A sensor whose values never change is frozen only where a living one would have 
 1 mG, 1 mrad/s and 1 mgauss, so a quiet sensor at rest may repeat one value for long (FLIGHT_CONTROLLERS 2.1, 9). It is
 called frozen where its numbers are not rounded, or where the vehicle was turned and others followed. So it is
 where a much quieter part than the others would have changed, or where the vehicle says that one is ill. A compass that
-never changes and is none of these is no pass either: the noise of present parts is above 1 mgauss.
+never changes and is none of these is no pass either: the noise of nearly all present parts is above 1 mgauss.
 """
 
 from __future__ import annotations
@@ -190,6 +190,8 @@ def _frozen(snapshot: Snapshot, key: Key, channel: Channel, movement: ObservedMo
     turned = movement.seen_by_others(key)
     if turned:
         return f"it read one value all the time while {turned}"
+    if _left_out_by_px4(snapshot, kind):
+        return "it read one value all the time, and PX4, which drops a sensor that stands still, sends no attitude"
     siblings = [c for _, c in _kin(snapshot.recording, key) if not _repeats(c)]
     noises = [noise for c in siblings if (noise := float(c.values.std(axis=0).min())) < _HEALTHY[kind]]
     if noises and _chance(channel, min(noises) / QUIETER[kind]) < CHANCE:
@@ -197,6 +199,17 @@ def _frozen(snapshot: Snapshot, key: Key, channel: Channel, movement: ObservedMo
     if kind in snapshot.view.ill and siblings:
         return f"it read one value all the time, and the vehicle says that one of its {WORDS[kind][1]} is not healthy"
     return ""
+
+
+def _left_out_by_px4(snapshot: Snapshot, kind: Sensor) -> bool:
+    """Whether PX4 has nothing to estimate from: it gives up a sensor after 100 equal readings (``DataValidator.hpp``).
+
+    HIGHRES_IMU shows the inertial unit that it has chosen, and ATTITUDE needs one. Two messages are not lost by chance.
+    """
+    if snapshot.identity.autopilot != "px4" or kind == Sensor.MAG:
+        return False
+    chosen = [c for c in snapshot.recording.find(kind) if c.stage == Stage.DEBIASED and len(c)]
+    return not chosen and not any(len(c) for c in snapshot.recording.find(Sensor.ATTITUDE))
 
 
 def _chance(channel: Channel, noise: float) -> float:

@@ -73,6 +73,9 @@ class Gathered:
     messages: Mapping[int, int]
     """By instance, of those that come at all."""
     enough: bool
+    still: frozenset[int] = frozenset()
+    """Compasses that read one value all the time while another changes, or that are alone: one that is quieter than a
+    step of its message may show one yet. Where none of several changes no time helps."""
 
     @property
     def text(self) -> str:
@@ -84,12 +87,31 @@ class Gathered:
 
 def gathered(frames: Iterable[Frame], autopilot: str) -> Gathered:
     """Whether these frames of one vehicle are enough to judge every sensor that sends."""
+    frames = list(frames)
     kept = [frame for frame in frames if frame.message_id in BY_INSTANCE[autopilot]]
     found = {i: count for i, count in counted_messages(kept, autopilot).items() if count}
     if not found or min(found.values()) < ENOUGH:
         return Gathered(found, enough=False)
     times = [_stamp(decode(frame)) for frame in (kept[0], kept[-1])]
-    return Gathered(found, enough=times[1] - times[0] >= ENOUGH_S or times[1] < times[0])
+    enough = times[1] - times[0] >= ENOUGH_S or times[1] < times[0]
+    return Gathered(found, enough, _still(frames, autopilot) if enough else frozenset())
+
+
+def _still(frames: Iterable[Frame], autopilot: str) -> frozenset[int]:
+    instances = {HIGHRES_IMU: 0} | {message_id: i for i, message_id in enumerate(BY_INSTANCE[autopilot])}
+    seen: dict[int, set[tuple[int, float, float, float]]] = {}
+    messages: dict[int, set[int]] = {}
+    for frame in frames:
+        if frame.message_id not in instances:
+            continue
+        message = decode(frame)
+        field = (message.xmag, message.ymag, message.zmag)
+        if any(field):
+            instance = instances[frame.message_id]
+            seen.setdefault(instance, set()).add((frame.message_id, *field))
+            messages.setdefault(instance, set()).add(frame.message_id)
+    still = frozenset(i for i, values in seen.items() if len(values) == len(messages[i]))
+    return still if len(still) < len(seen) or len(seen) == 1 else frozenset()
 
 
 def _stamp(message: Any) -> float:

@@ -32,6 +32,10 @@ _ABOUT = {
     Sensor.ACCEL: (CheckId.ACCEL_FORCE,),
     Sensor.MAG: (CheckId.COMPASS_FIELD, CheckId.COMPASS_DIRECTION),
 }
+_MOVED_BY = {sensor: (*checks, CheckId.ATTITUDE) for sensor, checks in _ABOUT.items() if sensor != Sensor.MAG} | {
+    Sensor.MAG: _ABOUT[Sensor.MAG]
+}
+"""What another reading of a sensor changes: the attitude follows gravity and rates."""
 _FOLLOWS = {
     CheckId.COMPASS_FIELD: (CheckId.COMPASS_DIRECTION,),  # what disturbs one compass reaches the others
     CheckId.GYRO_NOISE: (CheckId.GYRO_REST, CheckId.ATTITUDE),
@@ -148,7 +152,7 @@ def _attributed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
     causes: dict[CheckId, CheckId] = {}
     for cause, sensors in _reach(snapshot):
         if cause in failed:
-            causes |= {of: cause for sensor in sensors for of in _ABOUT[sensor]}
+            causes |= {of: cause for sensor in sensors for of in _MOVED_BY[sensor]}
     for cause, follows in _FOLLOWS.items():
         if cause in failed:
             for of in follows:

@@ -15,7 +15,7 @@ from mavcal.calib.preflight.check import CheckId, Report, Verdict
 from mavcal.calib.preflight.installed import announced
 from mavcal.calib.preflight.movement import movement
 from mavcal.calib.preflight.run import preflight
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Recording, Sensor
 
 AP_BOTH = {"INS_ACC_ID": 1, "INS_ACC2_ID": 2, "INS_GYR_ID": 3, "INS_GYR2_ID": 4}
 PX4_BOTH = {"CAL_ACC0_ID": 1, "CAL_ACC1_ID": 2, "CAL_GYRO0_ID": 3, "CAL_GYRO1_ID": 4}
@@ -200,3 +200,14 @@ def test_the_vehicle_that_turned_is_not_judged_at_rest() -> None:
     report = report_of(fault, 2)
     assert report.check(CheckId.GYRO_REST).verdict == Verdict.UNKNOWN
     assert "was moved" in report.check(CheckId.GYRO_REST).reason
+
+
+def test_px4_that_estimates_nothing_tells_that_a_sensor_stands_still() -> None:
+    """It drops a sensor after 100 equal readings, and sends no attitude without one."""
+    vehicle = three(1, gyro=1e-6)
+    assert vehicle.autopilot == "px4"
+    whole = vehicle.snapshot()
+    others = [c for c in whole.recording.channels if c.sensor != Sensor.ATTITUDE]
+    silent = dataclasses.replace(whole, recording=Recording(tuple(others)))
+    assert not preflight(whole).check(CheckId.SENSORS_HEARD).suspects
+    assert "gyroscope 1" in preflight(silent).check(CheckId.SENSORS_HEARD).suspects

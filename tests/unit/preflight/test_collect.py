@@ -83,6 +83,31 @@ def test_samples_are_waited_for_until_every_stream_that_comes_has_enough() -> No
     assert not gathered(frames(*[imu(20 * k) for k in range(60)]), "px4").enough  # a second: too short for a compass
 
 
+def field(instance: int, *fields: int, every_ms: int = 100) -> list[Any]:
+    kind = (dialect.MAVLink_scaled_imu_message, dialect.MAVLink_scaled_imu2_message)[instance]
+    return [kind(every_ms * k, 0, 0, -1000, 0, 0, 0, x, 0, 400, 2500) for k, x in enumerate(fields)]
+
+
+def test_a_compass_that_shows_no_step_is_watched_unless_no_other_shows_one() -> None:
+    still, moving = [300] * 40, [300, 301] * 20
+    assert gathered(frames(*field(0, *still), *field(1, *moving)), "px4").still == {0}
+    assert gathered(frames(*field(0, *still)), "px4").still == {0}
+    assert not gathered(frames(*field(0, *moving), *field(1, *moving)), "px4").still
+    assert not gathered(frames(*field(0, *still), *field(1, *still)), "px4").still  # no time would tell
+
+
+def test_a_finer_message_shows_what_a_rounded_one_hides() -> None:
+    rounded = [dialect.MAVLink_raw_imu_message(100_000 * k, 0, 0, -1000, 0, 0, 0, 300, 0, 400) for k in range(40)]
+    fine = [
+        dialect.MAVLink_highres_imu_message(
+            100_000 * k, 0, 0, -9.8, 0, 0, 0, 0.3 + 1e-5 * k, 0, 0.4, 0, 0, 0, 20, 0x1FF
+        )
+        for k in range(40)
+    ]
+    assert gathered(frames(*rounded), "ardupilot").still == {0}
+    assert not gathered(frames(*rounded, *fine), "ardupilot").still
+
+
 def test_texts_against_arming_are_kept_whole_and_once() -> None:
     text = dialect.MAVLink_statustext_message(2, b"PreArm: 3D Accel calibration needed", 0, 0)
     other = dialect.MAVLink_statustext_message(6, b"ArduCopter V4.6.0", 0, 0)

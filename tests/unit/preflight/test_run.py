@@ -35,6 +35,16 @@ def test_a_fault_fails_the_right_check_alone(fault: Fault, seed: int) -> None:
     assert report.verdict == Verdict.FAIL
 
 
+@pytest.mark.parametrize(("seed", "name"), [(1, "CAL_ACC0_XOFF"), (2, "INS_ACCOFFS_X")])
+def test_an_attitude_that_a_changed_offset_has_bent_is_left_to_that_change(seed: int, name: str) -> None:
+    vehicle = healthy(seed, redundant=True)
+    vehicle.parameters[name] = float(vehicle.verified.parameters[name]) + 1.0
+    vehicle.tilt_error = 0.05
+    report = preflight(vehicle.snapshot())
+    assert [check.id for check in report.checks if check.verdict == Verdict.FAIL] == [CheckId.PARAMETERS_CHANGED]
+    assert "follows from parameters_changed" in report.check(CheckId.ATTITUDE).reason
+
+
 def test_every_value_has_its_uncertainty() -> None:
     for check in report_of(None, 1).checks:
         assert (check.value is None) == (check.sd is None), check.id
