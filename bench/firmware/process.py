@@ -80,7 +80,7 @@ class SecondConnection:
         self._lock = threading.Lock()
         self._link: Any = None
         self._latest: dict[str, Any] = {}
-        self._count = 0
+        self._count, self._heard_at = 0, time.monotonic()
         self._heard: list[Callable[[Any], None]] = []
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
@@ -105,6 +105,11 @@ class SecondConnection:
         if self._link is not None:
             self._link.close()
         self._link, self._latest = None, {}
+
+    @property
+    def silent_s(self) -> float:
+        """How long nothing was heard, s."""
+        return time.monotonic() - self._heard_at
 
     def latest(self, name: str) -> Any:
         """The newest message of that name; None: none yet."""
@@ -178,6 +183,7 @@ class SecondConnection:
                 return
             if message is not None:
                 self._count += 1
+                self._heard_at = time.monotonic()
                 self._latest[message.get_type()] = message
                 for heard in tuple(self._heard):
                     heard(message)

@@ -12,7 +12,9 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -27,6 +29,8 @@ from bench.firmware.truth import GAUSS, VehicleTruth
 HAND_DPS: Final = 90.0
 MIDDLE_C: Final = 25.0
 """At which the sensors are until they drift."""
+RESTARTED_S: Final = 4.0
+"""A link that is silent for so long is not there: its heartbeats come every second."""
 ACCEL_NOISE, GYRO_NOISE, MAG_NOISE_GAUSS = 0.02, 0.002, 0.001
 REAL32, INT32 = 9, 6
 PREFLIGHT_CALIBRATION, FIXED_MAG_CAL_YAW = 241, 42006
@@ -53,7 +57,8 @@ class Px4:
         self.url = f"udpin:127.0.0.1:{mavcal}"
         self.beside = SecondConnection(f"udpin:127.0.0.1:{beside}", system=instance + 1)
         self._rng = np.random.default_rng([40, truth.seed])
-        self._began = False
+        self._over = threading.Event()
+        self._keeper: threading.Thread | None = None
 
     def start(self) -> None:
         """Start the source, the firmware, and both links; connect beside mavcal."""
@@ -61,12 +66,33 @@ class Px4:
             self._source.start()
         self._process.start()
         self.beside.wait(self._answers, 60.0, f"PX4 does not start: {self._process.last_lines()}")
+        self._start_links()
+        self.beside.open()
+        self._over.clear()
+        self._keeper = threading.Thread(target=self._keep_links, name="px4-links", daemon=True)
+        self._keeper.start()
+
+    def _start_links(self) -> None:
         self._shell("temperature_compensation", "start")
         for local, remote in self._links:
             self._shell(
                 "mavlink", "start", "-x", "-u", str(local), "-o", str(remote), "-r", "4000000", "-t", "127.0.0.1"
             )
-        self.beside.open()
+
+    def _keep_links(self) -> None:
+        """Start the links again after a restart that mavcal has asked for: PX4 begins anew in the same process."""
+        while not self._over.wait(1.0):
+            if self.beside.silent_s > RESTARTED_S:
+                with suppress(subprocess.TimeoutExpired):
+                    if self._answers():
+                        self._start_links()
+
+    def _end(self) -> None:
+        self._over.set()
+        if self._keeper is not None:
+            self._keeper.join()
+        self.beside.close()
+        self._process.stop()
 
     def drift(self) -> None:
         """From now on the sensors drift with temperature, about that at which they were until now."""
@@ -92,14 +118,12 @@ class Px4:
 
     def stop(self) -> None:
         """End the firmware and the source."""
-        self.beside.close()
-        self._process.stop()
+        self._end()
         self._source.stop()
 
     def restart(self) -> None:
         """Power off and on; what the firmware has saved stays, and so does the attitude."""
-        self.beside.close()
-        self._process.stop()
+        self._end()
         self.start()
 
     def read(self, name: str) -> float | None:

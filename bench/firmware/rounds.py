@@ -14,12 +14,10 @@ from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from bench.firmware.jobs import Done, calibrated, command, service
 from bench.firmware.scoring import Row, scored
-from bench.firmware.truth import VehicleTruth, thermal_names
-from mavcal.calib.recording import Sensor
+from bench.firmware.truth import VehicleTruth, thermal_truth
 from mavcal.client.jobs import JobModel
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.lifetime import ending_with_us
@@ -195,19 +193,10 @@ class Round:
         self.report(self._row(name, f"exit {code}", began, untrue, right=right, said=told))
 
     def _truth(self, job: JobModel) -> dict[str, float]:
-        """True value by name; a drift is stated about the temperature that the plan refers it to."""
-        truth, autopilot = self.rig.truth, self.rig.autopilot
-        found = truth.parameters(autopilot)
-        factor, middle = (1e6, 35.0) if autopilot == "ardupilot" else (1.0, 25.0)
+        """True value by name; of a thermal job about the temperatures that its plan refers to."""
+        found = self.rig.truth.parameters(self.rig.autopilot)
         planned = {c.name: float(c.new) for c in job.plan.changes} if job.plan is not None else {}
-        for i, unit in enumerate(truth.units):
-            for sensor, drift in ((Sensor.ACCEL, unit.accel_drift), (Sensor.GYRO, unit.gyro_drift)):
-                names = thermal_names(autopilot, sensor, i)
-                reference = planned.get(names[0][0][:5] + "_TREF", middle)
-                for axis in range(3):
-                    curve = Polynomial([0.0, *drift[:, axis]])(Polynomial([reference - middle, 1.0]))
-                    found |= {names[k][axis]: factor * float(curve.coef[k + 1]) for k in range(3)}
-        return found
+        return found if job.kind != "thermal" else found | thermal_truth(self.rig.autopilot, self.rig.truth, planned)
 
     def _row(
         self, step: str, ended: str, began: float, untrue: tuple[str, ...], *, right: bool = True, said: str = ""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from mavcal.calib.firmware.names import (
@@ -99,6 +100,29 @@ def thermal_names(autopilot: str, sensor: Sensor, slot: int) -> tuple[tuple[str,
     """Names of the coefficients of order 1 to 3, by axis."""
     names = px4_thermal_names(sensor, slot) if autopilot == "px4" else ardupilot_imu_names(sensor, slot)
     return tuple(tuple(names[role] for role in order) for order in THERMAL[1:])
+
+
+def thermal_truth(autopilot: str, truth: VehicleTruth, planned: Mapping[str, float]) -> dict[str, float]:
+    """True coefficients about the temperatures of a plan, and the offsets that go with them.
+
+    Where a cubic term is left out, since PX4 does not save one so small, the others carry its share: no truth is known.
+    """
+    factor, middle = (1e6, 35.0) if autopilot == "ardupilot" else (1.0, 25.0)
+    found: dict[str, float] = {}
+    for i, unit in enumerate(truth.units):
+        for sensor, drift in ((Sensor.ACCEL, unit.accel_drift), (Sensor.GYRO, unit.gyro_drift)):
+            names, own = thermal_names(autopilot, sensor, i), names_of(autopilot, sensor, i)
+            offset = unit.accel_offset if sensor == Sensor.ACCEL else unit.gyro_offset
+            reference = planned.get(names[0][0][:5] + "_TREF", middle)
+            at = planned.get(own.get(Role.TEMPERATURE, ""), reference)
+            for axis in range(3):
+                drifted = Polynomial([0.0, *drift[:, axis]])
+                curve = drifted(Polynomial([reference - middle, 1.0]))
+                if names[2][axis] in planned:
+                    found |= {names[k][axis]: factor * float(curve.coef[k + 1]) for k in range(3)}
+                if sensor == Sensor.GYRO or autopilot == "ardupilot":
+                    found[own[OFFSET[axis]]] = float(offset[axis]) + float(drifted(at - middle))
+    return found
 
 
 def _entries(names: Mapping[Role, str], roles: tuple[Role, Role, Role], values: Array) -> dict[str, float]:
