@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +24,8 @@ STOP, ATTITUDE, TURN_FROM = 1050, 1150, 1300
 FASTEST_DPS: Final = 360.0
 """At a mode servo of 2000."""
 TICK_S: Final = 0.2
+LONGEST_TAUS: Final = 6.0
+"""A warm-up is over then: the simulator would begin its curve anew after a restart."""
 AXIS_S: Final = 1.6
 """How long a tumbling vehicle turns about one axis."""
 SET_SERVO, SIMSTATE, RAW_IMU = 183, 164, 27
@@ -50,11 +53,13 @@ class ArduCopter:
         self._warmer: threading.Thread | None = None
         self._rng = np.random.default_rng([39, truth.seed])
         self._temperature = 25.0
+        self._curve_used = False
         self._pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def start(self) -> None:
         """Start the firmware and connect beside mavcal."""
         self._process.start()
+        self._curve_used = False
         self.beside.open()
         self.beside.stream(SIMSTATE, 5.0)
         self.beside.stream(RAW_IMU, 5.0)
@@ -115,9 +120,15 @@ class ArduCopter:
         self._warm_to(value)
 
     def _do_warm_up(self, start: float, end: float, tau_s: float) -> None:
+        """The simulator's own curve, which begins once a start, when no temperature is fixed; in small steps later."""
         self._end_warming()
         self._warming.clear()
-        self._warmer = threading.Thread(target=self._warm, args=(start, end, tau_s), daemon=True)
+        own, self._curve_used = not self._curve_used, True
+        if own:
+            for name, value in (("START", start), ("END", end), ("TCONST", tau_s)):
+                self._set(f"SIM_IMUT_{name}", value)
+            self._set("SIM_IMUT_FIXED", 0.0)
+        self._warmer = threading.Thread(target=self._warm, args=(start, end, tau_s, own), daemon=True)
         self._warmer.start()
 
     def _tumble(self, rate_dps: float) -> None:
@@ -128,12 +139,14 @@ class ArduCopter:
             self._servo(5, TURN_FROM + round(700 * rate_dps / FASTEST_DPS))
             self._moving.wait(AXIS_S)
 
-    def _warm(self, start: float, end: float, tau_s: float) -> None:
-        passed = 0.0
-        while not self._warming.is_set():
-            self._warm_to(end + (start - end) * math.exp(-passed / tau_s))
+    def _warm(self, start: float, end: float, tau_s: float, own: bool) -> None:
+        began = time.monotonic()
+        while not self._warming.is_set() and time.monotonic() - began < LONGEST_TAUS * tau_s:
+            self._temperature = end + (start - end) * math.exp((began - time.monotonic()) / tau_s)
+            if not own:
+                self._warm_to(self._temperature)
             self._warming.wait(TICK_S)
-            passed += TICK_S
+        self._warm_to(self._temperature)
 
     def _warm_to(self, celsius: float) -> None:
         self._temperature = celsius

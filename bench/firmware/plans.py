@@ -21,7 +21,7 @@ KILLS = ((At.BEFORE_SEND, 1), (At.AFTER_ECHO, 2), (At.READ_BACK, 1))
 
 PX4_FAULTS = (
     Fault("accelerometer 1 is 1 m/s2 off", {"CAL_ACC0_XOFF": 1.4}, "parameters", "cal_acc0_xoff"),
-    Fault("compass 1 is 0.5 G off", {"CAL_MAG0_XOFF": 0.5}, "compass", "compass 1"),
+    Fault("compass 1 is 0.5 G off", {"CAL_MAG0_XOFF": 0.5}, "parameters", "cal_mag0_xoff"),
     Fault("compass 1 dead", sensor=Broken("mag", 0, "dead"), fails="sensors_heard", blames="compass 1"),
     Fault("gyroscope 1 frozen", sensor=Broken("gyro", 0, "frozen"), fails="sensors_heard", blames="gyroscope 1"),
     Fault("accelerometer 1 dead", sensor=Broken("accel", 0, "dead"), fails="", blames="accelerometer"),

@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.firmware.jobs import Done, calibrated, command, service
 from bench.firmware.scoring import Row, scored
-from bench.firmware.truth import VehicleTruth, thermal_truth
+from bench.firmware.truth import VehicleTruth, own_temperatures, thermal_truth
 from mavcal.client.jobs import JobModel
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.lifetime import ending_with_us
@@ -196,6 +196,9 @@ class Round:
         """True value by name; of a thermal job about the temperatures that its plan refers to."""
         found = self.rig.truth.parameters(self.rig.autopilot)
         planned = {c.name: float(c.new) for c in job.plan.changes} if job.plan is not None else {}
+        for name in own_temperatures(self.rig.autopilot, self.rig.truth):
+            if name not in planned and (held := self.rig.read(name)) is not None:
+                planned[name] = held
         return found if job.kind != "thermal" else found | thermal_truth(self.rig.autopilot, self.rig.truth, planned)
 
     def _row(

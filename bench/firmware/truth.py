@@ -102,6 +102,13 @@ def thermal_names(autopilot: str, sensor: Sensor, slot: int) -> tuple[tuple[str,
     return tuple(tuple(names[role] for role in order) for order in THERMAL[1:])
 
 
+def own_temperatures(autopilot: str, truth: VehicleTruth) -> tuple[str, ...]:
+    """Names of the temperatures at which offsets were taken; PX4 has none."""
+    sensors = (Sensor.ACCEL, Sensor.GYRO)
+    rows = [names_of(autopilot, sensor, i) for i in range(len(truth.units)) for sensor in sensors]
+    return tuple(row[Role.TEMPERATURE] for row in rows if Role.TEMPERATURE in row)
+
+
 def thermal_truth(autopilot: str, truth: VehicleTruth, planned: Mapping[str, float]) -> dict[str, float]:
     """True coefficients about the temperatures of a plan, and the offsets that go with them.
 
