@@ -92,9 +92,16 @@ class Round:
                 self.rig, warm_from=COLD_C, warm_to=WARM_C, warm_tau_s=TAU_S, tumble_dps=TUMBLE_DPS, ramp_tau_s=8.0
             )
             options = {"span": SPAN_C} if kind == "thermal" else {}
+            if kind == "thermal":
+                self.rig.call(
+                    "temperature", value=COLD_C
+                )  # no unit cools in an instant
+                time.sleep(SETTLED_S)
+            names = own_temperatures(self.rig.autopilot, self.rig.truth)
+            taken = {name: held for name in names if (held := self.rig.read(name)) is not None}
             with service([self.rig.url], self.folder) as client:
                 done = calibrated(client, operator, kind, options)
-            self.report(scored(self.rig.autopilot, self.name, done, self._truth(done.job), self.rig.read))
+            self.report(scored(self.rig.autopilot, self.name, done, self._truth(done.job, taken), self.rig.read))
             ended.append(done)
         return ended
 
@@ -192,14 +199,13 @@ class Round:
         name = f"preflight: {fault.name if fault else 'healthy'}"
         self.report(self._row(name, f"exit {code}", began, untrue, right=right, said=told))
 
-    def _truth(self, job: JobModel) -> dict[str, float]:
-        """True value by name; of a thermal job about the temperatures that its plan refers to."""
+    def _truth(self, job: JobModel, taken: Mapping[str, float]) -> dict[str, float]:
+        """True value by name; of a thermal job about the temperatures of its plan, or those of before."""
         found = self.rig.truth.parameters(self.rig.autopilot)
         planned = {c.name: float(c.new) for c in job.plan.changes} if job.plan is not None else {}
-        for name in own_temperatures(self.rig.autopilot, self.rig.truth):
-            if name not in planned and (held := self.rig.read(name)) is not None:
-                planned[name] = held
-        return found if job.kind != "thermal" else found | thermal_truth(self.rig.autopilot, self.rig.truth, planned)
+        if job.kind != "thermal":
+            return found
+        return found | thermal_truth(self.rig.autopilot, self.rig.truth, {**taken, **planned})
 
     def _row(
         self, step: str, ended: str, began: float, untrue: tuple[str, ...], *, right: bool = True, said: str = ""
