@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from mavcal.calib.firmware.log_options import Logged, how_to_log, how_to_log_disarmed
 from mavcal.calib.flight.rest import Ground
 from mavcal.calib.health.sampling import Sampled, lost
+from mavcal.calib.preflight.installed import Key
 from mavcal.calib.recording import Recording, Sensor, Stage
 
 _SLOW_HZ: Final = 20.0
@@ -31,8 +32,10 @@ def every_sample(recording: Recording) -> str:
     return f"Set {_BATCHES} (batch sampling){raw}"
 
 
-def lacking(recording: Recording, stood: Ground, every: Sequence[Sampled]) -> Iterator[str]:
-    """What was not recorded, what it would tell, and how it is logged."""
+def lacking(
+    recording: Recording, stood: Ground, every: Sequence[Sampled], silent: Collection[Key] = ()
+) -> Iterator[str]:
+    """What was not recorded, what it would tell, and how it is logged; `silent` are sensors that delivered nothing."""
     for sensor, what, name, tells in (
         (Sensor.ATTITUDE, Logged.ATTITUDE, "attitude", "offsets in flight, and the dip of the field"),
         (Sensor.POSITION, Logged.POSITION, "position", "the Earth's field and gravity of the place"),
@@ -42,8 +45,7 @@ def lacking(recording: Recording, stood: Ground, every: Sequence[Sampled]) -> It
             yield _line(f"{name}: {tells}", setting(recording, what))
     yield from _loads(recording)
     yield from _inertial(recording)
-    dead = {event.odd.sensor for event in recording.events if event.kind == "dead" and event.odd is not None}
-    if not recording.instances(Sensor.MAG) and Sensor.MAG not in dead:
+    if not recording.instances(Sensor.MAG) and all(sensor != Sensor.MAG for sensor, _ in silent):
         yield _line("compass: whether there is one and how it is", setting(recording, Logged.COMPASS))
     if recording.identity.autopilot is not None and not recording.parameters:
         yield "parameters: the calibration in force, and whether there is one"

@@ -177,11 +177,12 @@ def _armed(recording: Recording) -> list[dict[str, float]]:
 def _missing(recording: Recording) -> list[str]:
     """What the recording lacks, one sentence each, and what that means."""
     have = {c.sensor for c in recording.channels if len(c) and c.stage != Stage.DEBIASED}
+    dead = {e.odd.sensor for e in recording.events if e.kind == "dead" and e.odd is not None}
     if not have & set(TRIADS):
-        return ["no accelerometer, gyroscope or compass was recorded: there is nothing to calibrate"]
+        none = "no accelerometer, gyroscope or compass was recorded"
+        return [f"{'every sensor that was recorded is dead' if dead else none}: there is nothing to calibrate"]
     if recording.identity.autopilot is None:  # a table holds what its maker wanted
         return []
-    dead = {e.odd.sensor for e in recording.events if e.kind == "dead" and e.odd is not None}
     found = [text for sensor, text in MISSING.items() if sensor not in have | dead]
     if not recording.parameters:
         found.append("no parameters were recorded: fits are relative to the calibration in force, and are not exported")

@@ -80,7 +80,7 @@ def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Re
     sensors = SensorChannels(log, clock)
     final = parameters.final()
     channels = [*sensors.channels, *batch_channels(log, final), *state_channels(log, clock, final)]
-    if not channels:
+    if not channels and not any(event.kind == "dead" for event in sensors.events):
         raise UnreadableError(
             f"{source} is a DataFlash log without a single sample of an inertial unit, a compass or a pose "
             f"(it holds {', '.join(sorted(log)) or 'no message'}): there is nothing to calibrate in it"

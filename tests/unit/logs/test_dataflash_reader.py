@@ -248,7 +248,7 @@ class TestParameters:
         recording = read_dataflash(HEAD + rows.tobytes())
         assert len(recording.channel(Sensor.MAG)) == 6
         assert kinds(recording, "damage") == [
-            "mag 1: 4 of 10 samples of MAG are exactly 0, 0, 0, which no field is; left out"
+            "mag 1: 4 of 10 samples of MAG are exactly 0, 0, 0, which such a sensor never reads; left out"
         ]
         (odd,) = [event.odd for event in recording.events if event.kind == "damage"]
         assert odd == OddSamples(Oddity.ZERO, Sensor.MAG, 0, 4, 10, until=17.0)
