@@ -203,7 +203,7 @@ def _scale(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: S
     }
     if not known.any():
         return not_testable(
-            name, subject, "the flight moved too little for the noise: no scale is known to 2 %", **numbers
+            name, subject, "the vehicle moved too little for the noise: no scale is known to 2 %", **numbers
         )
     off = np.where(known, np.abs(scale - 1.0) - 2.0 * sd, -np.inf)
     worst = int(np.argmax(off))

@@ -32,6 +32,6 @@ VIBRATION: Final = FlightLimit(
     30.0, 60.0, "m/s2", "levels of ArduPilot's VIBE message: fine below 30, trouble above 60"
 )
 CLIPPED: Final = FlightLimit(
-    0.0, 100.0, "times", "ArduPilot: a count that rises in flight is trouble, a hundred the cause"
+    0.0, 100.0, "times", "ArduPilot: a count that rises with the motors on is trouble, a hundred the cause"
 )
 SCALE: Final = FlightLimit(0.02, 0.10, "1", "twice the sensitivity tolerance of a MEMS sensor (1 %); a broken axis")

@@ -28,6 +28,10 @@ LIMITS = dataclasses.replace(RESTING, accel_drift=0.04, gyro_drift=0.05)
 """At rest through a warm-up: the means may wander by 0.4 m/s2 and 3 deg/s, as they do over fifty degrees; a vehicle
 that is moved by as much shakes or tilts meanwhile."""
 
+SUBMARINE = 12
+"""MAV_TYPE_SUBMARINE."""
+_NEUTRAL = 0.5  # throttle of a sub at rest (ArduSub ``get_throttle``; VFR_HUD and CTUN carry it)
+LEAST_RATE = 8.0  # Hz of inertial samples from which on a window of half a second has enough of them
 _OFF = 0.03  # of the range of a motor output
 _SETTLED = 0.5  # s after the motors stopped: rotors run down
 
@@ -148,12 +152,15 @@ def _spun(recording: Recording) -> tuple[TimeSpan, ...] | None:
     channel = max(channels, key=len, default=None)
     if channel is None or not np.isfinite(channel.values).any():
         return None
-    return _merged(_high(channel))
+    # a sub's throttle is half of its range where it neither climbs nor dives
+    neutral = channel.sensor == Sensor.THROTTLE and recording.identity.vehicle_type == SUBMARINE
+    return _merged(_high(channel, _NEUTRAL if neutral else 0.0))
 
 
-def _high(channel: Channel) -> list[TimeSpan]:
-    """Spans with an output above idle, from the last sample below it to the next one."""
-    highest = np.nanmax(np.where(np.isfinite(channel.values), channel.values, 0.0), axis=1)
+def _high(channel: Channel, idle: float) -> list[TimeSpan]:
+    """Spans with an output that leaves `idle`, from the last sample at it to the next one."""
+    values = channel.values - idle
+    highest = np.abs(np.where(np.isfinite(values), values, 0.0)).max(axis=1)
     rising = np.diff((highest > _OFF).astype(np.int8), prepend=0, append=0)
     first, last = np.flatnonzero(rising > 0) - 1, np.flatnonzero(rising < 0)
     t, end = channel.t, len(channel) - 1

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from mavcal.calib.firmware.log_options import Logged, how_to_log, how_to_log_disarmed
+from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.rest import Ground
 from mavcal.calib.health.sampling import Sampled, lost
 from mavcal.calib.preflight.installed import Key
@@ -37,7 +38,12 @@ def lacking(
 ) -> Iterator[str]:
     """What was not recorded, what it would tell, and how it is logged; `silent` are sensors that delivered nothing."""
     for sensor, what, name, tells in (
-        (Sensor.ATTITUDE, Logged.ATTITUDE, "attitude", "offsets in flight, and the dip of the field"),
+        (
+            Sensor.ATTITUDE,
+            Logged.ATTITUDE,
+            "attitude",
+            f"offsets {craft_of(recording.identity).moving}, and the dip of the field",
+        ),
         (Sensor.POSITION, Logged.POSITION, "position", "the Earth's field and gravity of the place"),
         (Sensor.TEMPERATURE, Logged.INERTIAL, "temperature of the inertial units", "whether they left their range"),
     ):

@@ -60,7 +60,7 @@ def read_tlog(
     frames: list[tuple[int | None, Frame]] = [(time_us, frame) for time_us, frame in reader]
     identity = _vehicle([frame for _, frame in frames], system, name)
     recording = Assembler(identity).feed(frames)
-    events = (*recording.events, *_zeros(frames, recording))
+    events = (*_first_state(frames, recording), *recording.events, *_zeros(frames, recording))
     if reader.skipped_bytes:
         damage = f"{reader.skipped_bytes} bytes of {name} belong to no intact record and were stepped over"
         events = (Event(0.0, "damage", damage), *events)
@@ -109,6 +109,20 @@ def _vehicle(frames: list[Frame], system: int | None, name: str) -> Identity:
         )
     chosen = max(known, key=lambda sender: inertial[sender])
     return Identity(autopilot=autopilots[chosen], system=chosen[0], component=chosen[1])
+
+
+def _first_state(frames: list[tuple[int | None, Frame]], recording: Recording) -> list[Event]:
+    """Whether the vehicle was armed when it was first heard; the changes are events already."""
+    identity = recording.identity
+    for _, frame in frames:
+        if frame.message_id == HEARTBEAT and (frame.system, frame.component) == (identity.system, identity.component):
+            message = decode(frame)
+            if message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
+                continue
+            kind = "armed" if message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED else "disarmed"
+            start = recording.span[0]
+            return [Event(start, kind, f"the vehicle was {kind}")] if np.isfinite(start) else []
+    return []
 
 
 def _zeros(frames: list[tuple[int | None, Frame]], recording: Recording) -> list[Event]:

@@ -181,8 +181,10 @@ def _identity(log: ULog, topics: Any) -> Identity:
         firmware = (major, minor, patch)
     status = topics.get(("vehicle_status", 0), {})
     system = int(np.median(status["system_id"])) if "system_id" in status else None
+    kind = int(np.median(status["system_type"])) if "system_type" in status else 0  # a MAV_TYPE; 0 is generic
     return Identity(
         autopilot="px4",
+        vehicle_type=kind or None,
         firmware=firmware,
         uid=uid.lower() if isinstance(uid, str) and uid else None,
         system=system,

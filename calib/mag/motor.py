@@ -371,6 +371,7 @@ def _told(candidate: Candidate, none: Candidate, gain: Array, context: MagContex
         "compensation": _one_or_all(-term),
         "unit": f"{context.unit}/{UNIT[drive.kind]}",
         "motors": list(drive.numbers) if drive.kind == DriveKind.MOTORS else None,
+        "squared": list(drive.squares) if any(drive.squares) else None,
         "range": drive.range.tolist() if count > 1 else float(drive.range[0]),
         "held_out_rms": candidate.hidden_rms,
         "by_log": None
@@ -416,17 +417,22 @@ def _why_not(best: Candidate, none: Candidate, unit: str) -> str:
 
 def _terms(told: Mapping[str, Any]) -> str:
     """What the motors add with its sd, by the gyroscope and by the log's attitude."""
-    text = _listed(told["interference"], told["interference_sd"], told["motors"], told["unit"])
+    text = _listed(told["interference"], told["interference_sd"], told)
     if told["by_log"] is None:
         return text
-    log = _listed(told["by_log"]["interference"], told["by_log"]["interference_sd"], told["motors"], told["unit"])
+    log = _listed(told["by_log"]["interference"], told["by_log"]["interference_sd"], told)
     return f"{text} by the gyroscope, {log} by the log's attitude"
 
 
-def _listed(term: Sequence[Any], sd: Sequence[Any], motors: Sequence[int] | None, unit: str) -> str:
+def _listed(term: Sequence[Any], sd: Sequence[Any], told: Mapping[str, Any]) -> str:
+    motors, unit = told["motors"], told["unit"]
     if motors is None or len(motors) == 1:
         return f"{_vector(term, sd)} {unit}"
-    each = (f"motor {n} {_vector(t, s)}" for n, t, s in zip(motors, term, sd, strict=True))
+    squared = told["squared"] or [False] * len(motors)
+    each = (
+        f"motor {n}{' squared' if square else ''} {_vector(t, s)}"
+        for n, square, t, s in zip(motors, squared, term, sd, strict=True)
+    )
     return f"{', '.join(each)} {unit}"
 
 

@@ -91,7 +91,7 @@ class TestReading:
         broken[len(heartbeat()) + 25] ^= 0x55
         recording = read_tlog(bytes(broken))
         assert len(recording.channel(Sensor.ACCEL)) == 49
-        assert [e.kind for e in recording.events] == ["damage"]
+        assert [e.kind for e in recording.events] == ["damage", "disarmed"]
 
     @given(st.binary(max_size=300), st.integers(0, 49))
     @settings(max_examples=50, deadline=None)
