@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.stream.source import telemetry
 from mavcal.calib.flight import limits
 from mavcal.calib.flight.item import FlightVerdict, JudgedItem, judged, not_testable
 from mavcal.calib.flight.rest import TimeSpan
@@ -85,7 +86,12 @@ def _vibration(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -
     }
     item = judged("vibration", subject, worst, limits.VIBRATION, text, **numbers)
     if channel.stage == Stage.FILTERED and item.verdict == FlightVerdict.PASS:
-        why = f"at least {text}: {channel.source} is low-passed; log the unfiltered samples (raw IMU or batch sampling)"
+        how = (
+            "take the log on board"
+            if telemetry(recording)
+            else "log the unfiltered samples (raw IMU or batch sampling)"
+        )
+        why = f"at least {text}: {channel.source} is low-passed; {how}"
         return JudgedItem(
             "vibration", subject, FlightVerdict.NOT_TESTABLE, why, worst, None, limits.VIBRATION, item.numbers
         )

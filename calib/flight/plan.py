@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.flight.craft import Craft, craft_of
-from mavcal.calib.flight.rest import DISARMED, Ground, Rest
+from mavcal.calib.flight.rest import Ground, Rest, how_to_rest
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
 
@@ -80,7 +80,7 @@ def _thermal(recording: Recording, rests: Sequence[Rest], least: float) -> tuple
     if not thermometers:
         return False, "the log has no temperature of the inertial units"
     if not rests:
-        return False, f"the vehicle never rested with its motors off: log while disarmed ({DISARMED})"
+        return False, f"the vehicle never rested with its motors off. {how_to_rest(recording)}"
     spans = []
     for channel in thermometers:
         values = np.concatenate([channel.between(r.start, r.end).values for r in rests])

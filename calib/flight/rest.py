@@ -14,15 +14,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from mavcal.calib.firmware.log_options import how_to_log_disarmed
+from mavcal.calib.firmware.stream.source import telemetry
 from mavcal.calib.logs.inspection import pauses
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.stillness import RESTING, Still, find_still
 
 UNARMED, ARMED = "disarmed", "armed"
 """Kinds of the events that tell the motors' state."""
-
-DISARMED = "LOG_DISARMED 1, SDLOG_MODE 2"
-"""The parameters by which ArduPilot and PX4 log while disarmed."""
 
 LIMITS = dataclasses.replace(RESTING, accel_drift=0.04, gyro_drift=0.05)
 """At rest through a warm-up: the means may wander by 0.4 m/s2 and 3 deg/s, as they do over fifty degrees; a vehicle
@@ -80,6 +79,13 @@ class Ground:
     off: tuple[TimeSpan, ...]
     running: tuple[TimeSpan, ...]
     known: Known
+
+
+def how_to_rest(recording: Recording) -> str:
+    """What has a rest recorded, one sentence without its full stop."""
+    if telemetry(recording):
+        return "Record the telemetry while the vehicle is disarmed as well"
+    return f"Set {how_to_log_disarmed(recording.identity.autopilot)}"
 
 
 def ground(recording: Recording) -> Ground:

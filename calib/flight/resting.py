@@ -19,8 +19,9 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.flight import limits
+from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.item import FlightLimit, JudgedItem, judged, not_testable
-from mavcal.calib.flight.rest import DISARMED, LEAST_RATE, Rest
+from mavcal.calib.flight.rest import LEAST_RATE, Rest, how_to_rest
 from mavcal.calib.recording import Recording, Sensor, Stage
 from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.windows import finite_rows
@@ -73,7 +74,7 @@ def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[JudgedIte
     items += [_level(recording, i, means, why) for i, means in accels.items()]
     items += [_apart("accel_consistency", "accel", pair, limits.APART, accels, why) for pair in combinations(accels, 2)]
     for instance, means in gyros.items():
-        items += [_bias(instance, means, why), _wander(instance, means, why)]
+        items += [_bias(instance, means, why), _wander(recording, instance, means, why)]
     items += [
         _apart("gyro_consistency", "gyro", pair, limits.RATES_APART, gyros, why) for pair in combinations(gyros, 2)
     ]
@@ -190,13 +191,17 @@ def _bias(instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
     )
 
 
-def _wander(instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
+def _wander(recording: Recording, instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
     """Change of the bias between the first and the last rest."""
     subject = f"gyro {instance + 1}"
     if not means:
         return _none("gyro_bias_drift", subject, why)
     if len(means) < 2:
-        return not_testable("gyro_bias_drift", subject, f"one rest only: log until after the landing ({DISARMED})")
+        return not_testable(
+            "gyro_bias_drift",
+            subject,
+            f"one rest only. {how_to_rest(recording)}, until after it {craft_of(recording.identity).moved}",
+        )
     first, last = means[0], means[-1]
     change = last.mean - first.mean
     minutes = (last.rest.start - first.rest.end) / 60.0

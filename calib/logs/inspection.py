@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.firmware.stream.source import telemetry
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -152,7 +153,7 @@ def inspect(recording: Recording) -> dict[str, Any]:
         "warnings": [
             *_missing(recording),
             *(e.text for e in recording.events if e.kind in TOLD),
-            *_of_pauses(stood),
+            *_of_pauses(stood, telemetry(recording)),
             *(w for c in channels for w in _warnings(c, stood)),
         ],
     }
@@ -248,14 +249,13 @@ def _columns(values: Any, finite: Any, reduce: Any) -> tuple[float | None, ...]:
     return tuple(found)
 
 
-def _of_pauses(stood: tuple[Gap, ...]) -> list[str]:
+def _of_pauses(stood: tuple[Gap, ...], streamed: bool) -> list[str]:
     if not stood:
         return []
     longest = max(stood, key=lambda p: p.length)
     often = "once" if len(stood) == 1 else f"{len(stood)} times"
-    return [
-        f"the log pauses {often}, for {longest.length:.1f} s at {longest.start:.1f} s: it may record while armed only"
-    ]
+    why = "nothing came over the link" if streamed else "it may record while armed only"
+    return [f"the log pauses {often}, for {longest.length:.1f} s at {longest.start:.1f} s: {why}"]
 
 
 def _warnings(channel: ChannelSummary, stood: tuple[Gap, ...]) -> list[str]:
