@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.flight.craft import Craft, craft_of
-from mavcal.calib.flight.rest import Ground, Rest, how_to_rest
+from mavcal.calib.flight.rest import Ground, Rest, how_to_rest, why_no_rest
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
 
@@ -70,6 +70,8 @@ def _gyro(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
     longest = max((r.duration for r in rests), default=0.0)
     if not _usable(recording, Sensor.GYRO):
         return False, "the log has no usable gyroscope"
+    if not rests:
+        return False, why_no_rest(recording)
     if longest < 5.0:
         return False, f"the longest rest lasts {longest:.0f} s: 5 are needed"
     return True, f"{longest:.0f} s at rest; most autopilots measure this bias at boot anyway"
@@ -80,7 +82,7 @@ def _thermal(recording: Recording, rests: Sequence[Rest], least: float) -> tuple
     if not thermometers:
         return False, "the log has no temperature of the inertial units"
     if not rests:
-        return False, f"the vehicle never rested with its motors off. {how_to_rest(recording)}"
+        return False, f"{why_no_rest(recording)}. {how_to_rest(recording)}"
     spans = []
     for channel in thermometers:
         values = np.concatenate([channel.between(r.start, r.end).values for r in rests])
@@ -99,6 +101,8 @@ def _poses(recording: Recording, rests: Sequence[Rest], craft: Craft) -> tuple[b
     accels = _usable(recording, Sensor.ACCEL)
     if not accels:
         return False, "the log has no accelerometer"
+    if not rests:
+        return False, why_no_rest(recording)
     directions: list[Array] = []
     for rest in rests:
         part = accels[0].between(rest.start, rest.end)
@@ -162,7 +166,7 @@ def _ellipsoid(recording: Recording, craft: Craft) -> tuple[bool, str]:
     if sectors < _HEADINGS or tilt < _TILT:
         return False, (
             f"{sectors} of 12 headings and {tilt:.0f} deg of tilt do not determine an ellipsoid ({_TILT:.0f} needed): "
-            f"use mag-flight, which takes what a level {craft.trip} gives"
+            f"mag-flight takes what a level {craft.trip} gives"
         )
     return True, f"{sectors} of 12 headings and {tilt:.0f} deg of tilt"
 
@@ -182,6 +186,8 @@ def _attitudes(recording: Recording) -> tuple[int | None, float]:
 
 def _allan(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
     longest = max((r.duration for r in rests), default=0.0)
+    if not rests:
+        return False, why_no_rest(recording)
     if not _usable(recording, Sensor.GYRO) or longest < _ALLAN:
         return False, f"the longest rest lasts {longest:.0f} s: {_ALLAN:.0f} and more say something of bias instability"
     return True, f"{longest:.0f} s at rest"

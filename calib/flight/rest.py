@@ -17,7 +17,7 @@ import numpy as np
 from mavcal.calib.firmware.log_options import how_to_log_disarmed
 from mavcal.calib.firmware.stream.source import telemetry
 from mavcal.calib.logs.inspection import pauses
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.stillness import RESTING, Still, find_still
 
 UNARMED, ARMED = "disarmed", "armed"
@@ -30,6 +30,7 @@ that is moved by as much shakes or tilts meanwhile."""
 SUBMARINE = 12
 """MAV_TYPE_SUBMARINE."""
 _NEUTRAL = 0.5  # throttle of a sub at rest (ArduSub ``get_throttle``; VFR_HUD and CTUN carry it)
+SHORTEST = 2.0  # s of a rest that is told from
 LEAST_RATE = 8.0  # Hz of inertial samples from which on a window of half a second has enough of them
 _OFF = 0.03  # of the range of a motor output
 _SETTLED = 0.5  # s after the motors stopped: rotors run down
@@ -79,6 +80,25 @@ class Ground:
     off: tuple[TimeSpan, ...]
     running: tuple[TimeSpan, ...]
     known: Known
+
+
+def too_slow(recording: Recording) -> float | None:
+    """Rate of the slowest inertial stream, Hz, where it cannot show a rest; None: it can, or there is none."""
+    periods = [
+        float(np.median(np.diff(c.t)))
+        for c in recording.channels
+        if c.sensor in (Sensor.ACCEL, Sensor.GYRO) and c.stage != Stage.DEBIASED and len(c) > 1
+    ]
+    slowest = 1.0 / max(periods) if periods and max(periods) > 0.0 else np.inf
+    return slowest if slowest < LEAST_RATE else None
+
+
+def why_no_rest(recording: Recording) -> str:
+    """What a log without a rest lacks: samples that are fast enough to see one, or the rest."""
+    rate = too_slow(recording)
+    if rate is not None:
+        return f"{rate:.2g} Hz are too slow to tell a rest: {LEAST_RATE:.0f} Hz are needed"
+    return f"no rest of {SHORTEST:.0f} s with the motors off"
 
 
 def how_to_rest(recording: Recording) -> str:

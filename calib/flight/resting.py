@@ -21,15 +21,14 @@ from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.flight import limits
 from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.item import FlightLimit, JudgedItem, judged, not_testable
-from mavcal.calib.flight.rest import LEAST_RATE, Rest, how_to_rest
-from mavcal.calib.recording import Recording, Sensor, Stage
+from mavcal.calib.flight.rest import SHORTEST, Rest, how_to_rest, why_no_rest
+from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 
 _LEAST = 32  # samples of a mean
-_SHORTEST = 2.0  # s
 _CLEARLY = 3.0  # times the error of the other one
 _SETTLED = 5.0  # s: an attitude estimator is levelled after that
 
@@ -56,7 +55,7 @@ def rest_means(recording: Recording, sensor: Sensor, instance: int, rests: Seque
     for rest in rests:
         part = channel.between(rest.start, rest.end)
         part = part.take(finite_rows(part.values))
-        if len(part) < _LEAST or rest.duration < _SHORTEST:
+        if len(part) < _LEAST or rest.duration < SHORTEST:
             continue
         estimate = mean_of(part)
         sd = np.sqrt(np.diag(estimate.covariance))
@@ -92,19 +91,6 @@ def gravity_of_place(recording: Recording) -> tuple[float, bool]:
             if abs(latitude) <= 90.0 and -1000.0 < altitude < 50e3:
                 return local_gravity(float(latitude), float(altitude)), True
     return STANDARD_GRAVITY, False
-
-
-def why_no_rest(recording: Recording) -> str:
-    """What a log without a rest lacks: samples that are fast enough to see one, or the rest."""
-    periods = [
-        float(np.median(np.diff(c.t)))
-        for c in recording.channels
-        if c.sensor in (Sensor.ACCEL, Sensor.GYRO) and c.stage != Stage.DEBIASED and len(c) > 1
-    ]
-    slowest = 1.0 / max(periods) if periods and max(periods) > 0.0 else np.inf
-    if slowest < LEAST_RATE:
-        return f"{slowest:.2g} Hz are too slow to tell a rest: {LEAST_RATE:.0f} Hz are needed"
-    return f"no rest of {_SHORTEST:.0f} s with the motors off"
 
 
 def _none(name: str, subject: str, why: str) -> JudgedItem:

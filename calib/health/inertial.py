@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.craft import craft_of
-from mavcal.calib.flight.rest import TimeSpan
+from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
@@ -83,6 +83,7 @@ def inertial_findings(recording: Recording, off: Sequence[TimeSpan]) -> Iterator
     """What every accelerometer and gyroscope reads; `off` are the spans with the motors off."""
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
     spans: dict[int, tuple[Still, ...]] = {}
+    slow = too_slow(recording) is not None
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         found: dict[int, Channel] = {}
         own: dict[int, HealthFinding] = {}
@@ -99,7 +100,7 @@ def inertial_findings(recording: Recording, off: Sequence[TimeSpan]) -> Iterator
                 own[instance] = _gravity(recording, channel, attitude, laid)
                 yield _drift(channel, laid if _lay(channel, laid) else _within(laid, off))
             else:
-                own[instance] = _rate(channel, attitude, laid, _within(laid, off))
+                own[instance] = _rate(channel, attitude, laid, () if slow else _within(laid, off))
         yield from own.values()
         yield from _apart(found, own)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
 from mavcal.calib.logs.dataflash.clock import ordered
+from mavcal.calib.logs.ordered import moving
 from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Rounding, Sensor
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class SensorChannels:
         health = [reading.healthy for reading, _ in present if reading.healthy in table]
         for instance, rows in instances(table, number):
             t = self._clock.sample_times(rows)
-            keep = ordered(t)
+            keep = self._in_time(rows, instance, t)
             healthy = {name: column != 0 for name, column in zip(health, rows.columns(*health), strict=True)}
             data = rows.arrays(*(columns for _, columns in present))
             for reading, _ in present:
@@ -65,6 +66,19 @@ class SensorChannels:
                 channel = _channel(rows, reading, instance, t, values, good)
                 if channel is not None:
                     yield channel
+
+    def _in_time(self, rows: Table, instance: int, t: Array) -> Mask:
+        """The rows whose time goes on; how many do not is said."""
+        keep = ordered(t)
+        back = int((np.isfinite(t) & ~keep).sum())
+        stood = np.flatnonzero(keep)[~moving(t[keep])]
+        keep[stood] = False
+        for count, why in ((back, "times that go back"), (len(stood), "one time all over: the clock stood still")):
+            if count:
+                text = f"{count} of {len(t)} samples of {rows.name}, instance {instance + 1}, carry {why}; left out"
+                first = t[np.isfinite(t)]
+                self.events.append(Event(float(first[0]) if len(first) else 0.0, "damage", text))
+        return keep
 
     def _good(
         self, table: Table, reading: LogReading, instance: int, t: Array, values: Array, healthy: Mask | None
