@@ -169,8 +169,7 @@ def _silent(recording: Recording, dead: set[Key]) -> Iterator[HealthFinding]:
             yield HealthFinding("silent", *key, HealthVerdict.FAULTY, text, _ABSENT)
             continue
         text += ": it is dead, or its row is left over from a sensor that is gone"
-        verdict = HealthVerdict.CANNOT_SAY if one.presumed else HealthVerdict.SUSPICIOUS
-        yield HealthFinding("silent", *key, verdict, text, _ROW)
+        yield HealthFinding("silent", *key, HealthVerdict.CANNOT_SAY, text, _ROW)
 
 
 def _logs_every_unit(recording: Recording, sensor: Sensor) -> bool:

@@ -13,6 +13,7 @@ from mavcal.calib.health.dead import dead_findings, living, never_lived
 from mavcal.calib.health.finding import BAD, HealthVerdict, SensorHealth, sensor_health, worst
 from mavcal.calib.health.inertial import inertial_findings
 from mavcal.calib.health.lacking import every_sample, lacking
+from mavcal.calib.health.rectified import explained, rectified
 from mavcal.calib.health.sampling import SENSORS, sampled, sampling_findings
 from mavcal.calib.health.temperature import temperature_findings
 from mavcal.calib.health.vibration import vibration_findings
@@ -92,7 +93,7 @@ def health(recording: Recording) -> HealthReport:
     every, shaking = sampled(recording), tuple(shaking_items(recording, stood.running))
     findings = [
         *dead,
-        *inertial_findings(recording, stood.off),
+        *explained(list(inertial_findings(recording, stood.off)), rectified(recording)),
         *vibration_findings(recording, stood.running, shaking, every_sample(recording)),
         *temperature_findings(recording),
         *compass_findings(recording),

@@ -23,6 +23,8 @@ _BUS: Final = "Check its bus and power; replace it if it comes back."
 _BATCHES: Final = "ISBD"
 _SELECTED: Final = "sensor_combined"
 """Sources that hold a sensor for some of the time by design: batches, and whichever unit is selected."""
+_TURN: Final = float(np.radians(30.0))
+"""A compass that repeats one value through such a turn is stuck: a gyroscope 5 deg/s off turns less in five seconds."""
 _TIMES_SLOWER: Final = 2.0
 """Another sensor tells of a gap that is so many times longer than its own period."""
 
@@ -80,7 +82,7 @@ def sampling_findings(
     """Rate and gaps of every sensor in `every`, and values that stood still; `running` are the spans with motors on."""
     for one in every:
         yield _gaps(one, every, _left_out(recording, one.channel))
-        yield from _stuck(one, running)
+        yield from _stuck(recording, one, running)
     yield from _distrusted(recording)
 
 
@@ -130,17 +132,18 @@ def _gaps(one: Sampled, every: Sequence[Sampled], left_out: Sequence[Gap]) -> He
     )
 
 
-def _stuck(one: Sampled, running: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
+def _stuck(recording: Recording, one: Sampled, running: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
     """A unit that repeats itself to the last digit while its channel otherwise moves.
 
-    A compass at rest may, and so may coarse numbers: of these only what they repeat under way counts.
+    A compass may where nothing turns, and so may coarse numbers: of these only what they repeat in a turn counts.
     """
     channel, run = one.channel, constant_run(one.channel)
     if run is not None and (channel.sensor == Sensor.MAG or channel.quantum):
         end = run.start + run.length
         moving = [Gap(max(run.start, s.start), min(end, s.end) - max(run.start, s.start)) for s in running]
         run = max(moving, key=lambda gap: gap.length, default=None)
-        run = run if run is not None and run.length > STUCK.faulty else None
+        least = STUCK.faulty or STUCK.suspicious
+        run = run if run is not None and run.length > least and _turned(recording, channel, run) else None
     if run is None or run.length <= max(STUCK.suspicious, STUCK_PERIODS * one.period):
         return
     verdict = judged_value(run.length, 0.0, STUCK)
@@ -150,6 +153,23 @@ def _stuck(one: Sampled, running: Sequence[TimeSpan]) -> Iterator[HealthFinding]
         start=run.start,
         end=run.start + run.length,
     )
+
+
+def _turned(recording: Recording, but: Channel, run: Gap) -> bool:
+    """Whether another gyroscope than `but` turned by `_TURN` in `run`."""
+    for channel in recording.channels:
+        if channel.sensor != Sensor.GYRO or channel.unit != "rad/s":
+            continue
+        if (channel.sensor, channel.instance) == (but.sensor, but.instance):
+            continue
+        part = channel.between(run.start, run.start + run.length)
+        if len(part) < 3:
+            continue
+        rates = np.nan_to_num(part.values)
+        angle = np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(part.t)[:, None], axis=0)
+        if float(np.ptp(angle, axis=0).max()) > _TURN:
+            return True
+    return False
 
 
 def _distrusted(recording: Recording) -> Iterator[HealthFinding]:
