@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.firmware.ardupilot.learning import learning_warnings
 from mavcal.calib.firmware.stream.source import telemetry
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
@@ -153,6 +154,7 @@ def inspect(recording: Recording) -> dict[str, Any]:
         "warnings": [
             *_missing(recording),
             *(e.text for e in recording.events if e.kind in TOLD),
+            *learning_warnings(recording.parameters.final()),
             *_of_pauses(stood, telemetry(recording)),
             *(w for c in channels for w in _warnings(c, stood)),
         ],
