@@ -89,17 +89,17 @@ def health(recording: Recording) -> HealthReport:
     stood = ground(recording)
     dead = dead_findings(recording)
     silent = never_lived(dead)
-    recording = living(recording, silent)
-    every, shaking = sampled(recording), tuple(shaking_items(recording, stood.running))
+    heard = living(recording, silent)
+    every, shaking = sampled(heard), tuple(shaking_items(heard, stood.running))
     findings = [
         *dead,
-        *explained(list(inertial_findings(recording, stood.off)), rectified(recording)),
-        *vibration_findings(recording, stood.running, shaking, every_sample(recording)),
-        *temperature_findings(recording),
-        *compass_findings(recording),
-        *sampling_findings(recording, every, stood.running),
+        *explained(list(inertial_findings(heard, stood.off)), rectified(heard)),
+        *vibration_findings(heard, stood.running, shaking, every_sample(heard)),
+        *temperature_findings(heard),
+        *compass_findings(heard),
+        *sampling_findings(heard, every, stood.running),
     ]
     findings = [f for f in findings if f in dead or (f.sensor, f.instance) not in silent]
     named = sorted({(f.sensor, f.instance) for f in findings}, key=lambda one: (SENSORS.index(one[0]), one[1]))
     sensors = tuple(sensor_health(sensor, instance, findings) for sensor, instance in named)
-    return HealthReport(sensors, tuple(lacking(recording, stood, every, silent)), shaking, frozenset(silent))
+    return HealthReport(sensors, tuple(lacking(heard, stood, every, silent)), shaking, frozenset(silent))
