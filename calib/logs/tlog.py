@@ -11,7 +11,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
+from mavcal.calib.firmware.names import CALIBRATION_PREFIXES, Role, ardupilot_imu_names
 from mavcal.calib.firmware.stream.announcements import AUTOPILOTS
 from mavcal.calib.firmware.stream.messages import INERTIAL
 from mavcal.calib.firmware.stream.rates import Assembler
@@ -126,15 +126,21 @@ def _first_state(frames: list[tuple[int | None, Frame]], recording: Recording) -
 
 
 def _zeros(frames: list[tuple[int | None, Frame]], recording: Recording) -> list[Event]:
-    """Inertial units whose messages came and held nothing but zeros: they are dead, or not there."""
-    identity = recording.identity
+    """Inertial units that the parameters announce, and whose messages held nothing but zeros.
+
+    Others are not there: a message carries zeros for an inertial unit beside which only a compass is.
+    """
+    identity, parameters = recording.identity, recording.parameters.final()
+    if identity.autopilot != "ardupilot":
+        return []
     heard = Counter(f.message_id for _, f in frames if (f.system, f.component) == (identity.system, identity.component))
     events = []
     for number, message in INERTIAL.get(identity.autopilot or "", {}).items():
         if message.by_id or heard[number] < LEAST_MESSAGES:
             continue
         for sensor in (Sensor.ACCEL, Sensor.GYRO):
-            if message.instance not in recording.instances(sensor):
+            told = parameters.get(ardupilot_imu_names(sensor, message.instance)[Role.ID])
+            if told and message.instance not in recording.instances(sensor):
                 name = f"{sensor} {message.instance + 1}"
                 text = f"{name}: all {heard[number]} samples of {message.name} are exactly 0, 0, 0"
                 odd = OddSamples(Oddity.ZERO, sensor, message.instance, heard[number], heard[number])
