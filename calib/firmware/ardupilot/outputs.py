@@ -30,7 +30,7 @@ _COPTERS_FIRST: Final = 8
 """Outputs that may drive motors of a copter without ``SERVOn_FUNCTION``."""
 _OLD_THROTTLE, _OLD_STEERING = 3, 1
 """Outputs of throttle and steering before ``SERVOn_FUNCTION``; both are motors of a skid-steered rover."""
-_BY_PARAMETERS: Final = (
+_BY_PARAMETERS: Final[tuple[tuple[int, tuple[str, ...]], ...]] = (
     (dialect.MAV_TYPE_SUBMARINE, ("JS_GAIN_DEFAULT", "SURFACE_DEPTH", "MOT_1_DIRECTION")),
     (dialect.MAV_TYPE_GROUND_ROVER, ("CRUISE_THROTTLE", "CRUISE_SPEED", "SKID_STEER_OUT", "TURN_MAX_G")),
     (dialect.MAV_TYPE_FIXED_WING, ("ARSPD_FBW_MIN", "AIRSPEED_MIN", "TRIM_ARSPD_CM", "LIM_ROLL_CD", "ROLL_LIMIT_DEG")),
