@@ -7,6 +7,7 @@ differ (ArduPilot ``AP_Math/rotations.h``, PX4 ``lib/conversion/rotation.h``).
 
 from __future__ import annotations
 
+from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -74,6 +75,11 @@ ROTATIONS: Final[Mapping[str, tuple[Euler, ...]]] = MappingProxyType(
 
 def euler_matrix(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
     """``Rz(yaw) Ry(pitch) Rx(roll)``, shape (3, 3), angles in degrees; right angles are exact."""
+    return _euler_matrix(roll_deg, pitch_deg, yaw_deg).copy()
+
+
+@lru_cache(maxsize=256)
+def _euler_matrix(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
     c = [_exact(np.cos(np.radians(a))) for a in (roll_deg, pitch_deg, yaw_deg)]
     s = [_exact(np.sin(np.radians(a))) for a in (roll_deg, pitch_deg, yaw_deg)]
     rx = np.array([[1.0, 0.0, 0.0], [0.0, c[0], -s[0]], [0.0, s[0], c[0]]])

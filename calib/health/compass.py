@@ -1,4 +1,4 @@
-"""Compasses: dead, unsteady, driven by the motors, against the World Magnetic Model, unit against unit."""
+"""Compasses: unsteady, driven by the motors, against the World Magnetic Model, unit against unit."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.flight.rest import ground
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
-from mavcal.calib.health.parameters import in_use, never_calibrated
-from mavcal.calib.recording import Channel, Event, Oddity, Recording, Sensor
+from mavcal.calib.health.parameters import never_calibrated
+from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
@@ -28,16 +27,11 @@ Array = NDArray[np.float64]
 _CALIBRATE: Final = "Calibrate the compass outdoors, away from metal."
 _MOUNTING: Final = "Check how the compass is mounted and its rotation parameter, then calibrate it outdoors."
 _MOTORS: Final = "Move the compass away from the power leads, or compensate: mavcal fit mag-motor."
-_ZEROS: Final = 0.1
-"""Share of samples at 0, 0, 0 that is no start-up."""
 _OWN: Final = ("COMPASS_OFS", "COMPASS_DIA", "COMPASS_ODI", "COMPASS_MOT", "COMPASS_SCALE", "CAL_MAG")
 _LEAST: Final = 50
 """Samples that a steadiness is told from."""
 _MOVED: Final = {Sensor.CURRENT: 1.0, Sensor.THROTTLE: 0.05}
 """A that a current, and 1 that a throttle must range over to tell of their field."""
-_TURNED: Final = 1.0
-"""m/s2 by which an axis of the accelerometer changes where the vehicle was turned by 6 deg."""
-_FLOWN_S: Final = 10.0
 _RELATED: Final = 0.5
 """Correlation from which the field follows the motors."""
 _YEAR: Final = 2025.5
@@ -47,7 +41,6 @@ _YEAR: Final = 2025.5
 def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
     """Every check of every compass."""
     yield from _corrupt(recording)
-    yield from _dead(recording)
     field = _field(recording)
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
     found: dict[int, Channel] = {}
@@ -57,9 +50,6 @@ def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
             yield HealthFinding("field", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, NOT_PHYSICAL)
             continue
         channel = motion.usable(streamed)
-        if not np.ptp(channel.values, axis=0).any():
-            yield _constant(recording, channel)
-            continue
         found[instance] = channel
         driven = _driven(recording, channel, attitude)
         if driven is not None:
@@ -71,63 +61,6 @@ def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
         if len(channel) >= _LEAST:
             yield from _against_earth(recording, channel, attitude, field)
     yield from _apart(found)
-
-
-def _dead(recording: Recording) -> Iterator[HealthFinding]:
-    """Compasses that read zero, throughout or for a part of the log."""
-    for event in recording.events:
-        if event.kind != "dead":
-            yield from _often_zero(event)
-            continue
-        odd = event.odd
-        if odd is None or odd.sensor != Sensor.MAG:
-            continue
-        instance = odd.instance
-        if in_use(recording, Sensor.MAG, instance):
-            action = "Check its wiring and its driver; the vehicle flies without this compass."
-            text = "reads 0, 0, 0 throughout"
-            yield HealthFinding("dead", Sensor.MAG, instance, HealthVerdict.FAULTY, text, action)
-        else:
-            text = "reads 0, 0, 0 throughout; the vehicle does not use it"
-            yield HealthFinding("dead", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, text)
-
-
-def _constant(recording: Recording, channel: Channel) -> HealthFinding:
-    """A compass without a change, which one at rest may have: its stream may be coarse, or a simulator has no noise."""
-    text = "reads the same throughout"
-    if channel.values.any() and not _moved(recording):
-        text += ", and the vehicle was not turned: whether it lives is not known"
-        return _bad("dead", channel, HealthVerdict.CANNOT_SAY, text, "Turn the vehicle while it logs.")
-    return _bad("dead", channel, HealthVerdict.FAULTY, text, "Check its wiring; replace it.")
-
-
-def _moved(recording: Recording) -> bool:
-    """Whether the vehicle flew, or gravity went from one axis of the board towards another.
-
-    Not by its attitude, whose heading may settle while it stands.
-    """
-    if sum(span.duration for span in ground(recording).running) > _FLOWN_S:
-        return True
-    for channel in recording.channels:
-        if channel.sensor == Sensor.ACCEL and channel.unit == "m/s2" and len(channel) >= _LEAST:
-            low, high = np.percentile(channel.values[finite_rows(channel.values)], (5.0, 95.0), axis=0)
-            if float((high - low).max()) > _TURNED:
-                return True
-    return False
-
-
-def _often_zero(event: Event) -> Iterator[HealthFinding]:
-    odd = event.odd
-    if odd is None or (odd.what, odd.sensor) != (Oddity.ZERO, Sensor.MAG) or not odd.total:
-        return
-    if odd.count < _ZEROS * odd.total:
-        return
-    text = f"reads 0, 0, 0 in {100.0 * odd.count / odd.total:.0f} % of its samples, first at {event.t:.1f} s"
-    yield HealthFinding(
-        *("dead", Sensor.MAG, odd.instance, HealthVerdict.FAULTY, text, "Check its wiring and its parameters."),
-        start=event.t,
-        end=odd.until,
-    )
 
 
 def _corrupt(recording: Recording) -> Iterator[HealthFinding]:

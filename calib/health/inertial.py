@@ -12,20 +12,25 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.flight.rest import TimeSpan
+from mavcal.calib.flight.craft import craft_of
+from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.recording import Channel, Recording, Sensor
-from mavcal.calib.stats.stillness import RESTING, Still, find_still
+from mavcal.calib.stats.stillness import RESTING, Still, StillnessLimits, find_still
 
 Array = NDArray[np.float64]
 
 _LAID: Final = dataclasses.replace(RESTING, rate=3.0, accel_drift=0.04, gyro_drift=0.05)
 """Motionless, whatever the gyroscope's offset is: a sensor 100 deg/s off must not hide that nothing moved."""
 _ENOUGH_HZ: Final = 100.0
+_LEAST_OF_WINDOW: Final = 6.0
+"""Samples of a window in which stillness is judged."""
+_SLOWEST_WINDOW_S: Final = 5.0
+"""What moves within so long a window is not told from stillness."""
 _MOSTLY: Final = 0.5
 """Share of the samples: a vehicle motionless for so much of a log lay on the ground and needs no attitude."""
 _SPAN_S: Final = 5.0
@@ -53,9 +58,18 @@ def motionless(recording: Recording, instance: int) -> tuple[Still, ...]:
             for sensor in (Sensor.ACCEL, Sensor.GYRO)
             if instance in recording.instances(sensor)
         ]
-        return find_still(recording.with_channels(watched), instance=instance, limits=_LAID)
+        return find_still(recording.with_channels(watched), instance=instance, limits=_for_rate(watched))
     except InvalidInputError:
         return ()
+
+
+def _for_rate(watched: Sequence[Channel]) -> StillnessLimits:
+    """`_LAID` with windows that hold samples enough where the stream is slow, as telemetry is."""
+    periods = [float(np.median(np.diff(c.t))) for c in watched if len(c) > 1]
+    window = max((_LEAST_OF_WINDOW * period for period in periods), default=0.0)
+    if not _LAID.window < window <= _SLOWEST_WINDOW_S:
+        return _LAID
+    return dataclasses.replace(_LAID, window=window, shortest=2.0 * window)
 
 
 def _thinned(channel: Channel) -> Channel:
@@ -69,6 +83,7 @@ def inertial_findings(recording: Recording, off: Sequence[TimeSpan]) -> Iterator
     """What every accelerometer and gyroscope reads; `off` are the spans with the motors off."""
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
     spans: dict[int, tuple[Still, ...]] = {}
+    slow = too_slow(recording) is not None
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         found: dict[int, Channel] = {}
         own: dict[int, HealthFinding] = {}
@@ -85,7 +100,7 @@ def inertial_findings(recording: Recording, off: Sequence[TimeSpan]) -> Iterator
                 own[instance] = _gravity(recording, channel, attitude, laid)
                 yield _drift(channel, laid if _lay(channel, laid) else _within(laid, off))
             else:
-                own[instance] = _rate(channel, attitude, laid, _within(laid, off))
+                own[instance] = _rate(channel, attitude, laid, () if slow else _within(laid, off))
         yield from own.values()
         yield from _apart(found, own)
 
@@ -117,7 +132,7 @@ def _gravity(recording: Recording, channel: Channel, attitude: Channel | None, l
     gravity, known = gravity_of_place(recording)
     low, high = sorted((gravity, STANDARD_GRAVITY)) if known else (9.78, 9.83)
     windows = motion.WindowMeans(np.zeros(0), np.zeros((0, 1)))
-    how = "along the vertical in flight"
+    how = f"along the vertical {craft_of(recording.identity).moving}"
     if attitude is not None and not _lay(channel, laid):
         windows = motion.vertical_force(channel, attitude)
     if not windows.enough:

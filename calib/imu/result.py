@@ -252,7 +252,9 @@ def _gyro_fit(facts: RecordingFacts, poses: Poses, weighed: Weighed, part: _Part
         part.model,
         part.covariance,
         message=_message(weighed, part.open_names),
-        n_used=int(poses.gyro_counts.sum()) + int(np.count_nonzero(moves.steps)),
+        n_used=min(
+            int(poses.gyro_counts.sum()) + int(np.count_nonzero(moves.steps)), made.n_samples
+        ),  # poses and moves share their ends
         residual_rms=closure / turning / gyro_scale,
         condition_number=_condition(weighed, slice(9, 18)),
         undetermined=part.open_names,

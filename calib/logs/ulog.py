@@ -15,7 +15,7 @@ from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware.px4.flight import arming_events, flight_channels, truth_channels
 from mavcal.calib.firmware.px4.topics import US, WANTED, inertial_channels
-from mavcal.calib.logs.ordered import in_order
+from mavcal.calib.logs.ordered import in_order, moving
 from mavcal.calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
 
 MAGIC: Final = b"ULog\x01\x12\x35"
@@ -116,6 +116,14 @@ def _ordered(channels: Iterable[Channel], start: float, events: list[Event]) -> 
         if late:
             text = f"{late} of {len(channel)} samples of {channel.source} carry damaged times and were left out"
             events.append(Event(start, "damage", text))
+        going = moving(ordered.t)
+        if not going.all():
+            stood = int((~going).sum())
+            text = (
+                f"{stood} of {len(channel)} samples of {channel.source} carry one time all over: the clock stood still"
+            )
+            events.append(Event(start, "damage", f"{text}; left out"))
+            ordered = ordered.take(going)
         if len(ordered):
             kept.append(ordered)
     return tuple(kept)
@@ -181,8 +189,10 @@ def _identity(log: ULog, topics: Any) -> Identity:
         firmware = (major, minor, patch)
     status = topics.get(("vehicle_status", 0), {})
     system = int(np.median(status["system_id"])) if "system_id" in status else None
+    kind = int(np.median(status["system_type"])) if "system_type" in status else 0  # a MAV_TYPE; 0 is generic
     return Identity(
         autopilot="px4",
+        vehicle_type=kind or None,
         firmware=firmware,
         uid=uid.lower() if isinstance(uid, str) and uid else None,
         system=system,

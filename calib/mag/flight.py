@@ -109,6 +109,13 @@ def _fitted(data: FlightInput, context: MagContext, soft_iron: SoftIron) -> Flig
     return estimate(data.samples, data.turning, Knowledge(context.field, believed_soft_iron(found)))
 
 
+def _departure(rough: float, outliers: float) -> str:
+    """What is wrong, and only that: how far the two are apart, or how many samples leave the others."""
+    if rough > _ROUGHEST:
+        return f"compass and attitude do not agree: {rough:.0%} of the field is left of any offset and Earth's field"
+    return f"{outliers:.0%} of the compass's samples depart from the Earth's field by more than their noise"
+
+
 def _model(x: Array, sensor_from_body: Array) -> TriadModel:
     """The correction of the sensor in its own axes from offset and matrix in the body's."""
     matrix = np.linalg.inv(np.einsum("k,kij->ij", x[SHAPE], SHAPES))
@@ -143,9 +150,8 @@ def _verdict(
         return made.refused(lost, quality=quality)
     if rough > _ROUGHEST or outliers > _MOST_OUTLIERS:
         return made.refused(
-            f"the compass departs from the Earth's field by {rough:.0%} of it, and {outliers:.0%} of its samples by "
-            "more than their noise: another cause than iron on board is at work (corrupt parameters, currents, steel "
-            "on the ground, wrong mounting)",
+            f"{_departure(rough, outliers)}: another cause than iron on board is at work (corrupt parameters, "
+            "currents, steel on the ground, a wrong mounting, an attitude that is bent)",
             quality=quality,
         )
     offsets, entries = _open(found, strength)

@@ -105,9 +105,16 @@ def readable_file(path: str) -> Path:
     Raises
     ------
     click.BadParameter
-        If there is none.
+        If there is none, or it is a folder, a pipe or a device.
     """
+    from mavcal.calib.errors import UnreadableError
+    from mavcal.calib.logs import check_ordinary
+
     file = Path(path)
-    if not file.is_file():
+    if not file.exists():
         raise click.BadParameter(f"there is no file {path}")
+    try:
+        check_ordinary(file)
+    except UnreadableError as error:
+        raise click.BadParameter(str(error)) from error
     return file

@@ -21,6 +21,7 @@ from mavcal.service.errors import (
     IllegalTransition,
     NotCancellable,
     NotRevertible,
+    StoreError,
 )
 from mavcal.service.jobs.acceptance import Acceptance
 from mavcal.service.jobs.admission import (
@@ -284,6 +285,9 @@ class JobEngine:
         chosen = validate_options(kind, options or {})
         context = {**(begun_by or {}), "plan_options": checked_plan_options(plan_options or {})}
         require_sensors_of(spec, plan_options or {})
+        obstacle = self._store.obstacle()
+        if obstacle is not None:  # a calibration that could never be written is not begun
+            raise StoreError(obstacle)
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
         require_ready(vehicle, busy=True)  # which is waited for
@@ -468,6 +472,9 @@ class JobEngine:
     def _require_writing(self) -> None:
         if self._read_only:
             raise Forbidden("this service runs with --read-only and never writes: export the plan instead")
+        obstacle = self._store.obstacle()
+        if obstacle is not None:
+            raise StoreError(obstacle)
 
     async def _history(self, vehicle: JobVehicle) -> tuple[VerifiedCalibration, ...]:
         jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)

@@ -40,13 +40,13 @@ def truth_channels(topics: Topics) -> list[Channel]:
 
 
 def arming_events(topics: Topics) -> list[Event]:
-    """Every change between armed and disarmed, the first state included if it is armed."""
+    """The first state, armed or disarmed, and every change."""
     for name, column, armed in (("actuator_armed", "armed", 1), ("vehicle_status", "arming_state", ARMING_STATE_ARMED)):
         topic = topics.get((name, 0))
         if topic is None or column not in topic or not len(topic["timestamp"]):
             continue
         state = topic[column].astype(np.int64) == armed
-        turned = np.flatnonzero(np.diff(state, prepend=False))
+        turned = np.flatnonzero(np.diff(state, prepend=not state[0]))
         kinds = ["armed" if state[i] else "disarmed" for i in turned]
         stamps = topic["timestamp"][turned].astype(np.float64) * US
         return [Event(float(t), kind, f"the vehicle was {kind}") for t, kind in zip(stamps, kinds, strict=True)]
@@ -134,7 +134,8 @@ def _motors(topics: Topics) -> Iterator[Channel]:
         used = [f"control[{k}]" for k in range(MOST_OUTPUTS) if f"control[{k}]" in topic]
         used = [name for name in used if np.isfinite(topic[name]).any()]
         if used:
-            values = np.clip(np.nan_to_num(columns(topic, *used), nan=0.0), 0.0, 1.0)  # nan: the motor is stopped
+            # nan: the motor is stopped; below 0: it turns back (CA_R_REV)
+            values = np.clip(np.nan_to_num(columns(topic, *used), nan=0.0), -1.0, 1.0)
             yield _finite(Sensor.MOTOR, 0, sample_time(topic), values, "1", "actuator_motors")
         return
     for multi_id, outputs in instances_of(topics, "actuator_outputs"):

@@ -74,7 +74,7 @@ def test_an_output_above_idle_tells_from_the_sample_before_to_the_sample_after()
     np.testing.assert_allclose(spans(found.off), [(0.0, 29.9), (40.6, 100.0)])
 
 
-@pytest.mark.parametrize(("level", "runs"), [(0.03, False), (0.031, True), (-0.5, False)])
+@pytest.mark.parametrize(("level", "runs"), [(0.03, False), (0.031, True), (-0.03, False), (-0.5, True)])
 def test_idle_is_three_hundredths_of_the_range(level, runs):
     found = ground(recording(output(np.full(len(T), level))))
     assert bool(found.running) == runs

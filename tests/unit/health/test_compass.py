@@ -16,8 +16,6 @@ from mavcal.calib.recording import (
     Channel,
     Event,
     Identity,
-    Oddity,
-    OddSamples,
     ParameterTimeline,
     Recording,
     Sensor,
@@ -219,46 +217,6 @@ def test_where_the_motors_are_the_cause_their_remedy_is_told():
     made = {f.check: f for f in findings(driven, throttle, ATTITUDE)}
     assert made["steady"].verdict in (SUSPICIOUS, FAULTY)
     assert made["steady"].action == made["motors"].action
-
-
-def zeros(count, total=1000, sensor=Sensor.MAG):
-    return Event(12.5, "damage", "", OddSamples(Oddity.ZERO, sensor, 0, count, total, until=80.0))
-
-
-def test_zeros_are_a_fault_from_a_tenth_of_the_samples_on():
-    made = found("dead", compass(), events=[zeros(100)])
-    assert made.verdict == FAULTY
-    assert made.text == "reads 0, 0, 0 in 10 % of its samples, first at 12.5 s"
-    assert (made.start, made.end) == (12.5, 80.0)
-    for event in (zeros(99), zeros(100, None), zeros(100, sensor=Sensor.ACCEL), Event(1.0, "damage", "")):
-        assert found("dead", compass(), events=[event]) is None
-
-
-def test_a_dead_compass_is_told_without_a_channel_of_its_own():
-    dead = Event(0.0, "dead", "", OddSamples(Oddity.ZERO, Sensor.MAG, 1, 500, 500))
-    assert found("dead", instance=1, events=[dead]).verdict == FAULTY
-    unused = found("dead", instance=1, events=[dead], parameters={"COMPASS_USE2": 0})
-    assert (unused.verdict, unused.action) == (CANNOT_SAY, "")
-    other = Event(0.0, "dead", "", OddSamples(Oddity.ZERO, Sensor.GYRO, 1, 500, 500))
-    assert findings(events=[other, Event(0.0, "dead", "")]) == []
-
-
-def test_a_compass_that_reads_only_zero_is_faulty_even_where_nothing_turned():
-    flat = channel(Sensor.MAG, np.zeros((len(T), 3)), "uT", stage=Stage.CORRECTED)
-    assert found("dead", flat).verdict == FAULTY
-    held = dataclasses.replace(flat, values=np.tile(FIELD, (len(T), 1)))
-    assert found("dead", held).verdict == CANNOT_SAY
-    assert [f.check for f in findings(held, ATTITUDE, POSITION)] == ["dead"]
-
-
-@pytest.mark.parametrize(("tilt", "verdict"), [(5.0, CANNOT_SAY), (8.0, FAULTY)])
-def test_a_constant_compass_is_dead_where_gravity_went_to_another_axis(tilt, verdict):
-    """The limit of 1 m/s2 across is a tilt of 5.9 deg."""
-    angle = np.radians(np.where(T > 60.0, tilt, 0.0))
-    force = 9.80665 * np.column_stack([np.sin(angle), np.zeros_like(T), -np.cos(angle)])
-    accel = channel(Sensor.ACCEL, force, "m/s2", stage=Stage.CORRECTED)
-    held = channel(Sensor.MAG, np.tile(FIELD, (len(T), 1)), "uT", stage=Stage.CORRECTED)
-    assert found("dead", held, accel).verdict == verdict
 
 
 def test_parameters_that_are_no_numbers_are_told_of_their_own_compass():

@@ -248,7 +248,7 @@ class TestParameters:
         recording = read_dataflash(HEAD + rows.tobytes())
         assert len(recording.channel(Sensor.MAG)) == 6
         assert kinds(recording, "damage") == [
-            "mag 1: 4 of 10 samples of MAG are exactly 0, 0, 0, which no field is; left out"
+            "mag 1: 4 of 10 samples of MAG are exactly 0, 0, 0, which such a sensor never reads; left out"
         ]
         (odd,) = [event.odd for event in recording.events if event.kind == "damage"]
         assert odd == OddSamples(Oddity.ZERO, Sensor.MAG, 0, 4, 10, until=17.0)
@@ -271,7 +271,7 @@ class TestParameters:
         rows = made.MAG.rows(20, TimeUS=t, S=t, MagX=300, OfsX=[0] * 10 + [60] * 10, Health=1)
         recording = read_dataflash(HEAD + rows.tobytes())
         assert [(e.name, e.value) for e in recording.parameters.changes(("COMPASS_OFS",))] == [("COMPASS_OFS_X", 60.0)]
-        assert any("learnt in flight" in text for text in kinds(recording, "text"))
+        assert any("learnt on the way" in text for text in kinds(recording, "text"))
         raw = undo(recording).channel(Sensor.MAG)
         assert raw.values[0, 0] == pytest.approx(30.05)
         assert raw.values[-1, 0] == pytest.approx(24.05)
