@@ -7,12 +7,13 @@ import sys
 import time
 from pathlib import Path
 
-from bench.accuracy import page, rows_align, rows_allan, rows_imu, rows_mag, rows_six_face, rows_thermal
+from bench.accuracy import page, rows_align, rows_allan, rows_imu, rows_mag, rows_order, rows_six_face, rows_thermal
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part
 
 ROWS = {
     "mag": rows_mag.run,
+    "order": rows_order.run,
     "align": rows_align.run,
     "imu": rows_imu.run,
     "six-face": rows_six_face.run,

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult, parameter_names
+from mavcal.calib.mag.distance import score_rows
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
+from mavcal.calib.mag.hurried import Turn
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, white_variance
@@ -61,8 +63,8 @@ class MagContext:
         Mounting rotation (3, 3), for the heading error only; None: the sensor's axes are the vehicle's.
     compensated
         Whether the vehicle has a compensation of the motors' field in force.
-    sparse
-        Whether it turned so far from one sample to the next that misfit and noise look alike.
+    times
+        Of the samples, s, (N,), where their residuals are to be searched for blur and lag; None: not known.
     """
 
     instance: int = 0
@@ -74,7 +76,7 @@ class MagContext:
     relative: bool = False
     temperature: float | None = None
     compensated: bool = False
-    sparse: bool = False
+    times: Array | None = None
 
     def __post_init__(self) -> None:
         if self.noise_sd is not None and not (math.isfinite(self.noise_sd) and self.noise_sd > 0.0):
@@ -116,7 +118,7 @@ class MagFacts(TypedDict, total=False):
     relative: bool
     temperature: float | None
     compensated: bool
-    sparse: bool
+    times: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +165,12 @@ def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> F
     thinned = samples[:: max(1, len(samples) // _MANY)]
     seen = visited((thinned - fit.ellipsoid.offset) @ correction(fit.ellipsoid, context.strength).matrix.T)
     quality = residual_quality(fit, context) | {"coverage_mask": mask_bytes(seen), "coverage": float(seen.mean())}
-    fit = _widened(fit, quality, context)
+    turn = _turn(fit, samples, context)
+    if turn is not None:
+        lengths = np.linalg.norm(correction(fit.ellipsoid, 1.0).apply(samples), axis=1)
+        quality |= {"step_deg": math.degrees(turn.step), "blur_share": turn.seen_in(lengths)}
+        fit = _blurred(fit, samples, turn)
+    fit = _widened(fit, quality)
     return concluded(fit, quality, len(samples), len(fit.residuals), context)
 
 
@@ -222,17 +229,33 @@ def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
     }
 
 
-def _widened(fit: ShapeFit, quality: Mapping[str, Any], context: MagContext) -> ShapeFit:
+def _turn(fit: ShapeFit, samples: Array, context: MagContext) -> Turn | None:
+    """How the field turned in samples that follow each other too slowly to be a series; None where they do not."""
+    if context.times is None or len(context.times) != len(samples):
+        return None
+    return Turn.of(context.times, correction(fit.ellipsoid, 1.0).apply(samples))
+
+
+def _blurred(fit: ShapeFit, samples: Array, turn: Turn) -> ShapeFit:
+    """The fit with what the longest blur could have moved it by: more samples do not make that less."""
+    inverse = np.linalg.inv(fit.ellipsoid.shape)
+    outwards = turn.blur / np.linalg.norm(turn.u @ inverse, axis=1)  # along the normal, in the unit of the samples
+    pull = score_rows(samples[turn.rows], fit.ellipsoid) @ outwards
+    variance = float(fit.residuals @ fit.residuals) / max(fit.dof, 1.0) * fit.variance_inflation
+    moved = fit.covariance @ pull / max(variance, 1e-300)
+    return dataclasses.replace(fit, covariance=fit.covariance + np.outer(moved, moved))
+
+
+def _widened(fit: ShapeFit, quality: Mapping[str, Any]) -> ShapeFit:
     """The fit with the uncertainty that its misfit leaves, however many samples there are.
 
-    What residuals are beyond the noise is no noise: it averages over :data:`_PIECES` at most. Where samples are
-    `sparse`, nothing tells it from noise, and all that is left counts.
+    What residuals are beyond the noise is no noise: it averages over :data:`_PIECES` at most. Nor is what follows the
+    turn where the compass was read more slowly than it turned.
     """
     squares = quality["residual_rms"] ** 2
-    noise = 0.0 if context.sparse and context.noise_variance is None else quality["noise_sd"] ** 2
-    if not context.sparse and not _misfits(fit, quality):
-        return fit
-    misfit = max(squares - noise, 0.0) / squares if squares > 0.0 else 0.0
+    misfit = quality.get("blur_share", 0.0)
+    if _misfits(fit, quality):
+        misfit = max(misfit, (squares - quality["noise_sd"] ** 2) / squares)
     factor = misfit * len(fit.residuals) / (_PIECES * fit.variance_inflation)
     if factor <= 1.0:
         return fit
@@ -321,11 +344,13 @@ def _warnings(fit: ShapeFit, context: MagContext, quality: Mapping[str, Any]) ->
             f"{'an' if fit.form == 'ellipsoid' else 'a'} {fit.form} (blur, currents, steel nearby). The stated "
             "uncertainty includes that"
         )
-    if context.sparse:
+    if "step_deg" in quality:
+        seen = quality["blur_share"]
         found.append(
-            "the compass was read more slowly than it turned, by 30 deg and more from one sample to the next: errors "
-            f"pass for noise, so more samples make the heading no better than {quality['heading_sd_deg']:.2g} deg. "
-            "Turn more slowly, or record it at 10 Hz"
+            f"the compass was read more slowly than it turned, by {quality['step_deg']:.0f} deg from one sample to the "
+            "next: the stated uncertainty includes what a blur or a lag could hide"
+            + (f", and {seen:.0%} of the residuals' variance follow the turn" if seen else "")
+            + ". Turn more slowly, or record it at 10 Hz"
         )
     if fit.dof < 10:
         found.append(f"only {fit.dof:.0f} samples more than parameters: the stated uncertainty is itself uncertain")

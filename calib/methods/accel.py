@@ -72,12 +72,12 @@ def accel_six_face(source: Source, options: Options) -> list[FitResult]:
 
 
 def _faces(source: Source, accel: Channel, *, all_samples: bool) -> tuple[list[Face], float | None]:
-    """Faces by label, by stillness, or row by row in a table without time; and the mean temperature."""
+    """Faces by label, by stillness, or row by row in a table of readings; and the mean temperature."""
     accel = accel.take(finite_rows(accel.values))
     if source.recording.segments:
         parts = [(down_of(s.label), accel.between(s.start, s.end)) for s in source.recording.segments]
         return _face_means(parts, all_samples=all_samples), None
-    if not source.timed:
+    if source.readings(accel):
         groups: dict[tuple[int, bool], list[int]] = {}
         middle = 0.5 * (accel.values.max(axis=0) + accel.values.min(axis=0))
         for row, value in enumerate(accel.values - middle):

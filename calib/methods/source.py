@@ -5,12 +5,17 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+import numpy as np
+
 from mavcal.calib.firmware import undo
 from mavcal.calib.fit import FitResult
 from mavcal.calib.flight.rest import grounded
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.stillness import HELD, RESTING, Still, find_still
+
+_TURNED_COS = 0.5
+"""Cosine of 60 degrees: nothing turns by that and more at every sample, so such rows are poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +65,17 @@ class Source:
         """Whether the time stamps are times: a table without them has counted rows."""
         return not any(event.kind == NO_TIME for event in self.recording.events)
 
+    def readings(self, channel: Channel) -> bool:
+        """Whether every row of `channel` is a reading by itself: of a face, a pose or a turn, written down one by one.
+
+        So are the rows of a table without time, and those with a time stamp where a rest cannot show (fewer than two
+        in the shortest one), or where the sensor lies another way at every row.
+        """
+        if self.of_vehicle or self.recording.segments or len(channel) < 2:
+            return not self.timed
+        apart = float(np.median(np.diff(channel.t)))
+        return not self.timed or 2.0 * apart > HELD.shortest or _lies_anew(channel)
+
     @property
     def of_vehicle(self) -> bool:
         """Whether it was streamed by a vehicle."""
@@ -105,3 +121,10 @@ class Source:
 
     def _usable(self, sensor: Sensor, instance: int) -> bool:
         return any(c.stage != Stage.DEBIASED for c in self.recording.find(sensor, instance))
+
+
+def _lies_anew(channel: Channel) -> bool:
+    """Whether the vector of `channel` turned by 60 degrees and more from most rows to the next."""
+    lengths = np.linalg.norm(channel.values, axis=1)
+    cosines = np.einsum("ni,ni->n", channel.values[1:], channel.values[:-1])
+    return bool(np.median(cosines - _TURNED_COS * lengths[1:] * lengths[:-1]) < 0.0)
