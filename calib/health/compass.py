@@ -20,6 +20,7 @@ from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import in_use, never_calibrated
+from mavcal.calib.health.support import Support, support_of
 from mavcal.calib.recording import Channel, Event, Oddity, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
@@ -44,12 +45,14 @@ _YEAR: Final = 2025.5
 """Where the log says no date: the field's strength changes by a thousandth a year."""
 
 
-def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
-    """Every check of every compass."""
+def compass_findings(recording: Recording, support: Support | None = None) -> Iterator[HealthFinding]:
+    """Every check of every compass; `support` is what speaks against the logged attitude, None: look for it here."""
     yield from _corrupt(recording)
     yield from _dead(recording)
     field = _field(recording)
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
+    if (support_of(recording, attitude) if support is None else support).tilt:
+        attitude = None  # it has no vertical that a field could be held against
     found: dict[int, Channel] = {}
     for instance in recording.instances(Sensor.MAG):
         streamed = judged_channel(recording, Sensor.MAG, instance)
@@ -158,7 +161,7 @@ def _steady(recording: Recording, channel: Channel) -> HealthFinding:
     spread = 0.5 * (high - low) / max(middle, 1e-9)
     verdict = judged_value(spread, 0.0, limits.FIELD_STEADY)
     text = f"reads {middle:.1f} uT, 95 % of the time within {low:.1f} and {high:.1f} uT (+-{100 * spread:.0f} %)"
-    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
+    if verdict in BAD and never_calibrated(recording, Sensor.MAG, channel.instance):
         text += ". It was never calibrated: its offsets are 0"
     return _bad("steady", channel, verdict, text, _CALIBRATE, Compared(spread, 0.0, limits.FIELD_STEADY))
 
@@ -232,7 +235,7 @@ def _against_earth(
     off = abs(measured - expected) / expected
     verdict = judged_value(off, field.norm_sd / expected, limits.FIELD)
     text = f"reads {measured:.1f} uT; the World Magnetic Model has {expected:.1f} uT there"
-    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
+    if verdict in BAD and never_calibrated(recording, Sensor.MAG, channel.instance):
         text += ". It was never calibrated: its offsets are 0"
     yield _bad("earth", channel, verdict, text, _CALIBRATE, Compared(off, field.norm_sd / expected, limits.FIELD))
     dip = None if attitude is None else _dip(channel, attitude)

@@ -13,9 +13,10 @@ from mavcal.calib.health.finding import BAD, HealthVerdict, SensorHealth, sensor
 from mavcal.calib.health.inertial import inertial_findings
 from mavcal.calib.health.lacking import every_sample, lacking
 from mavcal.calib.health.sampling import SENSORS, sampled, sampling_findings
+from mavcal.calib.health.support import support_of
 from mavcal.calib.health.temperature import temperature_findings
 from mavcal.calib.health.vibration import vibration_findings
-from mavcal.calib.recording import Recording
+from mavcal.calib.recording import Recording, Sensor
 
 
 @dataclass(frozen=True)
@@ -83,11 +84,13 @@ def health(recording: Recording) -> HealthReport:
     """Judge every sensor of `recording`."""
     stood = ground(recording)
     every, shaking = sampled(recording), tuple(shaking_items(recording, stood.running))
+    attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
+    support = support_of(recording, attitude)
     findings = [
-        *inertial_findings(recording, stood.off),
+        *inertial_findings(recording, stood.off, support),
         *vibration_findings(recording, stood.running, shaking, every_sample(recording)),
         *temperature_findings(recording),
-        *compass_findings(recording),
+        *compass_findings(recording, support),
         *sampling_findings(recording, every),
     ]
     named = sorted({(f.sensor, f.instance) for f in findings}, key=lambda one: (SENSORS.index(one[0]), one[1]))
