@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.rest import ground
 from mavcal.calib.health import limits, motion
@@ -226,8 +226,7 @@ def _against_earth(
     recording: Recording, channel: Channel, attitude: Channel | None, field: EarthField | None
 ) -> Iterator[HealthFinding]:
     if field is None:
-        text = "the log has no position: the Earth's field there is not known"
-        yield HealthFinding("earth", Sensor.MAG, channel.instance, HealthVerdict.CANNOT_SAY, text, "Log the GPS.")
+        yield _anywhere(recording, channel)
         return
     north, _, down = field.north_east_down.tolist()
     expected = float(np.linalg.norm(field.north_east_down))
@@ -247,6 +246,21 @@ def _against_earth(
     verdict = judged_value(apart, 1.0, limits.DIP)
     text = f"its field dips by {dip:.1f} deg; the World Magnetic Model has {should:.1f} deg there"
     yield _bad("dip", channel, verdict, text, _MOUNTING, Compared(apart, 1.0, limits.DIP))
+
+
+def _anywhere(recording: Recording, channel: Channel) -> HealthFinding:
+    """The strength against what the Earth has anywhere; of the dip nothing is known without a latitude."""
+    measured = float(np.median(_length(channel)))
+    off = beyond_earth(measured)
+    verdict = judged_value(off, 0.0, limits.FIELD)
+    range_of = f"the Earth has {WEAKEST_UT:.0f} to {STRONGEST_UT:.0f} uT anywhere"
+    if verdict == HealthVerdict.OK:
+        text = f"the log has no position: {measured:.1f} uT are looked at alone, and {range_of}"
+        return HealthFinding("earth", Sensor.MAG, channel.instance, HealthVerdict.CANNOT_SAY, text, "Log the GPS.")
+    text = f"reads {measured:.1f} uT; {range_of}"
+    if never_calibrated(recording, Sensor.MAG, channel.instance):
+        text += ". It was never calibrated: its offsets are 0"
+    return _bad("earth", channel, verdict, text, _CALIBRATE, Compared(off, 0.0, limits.FIELD))
 
 
 def _dip(channel: Channel, attitude: Channel) -> float | None:

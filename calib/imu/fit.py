@@ -16,7 +16,7 @@ from mavcal.calib.imu.integrate import Moves
 from mavcal.calib.imu.poses import LEAST_POSES, Poses, find_poses, measure
 from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, reduced, solve, turns_of
 from mavcal.calib.imu.result import Form, RecordingFacts, imu_refused, imu_results
-from mavcal.calib.imu.start import closure, rough_gyro, with_turn_noise
+from mavcal.calib.imu.start import closure, rate_factor, rough_gyro, with_turn_noise
 from mavcal.calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, ImuPrior
 from mavcal.calib.imu.weigh import Weighed, weigh
 from mavcal.calib.recording import Channel
@@ -33,6 +33,7 @@ _LARGEST = 1e12  # of any unit
 _GAP = 5.0  # usual steps; a movement with a longer hole in it is not integrated
 _CLIPPED = 3  # samples at the very end of an axis' range that are one too many
 _LEARNT = 1.0 / 3.0  # of the usual size of a misalignment: one that is not known so well stays open
+_NO_SWAY_DEG = 10.0  # between two poses, which hands that sway do not reach
 _SCALE_SD = 0.1  # of a gyroscope's nominal scale, before the data
 
 
@@ -154,6 +155,12 @@ def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, c
     starts = ([np.eye(3)] if in_si else []) + ([rough / scale] if rough is not None else [])
     xs = [np.concatenate([alone.parameters, G.ravel(), rest * scale]) for G in starts]
     x = min(xs, key=lambda x: closure(problem, x)) if len(moves) else xs[0]
+    factor = rate_factor(problem, xs[0], rough) if in_si and rough is not None and len(moves) else None
+    if factor is not None:
+        return (
+            f"the gyroscope reads {1.0 / factor:.2g} times the rate at which gravity turns between the poses: its unit "
+            f"or its range is another one; multiply its numbers by {factor:.3g}, or check deg/s, rad/s and full scale"
+        )
     problem = with_turn_noise(problem, x)
     left_out = len(between) - int(usable.sum())
     return _Begun(problem, x, alone.directions, _prior(centre / radius, cross_sd), radius, scale, left_out)
@@ -169,6 +176,13 @@ def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: floa
             facts, "the movements do not lead from one pose to the next by any model of the gyroscope: check the units"
         )
     weighed = weigh(with_turn_noise(begun.problem, first.x), first, begun.prior, open_at_start)
+    miss = float(np.degrees(np.sqrt(weighed.problem.extra[1])))
+    if miss > _NO_SWAY_DEG:
+        return imu_refused(
+            facts,
+            f"the movements miss the next pose by {miss:.0f} deg each, which is no sway: check the gyroscope's unit, range "
+            "and the order and signs of its axes, and that every turn is in the recording",
+        )
     unknown = _unknown(weighed.solution.information, begun.prior, cross_sd, weighed.doubt)
     neutral = weighed.solution.x.copy()
     neutral[unknown] = begun.prior.centre[unknown]

@@ -7,23 +7,23 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from mavcal.calib.earth import EarthField
-from mavcal.calib.errors import InvalidInputError, UndeterminedError
-from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult, parameter_names
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import OFFSETS, FitResult, parameter_names
+from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.distance import score_rows
-from mavcal.calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
+from mavcal.calib.mag.earthly import earthly
+from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.hurried import Turn
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, white_variance
 from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance
-from mavcal.calib.recording import Sensor
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
@@ -39,86 +39,9 @@ FIELD_TOLERANCE = 0.2
 _ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
 _PIECES = 10.0
 """Pieces of misfit over which an error averages out at most: it follows the movement, not the number of samples."""
-_LEAST_FIELD, _MOST_FIELD = 12.0, 120.0  # uT
 _VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
 _MISFIT = 1.3  # residuals larger than the noise by this factor are reported as misfit
 _MANY = 20_000  # samples that are enough to draw a coverage mask
-
-
-@dataclass(frozen=True, eq=False)
-class MagContext:
-    """What a fit is told about the sensor, and not about the samples.
-
-    Parameters
-    ----------
-    unit
-        Of the samples: ``uT`` or ``counts``.
-    noise_sd
-        Noise of one axis in that unit, without quantisation; None: from the residuals.
-    quantum
-        Width of a quantisation bin; its ``q^2/12`` is added to the variance of `noise_sd`.
-    field
-        The true field: its strength ties the scale, its dip the heading error. None: scale and dip are unknown.
-    body_from_sensor
-        Mounting rotation (3, 3), for the heading error only; None: the sensor's axes are the vehicle's.
-    compensated
-        Whether the vehicle has a compensation of the motors' field in force.
-    times
-        Of the samples, s, (N,), where their residuals are to be searched for blur and lag; None: not known.
-    """
-
-    instance: int = 0
-    unit: str = "uT"
-    noise_sd: float | None = None
-    quantum: float = 0.0
-    field: EarthField | None = None
-    body_from_sensor: Array | None = None
-    relative: bool = False
-    temperature: float | None = None
-    compensated: bool = False
-    times: Array | None = None
-
-    def __post_init__(self) -> None:
-        if self.noise_sd is not None and not (math.isfinite(self.noise_sd) and self.noise_sd > 0.0):
-            raise InvalidInputError(f"noise of a magnetometer must be positive, not {self.noise_sd}")
-        if not (math.isfinite(self.quantum) and self.quantum >= 0.0):
-            raise InvalidInputError(f"a quantisation bin cannot be {self.quantum} wide")
-
-    def made(self, method: str, n_samples: int, movement: str = "") -> FitBuilder:
-        """What begins the result of a method from so many samples."""
-        return FitBuilder(
-            method, Sensor.MAG, self.instance, self.unit, n_samples, self.relative, self.temperature, movement
-        )
-
-    @property
-    def noise_variance(self) -> float | None:
-        """Variance of one axis with quantisation, in the unit of the samples squared; None: not known."""
-        return None if self.noise_sd is None else self.noise_sd**2 + self.quantum**2 / 12.0
-
-    @property
-    def strength(self) -> float | None:
-        """Length of the corrected vectors, uT; None: the mean radius of the ellipsoid."""
-        return None if self.field is None else self.field.norm
-
-    @property
-    def inclination(self) -> float:
-        """Dip of the field, rad."""
-        return DEFAULT_INCLINATION if self.field is None else self.field.inclination
-
-
-class MagFacts(TypedDict, total=False):
-    """Keyword arguments of every magnetometer fit: the parameters of :class:`MagContext`."""
-
-    instance: int
-    unit: str
-    noise_sd: float | None
-    quantum: float
-    field: EarthField | None
-    body_from_sensor: Array | None
-    relative: bool
-    temperature: float | None
-    compensated: bool
-    times: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,11 +78,6 @@ class ShapeFit:
         )
 
 
-def plausible_field(radius: float) -> bool:
-    """Whether a field of `radius` uT may be the Earth's (22 to 67), by a sensor whose scale is off and a bent site."""
-    return _LEAST_FIELD < radius < _MOST_FIELD
-
-
 def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:
     """The verdict on `fit` of `samples` (N, 3); refused where the data do not carry it."""
     thinned = samples[:: max(1, len(samples) // _MANY)]
@@ -191,7 +109,7 @@ def concluded(
     told = full.copy()
     blind = [parameter_names().index(name) for name in fit.left_open]
     told[blind, :] = told[:, blind] = 0.0
-    return made.fitted(
+    found = made.fitted(
         model,
         told,
         message=_message(quality) + _what_is_open(fit),
@@ -203,6 +121,7 @@ def concluded(
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit.ellipsoid, model) | dict(fit.native)),
     )
+    return earthly(found, context)
 
 
 def refusal(method: str, error: UndeterminedError, n_samples: int, context: MagContext) -> FitResult:

@@ -73,7 +73,7 @@ def test_a_larger_number_is_never_better_and_a_surer_one_never_milder(value, mor
     judged = worsening.index(judged_value(value, sd, LIMIT))
     assert worsening.index(judged_value(value + more, sd, LIMIT)) >= judged
     known = judged_value(value, surer * sd, LIMIT)
-    assert worsening.index(known) >= judged or CANNOT_SAY == judged_value(value, sd, LIMIT)
+    assert worsening.index(known) >= judged or judged_value(value, sd, LIMIT) == CANNOT_SAY
 
 
 def test_the_worst_verdict_counts_and_a_check_that_was_not_made_counts_last():
