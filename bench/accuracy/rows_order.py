@@ -61,9 +61,9 @@ def _by_method(data: Recording) -> Answer | None:
     return _scaled(ours(lambda read: METHODS["mag-ellipsoid"].run(read)[0])(data))
 
 
-def contenders() -> tuple[list[Contender], list[str]]:
-    """The method, and the peers on the same samples."""
-    peers, missing = peers_of()
+def contenders(settings: Settings) -> tuple[list[Contender], list[str]]:
+    """The method, and the peers on the same samples where they are wanted."""
+    peers, missing = ([], []) if settings.alone else peers_of()
 
     def of_samples(fit: Callable[[Array], Answer | None]) -> Callable[[Recording], Answer | None]:
         return lambda data: fit(10.0 * data.channel(Sensor.MAG, 0).values)
@@ -104,7 +104,7 @@ def cases(settings: Settings) -> dict[str, list[Case]]:
 
 def run(settings: Settings) -> Iterator[Part]:
     """All tables."""
-    found, missing = contenders()
+    found, missing = contenders(settings)
     for title, of_title in cases(settings).items():
         tallies: list[Tally] = []
         for case in of_title:

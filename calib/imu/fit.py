@@ -23,6 +23,7 @@ from mavcal.calib.recording import Channel
 from mavcal.calib.stats.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
 from mavcal.calib.stats.norm_fit import solve as solve_norm
 from mavcal.calib.stats.quantisation import with_apparent_quantum
+from mavcal.calib.stats.stillness import HELD, HOLD_S, MANY_MORE, SHORTER, too_short
 from mavcal.calib.stats.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
@@ -45,6 +46,7 @@ def fit_imu(
     cross_sd: float = 0.01,
     form: Form = "symmetric",
     spans: Array | None = None,
+    min_still: float = HOLD_S,
     temperature: float | None = None,
     relative: bool = False,
 ) -> tuple[FitResult, FitResult]:
@@ -67,6 +69,8 @@ def fit_imu(
         Canonical form of the accelerometer's matrix; ``upper`` keeps the sensor's x axis (imu_tk).
     spans : shape (P, 2) or None
         Where it is known to be still, s. None: found.
+    min_still
+        s for which a pose was held at least, where they are found.
     temperature
         Mean of the sensor, degC; None: not known.
     relative
@@ -91,13 +95,15 @@ def fit_imu(
     if reason:
         return imu_refused(facts, reason)
     known = gravity if accel.unit == "m/s2" else None
+    found = spans is None
     if spans is None:
-        spans = find_poses(accel, gyro, known)
+        spans = find_poses(accel, gyro, known, min_still)
     spans = _filled(accel, gyro, np.asarray(spans, dtype=np.float64).reshape(-1, 2))
     if len(spans) < LEAST_POSES:
         return imu_refused(
             facts,
-            f"{len(spans)} still poses in {accel.t[-1] - accel.t[0]:.0f} s: hold nine or more different ones",
+            f"{len(spans)} still poses in {accel.t[-1] - accel.t[0]:.0f} s: hold nine or more different ones"
+            + (_held_for_less(accel, gyro, known, len(spans), min_still) if found else ""),
         )
     poses = measure(accel, gyro, spans)
     reason = _not_gravity(poses, known)
@@ -107,6 +113,16 @@ def fit_imu(
     if isinstance(begun, str):
         return imu_refused(facts, begun)
     return _finished(facts, poses, begun, cross_sd)
+
+
+def _held_for_less(accel: Channel, gyro: Channel, gravity: float | None, count: int, needed: float) -> str:
+    """How long poses were held, where more than the `count` that were found were held for less than `needed` s."""
+    for part in SHORTER:
+        spans = find_poses(accel, gyro, gravity, part * needed)
+        if len(spans) >= MANY_MORE * (count + 1):
+            held = np.diff(spans, axis=1)[:, 0] + part * needed * HELD.window / HOLD_S
+            return too_short(held.tolist(), needed, part * needed)
+    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,8 +196,8 @@ def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: floa
     if miss > _NO_SWAY_DEG:
         return imu_refused(
             facts,
-            f"the movements miss the next pose by {miss:.0f} deg each, which is no sway: check the gyroscope's unit, range "
-            "and the order and signs of its axes, and that every turn is in the recording",
+            f"the movements miss the next pose by {miss:.0f} deg each, which is no sway: check the gyroscope's unit, "
+            "range, and the order and signs of its axes, and that every turn is in the recording",
         )
     unknown = _unknown(weighed.solution.information, begun.prior, cross_sd, weighed.doubt)
     neutral = weighed.solution.x.copy()

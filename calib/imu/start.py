@@ -80,7 +80,8 @@ def rate_factor(problem: ImuProblem, x: Array, rough: Array) -> float | None:
         return float(np.median(_misses(problem, np.concatenate([x[:9], (factor * np.eye(3)).ravel(), x[18:]]))))
 
     tried = {factor: miss(factor) for factor in begun * np.geomspace(1.0 / _AROUND, _AROUND, _TRIED)}
-    best = min(tried, key=lambda factor: tried[factor])
+    tried |= {factor: miss(factor) for factor in min(tried, key=tried.__getitem__) * np.linspace(0.985, 1.015, 7)}
+    best = min(tried, key=tried.__getitem__)
     wrong = abs(np.log(best)) > np.log(_OTHER_SCALE)
     return float(best) if wrong and tried[best] < min(_BETTER * as_given, _LEADS) else None
 
