@@ -203,7 +203,7 @@ def rings_result(method: str, fit: RingsFit, context: MagContext, diameter: floa
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit, context, model, strength, whole)),
     )
-    return earthly(found, context)
+    return earthly(found, context) if diameter is None else found  # a diameter is in whatever unit
 
 
 def _quality(

@@ -73,7 +73,7 @@ RESTING = StillnessLimits(
 
 
 HOLD_S = 2.0
-"""How long a pose has to be held for :data:`HELD`: its shortest span, half a window at each end, and what a hand needs."""
+"""How long a pose has to be held for :data:`HELD`: its shortest span, half a window at each end, and some to spare."""
 
 SHORTER = (0.5, 0.25)
 """Parts of the time asked for at which it is looked whether poses were held for less."""

@@ -12,7 +12,7 @@ from mavcal.calib.mag.earthly import plausible_field
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
-METHODS_OF = ("mag-minmax", "mag-sphere", "mag-ellipsoid-axis", "mag-ellipsoid", "mag-align", "mag-gyro")
+METHODS_OF = ("mag-sphere", "mag-ellipsoid-axis", "mag-ellipsoid", "mag-align", "mag-gyro")
 RATE = np.array([0.30, 0.53, 0.64])
 
 
