@@ -37,6 +37,7 @@ FIELD_TOLERANCE = 0.2
 """Departure of the fitted from the modelled field strength, relative, that is reported."""
 
 _ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
+_WANDERS = 0.05  # residual relative to the radius, above the noise, that is 5 deg of heading now and then
 _PIECES = 10.0
 """Pieces of misfit over which an error averages out at most: it follows the movement, not the number of samples."""
 _VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
@@ -101,7 +102,7 @@ def concluded(
     strength_sd = 0.0 if context.field is None else context.field.norm_sd
     full = correction_covariance(fit.ellipsoid, fit.covariance, context.strength, strength_sd)
     quality = dict(about_samples) | _quality(fit, context, model, full)
-    reason = _why_not(fit, quality["residual_rms"], model, full)
+    reason = _wanders(fit, quality) or _why_not(fit, quality["residual_rms"], model, full)
     if reason is not None:
         message, names = reason
         message = f"{fit.because}. {message[0].upper()}{message[1:]}" if fit.because else message
@@ -235,6 +236,18 @@ def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tup
         f"of {radius:.3g}): turn the vehicle so that its {axis_word(weakest)} axis points up and down as well"
     )
     return message, open_ones
+
+
+def _wanders(fit: ShapeFit, quality: Mapping[str, Any]) -> tuple[str, tuple[str, ...]] | None:
+    """Why an ellipsoid whose residuals are no noise, and degrees of heading, may not be used; None if it may."""
+    rough = quality["residual_rms"] / fit.ellipsoid.mean_radius
+    if fit.form != "ellipsoid" or not _WANDERS < rough <= _ROUGHEST or not _misfits(fit, quality):
+        return None
+    message = (
+        f"the field wandered by {rough:.0%} of itself while turning, which is no noise and costs "
+        f"{math.degrees(rough):.0f} deg of heading: keep away from steel, magnets and currents, and repeat"
+    )
+    return message, parameter_names()
 
 
 def _volume(model: TriadModel) -> float:

@@ -69,3 +69,14 @@ def test_every_place_has_a_plausible_field(latitude):
 
 def test_the_range_in_which_a_sensor_with_a_wrong_scale_may_read():
     assert [plausible_field(x) for x in (14.0, 15.0, 22.0, 67.0, 90.0, 91.0)] == [False, True, True, True, True, False]
+
+
+@pytest.mark.parametrize(("share", "good"), [(0.01, True), (0.08, False)])
+def test_a_field_that_wanders_while_turning_is_no_good_fit(share, good):
+    recording = turned(49.0)
+    mag = recording.channel(Sensor.MAG, 0)
+    wandering = 49.0 * share * np.column_stack([np.sin(mag.t / w) for w in (3.1, 4.7, 7.3)])
+    moved = Channel(Sensor.MAG, 0, mag.t, mag.values + wandering, "uT", Stage.RAW, "test")
+    (fit,) = METHODS["mag-ellipsoid"].run(Recording((moved,)))
+    assert (fit.status == FitStatus.OK) == good
+    assert ("the field wandered by" in fit.message) != good
