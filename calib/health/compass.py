@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import never_calibrated
+from mavcal.calib.health.support import Support, support_of
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
@@ -38,11 +39,13 @@ _YEAR: Final = 2025.5
 """Where the log says no date: the field's strength changes by a thousandth a year."""
 
 
-def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
-    """Every check of every compass."""
+def compass_findings(recording: Recording, support: Support | None = None) -> Iterator[HealthFinding]:
+    """Every check of every compass; `support` is what speaks against the logged attitude, None: look for it here."""
     yield from _corrupt(recording)
     field = _field(recording)
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
+    if (support_of(recording, attitude) if support is None else support).tilt:
+        attitude = None  # it has no vertical that a field could be held against
     found: dict[int, Channel] = {}
     for instance in recording.instances(Sensor.MAG):
         streamed = judged_channel(recording, Sensor.MAG, instance)
@@ -91,7 +94,7 @@ def _steady(recording: Recording, channel: Channel) -> HealthFinding:
     spread = 0.5 * (high - low) / max(middle, 1e-9)
     verdict = judged_value(spread, 0.0, limits.FIELD_STEADY)
     text = f"reads {middle:.1f} uT, 95 % of the time within {low:.1f} and {high:.1f} uT (+-{100 * spread:.0f} %)"
-    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
+    if verdict in BAD and never_calibrated(recording, Sensor.MAG, channel.instance):
         text += ". It was never calibrated: its offsets are 0"
     return _bad("steady", channel, verdict, text, _CALIBRATE, Compared(spread, 0.0, limits.FIELD_STEADY))
 
@@ -156,8 +159,7 @@ def _against_earth(
     recording: Recording, channel: Channel, attitude: Channel | None, field: EarthField | None
 ) -> Iterator[HealthFinding]:
     if field is None:
-        text = "the log has no position: the Earth's field there is not known"
-        yield HealthFinding("earth", Sensor.MAG, channel.instance, HealthVerdict.CANNOT_SAY, text, "Log the GPS.")
+        yield _anywhere(recording, channel)
         return
     north, _, down = field.north_east_down.tolist()
     expected = float(np.linalg.norm(field.north_east_down))
@@ -165,7 +167,7 @@ def _against_earth(
     off = abs(measured - expected) / expected
     verdict = judged_value(off, field.norm_sd / expected, limits.FIELD)
     text = f"reads {measured:.1f} uT; the World Magnetic Model has {expected:.1f} uT there"
-    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
+    if verdict in BAD and never_calibrated(recording, Sensor.MAG, channel.instance):
         text += ". It was never calibrated: its offsets are 0"
     yield _bad("earth", channel, verdict, text, _CALIBRATE, Compared(off, field.norm_sd / expected, limits.FIELD))
     dip = None if attitude is None else _dip(channel, attitude)
@@ -177,6 +179,21 @@ def _against_earth(
     verdict = judged_value(apart, 1.0, limits.DIP)
     text = f"its field dips by {dip:.1f} deg; the World Magnetic Model has {should:.1f} deg there"
     yield _bad("dip", channel, verdict, text, _MOUNTING, Compared(apart, 1.0, limits.DIP))
+
+
+def _anywhere(recording: Recording, channel: Channel) -> HealthFinding:
+    """The strength against what the Earth has anywhere; of the dip nothing is known without a latitude."""
+    measured = float(np.median(_length(channel)))
+    off = beyond_earth(measured)
+    verdict = judged_value(off, 0.0, limits.FIELD)
+    range_of = f"the Earth has {WEAKEST_UT:.0f} to {STRONGEST_UT:.0f} uT anywhere"
+    if verdict == HealthVerdict.OK:
+        text = f"the log has no position: {measured:.1f} uT are looked at alone, and {range_of}"
+        return HealthFinding("earth", Sensor.MAG, channel.instance, HealthVerdict.CANNOT_SAY, text, "Log the GPS.")
+    text = f"reads {measured:.1f} uT; {range_of}"
+    if never_calibrated(recording, Sensor.MAG, channel.instance):
+        text += ". It was never calibrated: its offsets are 0"
+    return _bad("earth", channel, verdict, text, _CALIBRATE, Compared(off, 0.0, limits.FIELD))
 
 
 def _dip(channel: Channel, attitude: Channel) -> float | None:

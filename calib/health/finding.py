@@ -129,8 +129,15 @@ def sensor_health(sensor: Sensor, instance: int, findings: Iterable[HealthFindin
 
 
 def judged_value(value: float, sd: float, limit: HealthLimit) -> HealthVerdict:
-    """A larger `value` is worse; what two of its standard errors explain is no finding."""
+    """A larger `value` is worse; what two of its standard errors explain is no finding.
+
+    Where these would hide a faulty sensor (without such a limit: one that is off by twice the suspicious) nothing can
+    be said.
+    """
     sure = value - 2.0 * sd
     if limit.faulty is not None and sure > limit.faulty:
         return HealthVerdict.FAULTY
-    return HealthVerdict.SUSPICIOUS if sure > limit.suspicious else HealthVerdict.OK
+    if sure > limit.suspicious:
+        return HealthVerdict.SUSPICIOUS
+    hidden = 2.0 * limit.suspicious if limit.faulty is None else limit.faulty
+    return HealthVerdict.CANNOT_SAY if value + 2.0 * sd > hidden and sd > 0.0 else HealthVerdict.OK

@@ -15,10 +15,11 @@ from mavcal.calib.health.inertial import inertial_findings
 from mavcal.calib.health.lacking import every_sample, lacking
 from mavcal.calib.health.rectified import explained, rectified
 from mavcal.calib.health.sampling import SENSORS, sampled, sampling_findings
+from mavcal.calib.health.support import support_of
 from mavcal.calib.health.temperature import temperature_findings
 from mavcal.calib.health.vibration import vibration_findings
 from mavcal.calib.preflight.installed import Key
-from mavcal.calib.recording import Recording
+from mavcal.calib.recording import Recording, Sensor
 
 
 @dataclass(frozen=True)
@@ -90,13 +91,15 @@ def health(recording: Recording) -> HealthReport:
     dead = dead_findings(recording)
     silent = never_lived(dead)
     heard = living(recording, silent)
+    # of the whole recording: a compass that is dead holds the logged heading, and tells so
+    support = support_of(recording, next(iter(recording.find(Sensor.ATTITUDE)), None))
     every, shaking = sampled(heard), tuple(shaking_items(heard, stood.running))
     findings = [
         *dead,
-        *explained(list(inertial_findings(heard, stood.off)), rectified(heard)),
+        *explained(list(inertial_findings(heard, stood.off, support)), rectified(heard)),
         *vibration_findings(heard, stood.running, shaking, every_sample(heard)),
         *temperature_findings(heard),
-        *compass_findings(heard),
+        *compass_findings(heard, support),
         *sampling_findings(heard, every, stood.running),
     ]
     findings = [f for f in findings if f in dead or (f.sensor, f.instance) not in silent]

@@ -17,13 +17,15 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult, parameter_names
 from mavcal.calib.mag.attitude_check import unusable_attitude
+from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, believed_soft_iron, estimate
 from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, given, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, SHAPES
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.motor_drives import Drive
-from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext, MagFacts
+from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -167,7 +169,7 @@ def _verdict(
     blind = [parameter_names().index(n) for n in names]
     told = full.copy()
     told[blind, :] = told[:, blind] = 0.0
-    return made.fitted(
+    fit = made.fitted(
         model,
         told,
         message=_message(quality, offsets, entries, strength),
@@ -179,6 +181,7 @@ def _verdict(
         quality=quality,
         native=_native(found, data, context, strength),
     )
+    return earthly(fit, context)
 
 
 def _both(entry: str) -> tuple[str, ...]:

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.attitude_check import unusable_attitude
+from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
 from mavcal.calib.mag.flight_input import FlightInput, given, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
 from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log
-from mavcal.calib.mag.result import MagContext, MagFacts
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -268,7 +269,7 @@ def _verdict(
         return _refusal(context, count, f"{_why_unknown(candidates[1:])}: {MOVEMENT}", **quality)
     best = chosen if chosen is not none else min(candidates[1:], key=lambda c: c.score)
     native = _native(candidates, chosen, data, in_force, context)
-    return context.made(METHOD, count).fitted(
+    fit = context.made(METHOD, count).fitted(
         in_force,
         np.zeros((len(parameter_names()),) * 2),
         message=_message(none, chosen, best, native, context.unit),
@@ -279,6 +280,7 @@ def _verdict(
         quality=quality,
         native=native,
     )
+    return earthly(fit, context)
 
 
 def _why_unknown(candidates: Sequence[Candidate]) -> str:
@@ -324,6 +326,7 @@ def _quality(candidates: Sequence[Candidate], chosen: Candidate, context: MagCon
         "heading_dip_deg": math.degrees(math.atan2(float(field[2]), horizontal)),
         "held_out_rms": {c.kind: c.hidden_rms for c in candidates},
         "held_out_blocks": len(chosen.hidden.scores),
+        "radius": float(np.linalg.norm(field)),
     }
 
 

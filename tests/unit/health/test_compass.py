@@ -21,6 +21,7 @@ from mavcal.calib.recording import (
     Sensor,
     Stage,
 )
+from tests.unit.health.made import flight
 
 T = np.arange(0.0, 120.0, 0.1)
 PLACE = (47.4, 8.5, 500.0)
@@ -284,3 +285,18 @@ def test_a_compass_in_counts_is_not_judged_and_compared_with_none():
     made = findings(compass(), counts, ATTITUDE, POSITION)
     assert [(f.check, f.verdict) for f in made if f.instance == 1] == [("field", CANNOT_SAY)]
     assert "compasses" not in {f.check for f in made}
+
+
+@pytest.mark.parametrize(
+    ("strength", "verdict"),
+    [(117.0, FAULTY), (85.0, SUSPICIOUS), (12.0, FAULTY), (49.0, CANNOT_SAY), (66.0, CANNOT_SAY)],
+)
+def test_without_a_position_the_earth_has_22_to_67_anywhere(strength, verdict):
+    recording = flight(1).with_channels(c for c in flight(1).channels if c.sensor != Sensor.POSITION)
+    mag = recording.channel(Sensor.MAG, 0)
+    size = np.median(np.linalg.norm(mag.values, axis=1))
+    scaled = dataclasses.replace(mag, values=mag.values * strength / size)
+    made = recording.with_channels(scaled if c is mag else c for c in recording.channels)
+    (found,) = [f for f in compass_findings(made) if (f.check, f.instance) == ("earth", 0)]
+    assert found.verdict == verdict
+    assert "the Earth has 22 to 67 uT anywhere" in found.text
