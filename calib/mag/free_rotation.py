@@ -87,9 +87,7 @@ def euler_angles(rotation: Array, covariance: Array | None = None) -> Euler:
     sd = None
     if covariance is not None and not upright:
         cosine, heading = math.cos(pitch), np.array([math.cos(yaw), math.sin(yaw), 0.0])
-        axes = np.column_stack(
-            [cosine * heading + [0.0, 0.0, -sine], [-heading[1], heading[0], 0.0], [0.0, 0.0, 1.0]]
-        )
+        axes = np.column_stack([cosine * heading + [0.0, 0.0, -sine], [-heading[1], heading[0], 0.0], [0.0, 0.0, 1.0]])
         change = np.linalg.solve(axes, np.linalg.solve(axes, covariance).T)
         roll_sd, pitch_sd, yaw_sd = np.degrees(np.sqrt(np.clip(np.diag(change), 0.0, None))).tolist()
         sd = roll_sd, pitch_sd, yaw_sd

@@ -51,6 +51,7 @@ _STILL = 0.02  # rad/s
 _JOLT = 0.5  # departure of a sine that is no misalignment any more
 _ROUNDS = 3
 _OPEN_CONDITION = 1e6
+_ACCEL_SD = math.radians(0.3)  # of the vertical: what the accelerometer's offsets (.05 m/s2) and cross terms leave
 _CERTAIN = 10.0  # an angle that is no right one is believed if it is known to this part of itself
 _OPEN = math.radians(5.0)  # sd of a misalignment beyond which it counts as not determined
 
@@ -277,26 +278,36 @@ def _by_any_angles(
     if mirrors and (mirrored := _mirrored(samples, mirrors[0], square, stated)):
         return None, MountingVerdict.MIRRORED, mirrored
     if math.sqrt(square) > _EXPLAINS:
-        return None, MountingVerdict.UNEXPLAINED, (
-            f"no mounting explains the compass: the best rotation leaves {math.sqrt(square):.2f} of the field against "
-            "the vertical; calibrate the accelerometer first, and look for steel and currents"
+        return (
+            None,
+            MountingVerdict.UNEXPLAINED,
+            (
+                f"no mounting explains the compass: the best rotation leaves {math.sqrt(square):.2f} of the field against "
+                "the vertical; calibrate the accelerometer first, and look for steel and currents"
+            ),
         )
     small = _misalignment(samples, rotations[0])
     if small is None:
         return None, None, ""
-    fitted = FittedRotation(turn(small.turn) @ rotations[0], small.covariance)
+    fitted = FittedRotation(turn(small.turn) @ rotations[0], small.covariance + _ACCEL_SD**2 * np.eye(3))
     askew, nearest = min((angle_between(c.matrix, fitted.matrix), k) for k, c in enumerate(candidates))
     if askew <= max(ASKEW, _CERTAIN * fitted.sd):
         return fitted, None, ""
     if any(not samples.clearly(square, samples.mean_square(other)) for other in rotations[1:]):
-        return fitted, MountingVerdict.AMBIGUOUS, (
-            "several mountings explain the compass alike: tilt the vehicle to more sides"
+        return (
+            fitted,
+            MountingVerdict.AMBIGUOUS,
+            ("several mountings explain the compass alike: tilt the vehicle to more sides"),
         )
     if not samples.clearly(square, float(squares.min())):
         return fitted, None, ""
-    return fitted, MountingVerdict.BY_ANGLES, (
-        f"mounted turned by {fitted.euler}, {math.degrees(askew):.0f} deg from the nearest right-angle mounting "
-        f"({candidates[nearest].name})"
+    return (
+        fitted,
+        MountingVerdict.BY_ANGLES,
+        (
+            f"mounted turned by {fitted.euler}, {math.degrees(askew):.0f} deg from the nearest right-angle mounting "
+            f"({candidates[nearest].name})"
+        ),
     )
 
 

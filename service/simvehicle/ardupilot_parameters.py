@@ -202,7 +202,7 @@ def _by_angles(config: VehicleConfig) -> dict[int, tuple[float, float, float]]:
 
 
 def _orientations(config: VehicleConfig) -> list[int]:
-    free = iter(ARDUPILOT_CUSTOM)
+    free = iter(_by_angles(config))
     return [number if angles is None else next(free) for number, angles in stated(config)]
 
 

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 ALIGNED = 1e-9
 """rad; smaller turns are rounding."""
+ROUNDED = 0.02
+"""Degrees; smaller turns are those of angles that are written with two decimals."""
 SINGLE_PRECISION = 1e-5
 """m/s2; what storing a scale as float32 may cost, and not worth a word."""
 _BY_CHANCE = 0.05
@@ -124,7 +126,7 @@ def lose_compass_mounting(draft: Draft, about: Subject, fit: FitResult, old: Arr
     else:
         return
     angle = np.degrees(losses.rotation_angle(left))
-    if angle > np.degrees(ALIGNED):
+    if angle > ROUNDED:
         draft.lose(
             about,
             "mounting",
