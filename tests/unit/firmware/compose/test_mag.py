@@ -103,6 +103,33 @@ def test_motor_compensation_is_carried_into_the_new_matrix(ardupilot_parameters,
     np.testing.assert_allclose([values[f"COMPASS_MOT_{a}"] for a in "XYZ"], -SOFT @ induced, rtol=1e-6)
 
 
+@pytest.mark.parametrize("stated", [0, 2, 14, 28])
+@pytest.mark.parametrize("internal", [False, True])
+@pytest.mark.parametrize("scale", [0.0, 1.2, 9.0])
+@pytest.mark.parametrize("turn", [0, 6])
+def test_the_motor_term_is_carried_into_the_frame_of_the_new_mounting(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit, stated, internal, scale, turn
+):
+    """What the motors induce is a field at the sensor: the term takes it away before the write and after it."""
+    if internal and turn:
+        pytest.skip("an internal compass follows the board")
+    name = "AHRS_ORIENTATION" if internal else "COMPASS_ORIENT"
+    parameters = ardupilot_parameters | {"COMPASS_MOTCT": 1, "COMPASS_EXTERNAL": int(not internal), name: stated}
+    parameters |= {f"COMPASS_DIA_{a}": d for a, d in zip("XYZ", (1.2, 0.9, 1.1), strict=True)}
+    parameters |= {f"COMPASS_ODI_{a}": c for a, c in zip("XYZ", (0.05, -0.04, 0.02), strict=True)}
+    parameters["COMPASS_SCALE"] = scale
+    induced = np.array([4.0, -2.0, 3.0])  # mGauss per unit of throttle, along the axes of the sensor
+    old = -ardupilot.calibration_in_force(parameters, Sensor.MAG, 0).matrix @ induced
+    parameters |= {f"COMPASS_MOT_{a}": m for a, m in zip("XYZ", old, strict=True)}
+    fit = turned(make_fit, rotation_matrix("ardupilot", turn)) if turn else mag_fit(make_fit)
+    plan = compose([fit], parameters, ardupilot_fingerprint, options=CONFIRMED)
+    assert not plan.blockers
+    found = after(plan, parameters)
+    new = -ardupilot.calibration_in_force(found, Sensor.MAG, 0).matrix @ induced
+    np.testing.assert_allclose([found[f"COMPASS_MOT_{a}"] for a in "XYZ"], new, rtol=1e-5, atol=1e-6)
+    assert np.abs(new - old).max() > 0.1
+
+
 def test_code_76_for_compasses_and_learning_off(ardupilot_parameters, ardupilot_fingerprint, make_fit):
     both = [mag_fit(make_fit, i) for i in (0, 1)]
     plan = compose(both, ardupilot_parameters | {"COMPASS_LEARN": 3}, ardupilot_fingerprint)
