@@ -282,8 +282,8 @@ def _by_any_angles(
             None,
             MountingVerdict.UNEXPLAINED,
             (
-                f"no mounting explains the compass: the best rotation leaves {math.sqrt(square):.2f} of the field against "
-                "the vertical; calibrate the accelerometer first, and look for steel and currents"
+                f"no mounting explains the compass: the best rotation leaves {math.sqrt(square):.2f} of the field "
+                "against the vertical; calibrate the accelerometer first, and look for steel and currents"
             ),
         )
     small = _misalignment(samples, rotations[0])

@@ -162,7 +162,7 @@ def _set_rotation(
 ) -> Array | None:
     """Plan the mounting that `turn` makes of `before` (L R); what will be in force (3, 3), None if it cannot be.
 
-    The level adjustment L of the board acts behind the sensor's own rotation R, on a turned one too: ``R' = L^T T L R``.
+    The level adjustment L of the board acts behind the sensor's own rotation R: ``L R' = T L R``.
     """
     name = roles[Role.ROTATION]
     number = int(draft.get(name, -1))
