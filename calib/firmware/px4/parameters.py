@@ -224,9 +224,8 @@ def _thermal(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> tupl
     none = np.zeros(3), None
     if Role.THERMAL_ID not in roles or int(parameters.get(roles[Role.THERMAL_ENABLE], 0)) != 1:
         return none
-    owner = int(parameters.get(roles[Role.THERMAL_ID], 0))
-    if owner == 0 or owner != int(need(parameters, roles[Role.ID])):
-        return none  # the row that these names would use is still free
+    if int(parameters.get(roles[Role.THERMAL_ID], 0)) == 0:
+        return none  # the names are those of a free row: none is the sensor's own (slots.px4_thermal_slot)
     polynomial = ThermalPolynomial(
         t_ref=need(parameters, roles[Role.THERMAL_REF]),
         t_min=need(parameters, roles[Role.THERMAL_MIN]),
