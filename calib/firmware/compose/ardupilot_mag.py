@@ -112,7 +112,6 @@ def _set_rotation(
         return None
     name = roles[Role.ROTATION]
     before, number, angles = int(draft.parameters.get(name, 0)), turn.number("ardupilot", body_from_sensor), ""
-    custom = number is None
     if number is None:
         number = _free_custom(draft, about, name)
         if number is None:
@@ -130,7 +129,6 @@ def _set_rotation(
         f"{about} is mounted turned by {turn.name}; offsets and matrix are for this mounting",
         kind=ParameterKind.INT8,
         about=about,
-        needs_reboot=custom,
     )
     return in_force
 

@@ -410,6 +410,20 @@ def test_a_custom_rotation_that_something_else_uses_is_left_alone(
     assert not [c for c in plan.changes if c.name.startswith(other)]
 
 
+def test_only_new_angles_wait_for_a_restart(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    """A rotation that was made at boot acts as soon as it is called by its number; its angles do not change before."""
+    held = {"CUST_ROT_ENABLE": 1, "CUST_ROT2_YAW": 0.0, "CUST_ROT2_ROLL": 0.0, "CUST_ROT2_PITCH": 0.0}
+    held |= {"CUST_ROT1_ROLL": 3.0, "CUST_ROT1_PITCH": -8.0, "CUST_ROT1_YAW": 29.0, "COMPASS_ORIENT": 101}
+    now = custom(ardupilot_parameters, **held)
+    fit = at_angles(make_fit, Rotation.from_euler("Z", 12.0, degrees=True).as_matrix(), 12.0)
+    plan = compose([fit], now, ardupilot_fingerprint, options=CONFIRMED)
+    late = {c.name for c in plan.changes if c.needs_reboot}
+    assert late == {c.name for c in plan.changes if c.name.startswith("CUST_ROT1_")}
+    assert late
+    first = compose([at_angles(make_fit)], custom(ardupilot_parameters), ardupilot_fingerprint, options=CONFIRMED)
+    assert {c.name for c in first.changes if c.needs_reboot} == set(AP_MOUNTING[:4])
+
+
 def test_two_compasses_at_odd_angles_have_a_custom_rotation_each(ardupilot_parameters, ardupilot_fingerprint, make_fit):
     fits = [at_angles(make_fit), at_angles(make_fit, ODD.T, instance=1)]
     parameters = custom(ardupilot_parameters)
