@@ -63,7 +63,7 @@ MAG: Final[Mapping[str, Storable]] = MappingProxyType(
                 "COMPASS_OFS_*, COMPASS_OFS2_*, COMPASS_OFS3_*",
                 "COMPASS_DIA_*, COMPASS_ODI_* ...",
                 "COMPASS_SCALE, COMPASS_SCALE2, COMPASS_SCALE3",
-                "COMPASS_ORIENT, COMPASS_ORIENT2, COMPASS_ORIENT3 where the mounting is wrong, with CUST_ROTn_* at odd angles",
+                "COMPASS_ORIENT, COMPASS_ORIENT2, COMPASS_ORIENT3 where the mounting is wrong, CUST_ROTn_* by angles",
             ),
             cannot_represent=(
                 "a misalignment of the compass below 5 deg",
@@ -75,7 +75,7 @@ MAG: Final[Mapping[str, Storable]] = MappingProxyType(
             writes=(
                 "CAL_MAGn_XOFF ... _ZOFF",
                 "CAL_MAGn_XSCALE ... _ZSCALE, _XODIAG ... _ZODIAG",
-                "CAL_MAGn_ROT where the mounting is wrong, with _ROLL, _PITCH, _YAW at odd angles",
+                "CAL_MAGn_ROT where the mounting is wrong, _ROLL, _PITCH, _YAW by angles",
             ),
             cannot_represent=(
                 "a misalignment of the compass below 5 deg",

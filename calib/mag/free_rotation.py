@@ -50,7 +50,7 @@ class Euler:
     def __str__(self) -> str:
         sds = self.sd or (None, None, None)
         parts = [
-            f"{name} {angle:.1f}" + ("" if sd is None else f" ± {sd:.1f}")
+            f"{name} {round(angle, 1) + 0.0:.1f}" + ("" if sd is None else f" ± {sd:.1f}")
             for name, angle, sd in zip(("roll", "pitch", "yaw"), self.angles, sds, strict=True)
         ]
         return ", ".join(parts) + " deg"

@@ -33,7 +33,7 @@ from mavcal.calib.firmware.compose.mounting import (
 from mavcal.calib.firmware.limits import COMPASS_OFFS_MAX, COMPASS_SCALE_WINDOW
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import ParameterKind
-from mavcal.calib.firmware.rotations import rotation_matrix
+from mavcal.calib.firmware.rotations import rotation_matrix, rotation_words
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.mag.free_rotation import Euler
 from mavcal.calib.recording import Sensor
@@ -117,7 +117,7 @@ def _set_rotation(
         if number is None:
             return None
         euler, in_force = by_angles(turn, body_from_sensor)
-        angles = f"custom rotation {number - 100}: {euler}"
+        angles = f"{rotation_words('ardupilot', number)}: {euler}"
         _set_custom(draft, about, number, euler)
     else:
         in_force = rotation_matrix("ardupilot", number)

@@ -30,7 +30,7 @@ from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS
-from mavcal.calib.firmware.rotations import rotation_matrix
+from mavcal.calib.firmware.rotations import rotation_matrix, rotation_words
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.free_rotation import Euler
 
@@ -179,7 +179,14 @@ def _set_rotation(
     new, custom = turn.number("px4", wanted), angle_names(roles)
     if new is None:
         euler, own = by_angles(turn, wanted)
-        ask_for_mounting(draft, "px4", about, turn, (name, number, px4.ROTATION_CUSTOM), f"custom angles: {euler}")
+        ask_for_mounting(
+            draft,
+            "px4",
+            about,
+            turn,
+            (name, number, px4.ROTATION_CUSTOM),
+            f"{rotation_words('px4', px4.ROTATION_CUSTOM)}: {euler}",
+        )
         _set_number(draft, about, name, px4.ROTATION_CUSTOM, turn)  # angles beside another number would become custom
         set_angles(draft, about, custom, euler, needs_reboot=False, hidden=False)
         return np.asarray(level @ own)
