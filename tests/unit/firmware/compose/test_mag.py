@@ -360,6 +360,7 @@ def test_odd_angles_become_the_angles_of_px4s_row(px4_parameters, px4_fingerprin
     found = after(plan, parameters)
     assert found["CAL_MAG0_ROT"] == 100
     assert angle_between(px4.mounting(found, Sensor.MAG, 0), ODD @ before) < np.radians(0.01)
+    assert not [loss for loss in plan.losses if loss.what == "mounting"]
     written = [name for name, _ in mountings(plan, PX4_MOUNTING)]
     assert written == PX4_MOUNTING[written[0] != "CAL_MAG0_ROT" :]  # the number first, or angles make it custom
 
