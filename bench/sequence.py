@@ -48,12 +48,19 @@ SENSORS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {"gyro": ("gyros",), "accel": ("accels",), "mag": ("mags",), "thermal": ("accels", "gyros")}
 )
 YAW_90, YAW_270 = 2, 6
+AS_BOARD: Final = [YAW_90, YAW_90]
 OWN_OFFSETS: Final = ("INS_GYR", "CAL_GYRO")
 """What a firmware may rewrite by itself at a start."""
 VEHICLES: Final[Mapping[str, Json]] = MappingProxyType(
     {
         "earlier": {},
-        "factory": {"factory": True, "mag_orientation_parameters": [YAW_90, YAW_270], "parameters": {}},
+        # nothing says of a compass without a row that it is external: both are mounted as the board is
+        "factory": {
+            "factory": True,
+            "mag_orientations": AS_BOARD,
+            "mag_orientation_parameters": AS_BOARD,
+            "parameters": {},
+        },
         "late": {"stream_start_s": 2.0},
     }
 )
