@@ -93,9 +93,7 @@ class Round:
             )
             options = {"span": SPAN_C} if kind == "thermal" else {}
             if kind == "thermal":
-                self.rig.call(
-                    "temperature", value=COLD_C
-                )  # no unit cools in an instant
+                self.rig.call("temperature", value=COLD_C)  # no unit cools in an instant
                 time.sleep(SETTLED_S)
             names = own_temperatures(self.rig.autopilot, self.rig.truth)
             taken = {name: held for name in names if (held := self.rig.read(name)) is not None}
