@@ -1,4 +1,4 @@
-"""What a start costs: processor time of the command line's help, and of a service until its page and its API answer."""
+"""Measures the processor time of a start: of the command line's help, of a service until its page and API answer."""
 
 from __future__ import annotations
 

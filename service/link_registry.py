@@ -210,10 +210,14 @@ def _parsed(url: str) -> Endpoint:
     return parse_endpoint(url)
 
 
+_PLAIN = re.compile(r"file:[A-Za-z0-9.-]+|(?!file:)[a-z]+:[A-Za-z0-9.-]+:\d+|(?!file:)[a-z]+:[A-Za-z0-9.]+")
+"""Endpoints in which every colon can be told from a dash once it has become one."""
+
+
 def _slug(endpoint: str) -> str:
     """A name for files and addresses: ``udpin-0.0.0.0-14550``; no two endpoints share one."""
     plain = re.sub(r"[^A-Za-z0-9.]", "-", endpoint)
-    if len(plain) <= LONGEST_PLAIN and plain == endpoint.replace(":", "-"):
+    if len(plain) <= LONGEST_PLAIN and _PLAIN.fullmatch(endpoint):
         return plain
     digest = hashlib.sha256(endpoint.encode()).hexdigest()[:12]
     return f"{re.sub('-+', '-', plain)[:LONGEST_PLAIN].strip('-.')}-{digest}"

@@ -25,7 +25,7 @@ FASTEST_DPS: Final = 360.0
 """At a mode servo of 2000."""
 TICK_S: Final = 0.2
 LONGEST_TAUS: Final = 6.0
-"""A warm-up is over then: the simulator would begin its curve anew after a restart."""
+"""A warm-up is over then: the simulator begins its curve again after a restart."""
 AXIS_S: Final = 1.6
 """How long a tumbling vehicle turns about one axis."""
 SET_SERVO, SIMSTATE, RAW_IMU = 183, 164, 27

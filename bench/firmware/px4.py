@@ -80,7 +80,7 @@ class Px4:
             )
 
     def _keep_links(self) -> None:
-        """Start the links again after a restart that mavcal has asked for: PX4 begins anew in the same process."""
+        """Start the links again after a restart that mavcal has asked for: PX4 starts again in the same process."""
         while not self._over.wait(1.0):
             if self.beside.silent_s > RESTARTED_S:
                 with suppress(subprocess.TimeoutExpired):

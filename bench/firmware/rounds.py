@@ -58,7 +58,7 @@ class Broken:
     how: Literal["dead", "frozen"]
 
     def change(self, *, broken: bool) -> dict[str, Any]:
-        """What the source is asked for."""
+        """The request to the source that breaks the sensor, or mends it."""
         return {"sensor": self.sensor, "instance": self.instance, "change": {self.how: broken}}
 
 

@@ -32,10 +32,8 @@ _ABOUT = {
     Sensor.ACCEL: (CheckId.ACCEL_FORCE,),
     Sensor.MAG: (CheckId.COMPASS_FIELD, CheckId.COMPASS_DIRECTION),
 }
-_MOVED_BY = {sensor: (*checks, CheckId.ATTITUDE) for sensor, checks in _ABOUT.items() if sensor != Sensor.MAG} | {
-    Sensor.MAG: _ABOUT[Sensor.MAG]
-}
-"""What another reading of a sensor changes: the attitude follows gravity and rates."""
+_MOVED_BY = {s: checks if s == Sensor.MAG else (*checks, CheckId.ATTITUDE) for s, checks in _ABOUT.items()}
+"""Checks that another reading of a sensor can fail. The attitude rests on gyroscopes and accelerometers."""
 _FOLLOWS = {
     CheckId.COMPASS_FIELD: (CheckId.COMPASS_DIRECTION,),  # what disturbs one compass reaches the others
     CheckId.GYRO_NOISE: (CheckId.GYRO_REST, CheckId.ATTITUDE),

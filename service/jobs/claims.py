@@ -1,4 +1,4 @@
-"""Who claims a vehicle: what controls its message rates at the moment, and which jobs name it."""
+"""Tells who controls the message rates of a vehicle, and which jobs claim it."""
 
 from __future__ import annotations
 

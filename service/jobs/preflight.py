@@ -48,9 +48,9 @@ DEADLINE_S = 8.5
 LONGEST_S = 26.0
 """From the start to the last sample on a link that brings them slowly; a client waits for thirty seconds in all."""
 STILL_S = 15.0
-"""From the start to the last sample where a compass reads one value all the time: one of 15 nT noise, the quietest part
-known (RM3100, datasheet), read 10 times a second, shows a step of 100 nT within 6 s in 97 of 100 cases, within 13 s in
-99 (simulated)."""
+"""From the start to the last sample where a compass reads one value all the time. The quietest part known has 15 nT of
+noise (RM3100, datasheet). Read 10 times a second, it shows a step of 100 nT within 6 s in 97 of 100 simulated cases,
+within 13 s in 99."""
 LOOK_S = 0.5
 """How often the samples are counted meanwhile."""
 AGAIN = 8

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mavcal.service.errors import (
@@ -260,6 +260,8 @@ PATHS = st.text(st.sampled_from("ab-/.:_ "), min_size=1, max_size=80).filter(lam
 
 
 @given(PATHS, PATHS)
+@example(":", "-")
+@example("a:1", "a-1")
 def test_a_link_id_is_a_safe_file_name_and_no_two_endpoints_share_one(one: str, two: str) -> None:
     urls: list[str] = []
     for path in (one, two):
