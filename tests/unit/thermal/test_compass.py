@@ -157,3 +157,28 @@ def test_of_three_poses_every_one_has_to_repeat():
     assert compass._repeats([*others, of((0.2, *rest[0]), (0.08, *rest[1]))])[0]
     assert not compass._repeats([*others, of((-0.02, *rest[0]), (0.08, *rest[1]))])[0]  # 2.8 sd off, but the other way
     assert not compass._repeats([of((0.2, *rest[0]), (0.01, *rest[1]))]).any()
+
+
+@pytest.mark.parametrize(
+    ("fields", "slopes", "goes"),
+    [
+        ((30.0, -30.0), (0.1, -0.1), True),
+        ((30.0, 14.0), (0.1, 0.0467), True),
+        ((30.0, 16.0), (0.1, 0.0533), False),  # fields too much alike to tell it from a drift of the offset
+        ((30.0, 31.0), (0.1, 0.1033), False),
+        ((30.0, -30.0), (0.1, 0.1), False),
+        ((30.0, -30.0), (0.001, -0.001), False),  # within chance
+    ],
+)
+def test_a_drift_goes_with_the_field_only_where_the_fields_differ(fields, slopes, goes):
+    found = [of((k, 0.0, 0.0), (1e-3, 1e-3, 1e-3), (f, 0.0, 0.0)) for k, f in zip(slopes, fields, strict=True)]
+    assert compass._goes_with_field(found, 0) == goes
+
+
+def test_the_range_of_temperature_is_that_of_all_poses():
+    rng = np.random.default_rng(11)
+    mag, t = pose(0, rng)
+    cold, warm = (mag, 0.5 * t - 10.0), (mag, t + 20.0)
+    for poses in ([cold, warm], [warm, cold]):
+        fit = fit_mag_thermal(poses)
+        assert (fit.quality["t_min"], fit.quality["t_max"]) == (pytest.approx(1.5), pytest.approx(67.0, abs=1e-3))

@@ -411,6 +411,20 @@ def test_a_custom_rotation_that_something_else_uses_is_left_alone(
     assert not [c for c in plan.changes if c.name.startswith(other)]
 
 
+def test_a_right_angle_is_exact_and_turns_the_angles_that_are_stated(
+    ardupilot_parameters, ardupilot_fingerprint, px4_parameters, px4_fingerprint, make_fit
+):
+    """134 degrees is a degree from a number of the firmware; a compass that is stated at 44 is not at 135 by a turn."""
+    fit = turned(make_fit, rotation_matrix("px4", 2))
+    held = {"CUST_ROT_ENABLE": 1, "CUST_ROT1_ROLL": 0.0, "CUST_ROT1_PITCH": 0.0, "CUST_ROT1_YAW": 44.0}
+    now = custom(ardupilot_parameters, **held, COMPASS_ORIENT=101)
+    plan = compose([fit], now, ardupilot_fingerprint, options=CONFIRMED)
+    assert mountings(plan, AP_MOUNTING) == [("CUST_ROT1_YAW", pytest.approx(134.0))]
+    row = px4_parameters | {"CAL_MAG0_ROT": 100, "CAL_MAG0_YAW": 44.0}
+    plan = compose([fit], row, px4_fingerprint, options=CONFIRMED)
+    assert mountings(plan, PX4_MOUNTING) == [("CAL_MAG0_YAW", pytest.approx(134.0))]
+
+
 def test_only_new_angles_wait_for_a_restart(ardupilot_parameters, ardupilot_fingerprint, make_fit):
     """A rotation that was made at boot acts as soon as it is called by its number; its angles do not change before."""
     held = {"CUST_ROT_ENABLE": 1, "CUST_ROT2_YAW": 0.0, "CUST_ROT2_ROLL": 0.0, "CUST_ROT2_PITCH": 0.0}
