@@ -251,7 +251,7 @@ def _moving(channel: Channel, witness: _Witness, laid: Sequence[Still]) -> tuple
         if witness.accel is None:
             return motion.nothing(3), ""
         return calm.rates_across(channel, witness.accel, laid), _ACROSS
-    part, how = (motion.Part.LEVEL, _LEVEL) if witness.support.heading else (motion.Part.ALL, _BEYOND)
+    part, how = (motion.RatePart.LEVEL, _LEVEL) if witness.support.heading else (motion.RatePart.ALL, _BEYOND)
     seen = motion.rate_error(channel, witness.attitude, part)
     return (seen, how) if seen.enough else (motion.nothing(3), "")
 
@@ -259,7 +259,7 @@ def _moving(channel: Channel, witness: _Witness, laid: Sequence[Still]) -> tuple
 def _heading_open(channel: Channel, witness: _Witness) -> tuple[HealthVerdict, str]:
     """What is left to say about the vertical, where nothing supports the heading of the attitude."""
     assert witness.attitude is not None
-    turn = motion.rate_error(channel, witness.attitude, motion.Part.VERTICAL)
+    turn = motion.rate_error(channel, witness.attitude, motion.RatePart.VERTICAL)
     rate, sd = float(np.linalg.norm(turn.median)), float(np.linalg.norm(turn.sd))
     if judged_value(rate, sd, limits.RATE) == HealthVerdict.OK:
         return HealthVerdict.OK, ""

@@ -69,7 +69,7 @@ def vertical_force(accel: Channel, attitude: Channel) -> WindowMeans:
     return window_means(f.t[known], np.einsum("ij,ij->i", f.values, at)[known][:, None])
 
 
-class Part(StrEnum):
+class RatePart(StrEnum):
     """Which part of a rate: one about the vertical turns the heading, one across it the tilt."""
 
     ALL = "all"
@@ -77,7 +77,7 @@ class Part(StrEnum):
     VERTICAL = "vertical"
 
 
-def rate_error(gyro: Channel, attitude: Channel, part: Part = Part.ALL) -> WindowMeans:
+def rate_error(gyro: Channel, attitude: Channel, part: RatePart = RatePart.ALL) -> WindowMeans:
     """Rate of the gyroscope beyond the turn of the attitude, rad/s, about all axes of the body or that part of it."""
     w, q = usable(gyro), usable(attitude)
     if len(w) < 2 or len(q) < 2:
@@ -90,10 +90,10 @@ def rate_error(gyro: Channel, attitude: Channel, part: Part = Part.ALL) -> Windo
     covered = (q.t[:-1] >= w.t[0]) & (q.t[1:] <= w.t[-1]) & (_steps_around(w.t, q.t[1:]) <= LONGEST_STEP_S)
     good = covered & (step <= LONGEST_STEP_S)
     beyond = (by_gyro - by_attitude) / step[:, None]
-    if part != Part.ALL:
+    if part != RatePart.ALL:
         down = turned[1:].as_matrix()[:, 2, :]
         vertical = np.einsum("ni,ni->n", beyond, down)[:, None] * down
-        beyond = vertical if part == Part.VERTICAL else beyond - vertical
+        beyond = vertical if part == RatePart.VERTICAL else beyond - vertical
     return window_means(0.5 * (q.t[1:] + q.t[:-1])[good], beyond[good], step[good])
 
 

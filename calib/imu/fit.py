@@ -136,6 +136,8 @@ class _Begun:
     radius: float
     gyro_scale: float
     left_out: int
+    misread: float | None
+    """What the gyroscope's numbers must be multiplied by, where its unit or range is another one; None: it is not."""
 
 
 def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, cross_sd: float) -> _Begun | str:
@@ -155,31 +157,35 @@ def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, c
     in_si = gyro.unit == "rad/s"
     if rough is None and not in_si:
         return f"the movements do not tell the scale of a gyroscope in {gyro.unit}: turn it about every axis"
-    scale = 1.0 if in_si or rough is None else float(np.cbrt(abs(np.linalg.det(rough))))
-    moves = Moves.of(gyro.t, gyro.values * scale, between[usable], rest * scale)
-    problem = ImuProblem(
-        means=poses.means / radius,
-        covariances=covariances,
-        moves=moves,
-        before=np.flatnonzero(usable),
-        wander=poses.wander,
-        density=poses.gyro_noise * scale**2 * moves.mean_step,
-        turn_covariances=np.zeros((len(moves), 3, 3)),
-        rest=rest * scale,
-        rest_covariance=np.diag(scale**2 / precision.sum(axis=0)),
-    )
-    starts = ([np.eye(3)] if in_si else []) + ([rough / scale] if rough is not None else [])
-    xs = [np.concatenate([alone.parameters, G.ravel(), rest * scale]) for G in starts]
-    x = min(xs, key=lambda x: closure(problem, x)) if len(moves) else xs[0]
-    factor = rate_factor(problem, xs[0], rough) if in_si and rough is not None and len(moves) else None
-    if factor is not None:
-        return (
-            f"the gyroscope reads {1.0 / factor:.2g} times the rate at which gravity turns between the poses: its unit "
-            f"or its range is another one; multiply its numbers by {factor:.3g}, or check deg/s, rad/s and full scale"
+    def stated(scale: float) -> ImuProblem:
+        moves = Moves.of(gyro.t, gyro.values * scale, between[usable], rest * scale)
+        return ImuProblem(
+            means=poses.means / radius,
+            covariances=covariances,
+            moves=moves,
+            before=np.flatnonzero(usable),
+            wander=poses.wander,
+            density=poses.gyro_noise * scale**2 * moves.mean_step,
+            turn_covariances=np.zeros((len(moves), 3, 3)),
+            rest=rest * scale,
+            rest_covariance=np.diag(scale**2 / precision.sum(axis=0)),
         )
+
+    def start(matrix: Array, scale: float) -> Array:
+        return np.concatenate([alone.parameters, matrix.ravel(), rest * scale])
+
+    scale = 1.0 if in_si or rough is None else float(np.cbrt(abs(np.linalg.det(rough))))
+    problem, misread = stated(scale), None
+    if in_si and rough is not None and len(problem.moves):
+        misread = rate_factor(problem, start(np.eye(3), scale), rough)
+    if misread is not None:
+        scale, problem = misread, stated(misread)
+    starts = ([np.eye(3)] if in_si else []) + ([rough / scale] if rough is not None else [])
+    xs = [start(G, scale) for G in starts]
+    x = min(xs, key=lambda x: closure(problem, x)) if len(problem.moves) else xs[0]
     problem = with_turn_noise(problem, x)
     left_out = len(between) - int(usable.sum())
-    return _Begun(problem, x, alone.directions, _prior(centre / radius, cross_sd), radius, scale, left_out)
+    return _Begun(problem, x, alone.directions, _prior(centre / radius, cross_sd), radius, scale, left_out, misread)
 
 
 def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: float) -> tuple[FitResult, FitResult]:
@@ -215,6 +221,7 @@ def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: floa
         radius=begun.radius,
         gyro_scale=begun.gyro_scale,
         moves_left_out=begun.left_out + weighed.moves_out,
+        misread=begun.misread,
     )
 
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 _COARSE = 9.0  # times the variance of a turn by noise: what the samples' rate changes is more than that
 _LEADS = float(np.radians(10.0))  # a movement that misses the next pose by less leads there
-_OTHER_SCALE = 1.3  # times too much or too little: no gyroscope is made so badly
+_OTHER_SCALE = float(np.sqrt(2.0))  # half way to the next range: 250, 500, 1000, 2000 deg/s
 _BETTER = 0.5  # of the miss as given that a factor must leave at most
 _AROUND, _TRIED = 1.5, 25  # about what the turn of gravity tells: how far factors are tried, and how many
 _BLOCK = 0.1  # s over which the direction is averaged while it turns

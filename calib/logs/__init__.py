@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import stat
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +19,6 @@ _ULOG_START = b"ULog"
 _TABLE_STARTS = (b"PK\x03\x04", b"MATLAB", b"\x89HDF")
 _MAVLINK_STARTS = (0xFD, 0xFE)
 _TLOG_OPTIONS = ("start", "end", "system")
-_NO_FILES = (
-    (stat.S_ISDIR, "a folder: give one of the files in it"),
-    (stat.S_ISFIFO, "a pipe (FIFO): save what comes out of it to a file, and give that"),
-    (stat.S_ISSOCK, "a socket: connect to it with --connect, or give a file"),
-    (stat.S_ISCHR, "a device: connect to a serial port with --connect, or give a file"),
-    (stat.S_ISBLK, "a disk: give a file on it"),
-)
 _LOGS = {".ulg": read_ulog, ".bin": read_dataflash, ".log": read_dataflash_text}
 """Readers of the logs that state everything themselves."""
 
@@ -45,13 +37,14 @@ def read(path: Path | str, **options: Any) -> Recording:
     Raises
     ------
     UnreadableError
-        If the file cannot be opened, is neither, or is damaged.
+        If the file cannot be opened, is neither, or is damaged, or is no ordinary file: only these have an end.
     InvalidInputError
         If an option does not apply.
     """
     file = Path(path)
     try:
-        check_ordinary(file)
+        if file.exists() and not file.is_file():
+            raise UnreadableError(f"{file.name or file} is a folder, a pipe or a device: give a file")
         with file.open("rb") as opened:
             head = opened.read(_HEAD)
     except OSError as error:
@@ -73,25 +66,12 @@ def is_table(path: str | Path) -> bool:
     """Whether the file at `path` is read as a table, to which mappings and units apply; False where it is not there."""
     file = Path(path)
     try:
-        check_ordinary(file)
+        if not file.is_file():
+            return False
         with file.open("rb") as opened:
             return not _kind(opened.read(_HEAD), file.suffix.lower())
-    except (OSError, UnreadableError):
+    except OSError:
         return False
-
-
-def check_ordinary(file: Path) -> None:
-    """Only files have an end: a pipe may wait for ever, a device may never stop.
-
-    Raises
-    ------
-    UnreadableError
-        If it is a folder, a pipe, a socket or a device.
-    """
-    mode = file.stat().st_mode
-    what = next((name for is_one, name in _NO_FILES if is_one(mode)), None)
-    if what is not None:
-        raise UnreadableError(f"{file.name or file} is {what}")
 
 
 def _kind(head: bytes, suffix: str) -> str:
@@ -119,7 +99,6 @@ def _plain(file: Path, options: dict[str, Any]) -> Path:
 
 __all__ = [
     "DataFlash",
-    "check_ordinary",
     "is_table",
     "read",
     "read_dataflash",

@@ -37,7 +37,7 @@ _CAUSES: Final = 3  # the blur, and the lag of two axes behind the third
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
+class TurningField:
     """How the field turned in a compass that was read too slowly, at those samples whose neighbours tell it."""
 
     rows: NDArray[np.intp]
@@ -54,7 +54,7 @@ class Turn:
     """Over which a reading may be a mean, s: no longer than the time between samples."""
 
     @classmethod
-    def of(cls, t: Array, corrected: Array) -> Turn | None:
+    def of(cls, t: Array, corrected: Array) -> TurningField | None:
         """The turn of `corrected` (N, 3), samples at `t` (N,) after the fit; None for a series, and for poses."""
         if len(t) < _FEWEST:
             return None

@@ -19,7 +19,7 @@ from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.distance import score_rows
 from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.heading import heading_sd_deg
-from mavcal.calib.mag.hurried import Turn
+from mavcal.calib.mag.hurried import TurningField
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, white_variance
@@ -149,14 +149,14 @@ def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
     }
 
 
-def _turn(fit: ShapeFit, samples: Array, context: MagContext) -> Turn | None:
+def _turn(fit: ShapeFit, samples: Array, context: MagContext) -> TurningField | None:
     """How the field turned in samples that follow each other too slowly to be a series; None where they do not."""
     if context.times is None or len(context.times) != len(samples):
         return None
-    return Turn.of(context.times, correction(fit.ellipsoid, 1.0).apply(samples))
+    return TurningField.of(context.times, correction(fit.ellipsoid, 1.0).apply(samples))
 
 
-def _blurred(fit: ShapeFit, samples: Array, turn: Turn) -> ShapeFit:
+def _blurred(fit: ShapeFit, samples: Array, turn: TurningField) -> ShapeFit:
     """The fit with what the longest blur could have moved it by: more samples do not make that less."""
     inverse = np.linalg.inv(fit.ellipsoid.shape)
     outwards = turn.blur / np.linalg.norm(turn.u @ inverse, axis=1)  # along the normal, in the unit of the samples

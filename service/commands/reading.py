@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,14 @@ if TYPE_CHECKING:
 ACCEL_UNITS = ("si", "g", "mg", "counts")
 GYRO_UNITS = ("si", "deg/s", "mrad/s", "counts")
 MAG_UNITS = ("uT", "mgauss", "gauss", "counts")
+_NO_FILES = (
+    (stat.S_ISDIR, "a folder: give one of the files in it"),
+    (stat.S_ISFIFO, "a pipe (FIFO): save what comes out of it to a file, and give that"),
+    (stat.S_ISSOCK, "a socket: connect to it with --connect, or give a file"),
+    (stat.S_ISCHR, "a device: connect to a serial port with --connect, or give a file"),
+    (stat.S_ISBLK, "a disk: give a file on it"),
+)
+"""What has no end as a file has: a pipe may wait for ever, a device may never stop."""
 
 
 def parse_mapping(_ctx: click.Context, _param: click.Parameter, value: str | None) -> dict[str, str]:
@@ -107,14 +116,11 @@ def readable_file(path: str) -> Path:
     click.BadParameter
         If there is none, or it is a folder, a pipe or a device.
     """
-    from mavcal.calib.errors import UnreadableError
-    from mavcal.calib.logs import check_ordinary
-
     file = Path(path)
     if not file.exists():
         raise click.BadParameter(f"there is no file {path}")
-    try:
-        check_ordinary(file)
-    except UnreadableError as error:
-        raise click.BadParameter(str(error)) from error
+    mode = file.stat().st_mode
+    what = next((name for is_one, name in _NO_FILES if is_one(mode)), None)
+    if what is not None:
+        raise click.BadParameter(f"{file.name or file} is {what}")
     return file

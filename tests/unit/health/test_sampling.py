@@ -34,7 +34,7 @@ def test_a_gap_that_all_sensors_share_is_the_logger_s():
     sensors = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
     report = health(silenced(flight(1), 60.0, 63.0, lambda c: c.sensor in sensors))
     assert report.verdict == HealthVerdict.OK
-    assert any("the logger or the link did not keep up" in line for line in report.lacks)
+    assert any("the logger did not keep up. Use a faster card" in line for line in report.lacks)
 
 
 def test_a_pause_of_the_log_is_no_gap():

@@ -297,7 +297,7 @@ def test_dispatch_by_content(table, tmp_path):
         logs.read(table("ArduCopter V3.1\nFMT, 128, 89, FMT, BBnNZ, Type,Length\n", "a.log"))
     with pytest.raises(UnreadableError, match="cannot be opened"):
         logs.read(tmp_path / "nothing.csv")
-    with pytest.raises(UnreadableError, match="is a folder"):
+    with pytest.raises(UnreadableError, match="is a folder, a pipe or a device"):
         logs.read(tmp_path)
     with pytest.raises(UnreadableError, match="npz cannot be read"):
         logs.read(table(b"PK\x03\x04garbage", "a.npz"))

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.logs.tables import NO_TIME
-from mavcal.calib.mag.hurried import Turn
+from mavcal.calib.mag.hurried import TurningField
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
 
@@ -103,11 +103,11 @@ def test_noise_is_rarely_taken_for_blur():
     rng = np.random.default_rng(7)
     t = np.arange(0.0, 300.0)
     field = attitude(t).inv().apply(NORTH_DOWN)
-    turn = Turn.of(t, field)
+    turn = TurningField.of(t, field)
     assert sum(turn.seen_in(1.0 + 0.01 * rng.normal(size=300)) > 0.0 for _ in range(200)) <= 2  # one in a thousand
 
 
 def test_times_that_do_not_go_on_tell_of_no_turn():
     field = attitude(np.arange(300.0)).inv().apply(NORTH_DOWN)
-    assert Turn.of(np.zeros(300), field) is None
-    assert Turn.of(np.arange(300.0), field) is not None
+    assert TurningField.of(np.zeros(300), field) is None
+    assert TurningField.of(np.arange(300.0), field) is not None
