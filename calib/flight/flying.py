@@ -187,7 +187,10 @@ def _clipping(recording: Recording, instance: int) -> JudgedItem:
 
 def _at_end(values: Array) -> tuple[int, int]:
     """The range in g whose end the samples (N, 3) pile up at, or the largest that is set, and how many are there."""
-    size = np.sort(np.abs(values).max(axis=1))
+    size = np.abs(values[:, 0])
+    for axis in (1, 2):  # one column at a time: a log may have millions of samples
+        np.maximum(size, np.abs(values[:, axis]), out=size)
+    size.sort()
     for g in _RANGES:
         end = g * STANDARD_GRAVITY
         width = _SLACK * end

@@ -157,6 +157,7 @@ def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, c
     in_si = gyro.unit == "rad/s"
     if rough is None and not in_si:
         return f"the movements do not tell the scale of a gyroscope in {gyro.unit}: turn it about every axis"
+
     def stated(scale: float) -> ImuProblem:
         moves = Moves.of(gyro.t, gyro.values * scale, between[usable], rest * scale)
         return ImuProblem(

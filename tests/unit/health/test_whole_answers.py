@@ -76,7 +76,8 @@ def _of_health(document: dict[str, Any]) -> Iterator[str]:
         yield f"action {health['action']!r} of {verdicts}"
     for sensor in health["sensors"]:
         told = [f["text"] for f in sensor["findings"]]
-        dead = [t for t in told if "throughout" in t or "never heard" in t or "in all of its" in t]
+        own = [re.sub(r"\([^()]*\)", "", t) for t in told]  # in brackets: why another one is no witness
+        dead = [t for t in own if "throughout" in t or "never heard" in t or "in all of its" in t]
         if dead and len(told) > len(dead):
             yield f"{sensor['name']}: {told}"
         if len(set(told)) < len(told):
