@@ -24,7 +24,7 @@ _LONG_S: Final = 2.0
 _ENOUGH_S: Final = 5.0
 """Calm seconds in all that tell of an offset."""
 _LIGHT, _HEAVY = 0.8, 1.15
-"""Of gravity: within it the force is gravity, by a sensor that is off; in a banked turn it is more."""
+"""Parts of gravity: between them the force is gravity, by a sensor that is off; in a banked turn it is more."""
 _MOST: Final = 0.5  # of the stretches that must be such
 _APART: Final = float(np.cos(np.radians(20.0)))
 """Cosine of the angle within which the mean forces of all windows lie where a vehicle stays upright."""

@@ -46,7 +46,7 @@ def living(recording: Recording, dead: Collection[Key]) -> Recording:
 
 
 def never_lived(found: tuple[HealthFinding, ...]) -> dict[Key, HealthFinding]:
-    """The sensors of `found` of which no sample says anything, by sensor and instance."""
+    """The sensors of `found` that never told anything, by sensor and instance."""
     return {(one.sensor, one.instance): one for one in found if one.check in ("dead", "unhealthy", "silent")}
 
 
@@ -143,7 +143,7 @@ def _moved(recording: Recording, key: Key) -> bool:
 
 
 def _distrusted(recording: Recording) -> dict[Key, HealthFinding]:
-    """Sensors of which the autopilot called every sample unhealthy."""
+    """Sensors whose every sample the autopilot called unhealthy."""
     found: dict[Key, HealthFinding] = {}
     for event in recording.events:
         odd = event.odd
@@ -157,7 +157,7 @@ def _distrusted(recording: Recording) -> dict[Key, HealthFinding]:
 
 
 def _silent(recording: Recording, dead: set[Key]) -> Iterator[HealthFinding]:
-    """Sensors that the parameters announce and use, and of which there is no sample although others of a kind have."""
+    """Sensors that the parameters announce and use, and that have no sample although others of their kind do."""
     if telemetry(recording):  # which messages come is the ground station's choice
         return
     for key, one in _installed(recording).items():

@@ -47,7 +47,7 @@ class Rectified:
     calm_sd: float
     shaken: float
     rms: float
-    """Of the vibration in shaken seconds, all axes."""
+    """Root mean square of the vibration in shaken seconds, all axes."""
 
     @property
     def finding(self) -> HealthFinding:

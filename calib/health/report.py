@@ -31,7 +31,7 @@ class HealthReport:
     shaking: tuple[JudgedItem, ...] = ()
     """Vibration and clipping as the sanity of a flight has them as well."""
     silent: frozenset[Key] = frozenset()
-    """Sensors of which no sample says anything, by sensor and instance."""
+    """Sensors that never told anything, by sensor and instance."""
 
     @property
     def verdict(self) -> HealthVerdict:

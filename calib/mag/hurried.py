@@ -5,9 +5,9 @@ noise by its correlation in time. What causes blur and lag is known, though: the
 shortens the field by ``(w^2/24) |du/dt|^2``, which a steady tumble hides in the ellipsoid. An axis that is read later
 by ``d`` than the others is off by ``d du_i/dt``, along the field by ``d u_i du_i/dt``.
 
-Rows that are poses, written down one by one with their times, have no turn and independent errors. They show by steps
-of 60 degrees and more, by steps that are no shorter than those between rows taken at random, or by a rate of turn that
-no vehicle has.
+Rows that are poses, written down one by one with their times, have no turn and independent errors. They show by one of
+three things: steps of 60 degrees and more, steps as long as those between rows taken at random, or a rate of turn that no
+vehicle has.
 """
 
 from __future__ import annotations

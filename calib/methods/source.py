@@ -78,8 +78,8 @@ class Source:
     def readings(self, channel: Channel) -> bool:
         """Whether every row of `channel` is a reading by itself: of a face, a pose or a turn, written down one by one.
 
-        So are the rows of a table without time, and those with a time stamp where a rest cannot show (fewer than two
-        in the shortest one), or where the sensor lies another way at every row.
+        So are the rows of a table without time. With a time stamp they are where a rest cannot show, as fewer than two
+        rows are in the shortest one. So they are, too, where the sensor lies another way at every row.
         """
         if self.of_vehicle or self.recording.segments or len(channel) < 2:
             return not self.timed

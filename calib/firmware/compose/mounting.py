@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 EXACT = 1e-6  # rad
 DECIMALS = 2
-"""Of an angle that is written, in degrees: no fit is so good."""
+"""Decimals of an angle that is written, in degrees: no fit is so good."""
 TOLERATED = 20.0
 """Angle, degrees, up to which a compass may stay as it is stated and is told to be askew."""
 

@@ -32,7 +32,7 @@ EXCLUDING = (
     (r"the motors never ran", r"mag-motor .*moved by"),
     (r"nothing to calibrate", r"mavcal fit [a-z-]+ .*worthwhile"),
 )
-"""Pairs of which one answer may hold one."""
+"""Pairs that no answer may hold both of."""
 
 
 def texts(document: Any) -> Iterator[str]:

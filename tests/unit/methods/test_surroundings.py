@@ -74,7 +74,7 @@ def test_a_span_that_is_asked_for_is_all_that_is_used():
 
 
 def test_sampling_slower_than_the_turning_has_a_floor():
-    """Of what a blur of a tenth of a second does: 0.04 % of the field, however quiet the compass is."""
+    """A blur of a tenth of a second makes 0.04 % of the field, however quiet the compass is."""
     rng = np.random.default_rng(7)
     slow = np.arange(0.0, 3000.0)
     fits = []
