@@ -89,7 +89,8 @@ class UploadComputations:
             "nominal": parts[1 if sim is None else 2 :],
             "title": f"Sim-to-real gap of {uploads[0].name}",
             "vehicle": _vehicle(uploads[0]),
-            "limit_s": min(math.inf if limit_s is None else limit_s, _IN_TIME * self._of_gaps.wall_s),
+            "wall_s": _IN_TIME * self._of_gaps.wall_s,
+            **({} if limit_s is None else {"limit_s": min(limit_s, _IN_TIME * self._of_gaps.wall_s)}),
         }
         try:
             done = await self._children.run(DIAGNOSE, order, self._of_gaps, told=told)

@@ -170,7 +170,7 @@ def _begun(
             chosen = with_level_shifts(
                 chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1)
             )
-        if unresponsive := unresponsive_sensors(chosen.model):
+        if (unresponsive := unresponsive_sensors(chosen.model)) and not pace.ended:
             problem = without_sensors(problem, unresponsive)
         elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))) and not pace.ends():
             problem, rounds = without_transitions(problem, taking), rounds + 1
@@ -226,10 +226,11 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     while failed := [s for s in chosen.scores if gates.get(s.hypothesis.key) is False]:
         kinds = {s.hypothesis.effect.id for s in failed}
         weakest = [min((s for s in failed if s.hypothesis.effect.id == k), key=lambda s: s.gain) for k in sorted(kinds)]
+        weakest = failed if contest.pace.ends() else weakest
         excluded += weakest
         chosen = reduced(chosen, [s.hypothesis.key for s in weakest])
         heldout = held_out(chosen, contest, answer.tolerated)
-        if len(weakest) == len(failed):
+        if len(weakest) == len(failed) or contest.pace.ended:
             break
         gates = _gates_of(heldout)
     if nested and heldout is not None:
