@@ -42,11 +42,13 @@ from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.search.wander import WanderFit, wandering
 from mavcal.calib.gap.telling.effect_report import effect_of, on_either_unit, on_late_unit, wandering_reference
+from mavcal.calib.gap.telling.equals import with_equals
 from mavcal.calib.gap.telling.inputs import inputs_of
 from mavcal.calib.gap.telling.locate import located
 from mavcal.calib.gap.telling.overstated_noise import overstated_noise
 from mavcal.calib.gap.telling.separability import inseparable, inseparable_notice
 from mavcal.calib.gap.telling.series import series_of
+from mavcal.calib.gap.telling.undetermined import bounded, undetermined, without_a_name
 from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
 from mavcal.calib.gap.unknown.plausibility import nameless, unresponsive_sensors, without_sensors
 from mavcal.calib.gap.unknown.shape_search import explained
@@ -251,7 +253,7 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
 def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     """The answer of a flight that stands alone: what holds on every block and along either attitude is reported."""
     denied = inconsistent_effects(task.problem, task.lattice, answer.chosen, answer.heldout)
-    answer = replace(answer, small=answer.small | denied)
+    answer = replace(answer, small=answer.small | denied | undetermined(answer.chosen).keys())
     heldout = held_out(answer.chosen, answer.contest, answer.tolerated)
     if nested and heldout is not None:
         heldout = nested_in(heldout, answer.chosen, answer.contest, alpha)
@@ -277,7 +279,9 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
     found = unnamed_causes_in(model, answer.gap, task.problem.minimum_gain.lasting)
     unnamed = (s for s in found if not answer.tolerated.issuperset(s.keys))
     members = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
-    causes = (*unnamed, *nameless(answer.gap, members, answer.withdrawn))
+    gap = {a.key for a in answer.gap}
+    loose = {key: names for key, names in undetermined(chosen).items() if key in gap}
+    causes = (*unnamed, *nameless(answer.gap, members, answer.withdrawn), *without_a_name(chosen, loose))
     unknown = _unknown(task, answer, causes)
     effects = _effects(task, answer, causes, beside_unknown=unknown.flag)
     return GapReport(
@@ -340,7 +344,7 @@ def _effects(
     )
     wander = _unstated_wander(task, answer)
     own = () if wander is None else (wandering_reference(wander, answer.attributions),)
-    return (*task.lattice.effects, *own, *(e for e in found if not covered_by(task.lattice, e)))
+    return (*(e for e in task.lattice.effects if bounded(e.params)), *own, *(e for e in found if not covered_by(task.lattice, e)))
 
 
 def _effect(
@@ -349,6 +353,8 @@ def _effect(
     """One effect of the model; `either`: nobody can tell which of two units has it."""
     passed = answer.gates.get(attribution.key)
     effect = effect_of(answer.chosen, attribution, passed, beside_unknown=beside_unknown)
+    term = next(t for t in answer.chosen.model.members if t.hypothesis.key == attribution.key)
+    effect = with_equals(effect, answer.chosen.model, term)
     views = answer.chosen.model.setting.views
     units = {i + FIRST for view in views if view.sensor is effect.sensor for i in view.weights}
     if task.problem.reference.kind is ReferenceKind.ESTIMATOR:
