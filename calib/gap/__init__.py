@@ -21,7 +21,17 @@ from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording
 
-__all__ = ["DEFAULT_LIMIT_S", "GapPace", "GapProgress", "GapReport", "GapStage", "as_json", "diagnose", "run", "simulator_of"]
+__all__ = [
+    "DEFAULT_LIMIT_S",
+    "GapPace",
+    "GapProgress",
+    "GapReport",
+    "GapStage",
+    "as_json",
+    "diagnose",
+    "run",
+    "simulator_of",
+]
 
 
 @one_diagnosis()

@@ -10,7 +10,7 @@ from functools import cached_property
 from mavcal.calib.gap.companion.level_shifts import with_level_shifts
 from mavcal.calib.gap.companion.nuisance_gain import above_nuisance
 from mavcal.calib.gap.effects import by_id, catalogue
-from mavcal.calib.gap.effects.base import CatalogueEffect
+from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.heldout.consistency import inconsistent_effects
 from mavcal.calib.gap.heldout.shrink import Heldout, held_out, nested_in, shrink_of
@@ -246,7 +246,7 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         attributions=attributed(found, contest),
         heldout=heldout,
         gates=gates,
-        withdrawn=_withdrawn(s for s in excluded if s.hypothesis.key not in answer.tolerated),
+        withdrawn=_withdrawn(s for s in excluded if s.hypothesis.key not in answer.tolerated and _shifts(s)),
     )
 
 
@@ -262,6 +262,11 @@ def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _An
 
 def _gates_of(heldout: Heldout | None) -> Mapping[Key, bool | None]:
     return {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
+
+
+def _shifts(score: ContestScore) -> bool:
+    """Whether an effect is on the mean: what noise does is still there without it, where its power is looked at."""
+    return isinstance(score.hypothesis.effect, MeanEffect)
 
 
 def _withdrawn(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
@@ -344,7 +349,11 @@ def _effects(
     )
     wander = _unstated_wander(task, answer)
     own = () if wander is None else (wandering_reference(wander, answer.attributions),)
-    return (*(e for e in task.lattice.effects if bounded(e.params)), *own, *(e for e in found if not covered_by(task.lattice, e)))
+    return (
+        *(e for e in task.lattice.effects if bounded(e.params)),
+        *own,
+        *(e for e in found if not covered_by(task.lattice, e)),
+    )
 
 
 def _effect(

@@ -37,9 +37,9 @@ _BEGINS = {
 """Part of the whole time after which a stage begins. Source: decision 36, recordings of minutes."""
 _MAY_TAKE = {
     GapStage.REFERENCE: 0.4,
-    GapStage.SELECTION: 0.6,
-    GapStage.RIVALS: 0.78,
-    GapStage.HELD_OUT: 0.88,
+    GapStage.SELECTION: 0.68,
+    GapStage.RIVALS: 0.83,
+    GapStage.HELD_OUT: 0.9,
     GapStage.BLOCKS: 0.93,
     GapStage.REPORT: math.inf,
 }

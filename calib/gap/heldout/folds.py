@@ -191,8 +191,6 @@ def with_weight(model: Model) -> Model:
     return replace(model, weight=weight)
 
 
-def contest_of(
-    hypotheses: Sequence[Hypothesis], thresholds: GainThresholds, pace: GapPace | None = None
-) -> Contest:
+def contest_of(hypotheses: Sequence[Hypothesis], thresholds: GainThresholds, pace: GapPace | None = None) -> Contest:
     """A contest of its own: every fold has other columns, and only as many are kept as one selection asks for."""
     return Contest(hypotheses, budget=16_000_000, thresholds=thresholds, pace=pace)

@@ -59,7 +59,7 @@ def test_a_stage_ends_at_its_part_of_the_limit_and_what_was_left_out_is_kept() -
     watch.now = 40.0
     assert not pace.ends()
     assert not pace.left_out
-    assert pace.ends(needs_s=30.0)
+    assert pace.ends(needs_s=40.0)
     assert pace.ended
     assert list(pace.left_out) == [GapStage.SELECTION]
     pace.begin(GapStage.REPORT)
@@ -142,7 +142,7 @@ def test_time_that_ends_in_the_selection_gives_what_was_found_and_claims_no_more
     watch = Watch()
 
     def late(standing: GapProgress) -> None:
-        watch.now = 0.8 if standing.share > 0.25 else 0.1  # after the first step
+        watch.now = 0.85 if standing.share > 0.25 else 0.1  # after the first step
 
     report = diagnose(biased(), pace=GapPace(watch, 1.0, late))
     assert len(report.effects) == 1
