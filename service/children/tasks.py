@@ -84,9 +84,9 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
     """The gap of ``{real, sim, nominal}``, each ``{path, reading, sha256}`` or None: a sentence and the report.
 
     With `title` also its page; `without` leaves effects out, `nested` is as in :func:`calib.gap.run`. `limit_s` is the
-    processor time after which the best answer so far is given, None: as long as it takes; left out: that of
-    :mod:`calib.gap`. It is given after `wall_s` by the clock as well, where that is there. `seconds` is the time of the diagnosis alone. A digest
-    may be left out.
+    processor time after which the best answer so far is given: None for as long as it takes; where it is left out, that
+    of :mod:`calib.gap`. The answer is given after `wall_s` by the clock as well, where that is there. `seconds` is the
+    time of the diagnosis alone. A digest may be left out.
     """
     asked, spent = time.monotonic(), time.process_time()
     from mavcal.calib import gap, logs

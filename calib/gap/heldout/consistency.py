@@ -44,7 +44,7 @@ _TURNED = (Sensor.ACCEL, Sensor.MAG)
 def inconsistent_effects(
     problem: GapProblem, lattice: Lattice, chosen: ChosenModel, heldout: Heldout | None
 ) -> frozenset[Key]:
-    """Effects and shapes of `chosen` that some block denies or cannot tell of, or that the log's own attitude denies."""
+    """Effects and shapes of `chosen` that a block denies or cannot tell of, or the log's own attitude denies."""
     named = chosen.model.members
     denied = {t.hypothesis.key for t in named} - set(on_every_block(() if heldout is None else heldout.gates))
     other = along_own_attitude(problem)

@@ -23,12 +23,11 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _WITHIN = 2.0
-"""Standard deviations of the reference's attitude within which two effects are the same, on every axis. Source: decision
-32, the same for amplitudes."""
+"""Standard deviations of the reference's attitude within which two effects are the same, on every axis. Source:
+decision 32, the same for amplitudes."""
 _LEAST = 1e-3
-"""Part of the largest reading across an axis below which none is believed to be known. Chosen, not measured: an attitude
-is off in more than one way.
-"""
+"""Part of the largest reading across an axis below which none is believed to be known. Chosen, not measured: an
+attitude is off in more than one way."""
 _SAMPLES = 2000
 """Samples of a series that are compared. Chosen, not measured: it bounds the time, and both change slowly."""
 

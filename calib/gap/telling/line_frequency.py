@@ -14,7 +14,7 @@ _TWO_SD = 4.0
 _FIRST = 2.0**-8
 """Part of a frequency by which the first one beside it differs. Chosen, not measured: a third of a hertz at 87 Hz."""
 _FURTHEST = 1.0
-"""Part of a frequency up to which one beside it is tried. Chosen, not measured: an octave above, and down to nothing."""
+"""Part of a frequency up to which one beside it is tried. Chosen, not measured: an octave up, and down to nothing."""
 
 
 def frequency_sd(model: Model, term: NoiseTerm) -> float:

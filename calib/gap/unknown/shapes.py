@@ -298,7 +298,7 @@ def _driven(trace: Trace) -> Iterator[_Group]:
 
 
 def _growing(trace: Trace) -> Iterator[_Group]:
-    """What grows evenly, from the start of the recording or of the clock: that of an autopilot begins with its power."""
+    """What grows evenly, from the start of the recording or of the clock: an autopilot's begins with its power."""
     start, span = float(trace.t[0]), float(trace.t[-1] - trace.t[0])
     yield _Group("driven", _SINCE_START, (trace.t - start)[None])
     if 0.0 < start < span:

@@ -62,7 +62,7 @@ def test_an_effect_without_a_rival_is_sure_and_nothing_is_unknown():
 
 
 def test_beside_a_temperature_that_rises_with_time_both_are_named_with_what_decides():
-    rivals, sure, unknown = judged(other(GROWING, 1.0, kappa=0.99), own="gyro_temp_linear")
+    rivals, sure, _ = judged(other(GROWING, 1.0, kappa=0.99), own="gyro_temp_linear")
     (rival,) = rivals
     assert (rival.id, rival.kappa, rival.delta) == ("drift_in_time", 0.99, 1.0)
     assert "cool" in rival.fix
