@@ -83,10 +83,11 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     own = {s: _nuisance_gain(problem, baseline, livelier, s) for s in small}
     moves = _movement(problem)
     level = {s: max(small[s], own[s]) for s in small}
-    least = {s: max(_scaled_by_movement(problem, small[s], moves, baseline.movement, s), own[s]) for s in small}
+    noise = {s: _scaled_by_movement(problem, small[s], moves, baseline.movement, s) for s in small}
+    least = {s: max(noise[s], own[s]) for s in small}
     reference = _of_both(problem.reference, baseline.reference)
     warnings = (*changed.warnings, *_calm_flight_warnings(moves, baseline.movement))
-    minimum_gain = MinimumGain(least, least, level, least)
+    minimum_gain = MinimumGain(least, least, level, noise)  # what is open of a mean makes no noise louder
     return replace(changed, minimum_gain=minimum_gain, reference=reference, warnings=warnings)
 
 
