@@ -131,7 +131,8 @@ def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] =
     if not folds:
         return None
     floor_ratio = _excess(chosen.model)
-    losses, lowest, gains, steps, determined = [], [], [], [], []
+    losses: list[tuple[float, float]] = []
+    lowest, gains, steps, determined = [], [], [], []
     for fold in folds:
         if len(losses) >= _LEAST_HELD_OUT and contest.pace.ends():
             break

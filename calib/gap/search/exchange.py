@@ -238,13 +238,13 @@ def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known:
         for rival in contest.hypotheses
         if not (rival.key in taken or rival.again) and _meets(rival, term.hypothesis, model)
     ]
-    near = [rival for rival in rivals if _is_near(rival, term.hypothesis)]  # never left out, or nothing is probable
+    likely = [rival for rival in rivals if _is_near(rival, term.hypothesis)]  # never left out, or nothing is probable
     far = [rival for rival in rivals if not _is_near(rival, term.hypothesis)]
-    scores = [_less(noise_score(rival, bare), stiff) for rival in near if isinstance(rival.effect, NoiseEffect)]
+    scores = [_less(noise_score(rival, bare), stiff) for rival in likely if isinstance(rival.effect, NoiseEffect)]
     for rival in far:
         if isinstance(rival.effect, NoiseEffect) and not contest.pace.ends():
             scores.append(_less(noise_score(rival, bare), stiff))
-    means = [rival for rival in near if not isinstance(rival.effect, NoiseEffect)]
+    means = [rival for rival in likely if not isinstance(rival.effect, NoiseEffect)]
     coarse = [contest.score(rival, beside, refine=False) for rival in means]
     coarse += contest.scores([rival for rival in far if not isinstance(rival.effect, NoiseEffect)], beside)
     scores += contest.assured(coarse, beside, own_delta - prices.RIVAL_REACH)
