@@ -37,10 +37,10 @@ _BEGINS = {
 """Part of the whole time after which a stage begins. Source: decision 36, recordings of minutes."""
 _MAY_TAKE = {
     GapStage.REFERENCE: 0.4,
-    GapStage.SELECTION: 0.68,
-    GapStage.RIVALS: 0.83,
-    GapStage.HELD_OUT: 0.9,
-    GapStage.BLOCKS: 0.93,
+    GapStage.SELECTION: 0.65,
+    GapStage.RIVALS: 0.8,
+    GapStage.HELD_OUT: 0.87,
+    GapStage.BLOCKS: 0.9,
     GapStage.REPORT: math.inf,
 }
 """Part of the limit after which nothing more is begun in a stage; infinite: it is never left out. Source: decision
