@@ -6,8 +6,8 @@ shortens the field by ``(w^2/24) |du/dt|^2``, which a steady tumble hides in the
 by ``d`` than the others is off by ``d du_i/dt``, along the field by ``d u_i du_i/dt``.
 
 Rows that are poses, written down one by one with their times, have no turn and independent errors. They show by one of
-three things: steps of 60 degrees and more, steps as long as those between rows taken at random, or a rate of turn that no
-vehicle has.
+three things: steps of 60 degrees and more, steps as long as those between rows taken at random, or a rate of turn that
+no vehicle has.
 """
 
 from __future__ import annotations
