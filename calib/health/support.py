@@ -2,7 +2,8 @@
 
 An attitude is made of the sensors that it would judge. A gyroscope that is off tumbles it, a dead compass pulls its
 heading. Its tilt is supported where the mean force of an accelerometer points up by it. Its heading is supported where
-a compass that lives keeps its direction by it. Where nothing was recorded that could contradict it, it is taken as it is.
+a compass that lives keeps its direction by it. Where nothing was recorded that could contradict it, it is taken as it
+is.
 """
 
 from __future__ import annotations
