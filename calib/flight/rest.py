@@ -94,7 +94,10 @@ def too_slow(recording: Recording) -> float | None:
 
 
 def why_no_rest(recording: Recording) -> str:
-    """What a log without a rest lacks: samples that are fast enough to see one, or the rest."""
+    """What a log without a rest lacks: samples of the sensors themselves, fast enough to see one, or the rest."""
+    inertial = [c.stage for c in recording.channels if c.sensor in (Sensor.ACCEL, Sensor.GYRO)]
+    if inertial and all(stage == Stage.DEBIASED for stage in inertial):
+        return "an estimator's bias is taken out of all inertial samples: no rest is told from them"
     rate = too_slow(recording)
     if rate is not None:
         return f"{rate:.2g} Hz are too slow to tell a rest: {LEAST_RATE:.0f} Hz are needed"

@@ -186,7 +186,7 @@ def _wander(recording: Recording, instance: int, means: Sequence[RestMean], why:
         return not_testable(
             "gyro_bias_drift",
             subject,
-            f"one rest only. {how_to_rest(recording)}, until after it {craft_of(recording.identity).moved}",
+            f"one rest only: another one after the {craft_of(recording.identity).trip} tells. {how_to_rest(recording)}",
         )
     first, last = means[0], means[-1]
     change = last.mean - first.mean

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.health import limits, motion
-from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
+from mavcal.calib.health.channels import judged_channel, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.health.support import Support, support_of
@@ -50,7 +50,9 @@ def compass_findings(recording: Recording, support: Support | None = None) -> It
     for instance in recording.instances(Sensor.MAG):
         streamed = judged_channel(recording, Sensor.MAG, instance)
         if streamed is None:
-            yield HealthFinding("field", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, NOT_PHYSICAL)
+            yield HealthFinding(
+                "field", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, why_unjudged(recording, Sensor.MAG, instance)
+            )
             continue
         channel = motion.usable(streamed)
         found[instance] = channel

@@ -123,9 +123,12 @@ def worst(verdicts: Iterable[HealthVerdict]) -> HealthVerdict:
 
 
 def sensor_health(sensor: Sensor, instance: int, findings: Iterable[HealthFinding]) -> SensorHealth:
-    """The findings of that sensor among `findings`, the worst first."""
+    """The findings of that sensor among `findings`, the worst first; then those that say of its readings."""
     own = [f for f in findings if (f.sensor, f.instance) == (sensor, instance)]
-    return SensorHealth(sensor, instance, tuple(sorted(own, key=lambda f: -_WORSE.index(f.verdict))))
+    found = SensorHealth(sensor, instance, tuple(sorted(own, key=lambda f: -_WORSE.index(f.verdict))))
+    if found.verdict != HealthVerdict.CANNOT_SAY:
+        return found
+    return SensorHealth(sensor, instance, tuple(sorted(found.findings, key=lambda f: f.check in SUPPORTING)))
 
 
 def judged_value(value: float, sd: float, limit: HealthLimit) -> HealthVerdict:

@@ -17,7 +17,7 @@ from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import calm, limits, motion
-from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
+from mavcal.calib.health.channels import judged_channel, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.health.support import Support, support_of
@@ -104,7 +104,9 @@ def inertial_findings(
         for instance in recording.instances(sensor):
             channel = judged_channel(recording, sensor, instance)
             if channel is None:
-                yield HealthFinding("offset", sensor, instance, HealthVerdict.CANNOT_SAY, NOT_PHYSICAL)
+                yield HealthFinding(
+                    "offset", sensor, instance, HealthVerdict.CANNOT_SAY, why_unjudged(recording, sensor, instance)
+                )
                 continue
             found[instance] = channel
             if instance not in spans:

@@ -156,20 +156,24 @@ def _stuck(recording: Recording, one: Sampled, running: Sequence[TimeSpan]) -> I
 
 
 def _turned(recording: Recording, but: Channel, run: Gap) -> bool:
-    """Whether another gyroscope than `but` turned by `_TURN` in `run`."""
+    """Whether every gyroscope but `but` turned by `_TURN` in `run`, one that is alone beyond its usual rate.
+
+    An offset is no turn: another unit does not share it, and one that is alone has it all the time.
+    """
+    seen: dict[int, bool] = {}
     for channel in recording.channels:
         if channel.sensor != Sensor.GYRO or channel.unit != "rad/s":
             continue
-        if (channel.sensor, channel.instance) == (but.sensor, but.instance):
-            continue
         part = channel.between(run.start, run.start + run.length)
-        if len(part) < 3:
+        if (channel.sensor, channel.instance) == (but.sensor, but.instance) or len(part) < 3:
             continue
-        rates = np.nan_to_num(part.values)
+        alone = len(recording.instances(Sensor.GYRO)) == 1
+        usual = np.median(np.nan_to_num(channel.values), axis=0) if alone else np.zeros(3)
+        rates = np.nan_to_num(part.values) - usual
         angle = np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(part.t)[:, None], axis=0)
-        if float(np.ptp(angle, axis=0).max()) > _TURN:
-            return True
-    return False
+        turned = float(np.ptp(angle, axis=0).max()) > _TURN
+        seen[channel.instance] = seen.get(channel.instance, False) or turned
+    return bool(seen) and all(seen.values())
 
 
 def _distrusted(recording: Recording) -> Iterator[HealthFinding]:

@@ -38,6 +38,7 @@ from mavcal.calib.logs.canonical import (
 )
 from mavcal.calib.logs.columns import TableColumns, text_columns
 from mavcal.calib.logs.ordered import moving
+from mavcal.calib.logs.zeros import without_zeros
 from mavcal.calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -94,8 +95,9 @@ def read_table(
     table = _Table.of(columns, mapping or {})
     t, events = _time(table, columns, rate)
     order = [key for key in table.cells if key not in {"t", "segment"} and reference_sensor(key) is None]
+    zeros: list[Event] = []
     channels = [
-        channel
+        without_zeros(channel, zeros)
         for sensor, instance in _present(order)
         if (channel := _channel(table, sensor, instance, t, units=units, body=body, world=world)) is not None
     ]
@@ -114,6 +116,7 @@ def read_table(
             f"{columns.listed()}: name them with --map"
         )
     events += tuple(Event(float(t[0]), "damage", text) for text in (*table.damage, *_empty(table, order)))
+    events += tuple(zeros)
     return Recording(
         channels=tuple(channels),
         events=events,

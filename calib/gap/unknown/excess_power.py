@@ -139,7 +139,7 @@ def _band(view: View, white: Array, band: tuple[int, int], axis: str = "") -> _E
 def _between_jolts(view: View, white: Array, band: tuple[int, int]) -> float:
     """Sum of squares in a band without the moments of the hardest jolts, as if the rest were all.
 
-    A touchdown is a few samples of a flight, no two are alike, and units that are sampled at moments of their own read
+    A touchdown is a few samples of a flight, and no two are alike. Units that are sampled at moments of their own read
     it differently.
     """
     moved = np.add.reduce([view.traces[i].measured[view.keep] for i in view.weights])

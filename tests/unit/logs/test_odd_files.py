@@ -11,10 +11,11 @@ import pytest
 from mavcal.calib import logs
 from mavcal.calib.errors import CalibError, InvalidInputError, UnreadableError
 from mavcal.calib.health.overview import overview
+from mavcal.calib.health.report import health
 from mavcal.calib.logs.dataflash.reader import read_dataflash
 from mavcal.calib.logs.ordered import MOST_AT_ONCE, moving
 from mavcal.calib.logs.tables import read_table
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Oddity, OddSamples, Sensor
 from tests.unit.logs.test_dataflash_reader import HEAD, kinds, made, times
 
 CELLS = "t,accel_x,accel_y,accel_z,gyro_x,gyro_y,gyro_z\n"
@@ -119,3 +120,16 @@ def test_a_clock_of_32_bits_that_runs_over_keeps_its_place(wraps):
     assert len(t) == 1000
     np.testing.assert_allclose(np.diff(t.t), 0.02, atol=1e-6)
     assert kinds(read_dataflash(HEAD + imu((stamps % 2**32).tolist())), "reboot") == []
+
+
+def test_zeros_of_a_compass_that_dies_are_left_out_and_counted(tmp_path):
+    rows = [f"{k / 10},0,0,9,{f'2{k % 7},5,40' if k < 60 else '0,0,0'}" for k in range(100)]
+    head = "t,gyro_x,gyro_y,gyro_z,mag_x,mag_y,mag_z\n"
+    recording = read_table(written(tmp_path, rows, head))
+    assert len(recording.channel(Sensor.MAG)) == 60
+    (odd,) = [event.odd for event in recording.events if event.odd is not None]
+    assert odd == OddSamples(Oddity.ZERO, Sensor.MAG, 0, 40, 100, until=9.9)
+    whole = read_table(written(tmp_path, [f"{k / 10},0,0,9,0,0,0" for k in range(100)], head))
+    assert len(whole.channel(Sensor.MAG)) == 100
+    (found,) = [s for s in health(recording).sensors if s.sensor == Sensor.MAG]
+    assert found.findings[0].text == "reads 0, 0, 0 in 40 % of its samples, first at 6.0 s"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.px4.flight import arming_events, flight_channels, truth_channels
 from mavcal.calib.recording import Sensor, Stage
@@ -178,3 +179,19 @@ def test_arming_is_told_at_its_first_state_and_every_change_and_first_by_the_swi
     empty = both | {("actuator_armed", 0): {n: c[:0] for n, c in switch.items()}}
     assert len(arming_events(empty)) == 4
     assert arming_events({}) == []
+
+
+@pytest.mark.parametrize("kind", [dialect.MAV_TYPE_GROUND_ROVER, dialect.MAV_TYPE_SURFACE_BOAT])
+def test_outputs_that_turn_both_ways_rest_at_neutral(kind):
+    outputs = topic([1_000_000, 2_000_000], output=[[1500, 1000], [2000, 1500]])
+    (channel,) = flight_channels({("actuator_outputs", 0): outputs}, kind)
+    assert channel.values.tolist() == [[0, -1], [1, 0]]
+
+
+@pytest.mark.parametrize("kind", [dialect.MAV_TYPE_FIXED_WING, dialect.MAV_TYPE_VTOL_TILTROTOR])
+def test_outputs_of_a_vehicle_with_surfaces_tell_of_no_motor(kind):
+    outputs = topic([1_000_000], output=[[1500, 1000]])
+    assert flight_channels({("actuator_outputs", 0): outputs}, kind) == []
+    commands = topic([1_000_000], control=[[0.5]])
+    both = {("actuator_outputs", 0): outputs, ("actuator_motors", 0): commands}
+    assert [c.source for c in flight_channels(both, kind)] == ["actuator_motors"]
