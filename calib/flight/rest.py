@@ -34,6 +34,7 @@ SHORTEST = 2.0  # s of a rest that is told from
 LEAST_RATE = 8.0  # Hz of inertial samples from which on a window of half a second has enough of them
 _OFF = 0.03  # of the range of a motor output
 _SETTLED = 0.5  # s after the motors stopped: rotors run down
+_FIRST_STATE = 3.0  # s after the start until which a first state is told: heartbeats come once a second
 
 
 class Phase(StrEnum):
@@ -171,7 +172,10 @@ def _armed(recording: Recording, begin: float, end: float) -> tuple[TimeSpan, ..
     said = sorted((e.t, e.kind == ARMED) for e in recording.events if e.kind in (ARMED, UNARMED))
     if not said:
         return None
-    states = [(begin, not said[0][1]), *said, (end, said[-1][1])]
+    # PX4's logs and telemetry begin with a state, soon after the first sample; events on board are changes
+    states_first = recording.identity.autopilot == "px4" or telemetry(recording)
+    before = said[0][1] if states_first and said[0][0] - begin < _FIRST_STATE else not said[0][1]
+    states = [(begin, before), *said, (end, said[-1][1])]
     return _merged([TimeSpan(a, max(a, b)) for (a, on), (b, _) in pairwise(states) if on])
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.flight.item import JudgedItem
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import judged_channel
 from mavcal.calib.health.finding import BAD, HealthFinding, HealthVerdict, judged_value
@@ -35,6 +36,8 @@ _STRONG: Final = 0.5 * STANDARD_GRAVITY
 """m/s2 rms that may shift any mean, as far as a log without calm seconds can tell."""
 _SHIFTED: Final = 0.5
 """m/s2: twice of what calls a calm sensor suspicious."""
+_CLIPS: Final = 0.005
+"""Part of the samples at the end of the range from which on they shift the mean."""
 
 
 @dataclass(frozen=True)
@@ -65,19 +68,25 @@ class Rectified:
         )
 
 
-def rectified(recording: Recording) -> dict[int, Rectified]:
-    """The accelerometers whose mean moves with their vibration, by instance."""
+def rectified(recording: Recording, shaking: Sequence[JudgedItem] = ()) -> dict[int, Rectified]:
+    """The accelerometers whose mean moves with their vibration, by instance; `shaking` says which ones clip."""
     found: dict[int, Rectified] = {}
     for instance in recording.instances(Sensor.ACCEL):
         channel = judged_channel(recording, Sensor.ACCEL, instance)
-        one = (
-            None
-            if channel is None
-            else _of(instance, *_windows(motion.usable(channel).t, motion.usable(channel).values))
-        )
+        if channel is None:
+            continue
+        good = motion.usable(channel)
+        one = _of(instance, *_windows(good.t, good.values), least=_least_shift(shaking, instance, len(good)))
         if one is not None:
             found[instance] = one
     return found
+
+
+def _least_shift(shaking: Sequence[JudgedItem], instance: int, count: int) -> float:
+    """m/s2 by which a mean has to move: samples at the end of the range shift it in any case."""
+    subject = f"accel {instance + 1}"
+    at_end = [item.value or 0.0 for item in shaking if (item.name, item.subject) == ("clipping", subject)]
+    return limits.FORCE.suspicious if max(at_end, default=0.0) > _CLIPS * count else _SHIFTED
 
 
 def explained(findings: Sequence[HealthFinding], shifted: Mapping[int, Rectified]) -> Iterator[HealthFinding]:
@@ -117,7 +126,7 @@ def _windows(t: Array, values: Array) -> tuple[Array, Array]:
     return np.linalg.norm(means, axis=0)[used], vibration[used]
 
 
-def _of(instance: int, force: Array, vibration: Array) -> Rectified | None:
+def _of(instance: int, force: Array, vibration: Array, least: float = _SHIFTED) -> Rectified | None:
     """None: the mean does not move with the vibration, or too little of either is there."""
     shaken, calm = force[vibration > _SHAKEN], force[vibration < _CALM]
     if len(shaken) < _SHAKEN_WINDOWS:
@@ -126,10 +135,10 @@ def _of(instance: int, force: Array, vibration: Array) -> Rectified | None:
     sd = _sd(shaken)
     if len(calm) < _CALM_WINDOWS:
         off = abs(level - STANDARD_GRAVITY) - 2.0 * sd
-        return Rectified(instance, None, 0.0, level, rms) if rms > _STRONG and off > _SHIFTED else None
+        return Rectified(instance, None, 0.0, level, rms) if rms > _STRONG and off > least else None
     usual, usual_sd = float(np.median(calm)), float(np.hypot(_sd(calm), 0.02))
     moved = abs(level - usual) - 2.0 * float(np.hypot(sd, usual_sd))
-    return Rectified(instance, usual, usual_sd, level, rms) if moved > _SHIFTED else None
+    return Rectified(instance, usual, usual_sd, level, rms) if moved > least else None
 
 
 def _sd(values: Array) -> float:

@@ -96,7 +96,7 @@ def health(recording: Recording) -> HealthReport:
     every, shaking = sampled(heard), tuple(shaking_items(heard, stood.running))
     findings = [
         *dead,
-        *explained(list(inertial_findings(heard, stood.off, support)), rectified(heard)),
+        *explained(list(inertial_findings(heard, stood.off, support)), rectified(heard, shaking)),
         *vibration_findings(heard, stood.running, shaking, every_sample(heard)),
         *temperature_findings(heard),
         *compass_findings(heard, support),

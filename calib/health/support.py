@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.health import motion
 from mavcal.calib.health.channels import judged_channel
 from mavcal.calib.recording import Channel, Recording, Sensor
@@ -23,6 +24,13 @@ Array = NDArray[np.float64]
 
 _TILT_DEG: Final = 25.0
 """Between up and the mean force over ten seconds: more than offsets, climbs and turns of a good attitude make of it."""
+_TILTED_DEG: Final = 15.0
+"""The same where the force is as long as gravity: an offset across it that turns it so far makes it 3.5 % longer, and
+a turn that banks so far as well."""
+_AS_LONG: Final = 0.025 * STANDARD_GRAVITY
+"""m/s2 by which such a force differs from gravity at most."""
+_SECOND: Final = 1.0
+"""s over which a force is averaged: a vehicle turns little meanwhile, and vibration averages out."""
 _HEADING_DEG: Final = 30.0
 """Median deviation of a compass's heading by an attitude that follows it; calibrated badly it is ten."""
 _REPEATED: Final = 0.9  # of the samples of a compass that equal the one before: it delivers nothing
@@ -50,12 +58,13 @@ def support_of(recording: Recording, attitude: Channel | None) -> Support:
 
 def _tilt(recording: Recording, t: Array, turned: Array) -> str:
     """Why the tilt is not believed: no accelerometer feels gravity where it has down."""
-    angles = {}
+    angles, gravity = {}, []
     for instance in recording.instances(Sensor.ACCEL):
         channel = judged_channel(recording, Sensor.ACCEL, instance)
         if channel is None:
             continue
-        force = _in_world(motion.usable(channel), t, turned)
+        channel = motion.usable(channel)
+        force = _in_world(channel, t, turned)
         if force is None:
             continue
         means = motion.window_means(*force).values
@@ -63,10 +72,20 @@ def _tilt(recording: Recording, t: Array, turned: Array) -> str:
             continue
         length = np.maximum(np.linalg.norm(means, axis=1), 1e-9)
         angles[instance] = float(np.degrees(np.median(np.arccos(np.clip(-means[:, 2] / length, -1.0, 1.0)))))
-    if not angles or min(angles.values()) <= _TILT_DEG:
+        if abs(_usual_length(channel) - STANDARD_GRAVITY) < _AS_LONG:
+            gravity.append(instance)
+    limit = _TILTED_DEG if set(gravity) == set(angles) else _TILT_DEG
+    if not angles or min(angles.values()) <= limit:
         return ""
     instance, angle = min(angles.items(), key=lambda one: one[1])
     return f"by it the force of accelerometer {instance + 1} points {angle:.0f} deg away from up"
+
+
+def _usual_length(accel: Channel) -> float:
+    """Median length of the mean force of a second, m/s2."""
+    second = np.unique(np.floor((accel.t - accel.t[0]) / _SECOND), return_inverse=True)[1]
+    means = np.array([np.bincount(second, column) for column in accel.values.T]) / np.bincount(second)
+    return float(np.median(np.linalg.norm(means, axis=0)))
 
 
 def _heading(recording: Recording, t: Array, turned: Array) -> str:

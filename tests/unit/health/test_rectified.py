@@ -86,3 +86,16 @@ def test_without_a_calm_second_the_vibration_is_named_and_nobody_accused():
     assert one.verdict == HealthVerdict.SUSPICIOUS
     assert "it was never calm" in one.findings[0].text
     assert not any("alibrate" in action for action in one.actions)
+
+
+def test_samples_at_the_end_of_the_range_shift_a_mean_and_no_calibration_cures_it():
+    limit = 4.0 * 9.80665
+
+    def change(t, values):
+        flying = ((t > 20.0) & (t < 160.0))[:, None]
+        noise = 25.0 * np.random.default_rng(3).normal(size=values.shape)
+        return np.clip(values + np.where(flying, noise, 0.0), -limit, limit)
+
+    one = accelerometer(health(changed(flight(15, units=1), change)))
+    assert any("samples at 4 g" in finding.text for finding in one.bad)
+    assert not any("alibrate" in action for action in one.actions)

@@ -145,3 +145,20 @@ def test_an_accelerometer_that_lies_across_is_found_beside_one_that_supports_the
 @pytest.mark.parametrize(("value", "sd"), [(0.33, 3.03), (2.97, 3.36), (0.0, 1.0)])
 def test_an_error_that_swallows_the_number_says_nothing(value, sd):
     assert judged_value(value, sd, FORCE) == HealthVerdict.CANNOT_SAY
+
+
+@pytest.mark.parametrize("tilted", [17.0, 23.0])
+def test_an_attitude_that_leans_away_from_a_force_as_long_as_gravity_judges_nobody(tilted):
+    recording = airborne(11)
+    q = attitude(recording)
+    leaning = Rotation.from_euler("y", tilted, degrees=True) * Rotation.from_quat(q.values, scalar_first=True)
+    wrong = replaced(recording, dataclasses.replace(q, values=leaning.as_quat(scalar_first=True)))
+    assert "deg away from up" in support_of(wrong, attitude(wrong)).tilt
+    assert not any(s.verdict in BAD for s in health(wrong).sensors if s.sensor == Sensor.ACCEL)
+
+
+def test_an_accelerometer_far_off_across_gravity_does_not_condemn_the_attitude():
+    recording = airborne(12, units=1)
+    accel = recording.channel(Sensor.ACCEL, 0)
+    off = replaced(recording, dataclasses.replace(accel, values=accel.values + np.array([3.0, 0.0, 0.0])))
+    assert support_of(off, attitude(off)).tilt == ""  # its force is longer than gravity
