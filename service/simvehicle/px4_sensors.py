@@ -72,8 +72,8 @@ class Px4Sensors:
         for memory in (*self.accels, *self.gyros, *(() if armed else self.mags)):
             memory.load(self._table)
         level = [math.radians(self._table.get(f"SENS_BOARD_{axis}_OFF")) for axis in "XYZ"]
-        self._level = matrices_from_quaternions(quaternion_from_euler(level[0], level[1], level[2]))
-        self.body_from_sensor = self._level @ self._board
+        self.level = matrices_from_quaternions(quaternion_from_euler(level[0], level[1], level[2]))
+        self.body_from_sensor = self.level @ self._board
         self._thermal = {
             (sensor, k): self._thermal_set(sensor, memory.device_id)
             for sensor, memories in (("A", self.accels), ("G", self.gyros))
@@ -161,8 +161,8 @@ class Px4Sensors:
         if memory.rotation == CUSTOM_ROTATION and memory.slot is not None:
             base = f"CAL_MAG{memory.slot}"
             euler = [math.radians(self._table.get(f"{base}_{name}")) for name in ("ROLL", "PITCH", "YAW")]
-            return np.asarray(self._level @ matrices_from_quaternions(quaternion_from_euler(*euler)))
-        return np.asarray(self._level @ _mounting(memory.rotation))
+            return np.asarray(self.level @ matrices_from_quaternions(quaternion_from_euler(*euler)))
+        return np.asarray(self.level @ _mounting(memory.rotation))
 
     def _power(self, t: Array, *, armed: bool) -> Array:
         kind = int(self._table.get("CAL_MAG_COMP_TYP"))
