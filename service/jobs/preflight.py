@@ -21,6 +21,7 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight.check import Report
 from mavcal.calib.preflight.collect import (
     SENSORS,
+    Gathered,
     collect,
     counted_messages,
     gathered,
@@ -240,19 +241,19 @@ class Preflights:
     async def _gather(self, vehicle: JobVehicle, rates: dict[int, float], began: float, heard: _Heard) -> None:
         """Wait until every stream that comes has brought enough; what does not come is asked for again."""
         autopilot = vehicle.identity.autopilot or ""
-        found, looks = gathered(heard.frames, autopilot), 0
+        found, looks = await _looked(heard, autopilot), 0
         while not found.enough and (left := LONGEST_S - (self._clock() - began)) > 0.0:
             if looks % AGAIN == 0:  # a slow link has lost the request, or carries nothing else if it comes too often
                 vehicle.demand_streams(rates)
             await asyncio.sleep(min(LOOK_S, left))
-            found, looks = gathered(heard.frames, autopilot), looks + 1
+            found, looks = await _looked(heard, autopilot), looks + 1
         if looks:
             heard.notes.append(
                 f"the link is slow: {found.text}, and {self._clock() - began:.0f} s were waited for more"
             )
         while found.still and (left := STILL_S - (self._clock() - began)) > 0.0:
             await asyncio.sleep(min(LOOK_S, left))
-            found = gathered(heard.frames, autopilot)
+            found = await _looked(heard, autopilot)
         if found.still:
             which = ", ".join(str(i + 1) for i in sorted(found.still))
             heard.notes.append(f"compass {which} was watched for {STILL_S:g} s for one step of change")
@@ -333,6 +334,11 @@ def _asked(asking: asyncio.Task[None], heard: _Heard) -> bool:
         raise error
     heard.notes.append(f"the vehicle did not run its checks when asked: {error}")
     return False
+
+
+async def _looked(heard: _Heard, autopilot: str) -> Gathered:
+    """How far the streams have come; messages are decoded beside the event loop."""
+    return await asyncio.to_thread(gathered, tuple(heard.frames), autopilot)
 
 
 async def _silent_asked(
