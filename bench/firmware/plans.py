@@ -81,6 +81,7 @@ def _on_one_vehicle(fresh: Round, only: Sequence[str], faults: Sequence[Fault]) 
         again.taken_back(kinds[-1])
         again.calibrations(kinds)
     if "kills" in only:
+        rig.restart()
         for point, occurrence in KILLS:
             fresh.recovered(point, occurrence)
     if "preflight" in only and len(kinds) == len(TESTED):

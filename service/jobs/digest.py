@@ -84,7 +84,7 @@ class LiveDigest:
         created_at: float,
     ) -> None:
         self._assembler = Assembler(identity, parameters)
-        self._certain = CertainOffsets() if kind in DRIFT_KINDS else None
+        self._certain = CertainOffsets() if kind in DRIFT_KINDS and identity.autopilot == "px4" else None
         self._undo = Undo(identity, parameters)
         self._prefixes = CALIBRATION_PREFIXES.get(identity.autopilot or "", ())
         self._known = KnownCalibration([name for name in parameters if name.startswith(self._prefixes)])
@@ -251,7 +251,7 @@ def fit_segments(request: JobFitRequest) -> Fitted:
     context = context_of(request.kind, recording.identity, parameters, field_of(recording, request.created_at))
     answers = [OperatorAnswer(t, value) for t, value in request.answers]
     known = KnownCalibration(_read_at_first(request.kind, recording.identity, parameters))
-    if request.kind in DRIFT_KINDS:
+    if request.kind in DRIFT_KINDS and recording.identity.autopilot == "px4":
         recording = CertainOffsets(whole=True).feed(recording)
     outcome = replay(request.kind, request.options, context, known.feed(undo(recording)), answers)
     said = _said_by_px4(recording) if recording.identity.autopilot == "px4" else frozenset()

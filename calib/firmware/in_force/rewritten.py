@@ -70,7 +70,8 @@ class CertainOffsets:
             self._doubtful.append((since - GUARD_BEFORE_S, entry.t + GUARD_AFTER_S))
 
     def _certain(self, recording: Recording) -> Recording:
-        return recording.with_channels(self._without_doubt(c) for c in recording.channels)
+        kept = (self._without_doubt(channel) for channel in recording.channels)
+        return recording.with_channels(channel for channel in kept if len(channel))
 
     def _without_doubt(self, channel: Channel) -> Channel:
         if channel.sensor != Sensor.GYRO or not self._doubtful:

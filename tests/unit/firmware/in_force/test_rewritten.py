@@ -61,6 +61,12 @@ def test_where_nobody_reads_the_offsets_what_the_vehicle_tells_is_trusted():
     assert len(times([CertainOffsets(whole=True).feed(recorded(0.0, END, told))])) == 400
 
 
+def test_chunks_without_a_sample_that_is_certain_have_no_empty_channels():
+    certain = CertainOffsets()
+    assert certain.feed(recorded(0.0, 1.0, read(21.0))).channels == ()
+    assert CertainOffsets(whole=True).feed(recorded(21.0, 21.1, [])).channels != ()
+
+
 def test_a_restart_is_handed_on_at_once():
     certain = CertainOffsets()
     assert times([certain.feed(recorded(30.0, 33.0, []))]) == []
