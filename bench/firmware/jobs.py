@@ -16,19 +16,10 @@ from mavcal.client import ApiProblem, Client, Unreachable
 from mavcal.client.enums import JobState
 from mavcal.client.events import PromptEvent, StateEvent
 from mavcal.client.jobs import JobModel, PromptModel, ResultModel
+from mavcal.service.demo.run import ENDED
 from mavcal.service.lifetime import ending_with_us
 from mavcal.service.simvehicle import Operator
 
-ENDED = frozenset(
-    {
-        JobState.SUCCEEDED,
-        JobState.REVERTED,
-        JobState.FAILED,
-        JobState.CANCELLED,
-        JobState.INTERRUPTED,
-        JobState.IN_DOUBT,
-    }
-)
 START_S, READY_S = 120.0, 60.0
 PROVE_S = 180.0
 COMMAND_S = 600.0

@@ -73,14 +73,15 @@ def _on_one_vehicle(fresh: Round, only: Sequence[str], faults: Sequence[Fault]) 
     """Every calibration from the factory's values and on an older one, undo, kills and preflights."""
     fresh.folder.mkdir()
     rig, kinds = fresh.rig, [kind for kind in TESTED if kind in only]
-    fresh.calibrations(kinds)
+    ended = fresh.calibrations(kinds)
     if kinds:
-        fresh.stays([name for name in rig.truth.parameters(rig.autopilot) if "GYR" not in name])
+        fresh.stays(ended)
         again = replace(fresh, name=fresh.name.replace("factory", "on an older one"))
         again.aged()
         again.taken_back(kinds[-1])
         again.calibrations(kinds)
     if "kills" in only:
+        rig.restart()
         for point, occurrence in KILLS:
             fresh.recovered(point, occurrence)
     if "preflight" in only and len(kinds) == len(TESTED):

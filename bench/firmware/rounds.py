@@ -18,6 +18,7 @@ import numpy as np
 from bench.firmware.jobs import Done, calibrated, command, service
 from bench.firmware.scoring import Row, scored
 from bench.firmware.truth import VehicleTruth, own_temperatures, thermal_truth
+from mavcal.client.enums import JobState
 from mavcal.client.jobs import JobModel
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.lifetime import ending_with_us
@@ -117,13 +118,19 @@ class Round:
         time.sleep(SETTLED_S)
         self.rig.restart()
 
-    def stays(self, names: Sequence[str]) -> None:
-        """Restart the vehicle: what was written must still be there."""
-        before = {name: self.rig.read(name) for name in names}
+    def stays(self, ended: Sequence[Done]) -> None:
+        """Restart the vehicle: what these jobs wrote must still be there, but for what it calibrates at its start."""
+        written = {
+            change.name: float(change.new)
+            for done in ended
+            if done.job.state == JobState.SUCCEEDED and done.job.plan is not None
+            for change in done.job.plan.changes
+            if "GYR" not in change.name and not change.session
+        }
         began = time.monotonic()
         self.rig.restart()
-        after = {name: self.rig.read(name) for name in names}
-        lost = tuple(f"{name} was {before[name]}, is {after[name]}" for name in names if before[name] != after[name])
+        after = {name: self.rig.read(name) for name in written}
+        lost = tuple(f"{n} was {written[n]}, is {after[n]}" for n in written if after[n] != written[n])
         self.report(self._row("restart", "kept" if not lost else "lost", began, lost, right=not lost))
 
     def taken_back(self, kind: str) -> None:

@@ -82,14 +82,16 @@ async def followed(client: AsyncClient, job_id: str, screen: Screen, since: floa
     job = await client.get_job(job_id)
     if rests(job):
         return job
+    told = None
     async with keyboard(answer):
         async for message in client.follow_job(job_id):
             event = message.data
             if event.at > since:
                 show_event(event.kind, event.data.model_dump(mode="json"), screen)
             if isinstance(event, StateEvent):
-                if event.at > since:
-                    screen.line(f"    {event.data.state.value}")
+                if event.at > since and event.data.state != told:  # a state is said once
+                    told = event.data.state
+                    screen.line(f"    {told.value}")
                 job = await client.get_job(job_id)  # the event may be an old one
                 if rests(job):
                     break

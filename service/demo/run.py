@@ -305,7 +305,7 @@ class _Demo:
             cross = f"; cannot be held {report.cross:.2g}" if report.cross else ""
             self._screen.detail(
                 f"{report.sensor.value}[{report.instance}] true error {report.before:.4g} -> {report.after:.3g} "
-                f"{report.unit}{cross}; largest |error|/sd {abs(report.score.standardised).max():.2f}"
+                f"{report.unit}{cross}; largest |error|/sd {abs(report.score.standardised).max(initial=0.0):.2f}"
             )
         self._screen.detail(_said(job))
         self._screen.end(_ended(job), good=job.state == JobState.SUCCEEDED)

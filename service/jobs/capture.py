@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 
 from mavcal.calib.errors import ProcedureError
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS
+from mavcal.calib.firmware.in_force.rewritten import READ_EVERY_S, read_again
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.stream.rates import requested_streams
@@ -125,7 +126,13 @@ class Capture:
         for text in await asyncio.to_thread(self.foresee, identity, self.parameters):
             self.handle.warn(text)
         digest, watch = await self._begin(identity, earlier)
-        done = await self._until_done(digest, watch)
+        names = read_again(identity.autopilot, self.parameters) if kind in DRIFT_KINDS else ()
+        reading = asyncio.create_task(self._reading(names, digest))
+        try:
+            done = await self._until_done(digest, watch)
+        finally:
+            reading.cancel()
+            await asyncio.gather(reading, return_exceptions=True)
         self.handle.prompt(None)  # nothing is asked of anybody any more
         self._show(JobState.RUNNING)
         await self._read_again(identity, watch)
@@ -171,6 +178,16 @@ class Capture:
             watch.look(digest)
             if isinstance(outcome, GaveUp):
                 raise CaptureEnded(outcome.cause, remedy=outcome.remedy)
+
+    async def _reading(self, names: Sequence[str], digest: LiveDigest) -> None:
+        """Read what the vehicle rewrites by itself, so that no change goes unseen; answers go into the segment."""
+        asked_at = digest.last_time
+        while names:
+            await asyncio.sleep(BATCH_S)
+            if digest.last_time - asked_at >= READ_EVERY_S or digest.last_time < asked_at:
+                asked_at = digest.last_time
+                with suppress(VehicleSilent, ParameterTimeout, LinkDown):
+                    await read_values(self.vehicle, names)
 
     def _say_that_it_waits(self) -> None:
         """A procedure counts in samples: where none come, or none are of use, it says nothing by itself."""

@@ -20,6 +20,7 @@ from mavcal.calib.firmware.compose.foresee import STREAMED_INSTANCES
 from mavcal.calib.firmware.in_force.fingerprint import BY_ITSELF, REWRITTEN_AT_REST, means_the_same
 from mavcal.calib.firmware.in_force.known import KnownCalibration
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS, needed
+from mavcal.calib.firmware.in_force.rewritten import CertainOffsets
 from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.options import Key
@@ -83,6 +84,7 @@ class LiveDigest:
         created_at: float,
     ) -> None:
         self._assembler = Assembler(identity, parameters)
+        self._certain = CertainOffsets() if kind in DRIFT_KINDS and identity.autopilot == "px4" else None
         self._undo = Undo(identity, parameters)
         self._prefixes = CALIBRATION_PREFIXES.get(identity.autopilot or "", ())
         self._known = KnownCalibration([name for name in parameters if name.startswith(self._prefixes)])
@@ -130,7 +132,8 @@ class LiveDigest:
         self.restarted |= any(event.kind == "reboot" for event in chunk.events)
         ends = [float(c.t[-1]) for c in chunk.channels if len(c) and c.sensor in (Sensor.ACCEL, Sensor.GYRO)]
         self.last_time = max([self.last_time, *ends])
-        raw = self._known.feed(self._undo.feed(chunk))
+        certain = chunk if self._certain is None else self._certain.feed(chunk)
+        raw = self._known.feed(self._undo.feed(certain))
         if self._procedure is not None:
             return self._procedure.feed(raw)
         self._waiting.append(raw)
@@ -189,8 +192,8 @@ def spoils(kind: str, name: str, before: Value, after: Value) -> bool:
     """Whether this change of a parameter makes the capture of a job of `kind` useless.
 
     While a vehicle warms up, PX4 rewrites the offsets of its gyros whenever they have drifted by 0.01 rad/s. That is no
-    loss: :class:`~calib.firmware.in_force.undo.Undo` takes each value out from its time on, and leaves out the samples
-    around the change.
+    loss: :class:`~calib.firmware.in_force.undo.Undo` takes each value out from its time on, and
+    :class:`~calib.firmware.in_force.rewritten.CertainOffsets` leaves out the samples around the change.
     """
     if before == after or means_the_same(name, before, after):
         return False
@@ -248,6 +251,8 @@ def fit_segments(request: JobFitRequest) -> Fitted:
     context = context_of(request.kind, recording.identity, parameters, field_of(recording, request.created_at))
     answers = [OperatorAnswer(t, value) for t, value in request.answers]
     known = KnownCalibration(_read_at_first(request.kind, recording.identity, parameters))
+    if request.kind in DRIFT_KINDS and recording.identity.autopilot == "px4":
+        recording = CertainOffsets(whole=True).feed(recording)
     outcome = replay(request.kind, request.options, context, known.feed(undo(recording)), answers)
     said = _said_by_px4(recording) if recording.identity.autopilot == "px4" else frozenset()
     return Fitted(outcome, parameters, said)

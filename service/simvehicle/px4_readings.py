@@ -80,11 +80,16 @@ class Px4Readings:
         return rows
 
     def unbiased(self) -> tuple[Array, Array]:
-        """Primary accelerometer and gyroscope minus what the estimator takes for bias."""
+        """Primary accelerometer and gyroscope minus what the estimator takes for bias.
+
+        A wrong level (SENS_BOARD_*_OFF) turns all of them alike, which no estimator can tell from a vehicle that stands
+        askew: it follows the accelerometers.
+        """
         if self._unbiased is None:
             imu, ekf, end = self.imu(self._sensors.primary), self._estimator, float(self.state.t[-1])
-            accel_bias = ekf.accel.advance(end, _error(imu.accel, self.state.force))
-            gyro_bias = ekf.gyro.advance(end, _error(imu.gyro, self.state.rate))
+            turn = self._sensors.level.T
+            accel_bias = ekf.accel.advance(end, _error(imu.accel, self.state.force @ turn))
+            gyro_bias = ekf.gyro.advance(end, _error(imu.gyro, self.state.rate @ turn))
             self._unbiased = (imu.accel - accel_bias, imu.gyro - gyro_bias)
         return self._unbiased
 

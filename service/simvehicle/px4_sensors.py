@@ -70,8 +70,8 @@ class Px4Sensors:
         """A parameter_update was published: load what is loaded now. Magnetometers wait while armed."""
         for memory in (*self.accels, *self.gyros, *(() if armed else self.mags)):
             memory.load(self._table)
-        self._level = matrix_from_degrees(*(self._table.get(f"SENS_BOARD_{axis}_OFF") for axis in "XYZ"))
-        self.body_from_sensor = self._level @ self._board
+        self.level = matrix_from_degrees(*(self._table.get(f"SENS_BOARD_{axis}_OFF") for axis in "XYZ"))
+        self.body_from_sensor = self.level @ self._board
         self._thermal = {
             (sensor, k): self._thermal_set(sensor, memory.device_id)
             for sensor, memories in (("A", self.accels), ("G", self.gyros))
@@ -158,8 +158,8 @@ class Px4Sensors:
             return self.body_from_sensor
         if memory.rotation == PX4_CUSTOM and memory.slot is not None:
             base = f"CAL_MAG{memory.slot}"
-            return np.asarray(self._level @ matrix_from_degrees(*(self._table.get(f"{base}_{a}") for a in ANGLES)))
-        return np.asarray(self._level @ _mounting(memory.rotation))
+            return np.asarray(self.level @ matrix_from_degrees(*(self._table.get(f"{base}_{a}") for a in ANGLES)))
+        return np.asarray(self.level @ _mounting(memory.rotation))
 
     def _power(self, t: Array, *, armed: bool) -> Array:
         kind = int(self._table.get("CAL_MAG_COMP_TYP"))

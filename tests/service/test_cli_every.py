@@ -57,5 +57,8 @@ def test_two_vehicles_on_one_port(tmp_path: Path) -> None:
         assert len(told["vehicles"]) == 2, said
         assert all(c["verdict"] != "fail" for v in told["vehicles"] for c in v["checks"]), told
         code, told, said = mavcal("revert", *whom)
-        assert (code, [v["state"] for v in told["vehicles"]]) == (0, ["reverted"] * 2), (told, said)
+        assert (code, [[j["state"] for j in v["jobs"]] for v in told["vehicles"]]) == (0, [["reverted"]] * 2), (
+            told,
+            said,
+        )
         assert [sim.parameters()[0]["INS_GYROFFS_X"] for sim in (one, two)] == before

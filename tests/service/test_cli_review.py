@@ -19,7 +19,7 @@ pytestmark = pytest.mark.timeout(300)
 
 TURNED, STATED = 6, 0
 """Rotations by number: yaw 270 deg, none."""
-ACCEPT = re.compile(r"`mavcal accept (\w+) --connect \S+ --confirm-mounting` writes it")
+ACCEPT = re.compile(r"`mavcal accept (\w+) --confirm-mounting --connect \S+ --data-dir \S+` writes it")
 
 
 def mounted_otherwise() -> SimulatedVehicle:
@@ -105,7 +105,9 @@ def test_a_log_without_a_board_id_is_written_only_as_confirmed(sim, mavcal, tmp_
     code, job, said = mavcal.ran("plan", "gyro-rest", str(log), "--apply")
     assert (code, job["state"], job["kind"]) == (1, "review", "recording"), said
     assert "does not say which board it is of" in said
-    assert f"mavcal accept {job['id']} --connect {sim.url} --confirm-other-unit` writes it" in said
+    assert (
+        f"mavcal accept {job['id']} --confirm-other-unit --connect {sim.url} --data-dir {tmp_path}` writes it" in said
+    )
     assert stored(sim) == before
     code, job, said = mavcal.ran("accept", job["id"], "--confirm-other-unit")
     assert (code, job["state"]) == (0, "succeeded"), said

@@ -47,7 +47,9 @@ async def test_a_calibration_that_was_reset_is_put_back(autopilot: str, tmp_path
             await life.engine.tidied()
             found = readiness_of(life.engine.get(job.id))
             assert found is not None
-            assert (found.verdict, found.text) == (Verdict.PASS, "All 16 checks pass: this vehicle would arm now.")
+            assert (found.verdict, found.text) == (Verdict.PASS, "All 16 checks pass: this vehicle would arm now."), (
+                found.against
+            )
             assert stored(sim) == before
             again = await life.until((await life.engine.restore(life.vehicle.id)).id, *ENDS)
             assert again.state == JobState.SUCCEEDED

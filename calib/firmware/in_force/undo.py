@@ -103,6 +103,8 @@ class Undo:
         self._piece = pieces[-1].throughout()
         channels, events = [], list(chunk.events)
         for channel in chunk.channels:
+            if not len(channel):
+                continue
             if channel.sensor not in CALIBRATED or channel.stage not in (Stage.CORRECTED, Stage.FILTERED):
                 channels.append(channel)
                 continue

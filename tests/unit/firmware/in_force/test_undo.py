@@ -276,6 +276,12 @@ class TestChunks:
         second = live.feed(Recording((temperature(np.full(len(T), 25.0)), channel(RAW)), identity=ARDUPILOT))
         assert len(second.channel(Sensor.ACCEL)) == len(T)
 
+    def test_without_a_sample_say_nothing(self) -> None:
+        empty = Recording((channel(RAW).take(slice(0)), temperature(np.zeros(0), T[:0])), identity=ARDUPILOT)
+        said = Undo(ARDUPILOT).feed(empty)
+        assert said.channels == ()
+        assert said.events == ()
+
     def test_tell_a_reason_once(self) -> None:
         live = Undo(ARDUPILOT)
         chunk = Recording((channel(RAW),), identity=ARDUPILOT)

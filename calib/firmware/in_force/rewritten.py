@@ -1,0 +1,106 @@
+"""Gyro samples count where the offset in force is certain, although PX4 rewrites it meanwhile.
+
+PX4's ``gyro_calibration`` rewrites CAL_GYROn_*OFF of a vehicle that warms up at rest. It sends the new value up to
+0.4 s after it acts. It sends nothing if the value was saved before: ``mavlink_parameters.cpp`` sends what is unsaved.
+So a job reads the offsets every :data:`READ_EVERY_S`, and only samples between two readings that agree count.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+
+from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN_AT_REST
+from mavcal.calib.firmware.in_force.undo import GUARD_AFTER_S, GUARD_BEFORE_S
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.recording import Channel, ParameterEntry, Recording, Sensor, join
+
+READ_EVERY_S: Final = 2.0
+"""How often a job reads the offsets, s of the vehicle's clock."""
+HOLD_S: Final = 5.0
+"""How long samples wait for the reading after them, s: two readings, and the time that one takes."""
+REGULAR: Final = 3
+"""So many readings of the value known before show that the offsets are read regularly, not only told."""
+
+
+class CertainOffsets:
+    """Leaves gyro samples out between the last sight of an offset and that of its next value.
+
+    Where the offsets are not read regularly (a log of somebody else) it leaves this to
+    :class:`~calib.firmware.in_force.undo.Undo`, which trusts what the firmware tells.
+
+    Parameters
+    ----------
+    whole
+        True: one chunk is the whole recording. False: chunks follow each other, and all of a chunk comes
+        :data:`HOLD_S` later.
+    """
+
+    def __init__(self, *, whole: bool = False) -> None:
+        self._hold = 0.0 if whole else HOLD_S
+        self._seen: dict[str, tuple[float, Value]] = {}
+        self._read: dict[str, int] = {}
+        self._doubtful: list[tuple[float, float]] = []
+        self._waiting: list[Recording] = []
+        self._newest = -np.inf
+
+    def feed(self, chunk: Recording) -> Recording:
+        """What is certain by now, in the order of time; its parameters as well."""
+        for entry in chunk.parameters.entries:
+            if entry.name in REWRITTEN_AT_REST:
+                self._see(entry)
+        if not self._hold:
+            return self._certain(chunk)
+        if any(event.kind == "reboot" for event in chunk.events):  # its times begin again
+            waiting, self._waiting, self._newest = [*self._waiting, chunk], [], -np.inf
+            return self._certain(join(waiting))
+        self._newest = max([self._newest, *(float(c.t[-1]) for c in chunk.channels if len(c))])
+        whole, until = join([*self._waiting, chunk]), self._newest - self._hold
+        self._waiting = [_from(whole, until)]
+        return self._certain(_before(whole, until))
+
+    def _see(self, entry: ParameterEntry) -> None:
+        since, value = self._seen.get(entry.name, (entry.t, entry.value))
+        self._seen[entry.name] = entry.t, entry.value
+        if value == entry.value:
+            self._read[entry.name] = self._read.get(entry.name, 0) + 1
+        elif self._read.get(entry.name, 0) >= REGULAR:
+            self._doubtful.append((since - GUARD_BEFORE_S, entry.t + GUARD_AFTER_S))
+
+    def _certain(self, recording: Recording) -> Recording:
+        kept = (self._without_doubt(channel) for channel in recording.channels)
+        return recording.with_channels(channel for channel in kept if len(channel))
+
+    def _without_doubt(self, channel: Channel) -> Channel:
+        if channel.sensor != Sensor.GYRO or not self._doubtful:
+            return channel
+        doubtful = np.zeros(len(channel), dtype=bool)
+        for start, end in self._doubtful:
+            doubtful |= (channel.t >= start) & (channel.t < end)
+        return channel.take(~doubtful) if doubtful.any() else channel
+
+
+def _before(recording: Recording, t: float) -> Recording:
+    return _part(recording.between(-np.inf, t), [e for e in recording.parameters.entries if e.t < t])
+
+
+def _from(recording: Recording, t: float) -> Recording:
+    return _part(recording.between(t, np.inf), [e for e in recording.parameters.entries if e.t >= t])
+
+
+def _part(recording: Recording, entries: list[ParameterEntry]) -> Recording:
+    kept = dataclasses.replace(recording.parameters, entries=tuple(entries))
+    return dataclasses.replace(recording, parameters=kept)
+
+
+def read_again(autopilot: str | None, parameters: dict[str, Value]) -> tuple[str, ...]:
+    """The offsets that are read again and again during a warm-up: those of PX4, while it rewrites them by itself."""
+    if autopilot != "px4" or int(parameters.get("IMU_GYRO_CAL_EN", 0)) == 0:
+        return ()
+    return tuple(sorted(name for name in parameters if name in REWRITTEN_AT_REST and _has_sensor(name, parameters)))
+
+
+def _has_sensor(name: str, parameters: dict[str, Value]) -> bool:
+    return bool(parameters.get(f"{name.rpartition('_')[0]}_ID", 0))
