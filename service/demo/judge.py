@@ -92,8 +92,8 @@ def true_model(truth: Json, sensor: Sensor, instance: int) -> TriadModel:
 def held(fit: FitResult, autopilot: str) -> tuple[str, ...]:
     """The parameters of a fit that the autopilot can store as they were measured.
 
-    An axis of a drift that PX4 holds without one of its terms has other terms in their place (:func:`held_drift`): none
-    of them is an estimate of the true one, and the plan announces what that costs.
+    Where PX4 cannot hold a term of a drift, the other terms of that axis are fitted again (:func:`held_drift`). They
+    are then no estimates of the true ones, and are left out. The plan announces the cost.
     """
     if fit.model.polynomial is not None:
         altered = {axis for axis, _ in held_drift(fit).fixed} if autopilot == "px4" else set()
@@ -148,7 +148,7 @@ def _largest_error(held_model: TriadModel, true: TriadModel, fit: FitResult, tru
 
 
 def _cost_of_form(true: TriadModel, fit: FitResult, truth: Json) -> float:
-    """What the form of the firmware's parameters loses of the truth, largest over directions or temperatures."""
+    """Largest error that remains because the firmware cannot hold every term, over directions or temperatures."""
     if fit.model.polynomial is not None:
         return held_drift(fit).cost if truth["autopilot"] == "px4" else 0.0
     if fit.sensor != Sensor.ACCEL:

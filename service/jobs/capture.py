@@ -126,13 +126,14 @@ class Capture:
         for text in await asyncio.to_thread(self.foresee, identity, self.parameters):
             self.handle.warn(text)
         digest, watch = await self._begin(identity, earlier)
-        names = read_again(identity.autopilot, self.parameters) if kind in DRIFT_KINDS else ()
-        reading = asyncio.create_task(self._reading(names, digest))
+        reading = asyncio.create_task(self._reading(read_again(kind, identity.autopilot, self.parameters), digest))
         try:
             done = await self._until_done(digest, watch)
         finally:
             reading.cancel()
-            await asyncio.gather(reading, return_exceptions=True)
+            await asyncio.wait({reading})
+        if not reading.cancelled():
+            reading.result()  # a defect there would leave changes unseen
         self.handle.prompt(None)  # nothing is asked of anybody any more
         self._show(JobState.RUNNING)
         await self._read_again(identity, watch)

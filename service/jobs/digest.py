@@ -20,7 +20,7 @@ from mavcal.calib.firmware.compose.foresee import STREAMED_INSTANCES
 from mavcal.calib.firmware.in_force.fingerprint import BY_ITSELF, REWRITTEN_AT_REST, means_the_same
 from mavcal.calib.firmware.in_force.known import KnownCalibration
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS, needed
-from mavcal.calib.firmware.in_force.rewritten import CertainOffsets
+from mavcal.calib.firmware.in_force.rewritten import CertainOffsets, rewrites_meanwhile
 from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.options import Key
@@ -84,7 +84,7 @@ class LiveDigest:
         created_at: float,
     ) -> None:
         self._assembler = Assembler(identity, parameters)
-        self._certain = CertainOffsets() if kind in DRIFT_KINDS and identity.autopilot == "px4" else None
+        self._certain = CertainOffsets() if rewrites_meanwhile(kind, identity.autopilot) else None
         self._undo = Undo(identity, parameters)
         self._prefixes = CALIBRATION_PREFIXES.get(identity.autopilot or "", ())
         self._known = KnownCalibration([name for name in parameters if name.startswith(self._prefixes)])
@@ -251,7 +251,7 @@ def fit_segments(request: JobFitRequest) -> Fitted:
     context = context_of(request.kind, recording.identity, parameters, field_of(recording, request.created_at))
     answers = [OperatorAnswer(t, value) for t, value in request.answers]
     known = KnownCalibration(_read_at_first(request.kind, recording.identity, parameters))
-    if request.kind in DRIFT_KINDS and recording.identity.autopilot == "px4":
+    if rewrites_meanwhile(request.kind, recording.identity.autopilot):
         recording = CertainOffsets(whole=True).feed(recording)
     outcome = replay(request.kind, request.options, context, known.feed(undo(recording)), answers)
     said = _said_by_px4(recording) if recording.identity.autopilot == "px4" else frozenset()

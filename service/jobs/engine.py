@@ -118,8 +118,8 @@ class JobEngine:
         self.book = JobBook(store, self._ownership, self.settings.progress_s, clock, wall)
         """Every job; one of several instances tells it what the others have done."""
         self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
-        self._tidying = Tidying(self._runner.vehicle, self.settings.review_s)
         self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
+        self._tidying = Tidying(self._runner.vehicle, self.settings.review_s, self._tasks.leaving)
         self._computations = computations or NoUploads()
         lanes = {FIT: self.settings.fits_at_once, GAP: self.settings.diagnoses_at_once}
         self.computing = Computing(self._computations, self.book, self._tasks, self.cancel, wall, lanes=lanes)

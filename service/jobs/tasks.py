@@ -8,7 +8,7 @@ from functools import partial
 
 from mavcal.service.jobs.ending import LOST, broke
 from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.states import WRITING
+from mavcal.service.jobs.states import ENDED, WRITING, JobState
 
 Work = Callable[[], Awaitable[None]]
 
@@ -34,14 +34,21 @@ class JobTasks:
     ) -> None:
         self._retry_s, self._recovered, self._ended = retry_s, recovered, ended
         self.running: dict[str, asyncio.Task[None]] = {}
+        self._handles: dict[str, JobHandle] = {}
         self.stopping = False
         """Set before the tasks of a stopping service are cancelled."""
 
     def spawn(self, handle: JobHandle, work: Work) -> None:
         """Run a job's work as its task."""
         task = asyncio.create_task(self._supervised(handle, work), name=f"job {handle.id}")
-        self.running[handle.id] = task
+        self.running[handle.id], self._handles[handle.id] = task, handle
         task.add_done_callback(partial(self._over, handle))
+
+    def leaving(self, vehicle_id: str) -> set[asyncio.Task[None]]:
+        """Tasks of jobs that are over and still hold this vehicle: one that was cancelled ends a moment later."""
+        over = ENDED | {JobState.REVIEW}
+        jobs = ((task, self._handles[job_id].job) for job_id, task in self.running.items())
+        return {task for task, job in jobs if job.vehicle_id == vehicle_id and job.state in over}
 
     def cancel(self, job_id: str) -> None:
         """Cancel the task of a job, if it has one."""
@@ -74,5 +81,5 @@ class JobTasks:
 
     def _over(self, handle: JobHandle, task: asyncio.Task[None]) -> None:
         if self.running.get(handle.id) is task:
-            del self.running[handle.id]
+            del self.running[handle.id], self._handles[handle.id]
             self._ended(handle)

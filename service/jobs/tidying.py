@@ -18,14 +18,20 @@ log = structlog.get_logger(__name__)
 
 
 class Tidying:
-    """The tasks that put rates back; `vehicle` waits for the vehicle of a job.
+    """The tasks that put rates back.
+
+    `vehicle` waits for the vehicle of a job; `leaving` names tasks of jobs that are over.
 
     A job in review keeps its rates for `review_s`: an accept that follows at once needs the same ones.
     """
 
-    def __init__(self, vehicle: Callable[[JobHandle], Awaitable[JobVehicle]], review_s: float) -> None:
-        self._vehicle = vehicle
-        self._review_s = review_s
+    def __init__(
+        self,
+        vehicle: Callable[[JobHandle], Awaitable[JobVehicle]],
+        review_s: float,
+        leaving: Callable[[str], set[asyncio.Task[None]]] = lambda _: set(),
+    ) -> None:
+        self._vehicle, self._review_s, self._leaving = vehicle, review_s, leaving
         self._of: dict[str, tuple[str, asyncio.Task[None]]] = {}
         """Job and task by vehicle."""
         self._hurry = asyncio.Event()
@@ -62,7 +68,12 @@ class Tidying:
                 await asyncio.wait(waited)
 
     async def before_capture(self, vehicle_id: str) -> None:
-        """Wait until an earlier job of this vehicle has its rates put back, and do not let that wait for an accept."""
+        """Wait until an earlier job of this vehicle has its rates put back, and do not let that wait for an accept.
+
+        A job that was just cancelled has asked for messages a moment ago, and has not begun to put them back.
+        """
+        if leaving := self._leaving(vehicle_id):
+            await asyncio.wait(leaving)
         _, task = self._of.get(vehicle_id, ("", None))
         if task is not None:
             with self.hurrying():

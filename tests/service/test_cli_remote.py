@@ -93,6 +93,17 @@ def test_a_prompt_is_answered_and_a_job_is_cancelled(running: RunningService) ->
     assert (code, told["state"]) == (1, "cancelled")
 
 
+def test_a_job_right_after_a_cancelled_one_gets_its_samples(running: RunningService, sim: SimulatedVehicle) -> None:
+    """The cancelled one has asked for messages a moment ago, and puts the rates back a moment later."""
+    sim.call("still")
+    for _ in range(2):
+        running.client.cancel_job(begun(running, "accel"))
+    job_id = begun(running, "gyro")
+    code, told, said = mavcal("follow", job_id, "--url", running.url)
+    assert (code, told["state"]) == (0, "review"), said
+    running.client.cancel_job(job_id)
+
+
 def test_what_the_prompt_offers_is_an_answer(running: RunningService, sim: SimulatedVehicle) -> None:
     sim.call("tumble", rate_dps=45.0)
     job_id = begun(running, "mag", uncertainty=0.02, patience=3600)

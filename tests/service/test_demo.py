@@ -36,7 +36,7 @@ def test_every_parameter_is_proved_and_every_uncertainty_is_true(autopilot, seed
     assert found["p_value"] >= 1e-4
     assert found["chi2"] >= found["dof"] / 4  # nor is the stated sd more than twice the errors
     assert {job["kind"] for job in found["jobs"]} == {"gyro", "accel", "mag", "thermal"}
-    # Of a drift whose terms PX4 cannot all hold, no more stays than the plan announces and its curve is uncertain by.
+    # Where PX4 cannot hold every term of a drift, the error stays within the announced cost and the curve's 4 sd.
     assert all(s["after"] < s["cross"] + CURVE_RAD_S for s in found["sensors"] if s["sensor"] == "gyro" and s["drift"])
     costs = [
         (loss["cost"], sensor["cross"], sensor["after"])

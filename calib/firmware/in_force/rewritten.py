@@ -8,11 +8,13 @@ So a job reads the offsets every :data:`READ_EVERY_S`, and only samples between 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN_AT_REST
+from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS
 from mavcal.calib.firmware.in_force.undo import GUARD_AFTER_S, GUARD_BEFORE_S
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.recording import Channel, ParameterEntry, Recording, Sensor, join
@@ -47,7 +49,7 @@ class CertainOffsets:
         self._newest = -np.inf
 
     def feed(self, chunk: Recording) -> Recording:
-        """What is certain by now, in the order of time; its parameters as well."""
+        """Return the samples and parameters that are certain so far, oldest first."""
         for entry in chunk.parameters.entries:
             if entry.name in REWRITTEN_AT_REST:
                 self._see(entry)
@@ -95,12 +97,17 @@ def _part(recording: Recording, entries: list[ParameterEntry]) -> Recording:
     return dataclasses.replace(recording, parameters=kept)
 
 
-def read_again(autopilot: str | None, parameters: dict[str, Value]) -> tuple[str, ...]:
-    """The offsets that are read again and again during a warm-up: those of PX4, while it rewrites them by itself."""
-    if autopilot != "px4" or int(parameters.get("IMU_GYRO_CAL_EN", 0)) == 0:
+def rewrites_meanwhile(kind: str, autopilot: str | None) -> bool:
+    """Whether a job of `kind` goes on while this autopilot rewrites its own gyro offsets."""
+    return kind in DRIFT_KINDS and autopilot == "px4"
+
+
+def read_again(kind: str, autopilot: str | None, parameters: Mapping[str, Value]) -> tuple[str, ...]:
+    """Names of the offsets that a job of `kind` reads every :data:`READ_EVERY_S`; empty: none is rewritten."""
+    if not rewrites_meanwhile(kind, autopilot) or int(parameters.get("IMU_GYRO_CAL_EN", 0)) == 0:
         return ()
     return tuple(sorted(name for name in parameters if name in REWRITTEN_AT_REST and _has_sensor(name, parameters)))
 
 
-def _has_sensor(name: str, parameters: dict[str, Value]) -> bool:
+def _has_sensor(name: str, parameters: Mapping[str, Value]) -> bool:
     return bool(parameters.get(f"{name.rpartition('_')[0]}_ID", 0))

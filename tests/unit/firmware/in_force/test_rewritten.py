@@ -10,6 +10,7 @@ from mavcal.calib.firmware.in_force.rewritten import HOLD_S, CertainOffsets, rea
 from mavcal.calib.recording import Channel, Event, ParameterEntry, ParameterTimeline, Recording, Sensor, Stage
 
 X = "CAL_GYRO0_XOFF"
+HABIT = {"IMU_GYRO_CAL_EN": 1, X: 0.0, "CAL_GYRO0_ID": 7}
 END = 40.0
 
 
@@ -77,13 +78,14 @@ def test_a_restart_is_handed_on_at_once():
 
 
 @pytest.mark.parametrize(
-    ("autopilot", "parameters", "names"),
+    ("kind", "autopilot", "parameters", "names"),
     [
-        ("px4", {"IMU_GYRO_CAL_EN": 1, X: 0.0, "CAL_GYRO0_ID": 7, "CAL_GYRO1_XOFF": 0.0, "CAL_GYRO1_ID": 0}, (X,)),
-        ("px4", {"IMU_GYRO_CAL_EN": 0, X: 0.0, "CAL_GYRO0_ID": 7}, ()),
-        ("px4", {X: 0.0, "CAL_GYRO0_ID": 7}, ()),
-        ("ardupilot", {"INS_GYROFFS_X": 0.0}, ()),
+        ("thermal", "px4", HABIT | {"CAL_GYRO1_XOFF": 0.0, "CAL_GYRO1_ID": 0}, (X,)),
+        ("gyro", "px4", HABIT, ()),
+        ("thermal", "px4", HABIT | {"IMU_GYRO_CAL_EN": 0}, ()),
+        ("thermal", "px4", {X: 0.0, "CAL_GYRO0_ID": 7}, ()),
+        ("thermal", "ardupilot", {"INS_GYROFFS_X": 0.0}, ()),
     ],
 )
-def test_offsets_are_read_again_where_the_vehicle_rewrites_those_of_a_sensor(autopilot, parameters, names):
-    assert read_again(autopilot, parameters) == names
+def test_offsets_are_read_again_where_the_vehicle_rewrites_those_of_a_sensor(kind, autopilot, parameters, names):
+    assert read_again(kind, autopilot, parameters) == names
