@@ -27,7 +27,8 @@ class GainThresholds:
         """Gain below which a hypothesis stays out of the model."""
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
-            return self.minimum_gain.noise.get(effect.sensor, 0.0)
+            least = self.minimum_gain.drift if effect.drifts else self.minimum_gain.noise
+            return least.get(effect.sensor, 0.0)
         if Trait.LEVEL in effect.traits:
             return self.minimum_gain.level.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
         return self.minimum_gain.joins.get(effect.sensor, 0.0)

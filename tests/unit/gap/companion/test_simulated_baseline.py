@@ -11,9 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.companion.simulated_baseline import Baseline, baseline_of, beside
 from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.problem import MinimumGain
 from mavcal.calib.gap.schema import GapVerdict
 from mavcal.calib.gap.search import prices
+from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -159,6 +162,14 @@ def test_what_is_open_of_a_mean_hides_no_noise(simulated):
     """White noise of all compasses had to beat what the simulated flight's soft iron leaves open."""
     minimum_gain = beside(flight(2), simulated).minimum_gain
     assert minimum_gain.lasting[Sensor.ACCEL] > 2.0 * minimum_gain.noise[Sensor.ACCEL] > 0.0
+
+
+def test_what_is_open_of_a_mean_is_no_drift_of_the_sensor(simulated):
+    """It was a random walk of all compasses, and then a hidden driver: a reference that turns slowly moves the mean."""
+    thresholds = GainThresholds(beside(flight(2), simulated).minimum_gain)
+    white, flicker, walk = (Hypothesis(by_id()[f"accel_{n}"], (0,)) for n in ("noise", "flicker", "random_walk"))
+    steady = thresholds.lasting(Sensor.ACCEL)
+    assert thresholds.joining(flicker) == thresholds.joining(walk) == steady > 2.0 * thresholds.joining(white)
 
 
 def test_a_sensor_that_only_the_simulated_flight_has_needs_no_evidence(simulated):
