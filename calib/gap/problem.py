@@ -199,8 +199,8 @@ class MinimumGain:
         Of shifts of the level, and of what happens once.
     noise, loud
         Of noise: to be in the model, to be reported.
-    drift
-        Of noise that wanders, to be in the model: it imitates any slow shift of the mean.
+    unsteady
+        Of noise that wanders or goes with the flight, to be in the model: what moves the mean looks like it.
     """
 
     joins: Mapping[Sensor, float] = field(default_factory=dict)
@@ -208,7 +208,7 @@ class MinimumGain:
     level: Mapping[Sensor, float] = field(default_factory=dict)
     noise: Mapping[Sensor, float] = field(default_factory=dict)
     loud: Mapping[Sensor, float] = field(default_factory=dict)
-    drift: Mapping[Sensor, float] = field(default_factory=dict)
+    unsteady: Mapping[Sensor, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

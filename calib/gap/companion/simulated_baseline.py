@@ -58,7 +58,7 @@ def baseline_of(problem: GapProblem, alpha: float, pace: GapPace | None = None) 
     """
     problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
-    found = steady_effects(problem, alpha, GainThresholds(MinimumGain(small, small, small, small, drift=small)), pace=pace)
+    found = steady_effects(problem, alpha, GainThresholds(MinimumGain(small, small, small, small, unsteady=small)), pace=pace)
     largest = {t.sensor: 0.0 for t in problem.traces}
     for one in found.found:
         for sensor in one.sensors:
@@ -87,8 +87,9 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     least = {s: max(noise[s], own[s]) for s in small}
     reference = _of_both(problem.reference, baseline.reference)
     warnings = (*changed.warnings, *_calm_flight_warnings(moves, baseline.movement))
-    # What is open of a mean is as slow as the vehicle turns: it looks like a drift, but makes no noise louder.
-    minimum_gain = MinimumGain(least, least, level, noise, drift=least)
+    # What is open of a mean comes and goes with the movement: it looks like a drift or like noise that goes with the
+    # motors, but steady noise does not become louder by it.
+    minimum_gain = MinimumGain(least, least, level, noise, unsteady=least)
     return replace(changed, minimum_gain=minimum_gain, reference=reference, warnings=warnings)
 
 

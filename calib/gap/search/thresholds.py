@@ -27,7 +27,8 @@ class GainThresholds:
         """Gain below which a hypothesis stays out of the model."""
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
-            least = self.minimum_gain.drift if effect.drifts else self.minimum_gain.noise
+            unsteady = effect.drifts or effect.variance is not None
+            least = self.minimum_gain.unsteady if unsteady else self.minimum_gain.noise
             return least.get(effect.sensor, 0.0)
         if Trait.LEVEL in effect.traits:
             return self.minimum_gain.level.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)

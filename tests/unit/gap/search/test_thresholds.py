@@ -17,7 +17,7 @@ LEAST = MinimumGain(
     level={ACCEL: 6.0},
     noise={ACCEL: 1.0},
     loud={ACCEL: 300.0},
-    drift={ACCEL: 2.0},
+    unsteady={ACCEL: 2.0},
 )
 
 
@@ -35,6 +35,7 @@ def of(name):
         ("accel_temp_linear", 6.0, 3.0),
         ("accel_noise", 1.0, 300.0),
         ("accel_flicker", 2.0, 300.0),
+        ("accel_rotor_noise", 2.0, 300.0),
         ("accel_random_walk", 2.0, 300.0),
         ("gyro_scale", 0.0, 0.0),
         ("gyro_noise", 0.0, 0.0),
