@@ -329,7 +329,13 @@ def _unknown(task: _Task, answer: _Answer, causes: Iterable[UnnamedCause]) -> Un
     passed = () if answer.wander is not None else passing(task.left_out, model, _gains(answer.chosen))
     unexplained = [*answer.withdrawn, *(Unexplained(one.nats, one.text, one.sensor) for one in passed)]
     return unknown_of(
-        model, answer.gap, tuple(causes), unexplained, reference.bandwidth_hz, task.problem.minimum_gain.lasting
+        model,
+        answer.gap,
+        tuple(causes),
+        unexplained,
+        reference.bandwidth_hz,
+        task.problem.minimum_gain.lasting,
+        outside=reference.kind is ReferenceKind.POSE,
     )
 
 

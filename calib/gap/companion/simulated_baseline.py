@@ -58,7 +58,9 @@ def baseline_of(problem: GapProblem, alpha: float, pace: GapPace | None = None) 
     """
     problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
-    found = steady_effects(problem, alpha, GainThresholds(MinimumGain(small, small, small, small, unsteady=small)), pace=pace)
+    found = steady_effects(
+        problem, alpha, GainThresholds(MinimumGain(small, small, small, small, unsteady=small)), pace=pace
+    )
     largest = {t.sensor: 0.0 for t in problem.traces}
     for one in found.found:
         for sensor in one.sensors:

@@ -60,16 +60,21 @@ class _Excess:
 
 
 def excess_power(
-    model: Model, bandwidth_hz: float = math.inf, floor: Mapping[Sensor, float] | None = None
+    model: Model,
+    bandwidth_hz: float = math.inf,
+    floor: Mapping[Sensor, float] | None = None,
+    *,
+    outside: bool = False,
 ) -> list[Unexplained]:
     """By sensor, nats that it still shows above the noise, and where; what chance makes is not among them.
 
     Above `bandwidth_hz` an accelerometer feels movement that the reference does not know. A sensor that has less than
-    its `floor` left over shows the reference's errors.
+    its `floor` left over shows the reference's errors. `outside`: the reference is no sensor of the vehicle (cameras):
+    then jolts are the sensor's own.
     """
     by_sensor: dict[Sensor, list[_Excess]] = {}
     for v, view in enumerate(model.setting.views):
-        for one in _excesses(model, v, bandwidth_hz):
+        for one in _excesses(model, v, bandwidth_hz, outside=outside):
             by_sensor.setdefault(view.sensor, []).append(one)
     found = []
     for sensor, excesses in by_sensor.items():
@@ -79,7 +84,7 @@ def excess_power(
     return found
 
 
-def _excesses(model: Model, v: int, bandwidth_hz: float) -> list[_Excess]:
+def _excesses(model: Model, v: int, bandwidth_hz: float, *, outside: bool) -> list[_Excess]:
     """What noise alone does not explain: in bands of an axis, else in more of it, else for a while."""
     # The error of the reference is known only up to the last of its cosines.
     turned = model.ridge.columns.parts if model.ridge is not None else {}
@@ -96,8 +101,12 @@ def _excesses(model: Model, v: int, bandwidth_hz: float) -> list[_Excess]:
         return []
     parts = {"xyz"[c]: white[j : j + 1] for j, c in enumerate(axes)}
     for looked in (
-        (_band(view, own, (low, high), axis) for axis, own in parts.items() for low, high in itertools.pairwise(edges)),
-        (_band(view, white, band) for band in (*itertools.pairwise(edges), (edges[0], edges[-1]))),
+        (
+            _band(view, own, (low, high), axis, outside=outside)
+            for axis, own in parts.items()
+            for low, high in itertools.pairwise(edges)
+        ),
+        (_band(view, white, band, outside=outside) for band in (*itertools.pairwise(edges), (edges[0], edges[-1]))),
         (_line(view, ratio[:, : edges[-1]]),),
         _passing(view, white),
         _blips(view, white),
@@ -119,13 +128,14 @@ def _bin_hz(view: View) -> float:
     return 0.5 * view.fs / view.n
 
 
-def _band(view: View, white: Array, band: tuple[int, int], axis: str = "") -> _Excess:
+def _band(view: View, white: Array, band: tuple[int, int], axis: str = "", *, outside: bool) -> _Excess:
     """Power of axes, in parts of their noise's, from one bin to another, of whitened spectra (p, count)."""
     low, high = band
     count, square = white[:, low:high].size, float((white[:, low:high] ** 2).sum())
-    if view.density is not None and square > _MINUTES_DIFFER * count and view.sensor is Sensor.ACCEL:
+    learned = view.density is not None
+    if learned and square > _MINUTES_DIFFER * count and view.sensor is Sensor.ACCEL and not outside:
         square = min(square, _between_jolts(view, white, band))
-    if view.density is not None and square <= _MINUTES_DIFFER * count:
+    if learned and square <= _MINUTES_DIFFER * count:
         p = 1.0  # a learned spectrum is that of other minutes: twice as much is none of this recording's
     elif math.isinf(view.dof):
         p = float(chdtrc(count, square))

@@ -122,6 +122,8 @@ def unknown_of(
     unexplained: Sequence[Unexplained],
     bandwidth_hz: float = math.inf,
     floor: Mapping[Sensor, float] | None = None,
+    *,
+    outside: bool = False,
 ) -> Unknown:
     """What is not of the catalogue: unnamed causes in the model, bands that are left over, and what did not last.
 
@@ -138,12 +140,14 @@ def unknown_of(
     floor
         Twice the nats by sensor that the reference's own nuisance effects make
         (:mod:`calib.gap.companion.simulated_baseline`).
+    outside
+        Whether the reference is no sensor of the vehicle.
     """
     worth = _Worth.of(model, attributions)
     unnamed = worth.but({key for s in causes for key in s.keys})
     texts = [s.text for s in causes]
     share, part = worth.shares(unnamed)
-    left = [*excess_power(model, bandwidth_hz, floor or {}), *unsteady(model)]
+    left = [*excess_power(model, bandwidth_hz, floor or {}, outside=outside), *unsteady(model)]
     explained, bets = {one.sensor for one in left}, bets_of(model)
     left += [one for one in won(bets) if one.sensor not in explained]
     for one in (*left, *unexplained):
