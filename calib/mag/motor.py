@@ -262,8 +262,8 @@ def _verdict(
             context,
             count,
             f"compass and attitude do not agree even without the motors ({left:.0%} of the field is left): nothing can "
-            "be told of the motors before that is mended; check the compass's mounting and axes, its parameters, and that "
-            "it reads the Earth's field (mavcal inspect)",
+            "be told of the motors before that is mended; check the compass's mounting and axes, its parameters, and "
+            "that it reads the Earth's field (mavcal inspect)",
             **quality,
         )
     if chosen is none and min(_unknown(c) for c in candidates[1:]) > _UNKNOWN:
