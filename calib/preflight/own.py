@@ -27,8 +27,8 @@ _LISTENED = ("MAG_CAL_PROGRESS, MAG_CAL_REPORT and the vehicle's texts on calibr
 _ESTIMATOR = ("ekf", "ahrs", "dcm", "attitude", "estimator", "heading", "yaw")
 """What a firmware complains of when a sensor makes its estimator wrong."""
 AGREES_S = 11.0
-"""After so many seconds ArduPilot has seen its units agree for the 10 s that it wants: the first of its checks, made
-every second, begins them (``AP_Arming::ins_accels_consistent`` and ``ins_gyros_consistent``)."""
+"""ArduPilot arms once its IMUs have agreed for 10 s (``AP_Arming::ins_accels_consistent``, ``ins_gyros_consistent``).
+One second more, because it checks once a second."""
 _AGREEING = ("accels inconsistent", "gyros inconsistent")
 _WORDS = {
     CheckId.SENSORS_HEARD: ("gyro", "accel", "imu", "ins", "compass", "mag", *_ESTIMATOR),
@@ -134,7 +134,7 @@ def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value
 
 
 def agrees_soon(autopilot: str, prearm: Check, texts: Sequence[str]) -> bool:
-    """Whether units that agree by every check of ours may not have agreed for long enough yet."""
+    """Whether waiting may help: ArduPilot calls its IMUs inconsistent, and no check of ours explains that."""
     said = any(words in text.lower() for text in texts for words in _AGREEING)
     return autopilot == "ardupilot" and prearm.verdict == Verdict.FAIL and said
 

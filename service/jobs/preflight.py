@@ -1,6 +1,7 @@
 """A preflight of one vehicle: streams on, its own checks run, parameters read, streams back, a report within 10 s.
 
 A link that brings too few samples in that time is waited for, for half a minute at most: that is no sensor's fault.
+So is an ArduPilot that has just started, until it has seen its IMUs agree for 10 s.
 
 Nothing is written to the vehicle. While it is looked at no job may begin, and while a job runs it is not looked at:
 both ask for message rates and put them back.
@@ -262,18 +263,22 @@ class Preflights:
             heard.notes.append(f"compass {which} was watched for {STILL_S:g} s for one step of change")
 
     async def _asked_again(self, vehicle: JobVehicle, began: float, heard: _Heard) -> asyncio.Task[None]:
-        """Ask for its checks once more as soon as its units have agreed for as long as ArduPilot wants."""
+        """Run the vehicle's checks a second time, once its IMUs had 10 s to agree."""
         autopilot = vehicle.identity.autopilot or ""
+        watched = watched_s(heard.frames, autopilot)
         looks = (began + LONGEST_S - 2.0 * ANSWER_S - self._clock()) / LOOK_S
         for _ in range(max(round(looks), 0)):
-            if watched_s(heard.frames, autopilot) >= AGREES_S:
+            if watched >= AGREES_S:
                 break
             await asyncio.sleep(LOOK_S)
+            watched = watched_s(heard.frames, autopilot)
         heard.frames = without_words(heard.frames)
         asking = asyncio.create_task(vehicle.command(RUN_PREARM_CHECKS, ()))
         await asyncio.wait({asking}, timeout=ANSWER_S)
         await asyncio.sleep(ANSWER_S)
-        heard.notes.append(f"the vehicle was asked again after {AGREES_S:g} s: its units must have agreed for 10 s")
+        heard.notes.append(
+            f"the vehicle ran its checks again after {watched:.0f} s: ArduPilot arms once its IMUs have agreed for 10 s"
+        )
         return asking
 
     async def _finished(self, reading: asyncio.Task[None], began: float, heard: _Heard) -> bool:
@@ -383,7 +388,7 @@ async def _judged(
     complete: bool,
     asked: bool,
 ) -> tuple[Snapshot, Report]:
-    """What was heard so far, and what it says; both are made beside the event loop."""
+    """The snapshot of all frames so far and the report on it, both computed in a thread."""
     made = await asyncio.to_thread(
         _snapshot, vehicle.identity, heard, at, known, heading, complete=complete, asked=asked
     )

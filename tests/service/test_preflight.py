@@ -159,7 +159,7 @@ async def test_a_vehicle_that_has_just_started_is_asked_again_before_it_is_calle
         async with looked_at(tmp_path, sim) as life:
             found = await life.engine.preflight(life.vehicle.id)
             assert failed(found.report) == [], to_json(found.report)
-            assert any("asked again" in note for note in found.notes)
+            assert any("ran its checks again" in note for note in found.notes)
 
 
 async def test_units_that_never_agree_are_told_in_the_vehicles_words(tmp_path: Path) -> None:
