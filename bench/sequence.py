@@ -1,11 +1,11 @@
 """``python -m bench.sequence``: every calibration in a row, as a person makes them, on both simulated autopilots.
 
 Each vehicle has two inertial units and two compasses, and its board is turned by yaw 90 deg. Its external compass is
-mounted otherwise than its parameters say. `--vehicle` chooses how it starts: every sensor with an older calibration in
-force (earlier), as the firmware's factory defaults are (factory), or with streams that begin seconds late (late). Each
-job builds on what the one before has written; `--rounds 2` does all of them twice, and after each round the vehicle is
-restarted and must hold what was written. Exit code 1: an outcome is neither proved nor tells its reason, a job did not
-succeed, or a value was lost.
+mounted otherwise than its parameters say. `--vehicle` chooses how it starts: with an older calibration in force
+(earlier), with the firmware's factory defaults (factory), or just started and with late streams (late). Each job builds
+on what the one before has written; `--rounds 2` does all of them twice. After each round the vehicle is restarted and
+must hold what was written. Exit code 1: an outcome is neither proved nor tells its reason, a job did not succeed, or a
+value was lost.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ VEHICLES: Final[Mapping[str, Json]] = MappingProxyType(
             "mag_orientation_parameters": AS_BOARD,
             "parameters": {},
         },
-        "late": {"stream_start_s": 2.0},
+        "late": {"stream_start_s": 2.0, "agreement_s": 10.0},
     }
 )
 CONFIG: Final[Json] = {

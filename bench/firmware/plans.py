@@ -27,8 +27,6 @@ PX4_FAULTS = (
     Fault("accelerometer 1 dead", sensor=Broken("accel", 0, "dead"), fails="", blames="accelerometer"),
 )
 
-AGREED_S = 15.0
-"""ArduCopter says "Accels inconsistent" until they have agreed for 10 s (``AP_Arming::ins_accels_consistent``)."""
 ARDUPILOT_FAULTS = (
     Fault("compass 2 dead", {"SIM_MAG2_FAIL": 1}, "sensors_heard", "compass 2"),
     Fault("compass 3 dead", {"SIM_MAG3_FAIL": 1}, "sensors_heard", "compass 3"),
@@ -88,7 +86,7 @@ def _on_one_vehicle(fresh: Round, only: Sequence[str], faults: Sequence[Fault]) 
             fresh.recovered(point, occurrence)
     if "preflight" in only and len(kinds) == len(TESTED):
         rig.restart()
-        fresh.preflight(None, well_s=AGREED_S)
+        fresh.preflight(None)
         for fault in faults:
             rig.restart()  # an estimator remembers what a fault has taught it
             fresh.preflight(fault)

@@ -23,6 +23,7 @@ from mavcal.calib.wire import Frame, decode
 
 VIBRATION = dialect.MAVLINK_MSG_ID_VIBRATION
 SYS_STATUS = dialect.MAVLINK_MSG_ID_SYS_STATUS
+STATUSTEXT = dialect.MAVLINK_MSG_ID_STATUSTEXT
 HEARTBEAT = dialect.MAVLINK_MSG_ID_HEARTBEAT
 PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 _HEALTH = {
@@ -92,9 +93,20 @@ def gathered(frames: Iterable[Frame], autopilot: str) -> Gathered:
     found = {i: count for i, count in counted_messages(kept, autopilot).items() if count}
     if not found or min(found.values()) < ENOUGH:
         return Gathered(found, enough=False)
-    times = [_stamp(decode(frame)) for frame in (kept[0], kept[-1])]
-    enough = times[1] - times[0] >= ENOUGH_S or times[1] < times[0]
+    seconds = watched_s(kept, autopilot)
+    enough = seconds >= ENOUGH_S or seconds < 0.0
     return Gathered(found, enough, _still(frames, autopilot) if enough else frozenset())
+
+
+def watched_s(frames: Iterable[Frame], autopilot: str) -> float:
+    """Seconds of the vehicle's own clock between the first and the last sample; negative after a restart."""
+    kept = [frame for frame in frames if frame.message_id in BY_INSTANCE[autopilot]]
+    return 0.0 if not kept else _stamp(decode(kept[-1])) - _stamp(decode(kept[0]))
+
+
+def without_words(frames: Iterable[Frame]) -> list[Frame]:
+    """The frames without STATUSTEXT and SYS_STATUS: they are of the vehicle's earlier checks."""
+    return [frame for frame in frames if frame.message_id not in (STATUSTEXT, SYS_STATUS)]
 
 
 def _still(frames: Iterable[Frame], autopilot: str) -> frozenset[int]:

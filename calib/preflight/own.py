@@ -26,6 +26,10 @@ LOOKED_AT = {
 _LISTENED = ("MAG_CAL_PROGRESS, MAG_CAL_REPORT and the vehicle's texts on calibrations, listened to all the time",)
 _ESTIMATOR = ("ekf", "ahrs", "dcm", "attitude", "estimator", "heading", "yaw")
 """What a firmware complains of when a sensor makes its estimator wrong."""
+AGREES_S = 11.0
+"""ArduPilot arms once its IMUs have agreed for 10 s (``AP_Arming::ins_accels_consistent``, ``ins_gyros_consistent``).
+One second more, because it checks once a second."""
+_AGREEING = ("accels inconsistent", "gyros inconsistent")
 _WORDS = {
     CheckId.SENSORS_HEARD: ("gyro", "accel", "imu", "ins", "compass", "mag", *_ESTIMATOR),
     CheckId.GYRO_REST: ("gyro", "imu", *_ESTIMATOR),
@@ -127,6 +131,12 @@ def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value
         return unknown(of, f"The vehicle does not say whether it would arm: {why}.", remedy, heard)
     asked = "its own checks, run now, pass" if view.asked else "its own checks pass"
     return Check(of, Verdict.PASS, None, None, None, "", f"This vehicle would arm now: {asked}.", evidence=heard)
+
+
+def agrees_soon(autopilot: str, prearm: Check, texts: Sequence[str]) -> bool:
+    """Whether waiting may help: ArduPilot calls its IMUs inconsistent, and no check of ours explains that."""
+    said = any(words in text.lower() for text in texts for words in _AGREEING)
+    return autopilot == "ardupilot" and prearm.verdict == Verdict.FAIL and said
 
 
 def _bits(view: OwnView) -> tuple[str, ...]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +25,9 @@ if TYPE_CHECKING:
 
 FIXABLE = ("gyro", "level")
 """Those of ``service.jobs.fixing``, stated here so that help does without it (a test compares them)."""
+
+STILL_LOOKING_S = (9.5, 19.0)
+"""A healthy vehicle on a good link is answered before the first of these; no command is silent for longer than 10 s."""
 
 
 @click.command()
@@ -45,7 +50,9 @@ def command(
     wait: float,
     as_json: bool,
 ) -> int:
-    """Check vehicles that stand still, within ten seconds (30 on a slow link); nothing is written without --apply.
+    """Check vehicles that stand still; nothing is written without --apply.
+
+    This takes ten seconds, or up to 30 on a slow link or right after the vehicle's start.
 
     Exit code 0: every check passes. 1: a check failed, or a vehicle is armed, silent or busy. 3: nothing failed, but
     a check warns or could not be made.
@@ -96,7 +103,22 @@ async def _checked(service: Service, vehicle: Vehicle, *, wish: _Wish, screen: S
     mended = await fixed(service.jobs, vehicle.id, [Fixable(kind) for kind in wish.kinds], actor="command line")
     for fix in mended:
         screen.line(f"    {fix.kind.value}: {fix.state.value}: {fix.text}")
-    return preflight_model(await service.jobs.preflight(vehicle.id, heading=wish.heading), mended)
+    with _said_meanwhile(screen):
+        found = await service.jobs.preflight(vehicle.id, heading=wish.heading)
+    return preflight_model(found, mended)
+
+
+@contextmanager
+def _said_meanwhile(screen: Screen) -> Iterator[None]:
+    """Say every few seconds that the preflight goes on."""
+    loop = asyncio.get_running_loop()
+    said = "    still looking, for 30 s at most: the link is slow, or the vehicle has just started"
+    reminders = [loop.call_later(after, screen.line, said) for after in STILL_LOOKING_S]
+    try:
+        yield
+    finally:
+        for reminder in reminders:
+            reminder.cancel()
 
 
 def _exit_code(found: list[PreflightModel | ServiceError]) -> int:

@@ -1,6 +1,7 @@
 """A preflight of one vehicle: streams on, its own checks run, parameters read, streams back, a report within 10 s.
 
 A link that brings too few samples in that time is waited for, for half a minute at most: that is no sensor's fault.
+So is an ArduPilot that has just started, until it has seen its IMUs agree for 10 s.
 
 Nothing is written to the vehicle. While it is looked at no job may begin, and while a job runs it is not looked at:
 both ask for message rates and put them back.
@@ -14,11 +15,12 @@ import time
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.preflight.check import Report
+from mavcal.calib.preflight.check import CheckId, Report
 from mavcal.calib.preflight.collect import (
     SENSORS,
     Gathered,
@@ -27,9 +29,11 @@ from mavcal.calib.preflight.collect import (
     gathered,
     preflight_streams,
     wanted_messages,
+    watched_s,
+    without_words,
 )
 from mavcal.calib.preflight.installed import STREAMED, announced
-from mavcal.calib.preflight.own import LOOKED_AT, PARAMETERS
+from mavcal.calib.preflight.own import AGREES_S, LOOKED_AT, PARAMETERS, agrees_soon
 from mavcal.calib.preflight.readings import RestReading, rest_readings
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, told_ids
@@ -73,6 +77,8 @@ DEMANDS, DEMAND_S = 3, 0.3
 """How often the streams are asked for, s apart: a link that loses every third message carries one of the three."""
 IDENTIFY_S = 2.0
 """So long a vehicle is asked who it is, if that is not known yet."""
+ANSWER_S = 1.5
+"""So long the vehicle's answer to a second request is waited for, and then its texts and its SYS_STATUS, 2 a second."""
 RESTORE_S = 1.0
 """So long the putting back may take before the verdict is given; it goes on by itself."""
 
@@ -184,7 +190,11 @@ class Preflights:
             await self._gather(vehicle, rates, began, heard)
             await _silent_asked(vehicle, rates, known, heard)
             complete = await self._finished(reading, began, heard)
-            asked = _asked(asking, heard)
+            look = partial(_judged, vehicle, heard, at, known, heading, complete=complete)
+            snapshot, report = await look(asked=_asked(asking, heard))
+            if agrees_soon(vehicle.identity.autopilot or "", report.check(CheckId.VEHICLE_PREARM), snapshot.view.texts):
+                asking = await self._asked_again(vehicle, began, heard)
+                snapshot, report = await look(asked=_asked(asking, heard))
         finally:
             for task in (reading, asking):
                 task.cancel()
@@ -192,12 +202,6 @@ class Preflights:
             listening()
             forget()
             await self._restored(vehicle, before)
-        calibrating = vehicle.condition().calibrating
-        snapshot = await asyncio.to_thread(
-            _snapshot, vehicle.identity, heard, at, known, heading, complete=complete, asked=asked
-        )
-        view = dataclasses.replace(snapshot.view, calibrating=calibrating)
-        report = await asyncio.to_thread(preflight, dataclasses.replace(snapshot, view=view))
         readings = await asyncio.to_thread(rest_readings, snapshot)
         seconds = self._clock() - began
         return Preflight(vehicle.id, vehicle.identity, at, seconds, report, tuple(heard.notes), readings=readings)
@@ -257,6 +261,25 @@ class Preflights:
         if found.still:
             which = ", ".join(str(i + 1) for i in sorted(found.still))
             heard.notes.append(f"compass {which} was watched for {STILL_S:g} s for one step of change")
+
+    async def _asked_again(self, vehicle: JobVehicle, began: float, heard: _Heard) -> asyncio.Task[None]:
+        """Run the vehicle's checks a second time, once its IMUs had 10 s to agree."""
+        autopilot = vehicle.identity.autopilot or ""
+        watched = watched_s(heard.frames, autopilot)
+        looks = (began + LONGEST_S - 2.0 * ANSWER_S - self._clock()) / LOOK_S
+        for _ in range(max(round(looks), 0)):
+            if watched >= AGREES_S:
+                break
+            await asyncio.sleep(LOOK_S)
+            watched = watched_s(heard.frames, autopilot)
+        heard.frames = without_words(heard.frames)
+        asking = asyncio.create_task(vehicle.command(RUN_PREARM_CHECKS, ()))
+        await asyncio.wait({asking}, timeout=ANSWER_S)
+        await asyncio.sleep(ANSWER_S)
+        heard.notes.append(
+            f"the vehicle ran its checks again after {watched:.0f} s: ArduPilot arms once its IMUs have agreed for 10 s"
+        )
+        return asking
 
     async def _finished(self, reading: asyncio.Task[None], began: float, heard: _Heard) -> bool:
         """Whether every parameter was read in time; the vehicle's answer to the last one is waited for a little."""
@@ -353,6 +376,25 @@ async def _silent_asked(
             return
         vehicle.demand_streams(rates)
         await asyncio.sleep(LOOK_S)
+
+
+async def _judged(
+    vehicle: JobVehicle,
+    heard: _Heard,
+    at: float,
+    known: tuple[VerifiedCalibration, ...],
+    heading: float | None,
+    *,
+    complete: bool,
+    asked: bool,
+) -> tuple[Snapshot, Report]:
+    """The snapshot of all frames so far and the report on it, both computed in a thread."""
+    made = await asyncio.to_thread(
+        _snapshot, vehicle.identity, heard, at, known, heading, complete=complete, asked=asked
+    )
+    view = dataclasses.replace(made.view, calibrating=vehicle.condition().calibrating)
+    snapshot = dataclasses.replace(made, view=view)
+    return snapshot, await asyncio.to_thread(preflight, snapshot)
 
 
 async def _put_back(vehicle: JobVehicle, before: dict[int, int]) -> None:

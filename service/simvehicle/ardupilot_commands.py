@@ -50,7 +50,7 @@ class ArduPilotCommands:
         self._mag_calibration = mag_calibration
         self._accel_calibration = AccelCalibration(vehicle, sensors, stored)
         self.deaf = False  # compassmot runs: nothing is answered until a reboot
-        self._stalled_until = self._last_accel = self._gyros_settled_at = -math.inf
+        self._stalled_until = self._last_accel = self._gyros_settled_at = self._agreed_at = -math.inf
         self._reply: Callable[[int], None] = lambda _result: None
         self._handlers: dict[int, Callable[[MavlinkChannel, Parameters], int | None]] = {
             dialect.MAV_CMD_PREFLIGHT_CALIBRATION: self._calibrate,
@@ -77,6 +77,7 @@ class ArduPilotCommands:
         self.deaf = False
         self._stored.boot()
         self._stalled_until = self._last_accel = self._gyros_settled_at = -math.inf
+        self._agreed_at = self._vehicle.time + self._vehicle.config.agreement_s
         self._mag_calibration.cancel()
         self._accel_calibration.cancel()
 
@@ -173,9 +174,10 @@ class ArduPilotCommands:
         readings = [sensors.imu(k, state, 0.1) for k in range(len(sensors.chips))]
         limit = vehicle.table.get("ARMING_ACCTHRESH", INCONSISTENT_ACCEL_DEFAULT)
         reasons: list[str] = []
-        if any(np.linalg.norm(r.accel[0] - readings[0].accel[0]) > limit for r in readings[1:]):
+        early = len(readings) > 1 and vehicle.time < self._agreed_at
+        if early or any(np.linalg.norm(r.accel[0] - readings[0].accel[0]) > limit for r in readings[1:]):
             reasons.append("Accels inconsistent")
-        unsettled = vehicle.time < self._gyros_settled_at
+        unsettled = early or vehicle.time < self._gyros_settled_at
         if unsettled or any(np.linalg.norm(r.gyro[0] - readings[0].gyro[0]) > INCONSISTENT_GYRO for r in readings[1:]):
             reasons.append("Gyros inconsistent")
         return reasons

@@ -71,6 +71,7 @@ class VehicleConfig:
     unique_id: bool = True  # False: zeros, as boards say that have none
     signing_key: str = ""  # 64 hexadecimal digits: what the vehicle signs with, and all that it listens to
     boot_s: float = 3.0
+    agreement_s: float = 0.0  # ArduPilot: its IMUs must have agreed for so long since the start; the firmware wants 10
     stream_start_s: float = 0.0  # how long after the request a stream begins; ArduCopter was seen to take .97 s
     unix_time_s: float = 0.0  # 0: the wall clock's
     truth: Mapping[str, Any] = field(default_factory=dict)  # overrides of the drawn truth, merged deeply

@@ -127,3 +127,11 @@ def test_the_recipe_for_ten_vehicles(tmp_path: Path) -> None:
     assert [one["connect"] for one in told] == [sim.url for sim in sims]
     failed = {one["connect"]: [c["id"] for c in one["checks"] if c["verdict"] == "fail"] for one in told}
     assert failed == {sim.url: ["accel_force"] if sim is sims[3] else [] for sim in sims}
+
+
+def test_who_waits_for_a_vehicle_that_has_just_started_is_told(tmp_path: Path) -> None:
+    config = {"calibration": "fresh", "agreement_s": 10.0}
+    with SimulatedVehicle("ardupilot", seed=8, config=config) as sim:
+        done = preflight(sim.url, tmp_path)
+    assert done.returncode == EXIT_PART, (done.stdout, done.stderr)  # no calibration of it is known here
+    assert "still looking" in done.stderr

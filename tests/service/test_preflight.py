@@ -153,6 +153,24 @@ async def test_a_slow_link_is_waited_for_and_no_sensor_is_blamed(tmp_path: Path)
             assert not any("ook at the compass" in said for said in told)
 
 
+async def test_a_vehicle_that_has_just_started_is_asked_again_before_it_is_called_unfit(tmp_path: Path) -> None:
+    just_started = {"calibration": "fresh", "agreement_s": 10.0}
+    with SimulatedVehicle("ardupilot", seed=5, speed=2.0, config=just_started) as sim:
+        async with looked_at(tmp_path, sim) as life:
+            found = await life.engine.preflight(life.vehicle.id)
+            assert failed(found.report) == [], to_json(found.report)
+            assert any("ran its checks again" in note for note in found.notes)
+
+
+async def test_units_that_never_agree_are_told_in_the_vehicles_words(tmp_path: Path) -> None:
+    never = {"calibration": "fresh", "agreement_s": 1000.0}
+    with SimulatedVehicle("ardupilot", seed=5, speed=2.0, config=never) as sim:
+        async with looked_at(tmp_path, sim) as life:
+            report = (await life.engine.preflight(life.vehicle.id)).report
+            assert failed(report) == [CheckId.VEHICLE_PREARM]
+            assert "Accels inconsistent" in report.check(CheckId.VEHICLE_PREARM).reason
+
+
 async def test_a_swapped_board_is_known_by_its_unique_id(tmp_path: Path) -> None:
     with vehicle("ardupilot") as sim:
         async with looked_at(tmp_path, sim) as life:

@@ -1,8 +1,9 @@
-"""Gyro samples count where the offset in force is certain, although PX4 rewrites it meanwhile.
+"""Samples count where the gyro offsets in force are certain, although PX4 rewrites them meanwhile.
 
 PX4's ``gyro_calibration`` rewrites CAL_GYROn_*OFF of a vehicle that warms up at rest. It sends the new value up to
 0.4 s after it acts. It sends nothing if the value was saved before: ``mavlink_parameters.cpp`` sends what is unsaved.
-So a job reads the offsets every :data:`READ_EVERY_S`, and only samples between two readings that agree count.
+So a job reads the offsets every :data:`READ_EVERY_S`, and only samples between two readings that agree count. Those of
+every sensor are left out together: a gyro that pauses alone would be taken for a lost one.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN_AT_REST
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS
 from mavcal.calib.firmware.in_force.undo import GUARD_AFTER_S, GUARD_BEFORE_S
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.recording import Channel, ParameterEntry, Recording, Sensor, join
+from mavcal.calib.recording import Channel, ParameterEntry, Recording, join
 
 READ_EVERY_S: Final = 2.0
 """How often a job reads the offsets, s of the vehicle's clock."""
@@ -28,7 +29,7 @@ REGULAR: Final = 3
 
 
 class CertainOffsets:
-    """Leaves gyro samples out between the last sight of an offset and that of its next value.
+    """Leaves samples out between the last sight of an offset and that of its next value.
 
     Where the offsets are not read regularly (a log of somebody else) it leaves this to
     :class:`~calib.firmware.in_force.undo.Undo`, which trusts what the firmware tells.
@@ -76,7 +77,7 @@ class CertainOffsets:
         return recording.with_channels(channel for channel in kept if len(channel))
 
     def _without_doubt(self, channel: Channel) -> Channel:
-        if channel.sensor != Sensor.GYRO or not self._doubtful:
+        if not self._doubtful:
             return channel
         doubtful = np.zeros(len(channel), dtype=bool)
         for start, end in self._doubtful:

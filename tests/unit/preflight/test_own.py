@@ -26,6 +26,17 @@ def test_what_follows_from_a_failed_check_is_no_second_failure() -> None:
     assert own.vehicle_prearm(other, "ardupilot", {}, [CheckId.PARAMETERS_CHANGED]).verdict == Verdict.FAIL
 
 
+def test_units_that_disagree_are_asked_again_only_where_nothing_measured_says_why() -> None:
+    texts = ("PreArm: Accels inconsistent", "PreArm: GPS 1: Bad fix")
+    view = OwnView(present=True, ready=False, asked=True, texts=texts[:1])
+    alone = own.vehicle_prearm(view, "ardupilot", {}, [])
+    assert own.agrees_soon("ardupilot", alone, texts)
+    assert not own.agrees_soon("ardupilot", alone, texts[1:])
+    assert not own.agrees_soon("px4", alone, texts)
+    measured = own.vehicle_prearm(view, "ardupilot", {}, [CheckId.ACCEL_FORCE])
+    assert not own.agrees_soon("ardupilot", measured, texts)
+
+
 def test_ready_and_silent_would_arm() -> None:
     check = own.vehicle_prearm(READY, "ardupilot", {"ARMING_CHECK": 1}, [])
     assert check.verdict == Verdict.PASS

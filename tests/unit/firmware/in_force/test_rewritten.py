@@ -44,6 +44,13 @@ def test_a_change_that_nobody_told_costs_the_samples_between_two_readings():
     assert len(left) == 26
 
 
+def test_a_slow_reading_silences_no_gyro_beside_the_other_sensors():
+    """Eight seconds without a gyro beside its accelerometer are a lost gyro to a procedure."""
+    kept = CertainOffsets(whole=True).feed(recorded(0.0, END, read(21.0, every=8.0)))
+    assert times([kept]) == times([kept], Sensor.ACCEL)
+    assert len(times([kept])) < 10 * (END - 8.0)
+
+
 @pytest.mark.parametrize("cuts", [(3.0, 21.5, 22.3), (10.0, 20.1), np.arange(0.3, END - 0.1, 0.3).tolist()])
 def test_chunks_leave_out_the_same_samples_as_the_whole(cuts):
     entries = read(21.0)
