@@ -18,7 +18,8 @@ from mavcal.calib.firmware.log_options import how_to_log_disarmed
 from mavcal.calib.firmware.stream.source import telemetry
 from mavcal.calib.logs.inspection import pauses
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.stats.stillness import RESTING, Still, find_still
+from mavcal.calib.stats.still_limits import RESTING
+from mavcal.calib.stats.stillness import Still, find_still
 
 UNARMED, ARMED = "disarmed", "armed"
 """Kinds of the events that tell the motors' state."""

@@ -22,7 +22,8 @@ from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerd
 from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.health.support import Support, support_of
 from mavcal.calib.recording import Channel, Recording, Sensor
-from mavcal.calib.stats.stillness import RESTING, Still, StillnessLimits, find_still
+from mavcal.calib.stats.still_limits import RESTING, StillnessLimits
+from mavcal.calib.stats.stillness import Still, find_still
 
 Array = NDArray[np.float64]
 

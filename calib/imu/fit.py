@@ -23,7 +23,7 @@ from mavcal.calib.recording import Channel
 from mavcal.calib.stats.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
 from mavcal.calib.stats.norm_fit import solve as solve_norm
 from mavcal.calib.stats.quantisation import with_apparent_quantum
-from mavcal.calib.stats.stillness import HELD, HOLD_S, MANY_MORE, SHORTER, too_short
+from mavcal.calib.stats.still_limits import HELD, HOLD_S, MANY_MORE, SHORTER, too_short
 from mavcal.calib.stats.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]

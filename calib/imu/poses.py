@@ -18,7 +18,7 @@ from mavcal.calib.recording import Channel
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.norm_fit import NormProblem, solve
 from mavcal.calib.stats.quantisation import mean_of
-from mavcal.calib.stats.stillness import HOLD_S
+from mavcal.calib.stats.still_limits import HOLD_S
 
 Array = NDArray[np.float64]
 

@@ -28,6 +28,7 @@ from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
 from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log
+from mavcal.calib.mag.motor_text import disagreement, terms_text
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -43,7 +44,6 @@ _LEAST_HEADING = math.radians(0.3)  # of the horizontal field: a smaller term is
 BY_GYROSCOPE, BY_LOG = "gyroscope", "log"
 """Attitudes by which hidden samples are predicted: the gyroscope's, and the log's own."""
 _UNKNOWN = 0.05  # of the field over the range of the drive: a term that is no better known is not determined
-_DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude make of the motors
 _LOG_ROUGH = 0.3  # of the field, with an attitude that says nothing to a compass
 _NEVER_CALIBRATED = 0.5  # of the field: offset beside a calibration in force that has none
 _ROUGHEST = 0.3  # of the field, left of the fit without motors: nothing beside it is told
@@ -416,7 +416,7 @@ def _message(none: Candidate, chosen: Candidate, best: Candidate, native: Mappin
         )
         if none.log is not None and chosen.log is not None:
             text += f", {none.log.hidden.rms:.3g} -> {chosen.log.hidden.rms:.3g} {unit} by the log's attitude"
-    text += f". The motors add {_terms(native['candidates'][best.kind])}"
+    text += f". The motors add {terms_text(native['candidates'][best.kind])}"
     if native["never_calibrated"]:
         listed = ", ".join(f"{v:.1f}" for v in native["offset_beside"])
         text += f". This compass was never calibrated: its offset is ({listed}) {unit}"
@@ -440,27 +440,6 @@ def _why_not(best: Candidate, none: Candidate, unit: str) -> str:
     )
 
 
-def _terms(told: Mapping[str, Any]) -> str:
-    """What the motors add with its sd, by the gyroscope and by the log's attitude."""
-    text = _listed(told["interference"], told["interference_sd"], told)
-    if told["by_log"] is None:
-        return text
-    log = _listed(told["by_log"]["interference"], told["by_log"]["interference_sd"], told)
-    return f"{text} by the gyroscope, {log} by the log's attitude"
-
-
-def _listed(term: Sequence[Any], sd: Sequence[Any], told: Mapping[str, Any]) -> str:
-    motors, unit = told["motors"], told["unit"]
-    if motors is None or len(motors) == 1:
-        return f"{_vector(term, sd)} {unit}"
-    squared = told["squared"] or [False] * len(motors)
-    each = (
-        f"motor {n}{' squared' if square else ''} {_vector(t, s)}"
-        for n, square, t, s in zip(motors, squared, term, sd, strict=True)
-    )
-    return f"{', '.join(each)} {unit}"
-
-
 def _warnings(native: Mapping[str, Any], chosen: Candidate, none: Candidate, context: MagContext) -> tuple[str, ...]:
     warnings = []
     strength = float(np.linalg.norm(chosen.found.x[chosen.found.layout.field]))
@@ -474,30 +453,10 @@ def _warnings(native: Mapping[str, Any], chosen: Candidate, none: Candidate, con
             f"by the log's attitude the field is off by {none.log.rms / strength:.0%} of it: that attitude is unusable "
             "for a compass. Leave it out with --attitude gyro"
         )
-    warnings += _disagreement(native, context.unit)
+    warnings += disagreement(native, context.unit)
     for kind, told in native["candidates"].items():
         if kind != native["drive"] and native["proposed"]:
-            warnings.append(f"against {kind} instead, the motors add {_terms(told)}")
+            warnings.append(f"against {kind} instead, the motors add {terms_text(told)}")
     if chosen.drive is not None and chosen.drive.kind == DriveKind.MOTORS:
         warnings.append("motor by motor: what a firmware can store of it is said with the export")
     return tuple(warnings)
-
-
-def _disagreement(native: Mapping[str, Any], unit: str) -> list[str]:
-    """Where the logged attitude, taken for the truth, tells of other motors than the gyroscope does."""
-    trusted = native["attitude_trusted"]
-    if trusted is None:
-        return []
-    ours = native["candidates"][trusted["drive"]]
-    theirs, found, sd = trusted["interference"], ours["interference"], ours["interference_sd"]
-    if float((np.abs(np.subtract(theirs, found)) / sd).max()) <= _DISAGREES:
-        return []
-    return [
-        f"the two attitudes disagree on {trusted['drive']}: the log's finds "
-        f"{_vector(theirs, trusted['interference_sd'])}, the gyroscope's {_vector(found, sd)} {ours['unit']}. "
-        "The log's heading came from a compass, and its corrections pass for the motors' field"
-    ]
-
-
-def _vector(values: Sequence[float], sd: Sequence[float]) -> str:
-    return f"({', '.join(f'{v:.3g} +- {s:.1g}' for v, s in zip(values, sd, strict=True))})"

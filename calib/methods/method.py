@@ -19,7 +19,7 @@ from mavcal.calib.methods.names import ENTRIES
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Recording
-from mavcal.calib.stats.stillness import HOLD_S
+from mavcal.calib.stats.still_limits import HOLD_S
 
 Array = NDArray[np.float64]
 Options = Mapping[str, Any]

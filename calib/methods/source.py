@@ -12,17 +12,8 @@ from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.flight.rest import grounded
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.stats.stillness import (
-    HELD,
-    HOLD_S,
-    MANY_MORE,
-    RESTING,
-    SHORTER,
-    Still,
-    find_still,
-    held_for,
-    too_short,
-)
+from mavcal.calib.stats.still_limits import HELD, HOLD_S, MANY_MORE, RESTING, SHORTER, held_for, too_short
+from mavcal.calib.stats.stillness import Still, find_still
 
 _TURNED_COS = 0.5
 """Cosine of 60 degrees: nothing turns by that and more at every sample, so such rows are poses."""
