@@ -124,5 +124,5 @@ class EllipsoidAccumulator:
 
 def directions_of(samples: Array, shape: Ellipsoid) -> Array:
     """What `samples` (N, 3) are on the unit sphere by `shape`, (M, 3); one right at its centre has no direction."""
-    directions: Array = np.linalg.solve(shape.shape, (samples - shape.offset).T).T
-    return directions[np.linalg.norm(directions, axis=1) > 0.0]
+    directions = np.linalg.solve(shape.shape, (samples - shape.offset).T).T
+    return np.asarray(directions[np.linalg.norm(directions, axis=1) > 0.0], dtype=np.float64)
