@@ -13,13 +13,14 @@ from mavcal.calib.mag.coverage import Coverage
 from mavcal.calib.mag.ellipsoid import FEWEST, fit_ellipsoid
 from mavcal.calib.mag.moments import Moments
 from mavcal.calib.mag.result import MagFacts
-from mavcal.calib.mag.samples import Cloud, check_samples
+from mavcal.calib.mag.samples import Cloud, check_not_flat, check_samples
 from mavcal.calib.mag.shape import Ellipsoid, MagModel
 from mavcal.calib.mag.sphere import solve_sphere
 
 Array = NDArray[np.float64]
 
 _COVERED = 4000  # samples that are enough to know the coverage
+_ROUNDING = 1e-9  # of a cloud's distance from zero, and of its width: what is thinner is rounding, not movement
 
 
 class EllipsoidAccumulator:
@@ -85,10 +86,11 @@ class EllipsoidAccumulator:
         samples = self._thinned()
         centre = samples.mean(axis=0)
         scale = float(np.linalg.norm(samples.std(axis=0)))
-        if scale == 0.0:
+        if scale <= _ROUNDING * float(np.abs(samples).max()):
             return None
         scaled = (samples - centre) / scale
         try:
+            check_not_flat(scaled.T @ scaled, _ROUNDING)
             found, _ = Moments.of(Cloud(scaled, np.zeros(3), 1.0)).ellipsoid()
             if found.radii[2] > 3.0 * found.radii[0]:
                 offset, radius = solve_sphere(scaled)
@@ -102,8 +104,7 @@ class EllipsoidAccumulator:
         shape = self.rough()
         if shape is None:
             return Coverage.empty()
-        directions = np.linalg.solve(shape.shape, (self._thinned() - shape.offset).T).T
-        found = Coverage.of(directions[np.linalg.norm(directions, axis=1) > 0.0])
+        found = Coverage.of(directions_of(self._thinned(), shape))
         share = self._count / max(found.count, 1)
         return Coverage(found.information * share, found.seen, self._count)
 
@@ -119,3 +120,9 @@ class EllipsoidAccumulator:
         self._store[self._count : needed] = chunk
         self._count = needed
         self._fitted = None
+
+
+def directions_of(samples: Array, shape: Ellipsoid) -> Array:
+    """What `samples` (N, 3) are on the unit sphere by `shape`, (M, 3); one right at its centre has no direction."""
+    directions = np.linalg.solve(shape.shape, (samples - shape.offset).T).T
+    return np.asarray(directions[np.linalg.norm(directions, axis=1) > 0.0], dtype=np.float64)

@@ -157,7 +157,10 @@ class Moments:
         k0, k1, k2 = (free.T @ k @ free for k in corrections(self.gram / self.count))
         variance = 0.0
         for _ in range(_MAX_NEWTON):
-            values, vectors = np.linalg.eigh(k0 + variance * k1 + variance**2 * k2)
+            quadric = k0 + variance * k1 + variance**2 * k2
+            if not np.isfinite(quadric).all():
+                raise _no_ellipsoid()
+            values, vectors = np.linalg.eigh(quadric)
             vector = vectors[:, 0]
             slope = vector @ (k1 + 2.0 * variance * k2) @ vector
             if not slope < 0.0:

@@ -12,7 +12,7 @@ import numpy as np
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import CalibError, UndeterminedError
 from mavcal.calib.fit import FitBuilder, FitResult, FitStatus
-from mavcal.calib.mag.accumulator import EllipsoidAccumulator
+from mavcal.calib.mag.accumulator import EllipsoidAccumulator, directions_of
 from mavcal.calib.mag.blur import Rates
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.mag.coverage import Coverage
@@ -110,7 +110,7 @@ class MagTrack:
         shape = self._shape.rough()
         if shape is None:
             return
-        directions = np.linalg.solve(shape.shape, (self._shape.samples - shape.offset).T).T
+        directions = directions_of(self._shape.samples, shape)
         self.coverage = Coverage.of(directions @ self.body.T)
         self.noise = max(float(np.linalg.norm(directions, axis=1).std()), LEAST_NOISE)
         self.predicted = self.coverage.heading_sd_deg(self.noise, self.inclination)

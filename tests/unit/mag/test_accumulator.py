@@ -81,3 +81,19 @@ def test_a_sensor_that_stands_still_has_no_shape() -> None:
     grown.add(np.tile([10.0, 20.0, 30.0], (50, 1)))
     assert grown.rough() is None
     assert grown.fit().status == FitStatus.REFUSED
+
+
+def test_a_resting_compass_of_whole_steps_has_no_shape_or_one_with_directions() -> None:
+    """As a simulator without noise has it: the same reading again and again, or a step beside it."""
+    rng = np.random.default_rng(7)
+    for case in range(900):
+        steps = np.tile(np.round(300.0 * rng.normal(size=3)), (int(rng.integers(10, 60)), 1))
+        if case % 3 == 1:
+            steps[:, rng.integers(3)] += rng.integers(-1, 2, size=len(steps))
+        elif case % 3 == 2:
+            steps += rng.integers(0, 2, size=steps.shape)
+        grown = EllipsoidAccumulator()
+        grown.add(0.1 * steps)
+        coverage = grown.coverage()
+        assert np.isfinite(coverage.information).all()
+        assert case % 3 == 2 or coverage.count == 0

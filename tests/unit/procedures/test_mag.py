@@ -9,8 +9,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from mavcal.calib.earth import EarthField
+from mavcal.calib.mag.blur import Rates
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.mag import SPEC, MagProcedure
+from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt
 from mavcal.calib.recording import Identity, Sensor
 
@@ -144,6 +146,20 @@ def test_a_frozen_compass_is_left_out(clean):
     procedure, _ = run(recording)
     assert [f.instance for f in procedure.outcome.results] == [0]
     assert any("compass 2 is frozen" in w for w in procedure.warnings)
+
+
+def test_a_compass_without_noise_may_rest_before_it_is_turned():
+    """As ArduCopter's simulator is: all readings alike. Their mean is rounded, and rounding is no movement."""
+    rng = np.random.default_rng(5)
+    for count in range(10, 50):
+        for at in np.round(300.0 * rng.normal(size=(30, 3))):
+            track = MagTrack(0, FIELD, None, np.eye(3), quantum=0.1, relative=False)
+            rows, square = np.zeros((count, 3)), np.zeros((count, 3, 3))
+            turn = Rates(np.arange(count) / 25.0, rows, square, square, np.ones(count, dtype=bool), 0.01)
+            still = BodyMotion(turn, rows, rows)
+            track.add(np.tile(0.1 * at, (count, 1)), still)
+            track.look()
+            assert track.coverage.count == 0
 
 
 def test_one_bad_compass_does_not_keep_the_good_one_for_ever(clean):
