@@ -93,6 +93,9 @@ LONGEST_HOLE_S = 30.0
 the same for as long."""
 _STEP = 1.8
 """Times the median: longer differences are holes, not jitter. Chosen, not measured: one lost sample makes two."""
+_SINGLE = 1.5
+"""Times their mean: of what is left, longer ones hold a lost sample that jitter has shortened. Midway between one step
+and two; the median is no measure here, as whole milliseconds of 400 Hz are steps of 2 and 3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +158,9 @@ def _steps(t: Array) -> tuple[float, float, NDArray[np.intp]]:
     if len(t) < 2:
         return 1.0, float(t[0]), np.zeros(len(t), dtype=np.intp)
     differences = np.diff(t)
-    short = differences[differences < _STEP * np.median(differences)]
-    dt, start = float(short.mean()), float(t[0])
+    dt, start = float(np.median(differences)), float(t[0])
+    for longest in (_STEP, _SINGLE):
+        dt = float(differences[differences < longest * dt].mean())
     number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(differences / dt), 1.0))])
     for _ in range(3):
         centred = number - number.mean()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mavcal.calib.errors import InvalidInputError
@@ -95,6 +95,7 @@ def test_what_changes_slowly_is_taken_of_the_first_channel_that_has_two_samples(
     seed=st.integers(0, 1000),
     lost=st.sets(st.integers(1, 58), max_size=10),
 )
+@example(step=0.5, start=0.0, share=0.1953125, seed=466, lost={1, 2, 3, 4, 8, 15, 34, 39, 47})
 def test_stamps_that_jitter_and_samples_that_are_lost_lie_on_the_grid_they_came_from(step, start, share, seed, lost):
     rng = np.random.default_rng(seed)
     number = np.array([k for k in range(60) if k not in lost])
