@@ -199,6 +199,8 @@ class MinimumGain:
         Of shifts of the level, and of what happens once.
     noise, loud
         Of noise: to be in the model, to be reported.
+    unsteady
+        Of noise that wanders or goes with the flight, to be in the model: what moves the mean looks like it.
     """
 
     joins: Mapping[Sensor, float] = field(default_factory=dict)
@@ -206,6 +208,7 @@ class MinimumGain:
     level: Mapping[Sensor, float] = field(default_factory=dict)
     noise: Mapping[Sensor, float] = field(default_factory=dict)
     loud: Mapping[Sensor, float] = field(default_factory=dict)
+    unsteady: Mapping[Sensor, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

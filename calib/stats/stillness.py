@@ -23,53 +23,12 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.geometry import frame_along, sphere_of
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.quantisation import QuantisedMean, mean_of
+from mavcal.calib.stats.still_limits import HELD, StillnessLimits
 from mavcal.calib.stats.windows import Windows, finite_rows, row_of, window_statistics
 
 Array = NDArray[np.float64]
 
 _LEAST_SAMPLES = 4  # of a window
-
-
-@dataclass(frozen=True)
-class StillnessLimits:
-    """What counts as still. Scatter is the length of the three axes' standard deviations about a line.
-
-    The limits of the accelerometer are fractions of gravity, so they hold for counts too.
-    """
-
-    window: float  # s
-    accel_scatter: float  # g
-    gyro_scatter: float  # rad/s
-    rate: float  # rad/s, mean of a window with the bias in it
-    tilt: float  # rad, turn of gravity across a window
-    accel_drift: float  # g, of a window's mean from that of its span
-    gyro_drift: float  # rad/s
-    shortest: float  # s, of a span
-
-
-HELD = StillnessLimits(
-    window=0.5,
-    accel_scatter=0.06,
-    gyro_scatter=0.3,
-    rate=0.5,
-    tilt=0.05,
-    accel_drift=0.06,
-    gyro_drift=0.3,
-    shortest=1.0,
-)
-"""Held by hand, with sway and tremor of a degree or two."""
-
-RESTING = StillnessLimits(
-    window=0.5,
-    accel_scatter=0.04,
-    gyro_scatter=0.04,
-    rate=0.5,
-    tilt=0.007,
-    accel_drift=0.006,
-    gyro_drift=0.01,
-    shortest=1.0,
-)
-"""On a table: nothing touches it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,9 @@ class GainThresholds:
         """Gain below which a hypothesis stays out of the model."""
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
-            return self.minimum_gain.noise.get(effect.sensor, 0.0)
+            unsteady = effect.drifts or effect.variance is not None
+            least = self.minimum_gain.unsteady if unsteady else self.minimum_gain.noise
+            return least.get(effect.sensor, 0.0)
         if Trait.LEVEL in effect.traits:
             return self.minimum_gain.level.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
         return self.minimum_gain.joins.get(effect.sensor, 0.0)

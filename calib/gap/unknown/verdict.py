@@ -64,12 +64,12 @@ def unnamed_causes_in(
     ]
     known = taken | {h.key for h in shapes} | {key for drift in drifts for key in drift.keys}
     doubted = [a for a in attributions if a.doubted and a.key not in known]
-    names = {t.hypothesis.key: t.hypothesis.effect.id for t in model.members}
+    effects = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
     return (
         *(UnnamedCause((h.key,), h.effect.excited_by) for h in shapes),
         *levels,
         *drifts,
-        *(UnnamedCause((a.key,), f"{a.shape}, or {names[a.key]}") for a in doubted),
+        *(UnnamedCause((a.key,), f"{a.shape}, or {effects[a.key].id}; to tell: {effects[a.key].fix}") for a in doubted),
         *_swarms(model),
         *_beats(model),
         *(UnnamedCause((key,), text) for key, text in bursts(model)),
@@ -122,6 +122,8 @@ def unknown_of(
     unexplained: Sequence[Unexplained],
     bandwidth_hz: float = math.inf,
     floor: Mapping[Sensor, float] | None = None,
+    *,
+    outside: bool = False,
 ) -> Unknown:
     """What is not of the catalogue: unnamed causes in the model, bands that are left over, and what did not last.
 
@@ -138,12 +140,14 @@ def unknown_of(
     floor
         Twice the nats by sensor that the reference's own nuisance effects make
         (:mod:`calib.gap.companion.simulated_baseline`).
+    outside
+        Whether the reference is no sensor of the vehicle.
     """
     worth = _Worth.of(model, attributions)
     unnamed = worth.but({key for s in causes for key in s.keys})
     texts = [s.text for s in causes]
     share, part = worth.shares(unnamed)
-    left = [*excess_power(model, bandwidth_hz, floor or {}), *unsteady(model)]
+    left = [*excess_power(model, bandwidth_hz, floor or {}, outside=outside), *unsteady(model)]
     explained, bets = {one.sensor for one in left}, bets_of(model)
     left += [one for one in won(bets) if one.sensor not in explained]
     for one in (*left, *unexplained):

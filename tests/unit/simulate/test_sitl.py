@@ -13,7 +13,8 @@ from mavcal.calib.logs import read
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate import SensorErrors, SensorSuite, Warming, from_sitl, to_sitl
 from mavcal.calib.simulate.typical import typical
-from mavcal.calib.stats.stillness import HELD, find_still, pose_means
+from mavcal.calib.stats.still_limits import HELD
+from mavcal.calib.stats.stillness import find_still, pose_means
 
 
 def vector(name: str, values) -> dict[str, float]:

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 import mavcal.calib.stats.stillness
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.stats.stillness import HELD, RESTING, Still, StillnessDetector, find_still, pose_means
+from mavcal.calib.stats.still_limits import HELD, RESTING
+from mavcal.calib.stats.stillness import Still, StillnessDetector, find_still, pose_means
 
 G = 9.80665
 

@@ -9,16 +9,8 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.stats.stillness import (
-    HELD,
-    LONGEST_S,
-    RESTING,
-    Still,
-    StillnessDetector,
-    StillnessLimits,
-    find_still,
-    pose_means,
-)
+from mavcal.calib.stats.still_limits import HELD, RESTING, StillnessLimits
+from mavcal.calib.stats.stillness import LONGEST_S, Still, StillnessDetector, find_still, pose_means
 
 G = 9.80665
 RATE = 64.0  # Hz; times that binary numbers hold exactly

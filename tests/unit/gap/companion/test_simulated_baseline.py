@@ -11,9 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.companion.simulated_baseline import Baseline, baseline_of, beside
 from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.problem import MinimumGain
 from mavcal.calib.gap.schema import GapVerdict
 from mavcal.calib.gap.search import prices
+from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -153,6 +156,22 @@ def test_a_flight_that_moves_more_may_differ_more_but_not_in_its_level():
     assert after.level[Sensor.ACCEL] == before.level[Sensor.ACCEL]
     calmer = beside(calm, baseline_of(lively, ALPHA)).minimum_gain
     assert calmer.lasting[Sensor.ACCEL] == before.lasting[Sensor.ACCEL]
+
+
+def test_what_is_open_of_a_mean_hides_no_noise(simulated):
+    """White noise of all compasses had to beat what the simulated flight's soft iron leaves open."""
+    minimum_gain = beside(flight(2), simulated).minimum_gain
+    assert minimum_gain.lasting[Sensor.ACCEL] > 2.0 * minimum_gain.noise[Sensor.ACCEL] > 0.0
+
+
+def test_what_is_open_of_a_mean_is_no_unsteady_noise_of_the_sensor(simulated):
+    """It was a random walk of all compasses (a hidden driver), and rotor noise of an accelerometer (no effect)."""
+    thresholds = GainThresholds(beside(flight(2), simulated).minimum_gain)
+    white, *unsteady = (
+        Hypothesis(by_id()[f"accel_{n}"], (0,)) for n in ("noise", "flicker", "random_walk", "rotor_noise")
+    )
+    for wanders in unsteady:
+        assert thresholds.joining(wanders) == thresholds.lasting(Sensor.ACCEL) > 2.0 * thresholds.joining(white)
 
 
 def test_a_sensor_that_only_the_simulated_flight_has_needs_no_evidence(simulated):

@@ -13,7 +13,8 @@ from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
 ALPHA = 0.005
-FEW = MinimumGain(*({Sensor.ACCEL: 100.0, Sensor.GYRO: 100.0} for _ in range(4)))
+LEAST = {Sensor.ACCEL: 100.0, Sensor.GYRO: 100.0}
+FEW = MinimumGain(LEAST, LEAST, LEAST, LEAST, unsteady=LEAST)
 
 
 def names(problem):

@@ -12,7 +12,12 @@ from mavcal.calib.recording import Sensor
 
 ACCEL = Sensor.ACCEL
 LEAST = MinimumGain(
-    joins={ACCEL: 3.0}, lasting={ACCEL: 30.0}, level={ACCEL: 6.0}, noise={ACCEL: 1.0}, loud={ACCEL: 300.0}
+    joins={ACCEL: 3.0},
+    lasting={ACCEL: 30.0},
+    level={ACCEL: 6.0},
+    noise={ACCEL: 1.0},
+    loud={ACCEL: 300.0},
+    unsteady={ACCEL: 2.0},
 )
 
 
@@ -29,6 +34,9 @@ def of(name):
         ("accel_step", 6.0, 3.0),
         ("accel_temp_linear", 6.0, 3.0),
         ("accel_noise", 1.0, 300.0),
+        ("accel_flicker", 2.0, 300.0),
+        ("accel_rotor_noise", 2.0, 300.0),
+        ("accel_random_walk", 2.0, 300.0),
         ("gyro_scale", 0.0, 0.0),
         ("gyro_noise", 0.0, 0.0),
     ],

@@ -1,0 +1,51 @@
+"""The motors' field at a compass in words: what it is by each attitude, and where the two disagree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+_DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude make of the motors
+
+
+def terms_text(told: Mapping[str, Any]) -> str:
+    """What the motors add with its sd, by the gyroscope and by the log's attitude."""
+    text = _listed(told["interference"], told["interference_sd"], told)
+    if told["by_log"] is None:
+        return text
+    log = _listed(told["by_log"]["interference"], told["by_log"]["interference_sd"], told)
+    return f"{text} by the gyroscope, {log} by the log's attitude"
+
+
+def _listed(term: Sequence[Any], sd: Sequence[Any], told: Mapping[str, Any]) -> str:
+    motors, unit = told["motors"], told["unit"]
+    if motors is None or len(motors) == 1:
+        return f"{_vector(term, sd)} {unit}"
+    squared = told["squared"] or [False] * len(motors)
+    each = (
+        f"motor {n}{' squared' if square else ''} {_vector(t, s)}"
+        for n, square, t, s in zip(motors, squared, term, sd, strict=True)
+    )
+    return f"{', '.join(each)} {unit}"
+
+
+def disagreement(native: Mapping[str, Any], unit: str) -> list[str]:
+    """Where the logged attitude, taken for the truth, tells of other motors than the gyroscope does."""
+    trusted = native["attitude_trusted"]
+    if trusted is None:
+        return []
+    ours = native["candidates"][trusted["drive"]]
+    theirs, found, sd = trusted["interference"], ours["interference"], ours["interference_sd"]
+    if float((np.abs(np.subtract(theirs, found)) / sd).max()) <= _DISAGREES:
+        return []
+    return [
+        f"the two attitudes disagree on {trusted['drive']}: the log's finds "
+        f"{_vector(theirs, trusted['interference_sd'])}, the gyroscope's {_vector(found, sd)} {ours['unit']}. "
+        "The log's heading came from a compass, and its corrections pass for the motors' field"
+    ]
+
+
+def _vector(values: Sequence[float], sd: Sequence[float]) -> str:
+    return f"({', '.join(f'{v:.3g} +- {s:.1g}' for v, s in zip(values, sd, strict=True))})"
