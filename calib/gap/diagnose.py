@@ -148,7 +148,7 @@ def diagnose(
     pace.begin(GapStage.HELD_OUT)
     confirmed = _confirmed(answer, alpha, nested=nested and not task.problem.alone)
     if task.problem.alone:
-        confirmed = _holding(task, confirmed, alpha, nested=nested)
+        confirmed = _holding(task, confirmed, alpha, nested=nested, held=confirmed.chosen is answer.chosen)
     pace.begin(GapStage.REPORT)
     return with_limit(_report(task, confirmed, alpha, nested=nested and GapStage.BLOCKS not in pace.left_out), pace)
 
@@ -250,11 +250,14 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     )
 
 
-def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
-    """The answer of a flight that stands alone: what holds on every block and along either attitude is reported."""
+def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool, held: bool) -> _Answer:
+    """The answer of a flight that stands alone: what holds on every block and along either attitude is reported.
+
+    `held`: its model is the one that blocks were held out of.
+    """
     denied = inconsistent_effects(task.problem, task.lattice, answer.chosen, answer.heldout)
     answer = replace(answer, small=answer.small | denied | undetermined(answer.chosen).keys())
-    heldout = held_out(answer.chosen, answer.contest, answer.tolerated)
+    heldout = answer.heldout if held else held_out(answer.chosen, answer.contest, answer.tolerated)
     if nested and heldout is not None:
         heldout = nested_in(heldout, answer.chosen, answer.contest, alpha)
     return replace(answer, heldout=heldout)
