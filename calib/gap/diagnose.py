@@ -34,7 +34,7 @@ from mavcal.calib.gap.schema import (
 )
 from mavcal.calib.gap.search.added_noise import unsteady_line
 from mavcal.calib.gap.search.contest import Contest, ContestScore
-from mavcal.calib.gap.search.exchange import settled, steadily
+from mavcal.calib.gap.search.exchange import SettledModel, settled, steadily
 from mavcal.calib.gap.search.lattice_effects import Lattice, covered_by, lattice_of
 from mavcal.calib.gap.search.nominal_check import nominal_has_tone
 from mavcal.calib.gap.search.power import powers_of
@@ -88,7 +88,7 @@ class _Answer:
     effects that did not had gained. `small` are effects that nobody can tell from the reference's error.
     """
 
-    chosen: ChosenModel
+    settled: SettledModel
     attributions: tuple[Attribution, ...]
     contest: Contest
     wander: WanderFit | None
@@ -96,6 +96,11 @@ class _Answer:
     gates: Mapping[Key, bool | None] = field(default_factory=dict)
     withdrawn: tuple[Unexplained, ...] = ()
     small: frozenset[Key] = frozenset()
+
+    @property
+    def chosen(self) -> ChosenModel:
+        """The model."""
+        return self.settled.chosen
 
     @cached_property
     def tolerated(self) -> frozenset[Key]:
@@ -148,7 +153,7 @@ def diagnose(
     pace.begin(GapStage.HELD_OUT)
     confirmed = _confirmed(answer, alpha, nested=nested and not task.problem.alone)
     if task.problem.alone:
-        confirmed = _holding(task, confirmed, alpha, nested=nested, held=confirmed.chosen is answer.chosen)
+        confirmed = _holding(task, confirmed, alpha, nested=nested)
     pace.begin(GapStage.REPORT)
     return with_limit(_report(task, confirmed, alpha, nested=nested and GapStage.BLOCKS not in pace.left_out), pace)
 
@@ -214,7 +219,7 @@ def _settled(task: _Task, chosen: ChosenModel, alpha: float, named: Collection[s
     best = explained(found.chosen, contest, start, alpha, named)
     found = settled(best.chosen, best.contest, alpha, found)
     small = inseparable(found.chosen, task.problem.reference)
-    return _Answer(found.chosen, attributed(found, best.contest), best.contest, wander, small=small)
+    return _Answer(found, attributed(found, best.contest), best.contest, wander, small=small)
 
 
 def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
@@ -231,7 +236,8 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         weakest = failed if contest.pace.ends() else weakest
         excluded += weakest
         chosen = reduced(chosen, [s.hypothesis.key for s in weakest])
-        heldout = held_out(chosen, contest, answer.tolerated)
+        known = None if heldout is None or not contest.pace.ended else heldout.gates
+        heldout = held_out(chosen, contest, answer.tolerated, known)
         if len(weakest) == len(failed) or contest.pace.ended:
             break
         gates = _gates_of(heldout)
@@ -239,10 +245,10 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         heldout = nested_in(heldout, chosen, contest, alpha)
     if not excluded:
         return replace(answer, heldout=heldout, gates=gates)
-    found = settled(chosen, contest, 0.0)
+    found = settled(chosen, contest, 0.0, answer.settled)
     return replace(
         answer,
-        chosen=found.chosen,
+        settled=found,
         attributions=attributed(found, contest),
         heldout=heldout,
         gates=gates,
@@ -250,14 +256,14 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     )
 
 
-def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool, held: bool) -> _Answer:
-    """The answer of a flight that stands alone: what holds on every block and along either attitude is reported.
-
-    `held`: its model is the one that blocks were held out of.
-    """
+def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
+    """The answer of a flight that stands alone: what holds on every block and along either attitude is reported."""
     denied = inconsistent_effects(task.problem, task.lattice, answer.chosen, answer.heldout)
+    before = answer.tolerated
     answer = replace(answer, small=answer.small | denied | undetermined(answer.chosen).keys())
-    heldout = answer.heldout if held else held_out(answer.chosen, answer.contest, answer.tolerated)
+    heldout = answer.heldout
+    if heldout is not None and answer.tolerated != before:
+        heldout = held_out(answer.chosen, answer.contest, answer.tolerated, heldout.gates)
     if nested and heldout is not None:
         heldout = nested_in(heldout, answer.chosen, answer.contest, alpha)
     return replace(answer, heldout=heldout)

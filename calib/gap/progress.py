@@ -51,6 +51,8 @@ beside a vehicle."""
 _TOLD_EVERY_S = 0.5
 """Time, s, after which a step that is not done yet tells again how long the rest takes. Chosen, not measured: a line
 that changes twice a second is alive."""
+_FITS_AFTERWARDS = {GapStage.SELECTION: 10.0, GapStage.RIVALS: 10.0, GapStage.HELD_OUT: 4.0}
+"""Fits of a whole model that each of its effects needs after a stage. Source: decision 36, flights of minutes."""
 _MANY = 8
 """Steps after which half of a stage is believed to be done. Chosen, not measured: the size of a usual search."""
 _TEXT = {
@@ -65,7 +67,7 @@ _LEFT_OUT = {
     GapStage.REFERENCE: "not all that the other recording shows of its own was looked for",
     GapStage.SELECTION: "further effects were not looked for",
     GapStage.RIVALS: "not every other effect or shape was tried in the place of those that were found",
-    GapStage.HELD_OUT: "not every block was held out",
+    GapStage.HELD_OUT: "not every block was held out with everything fitted again",
     GapStage.BLOCKS: "the selection was not repeated in every block that was held out",
 }
 
@@ -109,6 +111,7 @@ class GapPace:
     left_out: dict[GapStage, None] = field(default_factory=dict)
     began: dict[GapStage, float] = field(default_factory=dict)
     steps: int = 0
+    fits_s: float = 0.0
     share: float = 0.0
     told: float = -math.inf
 
@@ -144,6 +147,10 @@ class GapPace:
         self.steps += 1
         self.begin(self.stage, self.steps / (self.steps + _MANY))
 
+    def keep_back(self, effects: int, fit_s: float) -> None:
+        """A model of so many effects took `fit_s` to fit: what comes after the search takes that for each of them."""
+        self.fits_s = effects * fit_s
+
     @property
     def now(self) -> float:
         """Seconds since the diagnosis began; 0 where nobody measures."""
@@ -168,10 +175,16 @@ class GapPace:
         """
         if self.now - self.told > _TOLD_EVERY_S:
             self._tell()
-        if self.elapsed is None or self.now + needs_s <= _MAY_TAKE[self.stage] * self.limit_s:
+        if self.elapsed is None or self.now + needs_s <= self._may_take:
             return False
         self.left_out[self.stage] = None
         return True
+
+    @property
+    def _may_take(self) -> float:
+        """Seconds after which nothing more is begun in this stage."""
+        afterwards = _FITS_AFTERWARDS.get(self.stage, 0.0) * self.fits_s
+        return min(_MAY_TAKE[self.stage] * self.limit_s, self.limit_s - afterwards)
 
     @property
     def ended(self) -> bool:

@@ -88,11 +88,11 @@ def _start(views: Sequence[View]) -> Model:
     return starting_model(setting, starting_noise(setting))
 
 
-def joined(model: Model, term: Term | NoiseTerm) -> Model:
-    """The model with a term of another setting, fitted from where that is."""
+def joined(model: Model, term: Term | NoiseTerm, *, hold: bool = False) -> Model:
+    """The model with a term of another setting, fitted from where that is; with `hold` shapes stay there."""
     if isinstance(term, NoiseTerm):
-        return fitted_about(with_term(model, term), term.hypothesis)
-    return fitted_about(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis)
+        return fitted_about(with_term(model, term), term.hypothesis, hold=hold)
+    return fitted_about(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis, hold=hold)
 
 
 def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
@@ -117,9 +117,9 @@ def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
     return any(view.t[0] < term.theta < view.t[-1] for view in own)
 
 
-def parted(model: Model, hypothesis: Hypothesis) -> Model:
-    """The model without the term of a hypothesis, what remains fitted again."""
-    return fitted_about(without(model, hypothesis.key), hypothesis)
+def parted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
+    """The model without the term of a hypothesis, what remains fitted again; with `hold` shapes stay where they are."""
+    return fitted_about(without(model, hypothesis.key), hypothesis, hold=hold)
 
 
 def carried(model: Model, test: Model) -> Model:

@@ -116,12 +116,23 @@ class Heldout:
         return tuple(SequenceStep(name, float(part)) for name, part in zip(self.order, parts, strict=True))
 
 
-def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] = ()) -> Heldout | None:
+def held_out(
+    chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] = (), known: Collection[Gate] | None = None
+) -> Heldout | None:
     """Every block held out in turn; None if the recording is too short for that, or nothing is a gap.
 
-    Effects of the keys `tolerated` are in every model: by them two recordings differ anyway.
+    Once the time for it is over, shapes stay where all data have them.
+
+    Parameters
+    ----------
+    chosen, contest
+        The model, and what competed for it.
+    tolerated
+        Keys of effects that are in every model: by them two recordings differ anyway.
+    known
+        Gates of a model with these effects and others, which stand as they are; None: they are found.
     """
-    setting = chosen.model.setting
+    setting, pace = chosen.model.setting, contest.pace
     given, order = _order(chosen, tolerated)
     if not order:
         return None
@@ -133,29 +144,40 @@ def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] =
     floor_ratio = _excess(chosen.model)
     losses: list[tuple[float, float]] = []
     lowest, gains, steps, determined = [], [], [], []
-    for fold in folds:
-        if len(losses) >= _LEAST_HELD_OUT and contest.pace.ends():
+    began = pace.now
+    for k, fold in enumerate(folds):
+        if k >= _LEAST_HELD_OUT and pace.ends((pace.now - began) / k):
             break
         base = refitted(fold.train).model
         for term in given:
-            base = joined(base, term) if foretold(term, chosen.model, fold.train.setting) else base
+            foreseen = foretold(term, chosen.model, fold.train.setting)
+            base = joined(base, term, hold=pace.ends()) if foreseen else base
         chain = [base]
-        known = [foretold(term, chosen.model, fold.train.setting) for term in order]
-        for term, seen in zip(order, known, strict=True):
-            chain.append(joined(chain[-1], term) if seen else chain[-1])
+        seen = [foretold(term, chosen.model, fold.train.setting) for term in order]
+        for term, foreseen in zip(order, seen, strict=True):
+            chain.append(joined(chain[-1], term, hold=pace.ends()) if foreseen else chain[-1])
         nats = [predictive_loss(model, fold.test) for model in chain]
         losses.append((nats[0], nats[-1]))
         lowest.append(_floor(chosen, order, chain[-1], fold) - floor_ratio * _numbers(fold.test))
-        less = (parted(chain[-1], t.hypothesis) if seen else chain[-1] for t, seen in zip(order, known, strict=True))
-        determined.append(known)
-        gains.append([predictive_loss(model, fold.test) - nats[-1] for model in less])
         steps.append([nats[0] - loss for loss in nats[1:]])
+        if known is not None:
+            continue
+        less = (
+            parted(chain[-1], term.hypothesis, hold=pace.ends()) if foreseen else chain[-1]
+            for term, foreseen in zip(order, seen, strict=True)
+        )
+        determined.append(seen)
+        gains.append([predictive_loss(model, fold.test) - nats[-1] for model in less])
     folds = folds[: len(losses)]
-    beside = _gains_beside_noise(chosen, contest)
-    gates = tuple(
-        gate_of(term, np.array([g[i] for g in gains]), [k[i] for k in determined], folds, chosen, beside)
-        for i, term in enumerate(order)
-    )
+    if known is None:
+        beside = _gains_beside_noise(chosen, contest)
+        gates = tuple(
+            gate_of(term, np.array([g[i] for g in gains]), [k[i] for k in determined], folds, chosen, beside)
+            for i, term in enumerate(order)
+        )
+    else:
+        tested = {term.hypothesis.key for term in order}
+        gates = tuple(gate for gate in known if gate.key in tested)
     return Heldout(
         folds,
         np.array(losses, dtype=np.float64),
@@ -179,7 +201,8 @@ def _gains_beside_noise(chosen: ChosenModel, contest: Contest) -> Gains:
     for term in chosen.model.terms:
         key = term.hypothesis.key
         if term.effect.sensor in unknown and key in gains:
-            refit = sum(refitted(parted(chosen.model, term.hypothesis)).deviance.values())
+            bare = parted(chosen.model, term.hypothesis, hold=contest.pace.ends())
+            refit = sum(refitted(bare).deviance.values())
             gains[key] = (max(min(gains[key][0], refit - level), 0.0), *gains[key][1:])
     return gains
 

@@ -307,6 +307,13 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
     )
 
 
+def _amplitudes(term: Term, setting: Setting) -> HypothesisColumns:
+    """The same without what its shape does, which is left empty."""
+    if term.effect.shape is None or term.effect.exact is not None or term.effect.fixed:
+        return jacobian(term, setting)
+    return HypothesisColumns(len(term.values), _columns(term.hypothesis, term.theta, setting).parts)
+
+
 @remembered(40)
 def _columns(hypothesis: Hypothesis, theta: float, setting: Setting) -> HypothesisColumns:
     """Columns of an effect at a shape; kept, since they stay when only its amplitudes change."""
@@ -402,11 +409,14 @@ def refined(model: Model) -> tuple[Model, Joint]:
     return _refined(model, tuple(range(len(model.terms))))
 
 
-def refined_on(model: Model, sensors: Collection[Sensor]) -> Model:
-    """The same over the terms of some sensors, and of all that have a term in common with them."""
+def refined_on(model: Model, sensors: Collection[Sensor], *, hold: bool = False) -> Model:
+    """The same over the terms of some sensors, and of all that have a term in common with them.
+
+    With `hold` one step of the amplitudes alone: shapes stay where they are.
+    """
     near = coupled(model, sensors)
     members = (i for i, t in enumerate(model.terms) if t.effect.shared or t.effect.sensor in near)
-    return _refined(model, tuple(members))[0]
+    return _refined(model, tuple(members), hold=hold)[0]
 
 
 def coupled(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
@@ -415,38 +425,52 @@ def coupled(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
     return frozenset(view.sensor for view in model.setting.views) if tied else frozenset(sensors)
 
 
-def _refined(model: Model, members: tuple[int, ...]) -> tuple[Model, Joint]:
+def _refined(model: Model, members: tuple[int, ...], *, hold: bool = False) -> tuple[Model, Joint]:
     joint = Joint(np.zeros((0, 0)), (), Normal(np.zeros((0, 0)), np.zeros(0), ()))
     if not members and model.ridge is None:
         return model, joint
     own = [model.terms[i].effect for i in members]
     linear = all((e.shape is None or e.shape.still) and e.exact is None for e in own)
-    for _ in range(1 if linear else _STEPS):
-        blocks = [jacobian(model.terms[i], model.setting) for i in members]
+    free = frozenset(i for i, e in zip(members, own, strict=True) if e.shape is not None and not e.shape.still)
+    free = frozenset() if hold else free
+    for _ in range(1 if linear or hold else _STEPS):
+        terms = [model.terms[i] for i in members]
+        blocks = [(_amplitudes if hold else jacobian)(term, model.setting) for term in terms]
         normal = normal_equations(blocks, model.y, model.weight, model.ridge)
         joint = Joint(solved(normal.gram, normal.right)[1], normal.slices[: len(blocks)], normal)
-        terms, rows = [model.terms[i] for i in members], dict(zip(members, joint.slices, strict=True))
-        step = _step_of(terms, joint)
+        rows = dict(zip(members, joint.slices, strict=True))
+        step = _step_of(model, joint, rows, free)
         if float(step @ normal.right) < _WORTH_A_STEP:
             break
         model, gained = _stepped(model, step, rows)
-        if gained < _WORTH_A_STEP:  # far from its best shape the tangent leads nowhere, and amplitudes still lead there
-            model, gained = _stepped(model, _step_of(terms, joint, hold=True), rows)
+        if gained < _WORTH_A_STEP and free:
+            free = _leading(model, step, rows, free)
+            model, gained = _stepped(model, _step_of(model, joint, rows, free), rows)
         if gained < _WORTH_A_STEP:
             break
     return model, joint
 
 
-def _step_of(terms: Sequence[Term], joint: Joint, *, hold: bool = False) -> Array:
-    """The Gauss-Newton step; shapes that stay where they were found have no part in it, with `hold` no shape has."""
+def _leading(model: Model, step: Array, rows: Mapping[int, slice], free: frozenset[int]) -> frozenset[int]:
+    """Those of the `free` shapes along whose part of a step the misfit falls; none if that does not tell them apart.
+
+    Far from its best shape the tangent leads nowhere (a frequency between two peaks): one such shape spoils the step of
+    all, and amplitudes and the other shapes still lead somewhere.
+    """
+    found = frozenset(i for i in free if _stepped(model, step, {i: rows[i]})[1] > 0.0)
+    return found if found != free else frozenset()
+
+
+def _step_of(model: Model, joint: Joint, rows: Mapping[int, slice], free: Collection[int]) -> Array:
+    """The Gauss-Newton step; shapes that are not `free` have no part in it."""
     normal = joint.normal
-    rows = zip(terms, joint.slices, strict=True)
-    still = {s.stop - 1 for term, s in rows if term.effect.shape is not None and (hold or term.effect.shape.still)}
+    shaped = {i for i in rows if model.terms[i].effect.shape is not None}
+    still = {rows[i].stop - 1 for i in shaped.difference(free)}
     if not still:
         return np.asarray(joint.covariance @ normal.right)
-    free = np.array([i for i in range(len(normal.right)) if i not in still], np.intp)
+    moved = np.array([k for k in range(len(normal.right)) if k not in still], np.intp)
     step = np.zeros(len(normal.right))
-    step[free] = solved(normal.gram[free[:, None], free], normal.right[free])[0]
+    step[moved] = solved(normal.gram[moved[:, None], moved], normal.right[moved])[0]
     return step
 
 

@@ -71,11 +71,13 @@ def settled(chosen: ChosenModel, contest: Contest, alpha: float, before: Settled
     chosen, contest, alpha
         A model, what competes for the places in it, and the chance of an effect where there is none.
     before
-        The result of another contest. For the same model only hypotheses that were not in it are compared.
+        The result of another contest. For the same model only hypotheses that were not in it are compared; with no time
+        left, what was found there is taken for a model with fewer effects too.
     """
     level = alpha / max(chosen.tests, 1)
-    if before is not None and before.chosen is chosen and contest.pace.ends():
-        return before
+    members = {term.hypothesis.key for term in chosen.model.members}
+    if before is not None and members <= before.places.keys() and contest.pace.ends():
+        return SettledModel(chosen, {key: before.places[key] for key in members})
     places = _places(chosen, contest, before.places if before is not None and before.chosen is chosen else {})
     fresh, exchanges = True, 0
     while True:

@@ -112,7 +112,7 @@ def test_an_offset_that_no_block_confirms_is_taken_out_of_the_answer_and_told_of
     chosen, contest, _ = selected(5, unsteady, "accel_bias", "accel_scale")
     assert {t.hypothesis.effect.id for t in chosen.model.terms} == {"accel_bias", "accel_scale"}
     found = settled(chosen, contest, ALPHA)
-    answer = _confirmed(_Answer(found.chosen, attributed(found, contest), contest, None), ALPHA, nested=False)
+    answer = _confirmed(_Answer(found, attributed(found, contest), contest, None), ALPHA, nested=False)
     assert {t.hypothesis.effect.id for t in answer.chosen.model.terms} == {"accel_scale"}
     assert [(one.text, one.sensor) for one in answer.withdrawn] == [(NOT_LASTING, Sensor.ACCEL)]
     assert all(answer.gates[t.hypothesis.key] is True for t in answer.chosen.model.terms)
