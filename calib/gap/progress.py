@@ -51,7 +51,7 @@ beside a vehicle."""
 _TOLD_EVERY_S = 0.5
 """Time, s, after which a step that is not done yet tells again how long the rest takes. Chosen, not measured: a line
 that changes twice a second is alive."""
-_FITS_AFTERWARDS = {GapStage.SELECTION: 10.0, GapStage.RIVALS: 10.0, GapStage.HELD_OUT: 4.0}
+_FITS_AFTERWARDS = {GapStage.SELECTION: 12.0, GapStage.RIVALS: 12.0, GapStage.HELD_OUT: 5.0}
 """Fits of a whole model that each of its effects needs after a stage. Source: decision 36, flights of minutes."""
 _MANY = 8
 """Steps after which half of a stage is believed to be done. Chosen, not measured: the size of a usual search."""
@@ -183,8 +183,10 @@ class GapPace:
     @property
     def _may_take(self) -> float:
         """Seconds after which nothing more is begun in this stage."""
-        afterwards = _FITS_AFTERWARDS.get(self.stage, 0.0) * self.fits_s
-        return min(_MAY_TAKE[self.stage] * self.limit_s, self.limit_s - afterwards)
+        share = _MAY_TAKE[self.stage] * self.limit_s
+        if self.stage not in _FITS_AFTERWARDS:
+            return share
+        return min(share, self.limit_s - _FITS_AFTERWARDS[self.stage] * self.fits_s)
 
     @property
     def ended(self) -> bool:

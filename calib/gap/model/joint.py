@@ -7,7 +7,7 @@ Everything is linear at a point: the columns of linear effects, and the derivati
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,24 +24,16 @@ from mavcal.calib.gap.model.hypotheses import (
     columns_of,
     summed,
 )
-from mavcal.calib.gap.model.normal_equations import solved, weighted_gram
+from mavcal.calib.gap.model.normal_equations import weighted_gram
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
-from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
 _LONGEST = 40_000
 """Samples beyond which the mean is fitted to averages of consecutive samples. Chosen, not measured: it bounds time and
 memory."""
-_WORTH_A_STEP = 1e-3
-"""Twice the log-likelihood that a step must promise to be tried, and gain for another to follow. Source: numerical; no
-decision depends on so little."""
-_STEPS = 8
-"""Gauss-Newton steps of one fit. Chosen, not measured: Gauss-Newton steps near the best value need few."""
-_SHORTENED = 4
-"""Lengths that are tried of a step. Chosen, not measured: a step that needs more leads nowhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +299,7 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
     )
 
 
-def _amplitudes(term: Term, setting: Setting) -> HypothesisColumns:
+def amplitudes(term: Term, setting: Setting) -> HypothesisColumns:
     """The same without what its shape does, which is left empty."""
     if term.effect.shape is None or term.effect.exact is not None or term.effect.fixed:
         return jacobian(term, setting)
@@ -402,116 +394,3 @@ class Joint:
     covariance: Array
     slices: tuple[slice, ...]
     normal: Normal
-
-
-def refined(model: Model) -> tuple[Model, Joint]:
-    """The joint maximum over everything in the mean, at the present noise; moments stay where they were found."""
-    return _refined(model, tuple(range(len(model.terms))))
-
-
-def refined_on(model: Model, sensors: Collection[Sensor], *, hold: bool = False) -> Model:
-    """The same over the terms of some sensors, and of all that have a term in common with them.
-
-    With `hold` one step of the amplitudes alone: shapes stay where they are.
-    """
-    near = coupled(model, sensors)
-    members = (i for i, t in enumerate(model.terms) if t.effect.shared or t.effect.sensor in near)
-    return _refined(model, tuple(members), hold=hold)[0]
-
-
-def coupled(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
-    """`sensors`, and all others if a term or an error of the reference ties sensors together."""
-    tied = model.ridge is not None or any(t.effect.shared for t in model.terms)
-    return frozenset(view.sensor for view in model.setting.views) if tied else frozenset(sensors)
-
-
-def _refined(model: Model, members: tuple[int, ...], *, hold: bool = False) -> tuple[Model, Joint]:
-    joint = Joint(np.zeros((0, 0)), (), Normal(np.zeros((0, 0)), np.zeros(0), ()))
-    if not members and model.ridge is None:
-        return model, joint
-    own = [model.terms[i].effect for i in members]
-    linear = all((e.shape is None or e.shape.still) and e.exact is None for e in own)
-    free = frozenset(i for i, e in zip(members, own, strict=True) if e.shape is not None and not e.shape.still)
-    free = frozenset() if hold else free
-    for _ in range(1 if linear or hold else _STEPS):
-        terms = [model.terms[i] for i in members]
-        blocks = [(_amplitudes if hold else jacobian)(term, model.setting) for term in terms]
-        normal = normal_equations(blocks, model.y, model.weight, model.ridge)
-        joint = Joint(solved(normal.gram, normal.right)[1], normal.slices[: len(blocks)], normal)
-        rows = dict(zip(members, joint.slices, strict=True))
-        step = _step_of(model, joint, rows, free)
-        if float(step @ normal.right) < _WORTH_A_STEP:
-            break
-        model, gained = _stepped(model, step, rows)
-        if gained < _WORTH_A_STEP and free:
-            free = _leading(model, step, rows, free)
-            model, gained = _stepped(model, _step_of(model, joint, rows, free), rows)
-        if gained < _WORTH_A_STEP:
-            break
-    return model, joint
-
-
-def _leading(model: Model, step: Array, rows: Mapping[int, slice], free: frozenset[int]) -> frozenset[int]:
-    """Those of the `free` shapes along whose part of a step the misfit falls; none if that does not tell them apart.
-
-    Far from its best shape the tangent leads nowhere (a frequency between two peaks): one such shape spoils the step of
-    all, and amplitudes and the other shapes still lead somewhere.
-    """
-    found = frozenset(i for i in free if _stepped(model, step, {i: rows[i]})[1] > 0.0)
-    return found if found != free else frozenset()
-
-
-def _step_of(model: Model, joint: Joint, rows: Mapping[int, slice], free: Collection[int]) -> Array:
-    """The Gauss-Newton step; shapes that are not `free` have no part in it."""
-    normal = joint.normal
-    shaped = {i for i in rows if model.terms[i].effect.shape is not None}
-    still = {rows[i].stop - 1 for i in shaped.difference(free)}
-    if not still:
-        return np.asarray(joint.covariance @ normal.right)
-    moved = np.array([k for k in range(len(normal.right)) if k not in still], np.intp)
-    step = np.zeros(len(normal.right))
-    step[moved] = solved(normal.gram[moved[:, None], moved], normal.right[moved])[0]
-    return step
-
-
-def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Model, float]:
-    """The model after the step, shortened until it is no worse; and what was gained in twice the log-likelihood."""
-    parts = _misfits(model)
-    level = _summed(parts, model)
-    for _ in range(_SHORTENED):
-        moved = list(model.terms)
-        for i, own in rows.items():
-            if step[own].any():
-                moved[i] = moved[i].moved(step[own], limits_of(moved[i], model.setting))
-        ridge = model.ridge
-        if ridge is not None:
-            ridge = replace(ridge, value=ridge.value + step[len(step) - len(ridge.value) :])
-        trial = with_residual(replace(model, terms=tuple(moved), ridge=ridge))
-        new = _summed(_misfits(trial, (model, parts)), trial)
-        if new < level:
-            return trial, level - new
-        step = 0.3 * step
-    return model, 0.0
-
-
-def misfit(model: Model) -> float:
-    """Weighted sum of squares of what is left, and of the random process against its prior."""
-    return _summed(_misfits(model), model)
-
-
-def _misfits(model: Model, before: tuple[Model, Sequence[float]] | None = None) -> list[float]:
-    """Weighted sums of squares by axis; those of `before` where neither its bins nor its weights have changed."""
-    found = []
-    for axis, (w, y) in enumerate(zip(model.weight, model.y, strict=True)):
-        if before is not None and before[0].y[axis] is y and before[0].weight[axis] is w:
-            found.append(before[1][axis])
-        else:
-            found.append(float(w @ y**2))
-    return found
-
-
-def _summed(parts: Sequence[float], model: Model) -> float:
-    total = sum(parts)
-    if model.ridge is not None:
-        total += float(model.ridge.precision @ model.ridge.value**2)
-    return total

@@ -20,14 +20,9 @@ from scipy.stats import binom
 from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
 from mavcal.calib.gap.model.bands import joined
 from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, columns_of
-from mavcal.calib.gap.model.joint import (
-    Model,
-    Term,
-    misfit,
-    refined,
-    with_residual,
-)
+from mavcal.calib.gap.model.joint import Model, Term, with_residual
 from mavcal.calib.gap.model.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
+from mavcal.calib.gap.model.refinement import misfit, refined
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import remembered

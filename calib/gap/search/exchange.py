@@ -14,8 +14,9 @@ import numpy as np
 
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, Key, columns_of
-from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, misfit, refined
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
 from mavcal.calib.gap.model.noise_fit import refitted, without_term
+from mavcal.calib.gap.model.refinement import misfit, refined
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore, exactly, fixed_score, noise_score, priced
 from mavcal.calib.gap.search.evidence import price_of_kind

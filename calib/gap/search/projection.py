@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.model.hypotheses import HypothesisColumns, Part
-from mavcal.calib.gap.model.joint import Model, Normal, Ridge, jacobian, misfit, normal_equations, refined, stacked
+from mavcal.calib.gap.model.joint import Model, Normal, Ridge, jacobian, normal_equations, stacked
 from mavcal.calib.gap.model.normal_equations import eigh, solved
+from mavcal.calib.gap.model.refinement import misfit, refined
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.evidence import evidence
 

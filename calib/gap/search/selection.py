@@ -20,16 +20,14 @@ from mavcal.calib.gap.model.joint import (
     Model,
     NoiseTerm,
     Term,
-    coupled,
     jacobian,
     normal_equations,
-    refined,
-    refined_on,
     with_noise,
     with_residual,
 )
 from mavcal.calib.gap.model.noise_fit import FittedNoise, is_declared, refitted, starting_noise, with_term, without_term
 from mavcal.calib.gap.model.normal_equations import solved
+from mavcal.calib.gap.model.refinement import coupled, refined, refined_on
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.added_noise import unsteady_line
 from mavcal.calib.gap.search.contest import Contest, ContestScore

@@ -20,18 +20,9 @@ from mavcal.calib.gap.effects.base import MeanEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.likelihood import AxisNoise
 from mavcal.calib.gap.model.hypotheses import Binning, Hypothesis, HypothesisColumns, Part, add_block
-from mavcal.calib.gap.model.joint import (
-    Model,
-    Ridge,
-    Setting,
-    cosines,
-    frame_of,
-    misfit,
-    normal_equations,
-    refined,
-    starting_model,
-)
+from mavcal.calib.gap.model.joint import Model, Ridge, Setting, cosines, frame_of, normal_equations, starting_model
 from mavcal.calib.gap.model.noise_fit import refitted
+from mavcal.calib.gap.model.refinement import misfit, refined
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.schema import ParameterEstimate
 from mavcal.calib.gap.search import prices

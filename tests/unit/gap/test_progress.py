@@ -70,6 +70,23 @@ def test_a_stage_ends_at_its_part_of_the_limit_and_what_was_left_out_is_kept() -
     assert not pace.ends()
 
 
+def test_a_search_leaves_the_time_that_its_effects_need_afterwards() -> None:
+    """A flight alone found eleven effects in time, and held blocks out for three minutes more."""
+    watch = Watch()
+    pace = GapPace(watch, 100.0)
+    pace.begin(GapStage.SELECTION)
+    pace.keep_back(5, 1.0)
+    watch.now = 49.0
+    assert not pace.ends()
+    watch.now = 51.0
+    assert pace.ends()
+    pace.begin(GapStage.HELD_OUT)
+    watch.now = 79.0
+    assert not pace.ends()
+    watch.now = 81.0
+    assert pace.ends()
+
+
 def test_the_time_left_is_told_from_the_time_gone_and_never_more_than_the_limit_leaves() -> None:
     told: list[GapProgress] = []
     watch = Watch()

@@ -14,6 +14,7 @@ from mavcal.calib.gap.model.hypotheses import hypotheses_of
 from mavcal.calib.gap.model.joint import setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
+from mavcal.calib.gap.progress import GapPace, GapStage
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.selection import select
 from mavcal.calib.recording import Sensor
@@ -62,6 +63,25 @@ def test_what_is_tolerated_is_in_every_model_and_has_no_part_in_the_gap(chosen):
     assert [step.add for step in beside.sequence] == ["accel_bias"]
     assert beside.after.sum() < whole.after.sum() + 3.0
     assert beside.before.sum() < 0.8 * whole.before.sum()
+
+
+def test_gates_that_are_known_are_not_sought_again(chosen):
+    found, contest = chosen
+    whole = held_out(found, contest)
+    again = held_out(found, contest, known=whole.gates)
+    assert again.gates == whole.gates
+    assert again.losses.tolist() == whole.losses.tolist()
+    beside = held_out(found, contest, [keys(found)["accel_scale"]], whole.gates)
+    assert [gate.key[0] for gate in beside.gates] == ["accel_bias"]
+
+
+def test_once_the_time_is_over_shapes_stay_where_all_data_have_them(chosen):
+    found, contest = chosen
+    late = Contest(contest.hypotheses, pace=GapPace(lambda: 1.0, 1.0, stage=GapStage.HELD_OUT))
+    whole, quick = held_out(found, contest), held_out(found, late)
+    assert len(quick.folds) == 2
+    assert quick.losses == pytest.approx(whole.losses[:2], abs=0.5)
+    assert [gate.passed for gate in quick.gates] == [gate.passed for gate in whole.gates]
 
 
 def test_where_everything_is_tolerated_there_is_nothing_to_shrink(chosen):

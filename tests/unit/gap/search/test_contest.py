@@ -13,8 +13,9 @@ from mavcal.calib.gap.effects import by_id, forward_models
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Binning, Hypothesis
-from mavcal.calib.gap.model.joint import refined, setting_of, starting_model
+from mavcal.calib.gap.model.joint import setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import starting_noise
+from mavcal.calib.gap.model.refinement import refined
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.search.contest import Contest, fixed_score, noise_score, one_sided_tail, priced, tail, widest
