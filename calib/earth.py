@@ -21,6 +21,10 @@ from mavcal.calib.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 
+WEAKEST_UT, STRONGEST_UT = 22.0, 67.0
+"""Least and largest strength of the Earth's field at its surface: South America, and between Australia and Antarctica
+(WMM2025 and IGRF-14, charts of the total intensity)."""
+
 LIFE_SPAN = 5.0
 """Years that one set of World Magnetic Model coefficients is valid for."""
 
@@ -142,6 +146,15 @@ def earth_field(latitude: float, longitude: float, altitude: float, year: float)
         valid=outside == 0.0,
         model=coefficients[0][1],
     )
+
+
+def beyond_earth(strength: float) -> float:
+    """How far a field of `strength` uT is outside of what any place on the Earth has, relative; 0: it is not.
+
+    >>> beyond_earth(49.0), beyond_earth(134.0), beyond_earth(11.0)
+    (0.0, 1.0, 0.5)
+    """
+    return max(strength / STRONGEST_UT - 1.0, 1.0 - strength / WEAKEST_UT, 0.0)
 
 
 def local_gravity(latitude: float, altitude: float) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -89,7 +88,8 @@ class UploadComputations:
             "nominal": parts[1 if sim is None else 2 :],
             "title": f"Sim-to-real gap of {uploads[0].name}",
             "vehicle": _vehicle(uploads[0]),
-            "limit_s": min(math.inf if limit_s is None else limit_s, _IN_TIME * self._of_gaps.wall_s),
+            "wall_s": _IN_TIME * self._of_gaps.wall_s,
+            **({} if limit_s is None else {"limit_s": min(limit_s, _IN_TIME * self._of_gaps.wall_s)}),
         }
         try:
             done = await self._children.run(DIAGNOSE, order, self._of_gaps, told=told)

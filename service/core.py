@@ -77,7 +77,7 @@ class Service:
         free = shutil.disk_usage(self.settings.data_dir).free
         if free < LEAST_FREE_BYTES:
             return f"only {free // 2**20} MiB are free for recordings: free some space"
-        return None
+        return self.store.obstacle()
 
     async def close_link(self, link_id: str) -> None:
         """Close a link for good.

@@ -127,6 +127,9 @@ class LimitSettings(_Part):
     head_s: float = Field(
         default=10.0, gt=0.0, description="a connection sends the whole head of a request in so long, s"
     )
+    head_bytes: int = Field(
+        default=64 * 1024, ge=4096, description="largest head of a request, address and headers together, bytes"
+    )
     heads: int = Field(default=256, gt=0, description="most connections without a whole head; the oldest one goes")
     gap_s: float = Field(default=1800.0, gt=0.0, description="longest time that a gap diagnosis may take, s")
     file_memory_bytes: int = Field(

@@ -435,7 +435,7 @@ export interface GapRequest {
   sim?: string | null;
   /** Ids of recordings without an effect, for noise and field. */
   nominal?: string[];
-  /** Seconds after which the best answer so far is given, from when the diagnosis has begun; null: as long as it takes. */
+  /** Seconds of processor time after which the best answer so far is given; null: 60. */
   limit_s?: number | null;
 }
 

@@ -7,12 +7,13 @@ import sys
 import time
 from pathlib import Path
 
-from bench.accuracy import page, rows_align, rows_allan, rows_imu, rows_mag, rows_six_face, rows_thermal
+from bench.accuracy import page, rows_align, rows_allan, rows_imu, rows_mag, rows_order, rows_six_face, rows_thermal
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part
 
 ROWS = {
     "mag": rows_mag.run,
+    "order": rows_order.run,
     "align": rows_align.run,
     "imu": rows_imu.run,
     "six-face": rows_six_face.run,
@@ -29,9 +30,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="a slice: small samples, few runs")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--budget", type=float, default=6.0, help="seconds a peer may take for a case")
+    parser.add_argument("--alone", action="store_true", help="without the peers, in the row `order`")
     parser.add_argument("--out", type=Path, default=None, help="where to write; of all rows docs/accuracy.md")
     args = parser.parse_args(arguments)
-    settings = Settings(quick=args.quick, seed=args.seed, budget=args.budget)
+    settings = Settings(quick=args.quick, seed=args.seed, budget=args.budget, alone=args.alone)
     before, begin = page.machine(), time.monotonic()
     parts: list[Part] = []
     for name in args.rows or ROWS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,14 +33,16 @@ CLEAN, SPOILT = 1.05, 1.10
 TRUTH = np.concatenate([scenes.OFFSET, scenes.SHAPE[_NINE]])
 
 
-def _stored_truth() -> Array:
+def stored_truth() -> Array:
     """Offset and correction ``R S^-1``, R the mean radius: what is stored, and its intervals counted."""
     correction = np.cbrt(np.linalg.det(scenes.SHAPE)) * np.linalg.inv(scenes.SHAPE)
     return np.concatenate([scenes.OFFSET, correction[_NINE]])
 
 
-def _ours(fit: Callable[[Array], FitResult]) -> Callable[[Array], Answer | None]:
-    def run(samples: Array) -> Answer | None:
+def ours(fit: Callable[[Any], FitResult]) -> Callable[[Any], Answer | None]:
+    """What a fit answers, as the tables take it."""
+
+    def run(samples: Any) -> Answer | None:
         found = fit(samples)
         if found.status == FitStatus.REFUSED:
             return None
@@ -57,25 +60,49 @@ def _theirs(fit: Callable[[Array], tuple[Array, Array]]) -> Callable[[Array], An
     return run
 
 
+def _counts(fit: Callable[..., FitResult]) -> Callable[[Any], FitResult]:
+    """Milligauss pass as counts: as microtesla their field is none of the Earth's."""
+    return lambda samples: fit(samples, unit="counts")
+
+
 def _running(samples: Array) -> FitResult:
-    return RunningEllipsoid.about(samples[:100].mean(axis=0), peers.FIELD).added(samples).fit(quantum=1.0)
+    return (
+        RunningEllipsoid.about(samples[:100].mean(axis=0), peers.FIELD).added(samples).fit(unit="counts", quantum=1.0)
+    )
 
 
 def contenders(target: float) -> tuple[list[Contender], list[str]]:
     """Ours, plain forms, and the peers that run here; and why others do not."""
     found = [
-        Contender("**mavcal mag-ellipsoid**", _ours(lambda s: fit_ellipsoid(s, quantum=1.0)), ours=True, target=target),
-        Contender("mavcal, --robust yes", _ours(lambda s: fit_ellipsoid(s, quantum=1.0, robust=True)), ours=True),
-        Contender("mavcal, --model auto", _ours(lambda s: fit_ellipsoid(s, quantum=1.0, model="auto")), ours=True),
-        Contender("mavcal RunningEllipsoid (ALS)", _ours(_running), ours=True),
-        Contender("mavcal mag-ellipsoid-axis (S1)", _ours(fit_ellipsoid_axis)),
-        Contender("mavcal mag-sphere (S1)", _ours(fit_sphere)),
-        Contender("mavcal mag-minmax (S5)", _ours(fit_minmax)),
+        Contender(
+            "**mavcal mag-ellipsoid**",
+            ours(lambda s: fit_ellipsoid(s, unit="counts", quantum=1.0)),
+            ours=True,
+            target=target,
+        ),
+        Contender(
+            "mavcal, --robust yes", ours(lambda s: fit_ellipsoid(s, unit="counts", quantum=1.0, robust=True)), ours=True
+        ),
+        Contender(
+            "mavcal, --model auto",
+            ours(lambda s: fit_ellipsoid(s, unit="counts", quantum=1.0, model="auto")),
+            ours=True,
+        ),
+        Contender("mavcal RunningEllipsoid (ALS)", ours(_running), ours=True),
+        Contender("mavcal mag-ellipsoid-axis (S1)", ours(_counts(fit_ellipsoid_axis))),
+        Contender("mavcal mag-sphere (S1)", ours(_counts(fit_sphere))),
+        Contender("mavcal mag-minmax (S5)", ours(_counts(fit_minmax))),
         Contender("algebraic, ten terms (magcal 'sym')", _theirs(forms.algebraic)),
         Contender("scipy LM, calibrated space", _theirs(forms.calibrated_space)),
         Contender("scipy LM, orthogonal distance", _theirs(forms.orthogonal)),
     ]
-    missing = []
+    others, missing = peers_of()
+    return [*found, *others], missing
+
+
+def peers_of() -> tuple[list[Contender], list[str]]:
+    """The peers that run here, and why others do not."""
+    found, missing = [], []
     sample = scenes.magnetometer(np.random.default_rng(0), scenes.everywhere(np.random.default_rng(1), 300), 3.0, 1.0)
     for name, (distribution, fit) in peers.MAGNETOMETER.items():
         reason = peers.usable(distribution, fit, sample)
@@ -98,7 +125,7 @@ def _draw(
         if outliers:
             samples = scenes.with_outliers(rng, samples, outliers, 150.0, quantum)
         information = bounds.ellipsoid(u, scenes.SHAPE, variance)
-        return Drawn(samples.astype(np.int16), TRUTH, information, _stored_truth())
+        return Drawn(samples.astype(np.int16), TRUTH, information, stored_truth())
 
     return draw
 
@@ -149,8 +176,12 @@ def speed(settings: Settings) -> Part:
     for name, samples in (("int16", rounded.astype(np.int16)), ("float64", rounded)):
         for what, action, limit in (
             ("first fit (ALS)", lambda s=samples: adjusted_least_squares(s), 30.0),
-            ("with covariance", lambda s=samples: fit_ellipsoid(s, quantum=1.0), 100.0),
-            ("with covariance, robust", lambda s=samples: fit_ellipsoid(s, quantum=1.0, robust=True), None),
+            ("with covariance", lambda s=samples: fit_ellipsoid(s, unit="counts", quantum=1.0), 100.0),
+            (
+                "with covariance, robust",
+                lambda s=samples: fit_ellipsoid(s, unit="counts", quantum=1.0, robust=True),
+                None,
+            ),
         ):
             taken = 1e3 * best_of(9, action)
             tracemalloc.start()

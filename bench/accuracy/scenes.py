@@ -32,11 +32,16 @@ def tilted_with_down(rng: np.random.Generator, count: int, limit_deg: float, dip
     """Field and vertical (count, 3) in the body, roll and pitch within `limit_deg`, every heading."""
     yaw = rng.uniform(-math.pi, math.pi, count)
     pitch, roll = np.radians(rng.uniform(-limit_deg, limit_deg, (2, count)))
+    return seen_from(yaw, pitch, roll, dip)
+
+
+def seen_from(yaw: Array, pitch: Array, roll: Array, dip: float) -> tuple[Array, Array]:
+    """Field and vertical (N, 3) in a body of these angles, rad."""
     north, down = math.cos(dip), math.sin(dip)
     # R_nb^T applied to (north, 0, down) and to (0, 0, 1): yaw, then pitch, then roll.
     x1, y1 = north * np.cos(yaw), -north * np.sin(yaw)
     field = _rolled(roll, x1 * np.cos(pitch) - down * np.sin(pitch), y1, x1 * np.sin(pitch) + down * np.cos(pitch))
-    return field, _rolled(roll, -np.sin(pitch), np.zeros(count), np.cos(pitch))
+    return field, _rolled(roll, -np.sin(pitch), np.zeros(len(yaw)), np.cos(pitch))
 
 
 def _rolled(roll: Array, x: Array, y: Array, z: Array) -> Array:

@@ -18,6 +18,8 @@ class Settings:
     seed: int = 1
     budget: float = 6.0
     silent: bool = False
+    alone: bool = False
+    """Without the peers, where a row can do so."""
 
     def sizes(self, wanted: list[int]) -> list[int]:
         """Those of `wanted` that are measured, the smallest at least."""

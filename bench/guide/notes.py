@@ -70,12 +70,12 @@ NOTES: Mapping[str, Note] = {
     "mag-rings": Note(
         "a block with square faces and no accelerometer",
         "anything below the block's squareness; useless where the dip is near zero",
-        f"{_MAG}; mounting: COMPASS_ORIENT · CAL_MAGn_ROT",
+        f"{_MAG}; mounting: COMPASS_ORIENT, CUST_ROT · CAL_MAGn_ROT, ROLL, PITCH, YAW",
     ),
     "mag-align": Note(
         "the mounting matters and the accelerometer is calibrated",
         "a rotation about the vertical at the magnetic poles; errors of the accelerometer go into the mounting",
-        f"{_MAG}; mounting: COMPASS_ORIENT · CAL_MAGn_ROT",
+        f"{_MAG}; mounting: COMPASS_ORIENT, CUST_ROT · CAL_MAGn_ROT, ROLL, PITCH, YAW",
     ),
     "mag-gyro": Note(
         "no calibrated accelerometer, or it is shaken", "the matrix's common scale; slow motion tells it little", _MAG

@@ -112,6 +112,14 @@ CALIBRATION_PREFIXES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 """Names that decide, by autopilot, what a streamed number means."""
 
 BOARD_ROTATION: Final[Mapping[str, str]] = MappingProxyType({"ardupilot": "AHRS_ORIENTATION", "px4": "SENS_BOARD_ROT"})
+ARDUPILOT_CUSTOM_SWITCH: Final = "CUST_ROT_ENABLE"
+ARDUPILOT_CUSTOM: Final[Mapping[int, tuple[str, str, str]]] = MappingProxyType(
+    {100 + k: (f"CUST_ROT{k}_ROLL", f"CUST_ROT{k}_PITCH", f"CUST_ROT{k}_YAW") for k in (1, 2)}
+)
+"""The two rotations by angles in degrees, by the number that COMPASS_ORIENT and AHRS_ORIENTATION call them by
+(AP_CustomRotations; since 4.3)."""
+PX4_CUSTOM: Final = 100
+"""CAL_MAGn_ROT where the angles of the row hold (``lib/conversion/rotation.h``, ROTATION_CUSTOM)."""
 PX4_LEVEL: Final = ("SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF", "SENS_BOARD_Z_OFF")
 LEVEL: Final = ("AHRS_TRIM_", *PX4_LEVEL)
 """Beginnings of the parameters that a ground station saves when a vehicle is levelled."""

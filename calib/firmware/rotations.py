@@ -7,6 +7,7 @@ differ (ArduPilot ``AP_Math/rotations.h``, PX4 ``lib/conversion/rotation.h``).
 
 from __future__ import annotations
 
+from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.names import ARDUPILOT_CUSTOM, PX4_CUSTOM
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -74,6 +76,11 @@ ROTATIONS: Final[Mapping[str, tuple[Euler, ...]]] = MappingProxyType(
 
 def euler_matrix(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
     """``Rz(yaw) Ry(pitch) Rx(roll)``, shape (3, 3), angles in degrees; right angles are exact."""
+    return _euler_matrix(roll_deg, pitch_deg, yaw_deg).copy()
+
+
+@lru_cache(maxsize=256)
+def _euler_matrix(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
     c = [_exact(np.cos(np.radians(a))) for a in (roll_deg, pitch_deg, yaw_deg)]
     s = [_exact(np.sin(np.radians(a))) for a in (roll_deg, pitch_deg, yaw_deg)]
     rx = np.array([[1.0, 0.0, 0.0], [0.0, c[0], -s[0]], [0.0, s[0], c[0]]])
@@ -83,11 +90,17 @@ def euler_matrix(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
 
 
 def rotation_words(autopilot: str, number: int) -> str:
-    """A rotation of the table in words.
+    """A rotation in words.
 
     >>> rotation_words("ardupilot", 6), rotation_words("px4", 10), rotation_words("px4", 0)
     ('yaw 270', 'roll 180, yaw 90', 'none')
+    >>> rotation_words("ardupilot", 102), rotation_words("px4", 100)
+    ('custom rotation 2', 'custom angles')
     """
+    if number in ARDUPILOT_CUSTOM and autopilot == "ardupilot":
+        return f"custom rotation {number - 100}"
+    if number == PX4_CUSTOM and autopilot == "px4":
+        return "custom angles"
     table = ROTATIONS[autopilot]
     if not 0 <= number < len(table):
         return "not in the table"

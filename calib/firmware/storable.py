@@ -63,10 +63,10 @@ MAG: Final[Mapping[str, Storable]] = MappingProxyType(
                 "COMPASS_OFS_*, COMPASS_OFS2_*, COMPASS_OFS3_*",
                 "COMPASS_DIA_*, COMPASS_ODI_* ...",
                 "COMPASS_SCALE, COMPASS_SCALE2, COMPASS_SCALE3",
-                "COMPASS_ORIENT, COMPASS_ORIENT2, COMPASS_ORIENT3 where the mounting is wrong",
+                "COMPASS_ORIENT, COMPASS_ORIENT2, COMPASS_ORIENT3 where the mounting is wrong, CUST_ROTn_* by angles",
             ),
             cannot_represent=(
-                "a small misalignment of the compass",
+                "a misalignment of the compass below 5 deg",
                 "a common scale outside 1/1.5 ... 1.5",
                 "a drift with temperature",
             ),
@@ -75,10 +75,10 @@ MAG: Final[Mapping[str, Storable]] = MappingProxyType(
             writes=(
                 "CAL_MAGn_XOFF ... _ZOFF",
                 "CAL_MAGn_XSCALE ... _ZSCALE, _XODIAG ... _ZODIAG",
-                "CAL_MAGn_ROT where the mounting is wrong",
+                "CAL_MAGn_ROT where the mounting is wrong, _ROLL, _PITCH, _YAW by angles",
             ),
             cannot_represent=(
-                "a small misalignment of the compass",
+                "a misalignment of the compass below 5 deg",
                 "a change of the offset below 0.5 uT (norm of the three)",
                 "a change of the scales or of the cross terms below 0.01 (norm of the three)",
                 "a drift with temperature",

@@ -9,7 +9,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.stream.source import telemetry
 from mavcal.calib.flight import limits
 from mavcal.calib.flight.item import FlightVerdict, JudgedItem, judged, not_testable
 from mavcal.calib.flight.rest import TimeSpan
@@ -22,6 +24,10 @@ Array = NDArray[np.float64]
 FULL_SCALE: Final = 156.9
 """16 g, m/s2: the range that autopilots set."""
 
+_RANGES = (4, 8, 16, 32)  # g, that drivers set
+_SLACK = 0.02  # of a range: scale and offset move its end
+_PILED = 3  # samples, and times as many as just below: the tail of any vibration falls
+_NEAR_END = 0.9  # of a range, where a low-passed sample may have been at its end
 _HIGH = 5.0  # Hz: what is faster is no manoeuvre (the filter of ArduPilot's VIBE)
 _WINDOW = 1.0  # s of a spectrum
 _AT_ONCE = 64  # windows of it
@@ -83,13 +89,14 @@ def _vibration(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -
         "nyquist_hz": float(frequency[-1]),
         "filtered": channel.stage == Stage.FILTERED,
     }
-    item = judged("vibration", subject, worst, limits.VIBRATION, text, **numbers)
-    if channel.stage == Stage.FILTERED and item.verdict == FlightVerdict.PASS:
-        why = f"at least {text}: {channel.source} is low-passed; log the unfiltered samples (raw IMU or batch sampling)"
-        return JudgedItem(
-            "vibration", subject, FlightVerdict.NOT_TESTABLE, why, worst, None, limits.VIBRATION, item.numbers
-        )
-    return item
+    if channel.stage != Stage.FILTERED:
+        return judged("vibration", subject, worst, limits.VIBRATION, text, **numbers)
+    item = judged("vibration", subject, worst, limits.LOW_PASSED, f"at least {text}, low-passed", **numbers)
+    if item.verdict != FlightVerdict.PASS:  # what is left is more than enough already
+        return item
+    how = "take the log on board" if telemetry(recording) else "log the unfiltered samples (raw IMU or batch sampling)"
+    why = f"{text}: {channel.source} is low-passed, what it hides is not known; {how}"
+    return JudgedItem("vibration", subject, FlightVerdict.NOT_TESTABLE, why, worst, None, limits.LOW_PASSED, numbers)
 
 
 def _spectrum(channel: Channel, flown: Sequence[TimeSpan]) -> tuple[Array, Array] | None:
@@ -168,13 +175,31 @@ def _clipping(recording: Recording, instance: int) -> JudgedItem:
     values = None if channel is None else _usable_rows(channel.values)
     if channel is None or values is None or not len(values):
         return not_testable("clipping", subject, "no sample in m/s2")
-    end = 0.999 * FULL_SCALE
-    at_end = int(((values >= end) | (values <= -end)).any(axis=1).sum())
+    end, at_end = _at_end(values)
     most = max(float(values.max()), -float(values.min()))
-    text = f"{at_end} sample{'' if at_end == 1 else 's'} at 16 g, the largest is {most:.1f} m/s2"
-    if not at_end and channel.stage == Stage.FILTERED and most > 0.5 * FULL_SCALE:
+    text = f"{at_end} sample{'' if at_end == 1 else 's'} at {end} g, the largest is {most:.1f} m/s2"
+    if not at_end:
+        text = f"no peaks pile up at the end of a range, the largest is {most:.1f} m/s2"
+    if not at_end and channel.stage == Stage.FILTERED and most > _NEAR_END * _RANGES[0] * STANDARD_GRAVITY:
         return not_testable("clipping", subject, f"{text}, low-passed: what it was before is not known", largest=most)
     return judged("clipping", subject, float(at_end), limits.CLIPPED, text, largest=most)
+
+
+def _at_end(values: Array) -> tuple[int, int]:
+    """The range in g whose end the samples (N, 3) pile up at, or the largest that is set, and how many are there."""
+    size = np.abs(values[:, 0])
+    for axis in (1, 2):  # one column at a time: a log may have millions of samples
+        np.maximum(size, np.abs(values[:, axis]), out=size)
+    size.sort()
+    for g in _RANGES:
+        end = g * STANDARD_GRAVITY
+        width = _SLACK * end
+        beyond = len(size) - int(np.searchsorted(size, end + width))
+        near = len(size) - int(np.searchsorted(size, end - width)) - beyond
+        below = len(size) - int(np.searchsorted(size, end - 3.0 * width)) - near - beyond
+        if near >= _PILED and near > _PILED * below and _PILED * beyond < near:
+            return g, near
+    return round(FULL_SCALE / STANDARD_GRAVITY), len(size) - int(np.searchsorted(size, 0.999 * FULL_SCALE))
 
 
 def clipped_events(recording: Recording, instance: int) -> list[Event]:
@@ -203,7 +228,7 @@ def _scale(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: S
     }
     if not known.any():
         return not_testable(
-            name, subject, "the flight moved too little for the noise: no scale is known to 2 %", **numbers
+            name, subject, "the vehicle moved too little for the noise: no scale is known to 2 %", **numbers
         )
     off = np.where(known, np.abs(scale - 1.0) - 2.0 * sd, -np.inf)
     worst = int(np.argmax(off))

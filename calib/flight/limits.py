@@ -31,7 +31,10 @@ LEVEL: Final = FlightLimit(1.0, 5.0, "deg", "a multicopter drifts visibly from o
 VIBRATION: Final = FlightLimit(
     30.0, 60.0, "m/s2", "levels of ArduPilot's VIBE message: fine below 30, trouble above 60"
 )
+LOW_PASSED: Final = FlightLimit(
+    5.0, 30.0, "m/s2", "half a g rms that passed a filter of 20 Hz or slow sampling: at least so much shakes"
+)
 CLIPPED: Final = FlightLimit(
-    0.0, 100.0, "times", "ArduPilot: a count that rises in flight is trouble, a hundred the cause"
+    0.0, 100.0, "times", "ArduPilot: a count that rises with the motors on is trouble, a hundred the cause"
 )
 SCALE: Final = FlightLimit(0.02, 0.10, "1", "twice the sensitivity tolerance of a MEMS sensor (1 %); a broken axis")

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.flight.rest import DISARMED, Ground, Rest
+from mavcal.calib.flight.craft import Craft, craft_of
+from mavcal.calib.flight.rest import Ground, Rest, how_to_rest, why_no_rest
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
 
@@ -42,14 +43,15 @@ class PlannedMethod:
 
 def next_steps(recording: Recording, rests: Sequence[Rest], ground: Ground) -> tuple[PlannedMethod, ...]:
     """Every method that takes a log, the worthwhile ones first."""
+    craft = craft_of(recording.identity)
     found = [
         ("gyro-rest", *_gyro(recording, rests)),
         ("thermal-poly", *_thermal(recording, rests, _POLY_SPAN)),
         ("thermal-linear", *_thermal(recording, rests, _LINEAR_SPAN)),
-        ("accel-multi", *_poses(recording, rests)),
-        ("mag-flight", *_mag_flight(recording, ground)),
-        ("mag-motor", *_mag_motor(recording, ground)),
-        ("mag-ellipsoid", *_ellipsoid(recording)),
+        ("accel-multi", *_poses(recording, rests, craft)),
+        ("mag-flight", *_mag_flight(recording, ground, craft)),
+        ("mag-motor", *_mag_motor(recording, ground, craft)),
+        ("mag-ellipsoid", *_ellipsoid(recording, craft)),
         ("allan", *_allan(recording, rests)),
     ]
     name = recording.source or "FILE"
@@ -68,6 +70,8 @@ def _gyro(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
     longest = max((r.duration for r in rests), default=0.0)
     if not _usable(recording, Sensor.GYRO):
         return False, "the log has no usable gyroscope"
+    if not rests:
+        return False, why_no_rest(recording)
     if longest < 5.0:
         return False, f"the longest rest lasts {longest:.0f} s: 5 are needed"
     return True, f"{longest:.0f} s at rest; most autopilots measure this bias at boot anyway"
@@ -78,7 +82,7 @@ def _thermal(recording: Recording, rests: Sequence[Rest], least: float) -> tuple
     if not thermometers:
         return False, "the log has no temperature of the inertial units"
     if not rests:
-        return False, f"the vehicle never rested with its motors off: log while disarmed ({DISARMED})"
+        return False, f"{why_no_rest(recording)}. {how_to_rest(recording)}"
     spans = []
     for channel in thermometers:
         values = np.concatenate([channel.between(r.start, r.end).values for r in rests])
@@ -93,10 +97,12 @@ def _thermal(recording: Recording, rests: Sequence[Rest], least: float) -> tuple
     return True, f"at rest the temperature went from {low:.1f} to {high:.1f} degC; several logs may be given at once"
 
 
-def _poses(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
+def _poses(recording: Recording, rests: Sequence[Rest], craft: Craft) -> tuple[bool, str]:
     accels = _usable(recording, Sensor.ACCEL)
     if not accels:
         return False, "the log has no accelerometer"
+    if not rests:
+        return False, why_no_rest(recording)
     directions: list[Array] = []
     for rest in rests:
         part = accels[0].between(rest.start, rest.end)
@@ -107,30 +113,27 @@ def _poses(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
     if len(directions) < _POSES:
         return False, (
             f"the rests show {len(directions)} direction{'' if len(directions) == 1 else 's'} of gravity: hold the "
-            f"vehicle still in {_POSES} or more, six faces are best; a flight cannot give this"
+            f"vehicle still in {_POSES} or more, six faces are best; a {craft.trip} cannot give this"
         )
     return True, f"the rests show {len(directions)} directions of gravity"
 
 
-def _mag_flight(recording: Recording, ground: Ground) -> tuple[bool, str]:
+def _mag_flight(recording: Recording, ground: Ground, craft: Craft) -> tuple[bool, str]:
     if not recording.instances(Sensor.MAG):
         return False, "the log has no compass"
     if not ground.running:
-        return False, "the vehicle never flew"
+        return False, f"the vehicle never {craft.moved}"
     sectors, tilt = _attitudes(recording)
     if sectors is None:
         if not _usable(recording, Sensor.GYRO):
             return False, "the log has neither attitude nor gyroscope"
         return True, "no attitude is logged: the gyroscope alone carries the field"
     if sectors < _HEADINGS:
-        return False, (
-            f"the flight saw {sectors} of 12 headings and {tilt:.0f} deg of tilt: fly two full turns, and banks of 30 "
-            "deg if that is safe"
-        )
-    return True, f"the flight saw {sectors} of 12 headings and {tilt:.0f} deg of tilt"
+        return False, (f"the {craft.trip} saw {sectors} of 12 headings and {tilt:.0f} deg of tilt: {craft.turn}")
+    return True, f"the {craft.trip} saw {sectors} of 12 headings and {tilt:.0f} deg of tilt"
 
 
-def _mag_motor(recording: Recording, ground: Ground) -> tuple[bool, str]:
+def _mag_motor(recording: Recording, ground: Ground, craft: Craft) -> tuple[bool, str]:
     if not recording.instances(Sensor.MAG):
         return False, "the log has no compass"
     loads = []
@@ -147,11 +150,11 @@ def _mag_motor(recording: Recording, ground: Ground) -> tuple[bool, str]:
     if not ground.running:
         return False, "the motors never ran"
     if not loads:
-        return False, "neither current nor throttle moved enough: climb and descend a few times"
+        return False, f"neither current nor throttle moved enough: {craft.load}"
     return True, "; ".join(loads)
 
 
-def _ellipsoid(recording: Recording) -> tuple[bool, str]:
+def _ellipsoid(recording: Recording, craft: Craft) -> tuple[bool, str]:
     if not recording.instances(Sensor.MAG):
         return False, "the log has no compass"
     sectors, tilt = _attitudes(recording)
@@ -163,7 +166,7 @@ def _ellipsoid(recording: Recording) -> tuple[bool, str]:
     if sectors < _HEADINGS or tilt < _TILT:
         return False, (
             f"{sectors} of 12 headings and {tilt:.0f} deg of tilt do not determine an ellipsoid ({_TILT:.0f} needed): "
-            "use mag-flight, which takes what a level flight gives"
+            f"mag-flight takes what a level {craft.trip} gives"
         )
     return True, f"{sectors} of 12 headings and {tilt:.0f} deg of tilt"
 
@@ -183,6 +186,8 @@ def _attitudes(recording: Recording) -> tuple[int | None, float]:
 
 def _allan(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
     longest = max((r.duration for r in rests), default=0.0)
+    if not rests:
+        return False, why_no_rest(recording)
     if not _usable(recording, Sensor.GYRO) or longest < _ALLAN:
         return False, f"the longest rest lasts {longest:.0f} s: {_ALLAN:.0f} and more say something of bias instability"
     return True, f"{longest:.0f} s at rest"

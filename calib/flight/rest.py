@@ -14,22 +14,27 @@ from itertools import pairwise
 
 import numpy as np
 
+from mavcal.calib.firmware.log_options import how_to_log_disarmed
+from mavcal.calib.firmware.stream.source import telemetry
 from mavcal.calib.logs.inspection import pauses
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.stillness import RESTING, Still, find_still
 
 UNARMED, ARMED = "disarmed", "armed"
 """Kinds of the events that tell the motors' state."""
 
-DISARMED = "LOG_DISARMED 1, SDLOG_MODE 2"
-"""The parameters by which ArduPilot and PX4 log while disarmed."""
-
 LIMITS = dataclasses.replace(RESTING, accel_drift=0.04, gyro_drift=0.05)
 """At rest through a warm-up: the means may wander by 0.4 m/s2 and 3 deg/s, as they do over fifty degrees; a vehicle
 that is moved by as much shakes or tilts meanwhile."""
 
+SUBMARINE = 12
+"""MAV_TYPE_SUBMARINE."""
+_NEUTRAL = 0.5  # throttle of a sub at rest (ArduSub ``get_throttle``; VFR_HUD and CTUN carry it)
+SHORTEST = 2.0  # s of a rest that is told from
+LEAST_RATE = 8.0  # Hz of inertial samples from which on a window of half a second has enough of them
 _OFF = 0.03  # of the range of a motor output
 _SETTLED = 0.5  # s after the motors stopped: rotors run down
+_FIRST_STATE = 3.0  # s after the start until which a first state is told: heartbeats come once a second
 
 
 class Phase(StrEnum):
@@ -76,6 +81,35 @@ class Ground:
     off: tuple[TimeSpan, ...]
     running: tuple[TimeSpan, ...]
     known: Known
+
+
+def too_slow(recording: Recording) -> float | None:
+    """Rate of the slowest inertial stream, Hz, where it cannot show a rest; None: it can, or there is none."""
+    periods = [
+        float(np.median(np.diff(c.t)))
+        for c in recording.channels
+        if c.sensor in (Sensor.ACCEL, Sensor.GYRO) and c.stage != Stage.DEBIASED and len(c) > 1
+    ]
+    slowest = 1.0 / max(periods) if periods and max(periods) > 0.0 else np.inf
+    return slowest if slowest < LEAST_RATE else None
+
+
+def why_no_rest(recording: Recording) -> str:
+    """What a log without a rest lacks: samples of the sensors themselves, fast enough to see one, or the rest."""
+    inertial = [c.stage for c in recording.channels if c.sensor in (Sensor.ACCEL, Sensor.GYRO)]
+    if inertial and all(stage == Stage.DEBIASED for stage in inertial):
+        return "an estimator's bias is taken out of all inertial samples: no rest is told from them"
+    rate = too_slow(recording)
+    if rate is not None:
+        return f"{rate:.2g} Hz are too slow to tell a rest: {LEAST_RATE:.0f} Hz are needed"
+    return f"no rest of {SHORTEST:.0f} s with the motors off"
+
+
+def how_to_rest(recording: Recording) -> str:
+    """What has a rest recorded, one sentence without its full stop."""
+    if telemetry(recording):
+        return "Record the telemetry while the vehicle is disarmed as well"
+    return f"Set {how_to_log_disarmed(recording.identity.autopilot)}"
 
 
 def ground(recording: Recording) -> Ground:
@@ -138,7 +172,10 @@ def _armed(recording: Recording, begin: float, end: float) -> tuple[TimeSpan, ..
     said = sorted((e.t, e.kind == ARMED) for e in recording.events if e.kind in (ARMED, UNARMED))
     if not said:
         return None
-    states = [(begin, not said[0][1]), *said, (end, said[-1][1])]
+    # PX4's logs and telemetry begin with a state, soon after the first sample; events on board are changes
+    states_first = recording.identity.autopilot == "px4" or telemetry(recording)
+    before = said[0][1] if states_first and said[0][0] - begin < _FIRST_STATE else not said[0][1]
+    states = [(begin, before), *said, (end, said[-1][1])]
     return _merged([TimeSpan(a, max(a, b)) for (a, on), (b, _) in pairwise(states) if on])
 
 
@@ -148,12 +185,15 @@ def _spun(recording: Recording) -> tuple[TimeSpan, ...] | None:
     channel = max(channels, key=len, default=None)
     if channel is None or not np.isfinite(channel.values).any():
         return None
-    return _merged(_high(channel))
+    # a sub's throttle is half of its range where it neither climbs nor dives
+    neutral = channel.sensor == Sensor.THROTTLE and recording.identity.vehicle_type == SUBMARINE
+    return _merged(_high(channel, _NEUTRAL if neutral else 0.0))
 
 
-def _high(channel: Channel) -> list[TimeSpan]:
-    """Spans with an output above idle, from the last sample below it to the next one."""
-    highest = np.nanmax(np.where(np.isfinite(channel.values), channel.values, 0.0), axis=1)
+def _high(channel: Channel, idle: float) -> list[TimeSpan]:
+    """Spans with an output that leaves `idle`, from the last sample at it to the next one."""
+    values = channel.values - idle
+    highest = np.abs(np.where(np.isfinite(values), values, 0.0)).max(axis=1)
     rising = np.diff((highest > _OFF).astype(np.int8), prepend=0, append=0)
     first, last = np.flatnonzero(rising > 0) - 1, np.flatnonzero(rising < 0)
     t, end = channel.t, len(channel) - 1

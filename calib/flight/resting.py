@@ -19,8 +19,9 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.flight import limits
+from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.item import FlightLimit, JudgedItem, judged, not_testable
-from mavcal.calib.flight.rest import DISARMED, Rest
+from mavcal.calib.flight.rest import SHORTEST, Rest, how_to_rest, why_no_rest
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.windows import finite_rows
@@ -28,7 +29,6 @@ from mavcal.calib.stats.windows import finite_rows
 Array = NDArray[np.float64]
 
 _LEAST = 32  # samples of a mean
-_SHORTEST = 2.0  # s
 _CLEARLY = 3.0  # times the error of the other one
 _SETTLED = 5.0  # s: an attitude estimator is levelled after that
 
@@ -55,7 +55,7 @@ def rest_means(recording: Recording, sensor: Sensor, instance: int, rests: Seque
     for rest in rests:
         part = channel.between(rest.start, rest.end)
         part = part.take(finite_rows(part.values))
-        if len(part) < _LEAST or rest.duration < _SHORTEST:
+        if len(part) < _LEAST or rest.duration < SHORTEST:
             continue
         estimate = mean_of(part)
         sd = np.sqrt(np.diag(estimate.covariance))
@@ -65,15 +65,18 @@ def rest_means(recording: Recording, sensor: Sensor, instance: int, rests: Seque
 
 def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[JudgedItem]:
     """Every item that rests can tell, of every instance."""
+    why = why_no_rest(recording)
     accels = {i: rest_means(recording, Sensor.ACCEL, i, rests) for i in recording.instances(Sensor.ACCEL)}
     gyros = {i: rest_means(recording, Sensor.GYRO, i, rests) for i in recording.instances(Sensor.GYRO)}
     gravity, known = gravity_of_place(recording)
-    items = [_gravity(i, means, gravity, known) for i, means in accels.items()]
-    items += [_level(recording, i, means) for i, means in accels.items()]
-    items += [_apart("accel_consistency", "accel", pair, limits.APART, accels) for pair in combinations(accels, 2)]
+    items = [_gravity(i, means, gravity, known, why) for i, means in accels.items()]
+    items += [_level(recording, i, means, why) for i, means in accels.items()]
+    items += [_apart("accel_consistency", "accel", pair, limits.APART, accels, why) for pair in combinations(accels, 2)]
     for instance, means in gyros.items():
-        items += [_bias(instance, means), _wander(instance, means)]
-    items += [_apart("gyro_consistency", "gyro", pair, limits.RATES_APART, gyros) for pair in combinations(gyros, 2)]
+        items += [_bias(instance, means, why), _wander(recording, instance, means, why)]
+    items += [
+        _apart("gyro_consistency", "gyro", pair, limits.RATES_APART, gyros, why) for pair in combinations(gyros, 2)
+    ]
     return items
 
 
@@ -90,15 +93,15 @@ def gravity_of_place(recording: Recording) -> tuple[float, bool]:
     return STANDARD_GRAVITY, False
 
 
-def _none(name: str, subject: str) -> JudgedItem:
-    return not_testable(name, subject, f"no rest of {_SHORTEST:.0f} s with the motors off")
+def _none(name: str, subject: str, why: str) -> JudgedItem:
+    return not_testable(name, subject, why)
 
 
-def _gravity(instance: int, means: Sequence[RestMean], gravity: float, known: bool) -> JudgedItem:
+def _gravity(instance: int, means: Sequence[RestMean], gravity: float, known: bool, why: str) -> JudgedItem:
     """Length of the force at rest; a calibrated sensor reads the firmware's 9.80665 wherever it was calibrated."""
     subject = f"accel {instance + 1}"
     if not means:
-        return _none("gravity_at_rest", subject)
+        return _none("gravity_at_rest", subject, why)
     lengths = np.array([np.linalg.norm(m.mean) for m in means])
     low, high = sorted((gravity, STANDARD_GRAVITY))
     off = np.maximum(np.maximum(lengths - high, low - lengths), 0.0)
@@ -118,11 +121,11 @@ def _gravity(instance: int, means: Sequence[RestMean], gravity: float, known: bo
     )
 
 
-def _level(recording: Recording, instance: int, means: Sequence[RestMean]) -> JudgedItem:
+def _level(recording: Recording, instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
     """Angle between the vertical of the accelerometer, trimmed, and that of the autopilot's attitude."""
     subject = f"accel {instance + 1}"
     if not means:
-        return _none("level", subject)
+        return _none("level", subject, why)
     attitudes = recording.find(Sensor.ATTITUDE)
     state = recording.parameters.at(means[0].rest.end)
     trim = [float(state.get(name, 0.0)) for name in AHRS_TRIM]
@@ -154,10 +157,10 @@ def _vertical(q: Array) -> Array:
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12), dtype=np.float64)
 
 
-def _bias(instance: int, means: Sequence[RestMean]) -> JudgedItem:
+def _bias(instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
     subject = f"gyro {instance + 1}"
     if not means:
-        return _none("gyro_bias_at_rest", subject)
+        return _none("gyro_bias_at_rest", subject, why)
     worst = max(means, key=lambda m: float(np.linalg.norm(m.mean)))
     rate = float(np.linalg.norm(worst.mean))
     text = f"reads {np.degrees(rate):.3f} deg/s at rest ({worst.rest.phase}): {_vector(worst.mean)} rad/s"
@@ -174,13 +177,17 @@ def _bias(instance: int, means: Sequence[RestMean]) -> JudgedItem:
     )
 
 
-def _wander(instance: int, means: Sequence[RestMean]) -> JudgedItem:
+def _wander(recording: Recording, instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
     """Change of the bias between the first and the last rest."""
     subject = f"gyro {instance + 1}"
     if not means:
-        return _none("gyro_bias_drift", subject)
+        return _none("gyro_bias_drift", subject, why)
     if len(means) < 2:
-        return not_testable("gyro_bias_drift", subject, f"one rest only: log until after the landing ({DISARMED})")
+        return not_testable(
+            "gyro_bias_drift",
+            subject,
+            f"one rest only: another one after the {craft_of(recording.identity).trip} tells. {how_to_rest(recording)}",
+        )
     first, last = means[0], means[-1]
     change = last.mean - first.mean
     minutes = (last.rest.start - first.rest.end) / 60.0
@@ -203,7 +210,7 @@ def _wander(instance: int, means: Sequence[RestMean]) -> JudgedItem:
 
 
 def _apart(
-    name: str, sensor: str, pair: tuple[int, int], limit: FlightLimit, means: Mapping[int, Sequence[RestMean]]
+    name: str, sensor: str, pair: tuple[int, int], limit: FlightLimit, means: Mapping[int, Sequence[RestMean]], why: str
 ) -> JudgedItem:
     """The largest difference of two instances in the same rest, the vertical one halved as by ArduPilot's check."""
     a, b = pair
@@ -211,7 +218,7 @@ def _apart(
     others = {m.rest.start: m for m in means[b]}
     common = [(m, others[m.rest.start]) for m in means[a] if m.rest.start in others]
     if not common:
-        return _none(name, subject)
+        return _none(name, subject, why)
     weight = np.array([1.0, 1.0, 0.5]) if sensor == "accel" else np.ones(3)
     first, second = max(common, key=lambda two: float(np.linalg.norm(weight * (two[0].mean - two[1].mean))))
     difference, sd = first.mean - second.mean, np.hypot(first.sd, second.sd)

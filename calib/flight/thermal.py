@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.firmware.log_options import how_to_log_disarmed
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, FitStatus
 from mavcal.calib.flight.flown import flown_difference
-from mavcal.calib.flight.rest import DISARMED
 from mavcal.calib.flight.warm import Log, RestTemperatures, warmth
 from mavcal.calib.procedures.drift_fit import PoseOffsets, fit_posed
 from mavcal.calib.recording import Sensor
@@ -32,7 +32,7 @@ leave (defaults of the calibration's length)."""
 _UNITS = ("m/s2", "rad/s")
 _WIDER = 1.25  # a difference must see this many times the span of the sensor by itself
 _LEAST_SPAN = 2.0  # degC, for the reference to be judged
-COLDER = f"log a warm-up at rest from cold, disarmed ({DISARMED}), better the cooling down too"
+COLDER = f"log a warm-up at rest from cold, disarmed ({how_to_log_disarmed(None)}), better the cooling down too"
 
 
 _SAID = {

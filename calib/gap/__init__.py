@@ -16,12 +16,22 @@ from mavcal.calib.gap.companion.compensation import problem_of
 from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
-from mavcal.calib.gap.progress import GapPace, GapProgress, GapStage
+from mavcal.calib.gap.progress import DEFAULT_LIMIT_S, GapPace, GapProgress, GapStage
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording
 
-__all__ = ["GapPace", "GapProgress", "GapReport", "GapStage", "as_json", "diagnose", "run", "simulator_of"]
+__all__ = [
+    "DEFAULT_LIMIT_S",
+    "GapPace",
+    "GapProgress",
+    "GapReport",
+    "GapStage",
+    "as_json",
+    "diagnose",
+    "run",
+    "simulator_of",
+]
 
 
 @one_diagnosis()
@@ -72,7 +82,7 @@ def run(
     pace.begin(GapStage.REFERENCE)
     digests = dict(inputs or {})
     try:
-        problem = dataclasses.replace(problem_of(real, sim, nominal, alpha), inputs=digests)
+        problem = dataclasses.replace(problem_of(real, sim, nominal, alpha, pace), inputs=digests)
     except IncomparableError as error:
         return untestable(error.reason, error.need, digests)
     report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace)

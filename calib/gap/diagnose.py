@@ -10,7 +10,7 @@ from functools import cached_property
 from mavcal.calib.gap.companion.level_shifts import with_level_shifts
 from mavcal.calib.gap.companion.nuisance_gain import above_nuisance
 from mavcal.calib.gap.effects import by_id, catalogue
-from mavcal.calib.gap.effects.base import CatalogueEffect
+from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.heldout.consistency import inconsistent_effects
 from mavcal.calib.gap.heldout.shrink import Heldout, held_out, nested_in, shrink_of
@@ -42,11 +42,13 @@ from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.search.wander import WanderFit, wandering
 from mavcal.calib.gap.telling.effect_report import effect_of, on_either_unit, on_late_unit, wandering_reference
+from mavcal.calib.gap.telling.equals import with_equals
 from mavcal.calib.gap.telling.inputs import inputs_of
 from mavcal.calib.gap.telling.locate import located
 from mavcal.calib.gap.telling.overstated_noise import overstated_noise
 from mavcal.calib.gap.telling.separability import inseparable, inseparable_notice
 from mavcal.calib.gap.telling.series import series_of
+from mavcal.calib.gap.telling.undetermined import bounded, undetermined, without_a_name
 from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
 from mavcal.calib.gap.unknown.plausibility import nameless, unresponsive_sensors, without_sensors
 from mavcal.calib.gap.unknown.shape_search import explained
@@ -170,7 +172,7 @@ def _begun(
             chosen = with_level_shifts(
                 chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1)
             )
-        if unresponsive := unresponsive_sensors(chosen.model):
+        if (unresponsive := unresponsive_sensors(chosen.model)) and not pace.ended:
             problem = without_sensors(problem, unresponsive)
         elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))) and not pace.ends():
             problem, rounds = without_transitions(problem, taking), rounds + 1
@@ -226,10 +228,11 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     while failed := [s for s in chosen.scores if gates.get(s.hypothesis.key) is False]:
         kinds = {s.hypothesis.effect.id for s in failed}
         weakest = [min((s for s in failed if s.hypothesis.effect.id == k), key=lambda s: s.gain) for k in sorted(kinds)]
+        weakest = failed if contest.pace.ends() else weakest
         excluded += weakest
         chosen = reduced(chosen, [s.hypothesis.key for s in weakest])
         heldout = held_out(chosen, contest, answer.tolerated)
-        if len(weakest) == len(failed):
+        if len(weakest) == len(failed) or contest.pace.ended:
             break
         gates = _gates_of(heldout)
     if nested and heldout is not None:
@@ -243,14 +246,14 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         attributions=attributed(found, contest),
         heldout=heldout,
         gates=gates,
-        withdrawn=_withdrawn(s for s in excluded if s.hypothesis.key not in answer.tolerated),
+        withdrawn=_withdrawn(s for s in excluded if s.hypothesis.key not in answer.tolerated and _shifts(s)),
     )
 
 
 def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     """The answer of a flight that stands alone: what holds on every block and along either attitude is reported."""
     denied = inconsistent_effects(task.problem, task.lattice, answer.chosen, answer.heldout)
-    answer = replace(answer, small=answer.small | denied)
+    answer = replace(answer, small=answer.small | denied | undetermined(answer.chosen).keys())
     heldout = held_out(answer.chosen, answer.contest, answer.tolerated)
     if nested and heldout is not None:
         heldout = nested_in(heldout, answer.chosen, answer.contest, alpha)
@@ -259,6 +262,11 @@ def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _An
 
 def _gates_of(heldout: Heldout | None) -> Mapping[Key, bool | None]:
     return {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
+
+
+def _shifts(score: ContestScore) -> bool:
+    """Whether an effect is on the mean: what noise does is still there without it, where its power is looked at."""
+    return isinstance(score.hypothesis.effect, MeanEffect)
 
 
 def _withdrawn(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
@@ -276,7 +284,9 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
     found = unnamed_causes_in(model, answer.gap, task.problem.minimum_gain.lasting)
     unnamed = (s for s in found if not answer.tolerated.issuperset(s.keys))
     members = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
-    causes = (*unnamed, *nameless(answer.gap, members, answer.withdrawn))
+    gap = {a.key for a in answer.gap}
+    loose = {key: names for key, names in undetermined(chosen).items() if key in gap}
+    causes = (*unnamed, *nameless(answer.gap, members, answer.withdrawn), *without_a_name(chosen, loose))
     unknown = _unknown(task, answer, causes)
     effects = _effects(task, answer, causes, beside_unknown=unknown.flag)
     return GapReport(
@@ -339,7 +349,11 @@ def _effects(
     )
     wander = _unstated_wander(task, answer)
     own = () if wander is None else (wandering_reference(wander, answer.attributions),)
-    return (*task.lattice.effects, *own, *(e for e in found if not covered_by(task.lattice, e)))
+    return (
+        *(e for e in task.lattice.effects if bounded(e.params)),
+        *own,
+        *(e for e in found if not covered_by(task.lattice, e)),
+    )
 
 
 def _effect(
@@ -348,6 +362,8 @@ def _effect(
     """One effect of the model; `either`: nobody can tell which of two units has it."""
     passed = answer.gates.get(attribution.key)
     effect = effect_of(answer.chosen, attribution, passed, beside_unknown=beside_unknown)
+    term = next(t for t in answer.chosen.model.members if t.hypothesis.key == attribution.key)
+    effect = with_equals(effect, answer.chosen.model, term)
     views = answer.chosen.model.setting.views
     units = {i + FIRST for view in views if view.sensor is effect.sensor for i in view.weights}
     if task.problem.reference.kind is ReferenceKind.ESTIMATOR:

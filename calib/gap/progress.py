@@ -36,15 +36,21 @@ _BEGINS = {
 }
 """Part of the whole time after which a stage begins. Source: decision 36, recordings of minutes."""
 _MAY_TAKE = {
-    GapStage.REFERENCE: math.inf,
-    GapStage.SELECTION: 0.5,
-    GapStage.RIVALS: 0.7,
-    GapStage.HELD_OUT: math.inf,
-    GapStage.BLOCKS: 0.95,
+    GapStage.REFERENCE: 0.4,
+    GapStage.SELECTION: 0.65,
+    GapStage.RIVALS: 0.8,
+    GapStage.HELD_OUT: 0.87,
+    GapStage.BLOCKS: 0.9,
     GapStage.REPORT: math.inf,
 }
 """Part of the limit after which nothing more is begun in a stage; infinite: it is never left out. Source: decision
 36."""
+DEFAULT_LIMIT_S = 60.0
+"""Processor time, s, after which a diagnosis ends unless more is asked for. Chosen, not measured: nobody waits longer
+beside a vehicle."""
+_TOLD_EVERY_S = 0.5
+"""Time, s, after which a step that is not done yet tells again how long the rest takes. Chosen, not measured: a line
+that changes twice a second is alive."""
 _MANY = 8
 """Steps after which half of a stage is believed to be done. Chosen, not measured: the size of a usual search."""
 _TEXT = {
@@ -56,8 +62,10 @@ _TEXT = {
     GapStage.REPORT: "writing the report",
 }
 _LEFT_OUT = {
+    GapStage.REFERENCE: "not all that the other recording shows of its own was looked for",
     GapStage.SELECTION: "further effects were not looked for",
     GapStage.RIVALS: "not every other effect or shape was tried in the place of those that were found",
+    GapStage.HELD_OUT: "not every block was held out",
     GapStage.BLOCKS: "the selection was not repeated in every block that was held out",
 }
 
@@ -101,6 +109,8 @@ class GapPace:
     left_out: dict[GapStage, None] = field(default_factory=dict)
     began: dict[GapStage, float] = field(default_factory=dict)
     steps: int = 0
+    share: float = 0.0
+    told: float = -math.inf
 
     def __post_init__(self) -> None:
         if not self.limit_s > 0.0:
@@ -117,11 +127,20 @@ class GapPace:
         begins = list(_BEGINS.values())
         k = list(_BEGINS).index(stage)
         end = begins[k + 1] if k + 1 < len(begins) else 1.0
-        share = begins[k] + part * (end - begins[k])
-        self.on_progress(GapProgress(stage, share, self._left(share)))
+        self.share = begins[k] + part * (end - begins[k])
+        self._tell()
+
+    def _tell(self) -> None:
+        self.told = self.now
+        self.on_progress(GapProgress(self.stage, self.share, self._left(self.share)))
 
     def advance(self) -> None:
-        """One more step of the present stage is done; nobody knows how many there will be."""
+        """One more step of the present stage is done; nobody knows how many there will be.
+
+        Blocks are counted, and a step inside one says nothing new.
+        """
+        if self.stage is GapStage.BLOCKS:
+            return
         self.steps += 1
         self.begin(self.stage, self.steps / (self.steps + _MANY))
 
@@ -143,7 +162,12 @@ class GapPace:
         return max(min(took * (1.0 - share) / share, self.limit_s - took), 0.0)
 
     def ends(self, needs_s: float = 0.0) -> bool:
-        """Whether what takes `needs_s` has to be left out of this stage; that it was is kept."""
+        """Whether what takes `needs_s` has to be left out of this stage; that it was is kept.
+
+        It is asked before every piece of work, so whoever listens hears again from long steps.
+        """
+        if self.now - self.told > _TOLD_EVERY_S:
+            self._tell()
         if self.elapsed is None or self.now + needs_s <= _MAY_TAKE[self.stage] * self.limit_s:
             return False
         self.left_out[self.stage] = None
@@ -166,6 +190,8 @@ def with_limit(report: GapReport, pace: GapPace) -> GapReport:
         verdict = _NOT_SEARCHED.get(verdict, verdict)
     elif GapStage.RIVALS in pace.left_out:
         verdict = _NOT_COMPARED.get(verdict, verdict)
+    elif GapStage.REFERENCE in pace.left_out:
+        verdict = _NOT_COMPARED.get(verdict, verdict) if verdict is GapVerdict.EXPLAINED else verdict
     left_out = tuple(stage.value for stage in pace.left_out)
     return replace(report, verdict=verdict, warnings=(text, *report.warnings), left_out=left_out)
 

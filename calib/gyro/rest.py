@@ -60,6 +60,9 @@ def fit_gyro_rest(
     gyro = gyro.take(finite_rows(gyro.values))
     if len(gyro) < _LEAST_SAMPLES:
         return made.refused(f"{len(gyro)} finite samples of the gyroscope: {_LEAST_SAMPLES} are needed", OFFSETS)
+    if not gyro.t[-1] > gyro.t[0]:
+        said = f"all {len(gyro)} samples carry one time: whether the vehicle rested cannot be told; record again"
+        return made.refused(said, OFFSETS)
     estimate = mean_of(gyro)
     reason = _moved(gyro, estimate)
     if reason is None and gyro.unit == "rad/s":

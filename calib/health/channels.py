@@ -14,6 +14,13 @@ from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 _UNITS = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
 NOT_PHYSICAL = "no samples in physical units with the calibration in force: nothing can be said"
+_ESTIMATED = "all of its samples have an estimator's bias taken out: nothing can be said of its own"
+
+
+def why_unjudged(recording: Recording, sensor: Sensor, instance: int) -> str:
+    """Why :func:`judged_channel` is None."""
+    stages = {c.stage for c in recording.find(sensor, instance)}
+    return _ESTIMATED if stages == {Stage.DEBIASED} else NOT_PHYSICAL
 
 
 def judged_channel(recording: Recording, sensor: Sensor, instance: int) -> Channel | None:

@@ -1,4 +1,4 @@
-"""Compasses: dead, unsteady, driven by the motors, against the World Magnetic Model, unit against unit."""
+"""Compasses: unsteady, driven by the motors, against the World Magnetic Model, unit against unit."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, earth_field
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.flight.rest import ground
 from mavcal.calib.health import limits, motion
-from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
+from mavcal.calib.health.channels import judged_channel, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
-from mavcal.calib.health.parameters import in_use, never_calibrated
-from mavcal.calib.recording import Channel, Event, Oddity, Recording, Sensor
+from mavcal.calib.health.parameters import never_calibrated
+from mavcal.calib.health.support import Support, support_of
+from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
@@ -28,38 +28,33 @@ Array = NDArray[np.float64]
 _CALIBRATE: Final = "Calibrate the compass outdoors, away from metal."
 _MOUNTING: Final = "Check how the compass is mounted and its rotation parameter, then calibrate it outdoors."
 _MOTORS: Final = "Move the compass away from the power leads, or compensate: mavcal fit mag-motor."
-_ZEROS: Final = 0.1
-"""Share of samples at 0, 0, 0 that is no start-up."""
 _OWN: Final = ("COMPASS_OFS", "COMPASS_DIA", "COMPASS_ODI", "COMPASS_MOT", "COMPASS_SCALE", "CAL_MAG")
 _LEAST: Final = 50
 """Samples that a steadiness is told from."""
 _MOVED: Final = {Sensor.CURRENT: 1.0, Sensor.THROTTLE: 0.05}
 """A that a current, and 1 that a throttle must range over to tell of their field."""
-_TURNED: Final = 1.0
-"""m/s2 by which an axis of the accelerometer changes where the vehicle was turned by 6 deg."""
-_FLOWN_S: Final = 10.0
 _RELATED: Final = 0.5
 """Correlation from which the field follows the motors."""
 _YEAR: Final = 2025.5
 """Where the log says no date: the field's strength changes by a thousandth a year."""
 
 
-def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
-    """Every check of every compass."""
+def compass_findings(recording: Recording, support: Support | None = None) -> Iterator[HealthFinding]:
+    """Every check of every compass; `support` is what speaks against the logged attitude, None: look for it here."""
     yield from _corrupt(recording)
-    yield from _dead(recording)
     field = _field(recording)
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
+    if (support_of(recording, attitude) if support is None else support).tilt:
+        attitude = None  # it has no vertical that a field could be held against
     found: dict[int, Channel] = {}
     for instance in recording.instances(Sensor.MAG):
         streamed = judged_channel(recording, Sensor.MAG, instance)
         if streamed is None:
-            yield HealthFinding("field", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, NOT_PHYSICAL)
+            yield HealthFinding(
+                "field", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, why_unjudged(recording, Sensor.MAG, instance)
+            )
             continue
         channel = motion.usable(streamed)
-        if not np.ptp(channel.values, axis=0).any():
-            yield _constant(recording, channel)
-            continue
         found[instance] = channel
         driven = _driven(recording, channel, attitude)
         if driven is not None:
@@ -71,63 +66,6 @@ def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
         if len(channel) >= _LEAST:
             yield from _against_earth(recording, channel, attitude, field)
     yield from _apart(found)
-
-
-def _dead(recording: Recording) -> Iterator[HealthFinding]:
-    """Compasses that read zero, throughout or for a part of the log."""
-    for event in recording.events:
-        if event.kind != "dead":
-            yield from _often_zero(event)
-            continue
-        odd = event.odd
-        if odd is None or odd.sensor != Sensor.MAG:
-            continue
-        instance = odd.instance
-        if in_use(recording, Sensor.MAG, instance):
-            action = "Check its wiring and its driver; the vehicle flies without this compass."
-            text = "reads 0, 0, 0 throughout"
-            yield HealthFinding("dead", Sensor.MAG, instance, HealthVerdict.FAULTY, text, action)
-        else:
-            text = "reads 0, 0, 0 throughout; the vehicle does not use it"
-            yield HealthFinding("dead", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, text)
-
-
-def _constant(recording: Recording, channel: Channel) -> HealthFinding:
-    """A compass without a change, which one at rest may have: its stream may be coarse, or a simulator has no noise."""
-    text = "reads the same throughout"
-    if channel.values.any() and not _moved(recording):
-        text += ", and the vehicle was not turned: whether it lives is not known"
-        return _bad("dead", channel, HealthVerdict.CANNOT_SAY, text, "Turn the vehicle while it logs.")
-    return _bad("dead", channel, HealthVerdict.FAULTY, text, "Check its wiring; replace it.")
-
-
-def _moved(recording: Recording) -> bool:
-    """Whether the vehicle flew, or gravity went from one axis of the board towards another.
-
-    Not by its attitude, whose heading may settle while it stands.
-    """
-    if sum(span.duration for span in ground(recording).running) > _FLOWN_S:
-        return True
-    for channel in recording.channels:
-        if channel.sensor == Sensor.ACCEL and channel.unit == "m/s2" and len(channel) >= _LEAST:
-            low, high = np.percentile(channel.values[finite_rows(channel.values)], (5.0, 95.0), axis=0)
-            if float((high - low).max()) > _TURNED:
-                return True
-    return False
-
-
-def _often_zero(event: Event) -> Iterator[HealthFinding]:
-    odd = event.odd
-    if odd is None or (odd.what, odd.sensor) != (Oddity.ZERO, Sensor.MAG) or not odd.total:
-        return
-    if odd.count < _ZEROS * odd.total:
-        return
-    text = f"reads 0, 0, 0 in {100.0 * odd.count / odd.total:.0f} % of its samples, first at {event.t:.1f} s"
-    yield HealthFinding(
-        *("dead", Sensor.MAG, odd.instance, HealthVerdict.FAULTY, text, "Check its wiring and its parameters."),
-        start=event.t,
-        end=odd.until,
-    )
 
 
 def _corrupt(recording: Recording) -> Iterator[HealthFinding]:
@@ -158,7 +96,7 @@ def _steady(recording: Recording, channel: Channel) -> HealthFinding:
     spread = 0.5 * (high - low) / max(middle, 1e-9)
     verdict = judged_value(spread, 0.0, limits.FIELD_STEADY)
     text = f"reads {middle:.1f} uT, 95 % of the time within {low:.1f} and {high:.1f} uT (+-{100 * spread:.0f} %)"
-    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
+    if verdict in BAD and never_calibrated(recording, Sensor.MAG, channel.instance):
         text += ". It was never calibrated: its offsets are 0"
     return _bad("steady", channel, verdict, text, _CALIBRATE, Compared(spread, 0.0, limits.FIELD_STEADY))
 
@@ -223,8 +161,7 @@ def _against_earth(
     recording: Recording, channel: Channel, attitude: Channel | None, field: EarthField | None
 ) -> Iterator[HealthFinding]:
     if field is None:
-        text = "the log has no position: the Earth's field there is not known"
-        yield HealthFinding("earth", Sensor.MAG, channel.instance, HealthVerdict.CANNOT_SAY, text, "Log the GPS.")
+        yield _anywhere(recording, channel)
         return
     north, _, down = field.north_east_down.tolist()
     expected = float(np.linalg.norm(field.north_east_down))
@@ -232,7 +169,7 @@ def _against_earth(
     off = abs(measured - expected) / expected
     verdict = judged_value(off, field.norm_sd / expected, limits.FIELD)
     text = f"reads {measured:.1f} uT; the World Magnetic Model has {expected:.1f} uT there"
-    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
+    if verdict in BAD and never_calibrated(recording, Sensor.MAG, channel.instance):
         text += ". It was never calibrated: its offsets are 0"
     yield _bad("earth", channel, verdict, text, _CALIBRATE, Compared(off, field.norm_sd / expected, limits.FIELD))
     dip = None if attitude is None else _dip(channel, attitude)
@@ -244,6 +181,21 @@ def _against_earth(
     verdict = judged_value(apart, 1.0, limits.DIP)
     text = f"its field dips by {dip:.1f} deg; the World Magnetic Model has {should:.1f} deg there"
     yield _bad("dip", channel, verdict, text, _MOUNTING, Compared(apart, 1.0, limits.DIP))
+
+
+def _anywhere(recording: Recording, channel: Channel) -> HealthFinding:
+    """The strength against what the Earth has anywhere; of the dip nothing is known without a latitude."""
+    measured = float(np.median(_length(channel)))
+    off = beyond_earth(measured)
+    verdict = judged_value(off, 0.0, limits.FIELD)
+    range_of = f"the Earth has {WEAKEST_UT:.0f} to {STRONGEST_UT:.0f} uT anywhere"
+    if verdict == HealthVerdict.OK:
+        text = f"the log has no position: {measured:.1f} uT are looked at alone, and {range_of}"
+        return HealthFinding("earth", Sensor.MAG, channel.instance, HealthVerdict.CANNOT_SAY, text, "Log the GPS.")
+    text = f"reads {measured:.1f} uT; {range_of}"
+    if never_calibrated(recording, Sensor.MAG, channel.instance):
+        text += ". It was never calibrated: its offsets are 0"
+    return _bad("earth", channel, verdict, text, _CALIBRATE, Compared(off, 0.0, limits.FIELD))
 
 
 def _dip(channel: Channel, attitude: Channel) -> float | None:

@@ -123,14 +123,24 @@ def worst(verdicts: Iterable[HealthVerdict]) -> HealthVerdict:
 
 
 def sensor_health(sensor: Sensor, instance: int, findings: Iterable[HealthFinding]) -> SensorHealth:
-    """The findings of that sensor among `findings`, the worst first."""
+    """The findings of that sensor among `findings`, the worst first; then those that say of its readings."""
     own = [f for f in findings if (f.sensor, f.instance) == (sensor, instance)]
-    return SensorHealth(sensor, instance, tuple(sorted(own, key=lambda f: -_WORSE.index(f.verdict))))
+    found = SensorHealth(sensor, instance, tuple(sorted(own, key=lambda f: -_WORSE.index(f.verdict))))
+    if found.verdict != HealthVerdict.CANNOT_SAY:
+        return found
+    return SensorHealth(sensor, instance, tuple(sorted(found.findings, key=lambda f: f.check in SUPPORTING)))
 
 
 def judged_value(value: float, sd: float, limit: HealthLimit) -> HealthVerdict:
-    """A larger `value` is worse; what two of its standard errors explain is no finding."""
+    """A larger `value` is worse; what two of its standard errors explain is no finding.
+
+    Where these would hide a faulty sensor (without such a limit: one that is off by twice the suspicious) nothing can
+    be said.
+    """
     sure = value - 2.0 * sd
     if limit.faulty is not None and sure > limit.faulty:
         return HealthVerdict.FAULTY
-    return HealthVerdict.SUSPICIOUS if sure > limit.suspicious else HealthVerdict.OK
+    if sure > limit.suspicious:
+        return HealthVerdict.SUSPICIOUS
+    hidden = 2.0 * limit.suspicious if limit.faulty is None else limit.faulty
+    return HealthVerdict.CANNOT_SAY if value + 2.0 * sd > hidden and sd > 0.0 else HealthVerdict.OK

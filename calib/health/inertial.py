@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
@@ -12,20 +13,26 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.flight.rest import TimeSpan
+from mavcal.calib.flight.craft import craft_of
+from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
-from mavcal.calib.health import limits, motion
-from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
+from mavcal.calib.health import calm, limits, motion
+from mavcal.calib.health.channels import judged_channel, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import never_calibrated
+from mavcal.calib.health.support import Support, support_of
 from mavcal.calib.recording import Channel, Recording, Sensor
-from mavcal.calib.stats.stillness import RESTING, Still, find_still
+from mavcal.calib.stats.stillness import RESTING, Still, StillnessLimits, find_still
 
 Array = NDArray[np.float64]
 
 _LAID: Final = dataclasses.replace(RESTING, rate=3.0, accel_drift=0.04, gyro_drift=0.05)
 """Motionless, whatever the gyroscope's offset is: a sensor 100 deg/s off must not hide that nothing moved."""
 _ENOUGH_HZ: Final = 100.0
+_LEAST_OF_WINDOW: Final = 6.0
+"""Samples of a window in which stillness is judged."""
+_SLOWEST_WINDOW_S: Final = 5.0
+"""What moves within so long a window is not told from stillness."""
 _MOSTLY: Final = 0.5
 """Share of the samples: a vehicle motionless for so much of a log lay on the ground and needs no attitude."""
 _SPAN_S: Final = 5.0
@@ -34,6 +41,12 @@ _DRIFT_S: Final = 60.0
 """Motionless seconds that tell of a drift."""
 _FLOOR_FORCE: Final = 0.02
 """m/s2 that an attitude wrong by 4 deg costs along the vertical."""
+_FLOOR_LENGTH: Final = 0.1
+"""m/s2 by which the length of a mean force in flight is more or less than gravity."""
+_BEYOND: Final = "beyond the turn of the attitude"
+_LEVEL: Final = "beyond the tilting of the attitude"
+_ACROSS: Final = "while the direction of the force stood still"
+_NO_JUDGE: Final = ". The logged attitude is no judge: "
 _CLEARLY: Final = 2.0
 """Times as far off as the other of two units that differ."""
 _TOO_LITTLE: Final = "too few samples beside an attitude, and no motionless second"
@@ -53,9 +66,18 @@ def motionless(recording: Recording, instance: int) -> tuple[Still, ...]:
             for sensor in (Sensor.ACCEL, Sensor.GYRO)
             if instance in recording.instances(sensor)
         ]
-        return find_still(recording.with_channels(watched), instance=instance, limits=_LAID)
+        return find_still(recording.with_channels(watched), instance=instance, limits=_for_rate(watched))
     except InvalidInputError:
         return ()
+
+
+def _for_rate(watched: Sequence[Channel]) -> StillnessLimits:
+    """`_LAID` with windows that hold samples enough where the stream is slow, as telemetry is."""
+    periods = [float(np.median(np.diff(c.t))) for c in watched if len(c) > 1]
+    window = max((_LEAST_OF_WINDOW * period for period in periods), default=0.0)
+    if not _LAID.window < window <= _SLOWEST_WINDOW_S:
+        return _LAID
+    return dataclasses.replace(_LAID, window=window, shortest=2.0 * window)
 
 
 def _thinned(channel: Channel) -> Channel:
@@ -65,29 +87,39 @@ def _thinned(channel: Channel) -> Channel:
     return channel.take(slice(None, None, every)) if every > 1 else channel
 
 
-def inertial_findings(recording: Recording, off: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
-    """What every accelerometer and gyroscope reads; `off` are the spans with the motors off."""
+def inertial_findings(
+    recording: Recording, off: Sequence[TimeSpan], support: Support | None = None
+) -> Iterator[HealthFinding]:
+    """What every accelerometer and gyroscope reads; `off` are the spans with the motors off.
+
+    `support` is what speaks against the logged attitude; None: what `recording` says of it.
+    """
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
+    support = support_of(recording, attitude) if support is None else support
     spans: dict[int, tuple[Still, ...]] = {}
+    slow = too_slow(recording) is not None
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         found: dict[int, Channel] = {}
         own: dict[int, HealthFinding] = {}
         for instance in recording.instances(sensor):
             channel = judged_channel(recording, sensor, instance)
             if channel is None:
-                yield HealthFinding("offset", sensor, instance, HealthVerdict.CANNOT_SAY, NOT_PHYSICAL)
+                yield HealthFinding(
+                    "offset", sensor, instance, HealthVerdict.CANNOT_SAY, why_unjudged(recording, sensor, instance)
+                )
                 continue
             found[instance] = channel
             if instance not in spans:
                 spans[instance] = motionless(recording, instance)
             laid = spans[instance]
             if sensor == Sensor.ACCEL:
-                own[instance] = _gravity(recording, channel, attitude, laid)
+                own[instance] = _gravity(recording, channel, attitude, support, laid)
                 yield _drift(channel, laid if _lay(channel, laid) else _within(laid, off))
             else:
-                own[instance] = _rate(channel, attitude, laid, _within(laid, off))
-        yield from own.values()
-        yield from _apart(found, own)
+                accel = _beside(recording, instance)
+                resting = () if slow else _within(laid, off)
+                own[instance] = _rate(channel, _Witness(attitude, support, accel), laid, resting)
+        yield from _beside_others(found, own)
 
 
 def _within(laid: Sequence[Still], spans: Sequence[TimeSpan]) -> tuple[Still, ...]:
@@ -112,14 +144,21 @@ def _lay(channel: Channel, laid: Sequence[Still]) -> bool:
     return still > _MOSTLY * len(channel)
 
 
-def _gravity(recording: Recording, channel: Channel, attitude: Channel | None, laid: Sequence[Still]) -> HealthFinding:
+def _gravity(
+    recording: Recording, channel: Channel, attitude: Channel | None, support: Support, laid: Sequence[Still]
+) -> HealthFinding:
     """The vertical force in flight, else the length of the force while motionless, against gravity."""
     gravity, known = gravity_of_place(recording)
     low, high = sorted((gravity, STANDARD_GRAVITY)) if known else (9.78, 9.83)
     windows = motion.WindowMeans(np.zeros(0), np.zeros((0, 1)))
-    how = "along the vertical in flight"
+    how = f"along the vertical {craft_of(recording.identity).moving}"
+    against, unsure = "", _FLOOR_FORCE
     if attitude is not None and not _lay(channel, laid):
-        windows = motion.vertical_force(channel, attitude)
+        if support.tilt:
+            windows, how, unsure = calm.mean_lengths(channel, laid), "on average", _FLOOR_LENGTH
+            against = f"{_NO_JUDGE}{support.tilt}"
+        else:
+            windows = motion.vertical_force(channel, attitude)
     if not windows.enough:
         still = _still_means(channel, laid)
         windows, how = (
@@ -130,11 +169,11 @@ def _gravity(recording: Recording, channel: Channel, attitude: Channel | None, l
             text = f"{_TOO_LITTLE}: gravity cannot be told from motion"
             return _unknown("gravity", Sensor.ACCEL, channel.instance, text, _LOG_MORE)
     force = float(windows.median[0])
-    sd = float(np.hypot(windows.sd[0], _FLOOR_FORCE))
+    sd = float(np.hypot(windows.sd[0], unsure))
     off = max(force - high, low - force, 0.0)
     verdict = judged_value(off, sd, limits.FORCE)
-    text = f"reads {force:.2f} +- {sd:.2f} m/s2 {how}; gravity is {gravity:.2f}"
-    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.ACCEL, channel.instance):
+    text = f"reads {force:.2f} +- {sd:.2f} m/s2 {how}; gravity is {gravity:.2f}{against}"
+    if verdict in BAD and never_calibrated(recording, Sensor.ACCEL, channel.instance):
         text += ". It was never calibrated: its offsets are 0 and its scales 1"
     return _finding("gravity", channel, verdict, text, Compared(off, sd, limits.FORCE))
 
@@ -156,25 +195,39 @@ def _drift(channel: Channel, laid: Sequence[Still]) -> HealthFinding:
     verdict = judged_value(moved, noise, limits.FORCE_DRIFT)
     minutes = (float(means.t[-1]) - float(means.t[0])) / 60.0
     text = f"its reading of gravity wandered by {moved:.2f} m/s2 in {minutes:.0f} min while motionless"
-    if verdict != HealthVerdict.OK:
+    if verdict in BAD:
         text += f", between {min(least, first, last):.2f} and {max(most, first, last):.2f} m/s2"
     made = _finding("drift", channel, verdict, text, Compared(moved, noise, limits.FORCE_DRIFT))
     return dataclasses.replace(made, start=long[0].start, end=long[-1].end)
 
 
-def _rate(channel: Channel, attitude: Channel | None, laid: Sequence[Still], rested: Sequence[Still]) -> HealthFinding:
-    """The mean rate where nothing turned, or the rate beyond the turn of the attitude: whichever is known better.
+@dataclass(frozen=True, eq=False)
+class _Witness:
+    """What a gyroscope is compared with while its vehicle moves."""
+
+    attitude: Channel | None
+    support: Support
+    accel: Channel | None
+
+
+def _beside(recording: Recording, instance: int) -> Channel | None:
+    """The accelerometer of that unit, else the first there is."""
+    own = [i for i in recording.instances(Sensor.ACCEL) if i == instance] or recording.instances(Sensor.ACCEL)[:1]
+    return judged_channel(recording, Sensor.ACCEL, own[0]) if own else None
+
+
+def _rate(channel: Channel, witness: _Witness, laid: Sequence[Still], rested: Sequence[Still]) -> HealthFinding:
+    """The mean rate where nothing turned, or the rate beyond what a witness saw: whichever is known better.
 
     `laid` are motionless spans, a calm hover that turns slowly among them, `rested` those with the motors off.
     """
     still = [s for s in rested if s.duration >= _SPAN_S] or (laid if _lay(channel, laid) else ())
     windows, how = _still_means(channel, still), "at rest" if still and still is not laid else "while motionless"
     unsure = len(windows.t) < 1 or 2.0 * float(np.linalg.norm(windows.sd)) > limits.RATE.suspicious
-    if attitude is not None and (unsure or not _lay(channel, laid)):
-        by_attitude = motion.rate_error(channel, attitude)
-        worse = unsure or np.linalg.norm(by_attitude.median) > np.linalg.norm(windows.median)
-        if by_attitude.enough and worse:
-            windows, how = by_attitude, "beyond the turn of the attitude"
+    if unsure or not _lay(channel, laid):
+        seen, by = _moving(channel, witness, laid)
+        if len(seen.t) and (unsure or np.linalg.norm(seen.median) > np.linalg.norm(windows.median)):
+            windows, how = seen, by
     if not len(windows.t):
         windows, how = _still_means(channel, laid), "while motionless"
         if not len(windows.t):
@@ -184,11 +237,58 @@ def _rate(channel: Channel, attitude: Channel | None, laid: Sequence[Still], res
     verdict = judged_value(rate, sd, limits.RATE)
     axes = ", ".join(f"{np.degrees(v):+.2f}" for v in windows.median)
     text = f"reads {np.degrees(rate):.2f} +- {np.degrees(sd):.2f} deg/s {how}: ({axes}) deg/s"
+    if how == _ACROSS:
+        text += f"{_NO_JUDGE}{witness.support.tilt}"
+    if verdict == HealthVerdict.OK and how == _LEVEL:
+        verdict, more = _heading_open(channel, witness)
+        text += more
     return _finding("offset", channel, verdict, text, Compared(rate, sd, limits.RATE))
 
 
-def _apart(found: Mapping[int, Channel], own: Mapping[int, HealthFinding]) -> Iterator[HealthFinding]:
-    """Every unit against the others; which of two is off is told by what each shows alone, or by a third."""
+def _moving(channel: Channel, witness: _Witness, laid: Sequence[Still]) -> tuple[motion.WindowMeans, str]:
+    """The rate beyond what the best witness of a movement saw, and who that is; no window: there is none."""
+    if witness.attitude is None:
+        return motion.nothing(3), ""
+    if witness.support.tilt:
+        if witness.accel is None:
+            return motion.nothing(3), ""
+        return calm.rates_across(channel, witness.accel, laid), _ACROSS
+    part, how = (motion.RatePart.LEVEL, _LEVEL) if witness.support.heading else (motion.RatePart.ALL, _BEYOND)
+    seen = motion.rate_error(channel, witness.attitude, part)
+    return (seen, how) if seen.enough else (motion.nothing(3), "")
+
+
+def _heading_open(channel: Channel, witness: _Witness) -> tuple[HealthVerdict, str]:
+    """What is left to say about the vertical, where nothing supports the heading of the attitude."""
+    assert witness.attitude is not None
+    turn = motion.rate_error(channel, witness.attitude, motion.RatePart.VERTICAL)
+    rate, sd = float(np.linalg.norm(turn.median)), float(np.linalg.norm(turn.sd))
+    if judged_value(rate, sd, limits.RATE) == HealthVerdict.OK:
+        return HealthVerdict.OK, ""
+    return HealthVerdict.CANNOT_SAY, (
+        f". About the vertical it turns by {np.degrees(rate):.2f} +- {np.degrees(sd):.2f} deg/s beyond the attitude, "
+        f"whose heading is not to be believed ({witness.support.heading}): ten seconds at rest would decide"
+    )
+
+
+def _doubted(one: HealthFinding, others: Sequence[int]) -> HealthFinding:
+    """An offset that only the attitude shows, of a gyroscope with which `others` agree."""
+    if one.verdict not in BAD or not others or _BEYOND not in one.text:
+        return one
+    listed = " and ".join(str(other + 1) for other in others)
+    text = (
+        f"{one.text}. Gyroscope{'s' if len(others) > 1 else ''} {listed} agree{'' if len(others) > 1 else 's'} with "
+        "it: either all are off, or the attitude is. Ten seconds at rest decide"
+    )
+    action = "Log ten seconds at rest, motors off; then calibrate the gyroscope, or look at the compass."
+    return dataclasses.replace(one, verdict=HealthVerdict.SUSPICIOUS, text=text, action=action)
+
+
+def _beside_others(found: Mapping[int, Channel], own: Mapping[int, HealthFinding]) -> Iterator[HealthFinding]:
+    """What every unit shows alone, and every unit against the others.
+
+    Which of two is off is told by what each shows alone, or by a third.
+    """
     apart: dict[tuple[int, int], tuple[float, float, HealthVerdict]] = {}
     for a, b in combinations(found, 2):
         windows = motion.difference(found[a], found[b])
@@ -197,6 +297,7 @@ def _apart(found: Mapping[int, Channel], own: Mapping[int, HealthFinding]) -> It
             apart[a, b] = value, sd, judged_value(value, sd, _APART[found[a].sensor])
     for instance, channel in found.items():
         pairs = {sum(pair) - instance: judged for pair, judged in apart.items() if instance in pair}
+        yield _doubted(own[instance], [other for other, one in pairs.items() if one[2] == HealthVerdict.OK])
         if pairs:
             yield _of_pairs(channel, pairs, own)
 
@@ -213,6 +314,8 @@ def _of_pairs(
     other, (value, sd, verdict) = max(pairs.items(), key=lambda pair: pair[1][0])
     factor, unit = (1.0, "m/s2") if channel.sensor == Sensor.ACCEL else (float(np.degrees(1.0)), "deg/s")
     text = f"differs from unit {other + 1} by {factor * value:.2f} +- {factor * sd:.2f} {unit}"
+    if verdict == HealthVerdict.CANNOT_SAY:
+        return _finding("units", channel, verdict, text, Compared(value, sd, limit))
     if own[instance].verdict == HealthVerdict.OK and (own[other].verdict in BAD or _clearly(own[other], own[instance])):
         return _finding(
             "units", channel, HealthVerdict.OK, f"{text}, which is off by itself", Compared(value, sd, limit)
@@ -232,7 +335,7 @@ def _clearly(one: HealthFinding, other: HealthFinding) -> bool:
 
 
 def _finding(check: str, channel: Channel, verdict: HealthVerdict, text: str, measured: Compared) -> HealthFinding:
-    action = "" if verdict == HealthVerdict.OK else _CALIBRATE[channel.sensor]
+    action = _CALIBRATE[channel.sensor] if verdict in BAD else ""
     if verdict == HealthVerdict.FAULTY:
         action += " Do not fly with it. If it comes back, replace the sensor."
     value, sd, limit = measured.value, measured.sd, measured.limit

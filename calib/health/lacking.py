@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
 import numpy as np
 
-from mavcal.calib.firmware.log_options import Logged, how_to_log, how_to_log_disarmed
-from mavcal.calib.flight.rest import Ground
+from mavcal.calib.firmware.log_options import Logged, how_to_log
+from mavcal.calib.firmware.stream.source import telemetry
+from mavcal.calib.firmware.stream_options import how_to_stream
+from mavcal.calib.flight.craft import craft_of
+from mavcal.calib.flight.rest import Ground, how_to_rest
 from mavcal.calib.health.sampling import Sampled, lost
+from mavcal.calib.preflight.installed import Key
 from mavcal.calib.recording import Recording, Sensor, Stage
 
 _SLOW_HZ: Final = 20.0
+ON_BOARD: Final = "Take the log on board: no telemetry carries every sample."
 _BATCHES: Final = "INS_LOG_BAT_MASK 1"
 """ArduPilot's batch sampling: short stretches of every sample."""
 
 
-def setting(recording: Recording, what: Logged) -> str:
-    """What has to be set so that it is logged; empty where that is not known."""
+def setting(recording: Recording, what: Logged, rate: float = 0.0) -> str:
+    """What has to be set so that it is recorded, at `rate` Hz or more; empty where that is not known."""
+    if telemetry(recording):
+        return how_to_stream(what, recording.identity, recording.parameters.final(), rate)
     return how_to_log(what, recording.identity, recording.parameters.final())
 
 
 def every_sample(recording: Recording) -> str:
     """The action that has every sample of an accelerometer logged; empty where it is not known."""
+    if telemetry(recording):
+        return ON_BOARD
     found = setting(recording, Logged.RAW_INERTIAL)
     if recording.identity.autopilot != "ardupilot":
         return found
@@ -31,10 +40,17 @@ def every_sample(recording: Recording) -> str:
     return f"Set {_BATCHES} (batch sampling){raw}"
 
 
-def lacking(recording: Recording, stood: Ground, every: Sequence[Sampled]) -> Iterator[str]:
-    """What was not recorded, what it would tell, and how it is logged."""
+def lacking(
+    recording: Recording, stood: Ground, every: Sequence[Sampled], silent: Collection[Key] = ()
+) -> Iterator[str]:
+    """What was not recorded, what it would tell, and how it is logged; `silent` are sensors that delivered nothing."""
     for sensor, what, name, tells in (
-        (Sensor.ATTITUDE, Logged.ATTITUDE, "attitude", "offsets in flight, and the dip of the field"),
+        (
+            Sensor.ATTITUDE,
+            Logged.ATTITUDE,
+            "attitude",
+            f"offsets {craft_of(recording.identity).moving}, and the dip of the field",
+        ),
         (Sensor.POSITION, Logged.POSITION, "position", "the Earth's field and gravity of the place"),
         (Sensor.TEMPERATURE, Logged.INERTIAL, "temperature of the inertial units", "whether they left their range"),
     ):
@@ -42,13 +58,12 @@ def lacking(recording: Recording, stood: Ground, every: Sequence[Sampled]) -> It
             yield _line(f"{name}: {tells}", setting(recording, what))
     yield from _loads(recording)
     yield from _inertial(recording)
-    dead = {event.odd.sensor for event in recording.events if event.kind == "dead" and event.odd is not None}
-    if not recording.instances(Sensor.MAG) and Sensor.MAG not in dead:
+    if not recording.instances(Sensor.MAG) and all(sensor != Sensor.MAG for sensor, _ in silent):
         yield _line("compass: whether there is one and how it is", setting(recording, Logged.COMPASS))
     if recording.identity.autopilot is not None and not recording.parameters:
         yield "parameters: the calibration in force, and whether there is one"
     if stood.running and not stood.off:
-        yield f"a rest with the motors off: offsets at rest. Set {how_to_log_disarmed(recording.identity.autopilot)}"
+        yield f"a rest with the motors off: offsets at rest. {how_to_rest(recording)}"
     yield from _losses(recording, every)
 
 
@@ -73,7 +88,10 @@ def _inertial(recording: Recording) -> Iterator[str]:
     fastest = max((1.0 / period for period in periods if period > 0.0), default=0.0)
     if accels and fastest < _SLOW_HZ:
         have = f"inertial samples at {_SLOW_HZ:.0f} Hz or more (it has {fastest:.0f})"
-        yield _line(f"{have}: offsets, vibration", setting(recording, Logged.FAST_INERTIAL))
+        yield _line(f"{have}: offsets, vibration", setting(recording, Logged.FAST_INERTIAL, _SLOW_HZ))
+    if accels and telemetry(recording):
+        yield _line("every sample: vibration, its frequencies, and clipping", ON_BOARD)
+        return
     vehicle = recording.identity.autopilot is not None
     if accels and vehicle and not any(c.sensor == Sensor.VIBRATION for c in recording.channels):
         message = "vehicle_imu_status" if recording.identity.autopilot == "px4" else "VIBE"
@@ -88,10 +106,10 @@ def _losses(recording: Recording, every: Sequence[Sampled]) -> Iterator[str]:
     if gaps:
         longest = max(gaps, key=lambda gap: gap.length)
         often = "once" if len(gaps) == 1 else f"{len(gaps)} times"
-        yield (
-            f"all sensors, {often}, for up to {longest.length:.1f} s at {longest.start:.1f} s: the logger or the link "
-            "did not keep up. Use a faster card, or log less"
-        )
+        why = "the logger did not keep up. Use a faster card, or log less"
+        if telemetry(recording):
+            why = "the link lost them. Use a better link, or ask for fewer messages"
+        yield f"all sensors, {often}, for up to {longest.length:.1f} s at {longest.start:.1f} s: {why}"
     dropped = [event for event in recording.events if event.kind == "drop"]
     if len(dropped) == 1:
         yield f"a part of the log: {dropped[0].text}"

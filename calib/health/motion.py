@@ -7,6 +7,7 @@ the turn of the attitude. Medians over such windows forget take-off, impacts and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -61,18 +62,26 @@ def vertical_force(accel: Channel, attitude: Channel) -> WindowMeans:
     """Specific force along the vertical, m/s2: 9.8 of a good sensor, up to the change of the climb rate."""
     f, q = usable(accel), usable(attitude)
     if len(f) < 2 or len(q) < 2:
-        return _none(1)
+        return nothing(1)
     up = -Rotation.from_quat(q.values, scalar_first=True).as_matrix()[:, 2, :]  # down in the body is the third row
     at = np.column_stack([np.interp(f.t, q.t, column) for column in up.T])
     known = _steps_around(q.t, f.t) <= LONGEST_STEP_S
-    return _windows(f.t[known], np.einsum("ij,ij->i", f.values, at)[known][:, None])
+    return window_means(f.t[known], np.einsum("ij,ij->i", f.values, at)[known][:, None])
 
 
-def rate_error(gyro: Channel, attitude: Channel) -> WindowMeans:
-    """Rate of the gyroscope beyond the turn of the attitude, rad/s."""
+class RatePart(StrEnum):
+    """Which part of a rate: one about the vertical turns the heading, one across it the tilt."""
+
+    ALL = "all"
+    LEVEL = "level"
+    VERTICAL = "vertical"
+
+
+def rate_error(gyro: Channel, attitude: Channel, part: RatePart = RatePart.ALL) -> WindowMeans:
+    """Rate of the gyroscope beyond the turn of the attitude, rad/s, about all axes of the body or that part of it."""
     w, q = usable(gyro), usable(attitude)
     if len(w) < 2 or len(q) < 2:
-        return _none(3)
+        return nothing(3)
     step = np.diff(q.t)
     turned = Rotation.from_quat(q.values, scalar_first=True)
     by_attitude = (turned[:-1].inv() * turned[1:]).as_rotvec()
@@ -80,20 +89,26 @@ def rate_error(gyro: Channel, attitude: Channel) -> WindowMeans:
     by_gyro = np.diff(np.column_stack([np.interp(q.t, w.t, column) for column in angle.T]), axis=0)
     covered = (q.t[:-1] >= w.t[0]) & (q.t[1:] <= w.t[-1]) & (_steps_around(w.t, q.t[1:]) <= LONGEST_STEP_S)
     good = covered & (step <= LONGEST_STEP_S)
-    return _windows(0.5 * (q.t[1:] + q.t[:-1])[good], ((by_gyro - by_attitude) / step[:, None])[good], step[good])
+    beyond = (by_gyro - by_attitude) / step[:, None]
+    if part != RatePart.ALL:
+        down = turned[1:].as_matrix()[:, 2, :]
+        vertical = np.einsum("ni,ni->n", beyond, down)[:, None] * down
+        beyond = vertical if part == RatePart.VERTICAL else beyond - vertical
+    return window_means(0.5 * (q.t[1:] + q.t[:-1])[good], beyond[good], step[good])
 
 
 def difference(first: Channel, second: Channel) -> WindowMeans:
     """First minus second of two units of a kind."""
     a, b = usable(first), usable(second)
     if len(a) < 2 or len(b) < 2:
-        return _none(a.values.shape[1])
+        return nothing(a.values.shape[1])
     beside = np.column_stack([np.interp(a.t, b.t, column) for column in b.values.T])
     known = (_steps_around(b.t, a.t) <= LONGEST_STEP_S) & (a.t >= b.t[0]) & (a.t <= b.t[-1])
-    return _windows(a.t[known], (a.values - beside)[known])
+    return window_means(a.t[known], (a.values - beside)[known])
 
 
-def _none(columns: int) -> WindowMeans:
+def nothing(columns: int) -> WindowMeans:
+    """No window of so many numbers."""
     return WindowMeans(np.zeros(0), np.zeros((0, columns)))
 
 
@@ -105,10 +120,10 @@ def _steps_around(t: Array, at: Array) -> Array:
     return np.where(inside | (at == t[0]), t[row] - t[row - 1], np.inf)
 
 
-def _windows(t: Array, values: Array, weight: Array | None = None) -> WindowMeans:
+def window_means(t: Array, values: Array, weight: Array | None = None) -> WindowMeans:
     """Means over the windows that are covered; a sample stands for the time since the one before."""
     if len(t) < 2:
-        return _none(values.shape[1])
+        return nothing(values.shape[1])
     step = np.diff(t, prepend=t[0]) if weight is None else weight
     step = np.minimum(step, LONGEST_STEP_S)
     cell = np.floor((t - t[0]) / WINDOW_S).astype(np.intp)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mavcal.calib.flight.report import flight_report
+from mavcal.calib.health.dead import living
 from mavcal.calib.health.report import HealthReport, health
 from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.recording import Recording
@@ -19,7 +20,8 @@ def overview(recording: Recording, found: HealthReport | None = None) -> dict[st
     """
     if found is None and not recording.segments:
         found = health(recording)
-    report = flight_report(recording, None if found is None else found.shaking)
+    heard = recording if found is None else living(recording, found.silent)
+    report = flight_report(heard, None if found is None else found.shaking)
     return {
         **inspect(recording),
         "health": None if found is None else found.document,

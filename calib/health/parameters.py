@@ -27,9 +27,14 @@ def never_calibrated(recording: Recording, sensor: Sensor, instance: int) -> boo
 
 
 def in_use(recording: Recording, sensor: Sensor, instance: int) -> bool:
-    """Whether the vehicle uses that compass; True where its parameters do not say."""
+    """Whether the vehicle uses that sensor; True where its parameters do not say."""
+    parameters = recording.parameters.final()
+    if recording.identity.autopilot == "px4":
+        return True
+    if sensor in (Sensor.ACCEL, Sensor.GYRO):
+        row = names.ardupilot_imu_names(sensor, instance) if instance < names.ARDUPILOT_IMU_SLOTS else {}
+        return bool(parameters.get(row.get(names.Role.USE, ""), 1))
     if sensor != Sensor.MAG or instance >= names.ARDUPILOT_COMPASS_SLOTS:
         return True
-    parameters = recording.parameters.final()
     use = parameters.get(names.ardupilot_compass_names(instance, instance)[names.Role.USE], 1)
     return bool(use) and bool(parameters.get("COMPASS_ENABLE", parameters.get("MAG_ENABLE", 1)))

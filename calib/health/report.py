@@ -9,13 +9,17 @@ from mavcal.calib.flight.flying import shaking_items
 from mavcal.calib.flight.item import JudgedItem
 from mavcal.calib.flight.rest import ground
 from mavcal.calib.health.compass import compass_findings
+from mavcal.calib.health.dead import dead_findings, living, never_lived
 from mavcal.calib.health.finding import BAD, HealthVerdict, SensorHealth, sensor_health, worst
 from mavcal.calib.health.inertial import inertial_findings
 from mavcal.calib.health.lacking import every_sample, lacking
+from mavcal.calib.health.rectified import explained, rectified
 from mavcal.calib.health.sampling import SENSORS, sampled, sampling_findings
+from mavcal.calib.health.support import support_of
 from mavcal.calib.health.temperature import temperature_findings
 from mavcal.calib.health.vibration import vibration_findings
-from mavcal.calib.recording import Recording
+from mavcal.calib.preflight.installed import Key
+from mavcal.calib.recording import Recording, Sensor
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,8 @@ class HealthReport:
     lacks: tuple[str, ...]
     shaking: tuple[JudgedItem, ...] = ()
     """Vibration and clipping as the sanity of a flight has them as well."""
+    silent: frozenset[Key] = frozenset()
+    """Sensors that never told anything, by sensor and instance."""
 
     @property
     def verdict(self) -> HealthVerdict:
@@ -82,14 +88,21 @@ class HealthReport:
 def health(recording: Recording) -> HealthReport:
     """Judge every sensor of `recording`."""
     stood = ground(recording)
-    every, shaking = sampled(recording), tuple(shaking_items(recording, stood.running))
+    dead = dead_findings(recording)
+    silent = never_lived(dead)
+    heard = living(recording, silent)
+    # of the whole recording: a compass that is dead holds the logged heading, and tells so
+    support = support_of(recording, next(iter(recording.find(Sensor.ATTITUDE)), None))
+    every, shaking = sampled(heard), tuple(shaking_items(heard, stood.running))
     findings = [
-        *inertial_findings(recording, stood.off),
-        *vibration_findings(recording, stood.running, shaking, every_sample(recording)),
-        *temperature_findings(recording),
-        *compass_findings(recording),
-        *sampling_findings(recording, every),
+        *dead,
+        *explained(list(inertial_findings(heard, stood.off, support)), rectified(heard, shaking)),
+        *vibration_findings(heard, stood.running, shaking, every_sample(heard)),
+        *temperature_findings(heard),
+        *compass_findings(heard, support),
+        *sampling_findings(heard, every, stood.running),
     ]
+    findings = [f for f in findings if f in dead or (f.sensor, f.instance) not in silent]
     named = sorted({(f.sensor, f.instance) for f in findings}, key=lambda one: (SENSORS.index(one[0]), one[1]))
     sensors = tuple(sensor_health(sensor, instance, findings) for sensor, instance in named)
-    return HealthReport(sensors, tuple(lacking(recording, stood, every)), shaking)
+    return HealthReport(sensors, tuple(lacking(heard, stood, every, silent)), shaking, frozenset(silent))

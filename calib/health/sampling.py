@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.flight.rest import TimeSpan
 from mavcal.calib.health import limits
 from mavcal.calib.health.finding import HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.limits import STUCK
@@ -22,6 +23,8 @@ _BUS: Final = "Check its bus and power; replace it if it comes back."
 _BATCHES: Final = "ISBD"
 _SELECTED: Final = "sensor_combined"
 """Sources that hold a sensor for some of the time by design: batches, and whichever unit is selected."""
+_TURN: Final = float(np.radians(30.0))
+"""A compass that repeats one value through such a turn is stuck: a gyroscope 5 deg/s off turns less in five seconds."""
 _TIMES_SLOWER: Final = 2.0
 """Another sensor tells of a gap that is so many times longer than its own period."""
 
@@ -54,8 +57,17 @@ def sampled(recording: Recording) -> tuple[Sampled, ...]:
                 continue
             wide = np.flatnonzero(steps > max(limits.SILENT.suspicious, GAP_PERIODS * period)).tolist()
             gaps = [Gap(float(channel.t[i]), float(steps[i])) for i in wide]
+            gaps += _fell_silent(recording, channel, GAP_PERIODS * period)
             found.append(Sampled(channel, period, tuple(g for g in gaps if not _paused(g, paused))))
     return tuple(found)
+
+
+def _fell_silent(recording: Recording, channel: Channel, least: float) -> list[Gap]:
+    """The time from the last sample of a sensor in any channel to the end of the other sensors."""
+    of = channel.sensor, channel.instance
+    last = max(float(c.t[-1]) for c in recording.find(*of))
+    end = max((float(c.t[-1]) for c in recording.channels if c.sensor in SENSORS and len(c)), default=last)
+    return [Gap(last, end - last)] if end - last > max(limits.SILENT.suspicious, least) else []
 
 
 def lost(every: Sequence[Sampled]) -> tuple[Gap, ...]:
@@ -64,12 +76,13 @@ def lost(every: Sequence[Sampled]) -> tuple[Gap, ...]:
     return () if densest is None else tuple(gap for gap in densest.gaps if not _went_on(gap, densest, every))
 
 
-def sampling_findings(recording: Recording, every: Sequence[Sampled]) -> Iterator[HealthFinding]:
-    """Rate and gaps of every sensor in `every`, and values that stood still."""
+def sampling_findings(
+    recording: Recording, every: Sequence[Sampled], running: Sequence[TimeSpan] = ()
+) -> Iterator[HealthFinding]:
+    """Rate and gaps of every sensor in `every`, and values that stood still; `running` are the spans with motors on."""
     for one in every:
         yield _gaps(one, every, _left_out(recording, one.channel))
-        if one.channel.sensor != Sensor.MAG and not one.channel.quantum:  # a compass at rest may repeat itself
-            yield from _stuck(one)
+        yield from _stuck(recording, one, running)
     yield from _distrusted(recording)
 
 
@@ -110,6 +123,8 @@ def _gaps(one: Sampled, every: Sequence[Sampled], left_out: Sequence[Gap]) -> He
     text = (
         f"was silent {often} while others went on, for up to {longest.length:.1f} s at {longest.start:.1f} s ({rate})"
     )
+    if longest.start >= channel.t[-1]:
+        text = f"fell silent at {longest.start:.1f} s while others went on for {longest.length:.1f} s ({rate})"
     return HealthFinding(
         *(*key, verdict, text, _BUS if verdict != HealthVerdict.OK else "", longest.length, None, limits.SILENT),
         start=own[0].start,
@@ -117,9 +132,18 @@ def _gaps(one: Sampled, every: Sequence[Sampled], left_out: Sequence[Gap]) -> He
     )
 
 
-def _stuck(one: Sampled) -> Iterator[HealthFinding]:
-    """A unit that repeats itself to the last digit while its channel otherwise moves."""
+def _stuck(recording: Recording, one: Sampled, running: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
+    """A unit that repeats itself to the last digit while its channel otherwise moves.
+
+    A compass may where nothing turns, and so may coarse numbers: of these only what they repeat in a turn counts.
+    """
     channel, run = one.channel, constant_run(one.channel)
+    if run is not None and (channel.sensor == Sensor.MAG or channel.quantum):
+        end = run.start + run.length
+        moving = [Gap(max(run.start, s.start), min(end, s.end) - max(run.start, s.start)) for s in running]
+        run = max(moving, key=lambda gap: gap.length, default=None)
+        least = STUCK.faulty or STUCK.suspicious
+        run = run if run is not None and run.length > least and _turned(recording, channel, run) else None
     if run is None or run.length <= max(STUCK.suspicious, STUCK_PERIODS * one.period):
         return
     verdict = judged_value(run.length, 0.0, STUCK)
@@ -129,6 +153,27 @@ def _stuck(one: Sampled) -> Iterator[HealthFinding]:
         start=run.start,
         end=run.start + run.length,
     )
+
+
+def _turned(recording: Recording, but: Channel, run: Gap) -> bool:
+    """Whether every gyroscope but `but` turned by `_TURN` in `run`, one that is alone beyond its usual rate.
+
+    An offset is no turn: another unit does not share it, and one that is alone has it all the time.
+    """
+    seen: dict[int, bool] = {}
+    for channel in recording.channels:
+        if channel.sensor != Sensor.GYRO or channel.unit != "rad/s":
+            continue
+        part = channel.between(run.start, run.start + run.length)
+        if (channel.sensor, channel.instance) == (but.sensor, but.instance) or len(part) < 3:
+            continue
+        alone = len(recording.instances(Sensor.GYRO)) == 1
+        usual = np.median(np.nan_to_num(channel.values), axis=0) if alone else np.zeros(3)
+        rates = np.nan_to_num(part.values) - usual
+        angle = np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(part.t)[:, None], axis=0)
+        turned = float(np.ptp(angle, axis=0).max()) > _TURN
+        seen[channel.instance] = seen.get(channel.instance, False) or turned
+    return bool(seen) and all(seen.values())
 
 
 def _distrusted(recording: Recording) -> Iterator[HealthFinding]:
@@ -141,6 +186,8 @@ def _distrusted(recording: Recording) -> Iterator[HealthFinding]:
         odd = event.odd
         if odd is None or odd.what not in said or not odd.total:
             continue
+        if odd.what == Oddity.UNHEALTHY and odd.count == odd.total:
+            continue  # :mod:`calib.health.dead` has it
         share = odd.count / odd.total
         verdict = judged_value(share, 0.0, limits.UNHEALTHY)
         text = f"{said[odd.what]} in {odd.count} of {odd.total} samples, first at {event.t:.1f} s"

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from mavcal.calib.firmware.ardupilot.learning import learning_units
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.finding import HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.preflight.history import corrected_by, covered_by
@@ -40,6 +41,8 @@ def _of_unit(recording: Recording, sensor: Sensor, instance: int) -> HealthFindi
     covered = corrected_by(*vehicle) if sensor == Sensor.GYRO else covered_by(*vehicle, None)
     if covered is None:
         text = f"{was}; no temperature calibration is in force: its drift is not corrected"
+        learns = learning_units(recording.parameters.final()).get(instance)
+        text += f" ({learns} is 2: it learns one from the next start on)" if learns else ""
         return HealthFinding("temperature", sensor, instance, HealthVerdict.CANNOT_SAY, text)
     beyond = max(covered.low - low, high - covered.high, 0.0)
     verdict = judged_value(beyond, _READING_SD, limits.WARMTH)

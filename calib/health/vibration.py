@@ -14,6 +14,7 @@ from mavcal.calib.flight.rest import TimeSpan
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.finding import HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.limits import HealthLimit
+from mavcal.calib.health.rectified import DAMP
 from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
@@ -28,7 +29,6 @@ _NEAR: Final = 0.9
 """Share of half the sampling rate: a line beyond it may be a faster one, folded back."""
 _WIDE_HZ: Final = 200.0
 """Half a sampling rate beyond which the rotors of most vehicles do not turn, blades included."""
-_DAMP: Final = "Damp the mount, and balance the propellers."
 _SEEN: Final = {
     FlightVerdict.PASS: HealthVerdict.OK,
     FlightVerdict.NOT_TESTABLE: HealthVerdict.CANNOT_SAY,
@@ -52,7 +52,7 @@ def vibration_findings(
         if level is not None:
             yield level
         if level is None or seen.verdict in (FlightVerdict.WARN, FlightVerdict.FAIL):
-            yield _of_item(seen, limits.VIBRATION, _DAMP)
+            yield _of_item(seen, limits.VIBRATION, DAMP)
         yield _clipping(recording, items["clipping", instance])
         if seen.numbers:
             yield _aliasing(recording, instance, seen.numbers, how_to_log)
@@ -69,6 +69,7 @@ def _of_item(item: JudgedItem, limit: HealthLimit, action: str) -> HealthFinding
     verdict = _SEEN[item.verdict]
     shown = "" if verdict in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY) else action
     text = f"vibrates by {item.text}" if item.name == "vibration" and item.value is not None else item.text
+    limit = limit if item.limit is None else HealthLimit.of(item.limit)
     return HealthFinding(item.name, Sensor.ACCEL, _instance(item), verdict, text, shown, item.value, item.sd, limit)
 
 
@@ -114,7 +115,7 @@ def _level(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -> He
         text += f", and more than {limit.suspicious:.3g} between {start:.0f} and {end:.0f} s"
     elif column[peak] > limit.suspicious:
         text += ": a blow, no vibration"
-    action = "" if verdict == HealthVerdict.OK else _DAMP
+    action = "" if verdict == HealthVerdict.OK else DAMP
     return HealthFinding(
         *("vibration", Sensor.ACCEL, instance, verdict, text, action), held, None, limit, start=start, end=end
     )
@@ -123,7 +124,7 @@ def _level(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -> He
 def _clipping(recording: Recording, item: JudgedItem) -> HealthFinding:
     """Counts with their time; those of a moment are a blow, whose cause is not the mount."""
     instance = _instance(item)
-    made = _of_item(item, limits.CLIPS, _DAMP)
+    made = _of_item(item, limits.CLIPS, DAMP)
     odd = [(event.t, event.odd) for event in clipped_events(recording, instance) if event.odd is not None]
     counted = [(t, found) for t, found in odd if found.count and found.until is not None]
     if not counted:

@@ -16,13 +16,14 @@ from mavcal.calib.imu.integrate import Moves
 from mavcal.calib.imu.poses import LEAST_POSES, Poses, find_poses, measure
 from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, reduced, solve, turns_of
 from mavcal.calib.imu.result import Form, RecordingFacts, imu_refused, imu_results
-from mavcal.calib.imu.start import closure, rough_gyro, with_turn_noise
+from mavcal.calib.imu.start import closure, rate_factor, rough_gyro, with_turn_noise
 from mavcal.calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, ImuPrior
 from mavcal.calib.imu.weigh import Weighed, weigh
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
 from mavcal.calib.stats.norm_fit import solve as solve_norm
 from mavcal.calib.stats.quantisation import with_apparent_quantum
+from mavcal.calib.stats.stillness import HELD, HOLD_S, MANY_MORE, SHORTER, too_short
 from mavcal.calib.stats.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
@@ -33,6 +34,7 @@ _LARGEST = 1e12  # of any unit
 _GAP = 5.0  # usual steps; a movement with a longer hole in it is not integrated
 _CLIPPED = 3  # samples at the very end of an axis' range that are one too many
 _LEARNT = 1.0 / 3.0  # of the usual size of a misalignment: one that is not known so well stays open
+_NO_SWAY_DEG = 10.0  # between two poses, which hands that sway do not reach
 _SCALE_SD = 0.1  # of a gyroscope's nominal scale, before the data
 
 
@@ -44,6 +46,7 @@ def fit_imu(
     cross_sd: float = 0.01,
     form: Form = "symmetric",
     spans: Array | None = None,
+    min_still: float = HOLD_S,
     temperature: float | None = None,
     relative: bool = False,
 ) -> tuple[FitResult, FitResult]:
@@ -66,6 +69,8 @@ def fit_imu(
         Canonical form of the accelerometer's matrix; ``upper`` keeps the sensor's x axis (imu_tk).
     spans : shape (P, 2) or None
         Where it is known to be still, s. None: found.
+    min_still
+        s for which a pose was held at least, where they are found.
     temperature
         Mean of the sensor, degC; None: not known.
     relative
@@ -90,13 +95,15 @@ def fit_imu(
     if reason:
         return imu_refused(facts, reason)
     known = gravity if accel.unit == "m/s2" else None
+    found = spans is None
     if spans is None:
-        spans = find_poses(accel, gyro, known)
+        spans = find_poses(accel, gyro, known, min_still)
     spans = _filled(accel, gyro, np.asarray(spans, dtype=np.float64).reshape(-1, 2))
     if len(spans) < LEAST_POSES:
         return imu_refused(
             facts,
-            f"{len(spans)} still poses in {accel.t[-1] - accel.t[0]:.0f} s: hold nine or more different ones",
+            f"{len(spans)} still poses in {accel.t[-1] - accel.t[0]:.0f} s: hold nine or more different ones"
+            + (_held_for_less(accel, gyro, known, len(spans), min_still) if found else ""),
         )
     poses = measure(accel, gyro, spans)
     reason = _not_gravity(poses, known)
@@ -106,6 +113,16 @@ def fit_imu(
     if isinstance(begun, str):
         return imu_refused(facts, begun)
     return _finished(facts, poses, begun, cross_sd)
+
+
+def _held_for_less(accel: Channel, gyro: Channel, gravity: float | None, count: int, needed: float) -> str:
+    """How long poses were held, where more than the `count` that were found were held for less than `needed` s."""
+    for part in SHORTER:
+        spans = find_poses(accel, gyro, gravity, part * needed)
+        if len(spans) >= MANY_MORE * (count + 1):
+            held = np.diff(spans, axis=1)[:, 0] + part * needed * HELD.window / HOLD_S
+            return too_short(held.tolist(), needed, part * needed)
+    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +136,8 @@ class _Begun:
     radius: float
     gyro_scale: float
     left_out: int
+    misread: float | None
+    """What the gyroscope's numbers must be multiplied by, where its unit or range is another one; None: it is not."""
 
 
 def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, cross_sd: float) -> _Begun | str:
@@ -138,25 +157,36 @@ def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, c
     in_si = gyro.unit == "rad/s"
     if rough is None and not in_si:
         return f"the movements do not tell the scale of a gyroscope in {gyro.unit}: turn it about every axis"
+
+    def stated(scale: float) -> ImuProblem:
+        moves = Moves.of(gyro.t, gyro.values * scale, between[usable], rest * scale)
+        return ImuProblem(
+            means=poses.means / radius,
+            covariances=covariances,
+            moves=moves,
+            before=np.flatnonzero(usable),
+            wander=poses.wander,
+            density=poses.gyro_noise * scale**2 * moves.mean_step,
+            turn_covariances=np.zeros((len(moves), 3, 3)),
+            rest=rest * scale,
+            rest_covariance=np.diag(scale**2 / precision.sum(axis=0)),
+        )
+
+    def start(matrix: Array, scale: float) -> Array:
+        return np.concatenate([alone.parameters, matrix.ravel(), rest * scale])
+
     scale = 1.0 if in_si or rough is None else float(np.cbrt(abs(np.linalg.det(rough))))
-    moves = Moves.of(gyro.t, gyro.values * scale, between[usable], rest * scale)
-    problem = ImuProblem(
-        means=poses.means / radius,
-        covariances=covariances,
-        moves=moves,
-        before=np.flatnonzero(usable),
-        wander=poses.wander,
-        density=poses.gyro_noise * scale**2 * moves.mean_step,
-        turn_covariances=np.zeros((len(moves), 3, 3)),
-        rest=rest * scale,
-        rest_covariance=np.diag(scale**2 / precision.sum(axis=0)),
-    )
+    problem, misread = stated(scale), None
+    if in_si and rough is not None and len(problem.moves):
+        misread = rate_factor(problem, start(np.eye(3), scale), rough)
+    if misread is not None:
+        scale, problem = misread, stated(misread)
     starts = ([np.eye(3)] if in_si else []) + ([rough / scale] if rough is not None else [])
-    xs = [np.concatenate([alone.parameters, G.ravel(), rest * scale]) for G in starts]
-    x = min(xs, key=lambda x: closure(problem, x)) if len(moves) else xs[0]
+    xs = [start(G, scale) for G in starts]
+    x = min(xs, key=lambda x: closure(problem, x)) if len(problem.moves) else xs[0]
     problem = with_turn_noise(problem, x)
     left_out = len(between) - int(usable.sum())
-    return _Begun(problem, x, alone.directions, _prior(centre / radius, cross_sd), radius, scale, left_out)
+    return _Begun(problem, x, alone.directions, _prior(centre / radius, cross_sd), radius, scale, left_out, misread)
 
 
 def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: float) -> tuple[FitResult, FitResult]:
@@ -169,6 +199,13 @@ def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: floa
             facts, "the movements do not lead from one pose to the next by any model of the gyroscope: check the units"
         )
     weighed = weigh(with_turn_noise(begun.problem, first.x), first, begun.prior, open_at_start)
+    miss = float(np.degrees(np.sqrt(weighed.problem.extra[1])))
+    if miss > _NO_SWAY_DEG:
+        return imu_refused(
+            facts,
+            f"the movements miss the next pose by {miss:.0f} deg each, which is no sway: check the gyroscope's unit, "
+            "range, and the order and signs of its axes, and that every turn is in the recording",
+        )
     unknown = _unknown(weighed.solution.information, begun.prior, cross_sd, weighed.doubt)
     neutral = weighed.solution.x.copy()
     neutral[unknown] = begun.prior.centre[unknown]
@@ -185,6 +222,7 @@ def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: floa
         radius=begun.radius,
         gyro_scale=begun.gyro_scale,
         moves_left_out=begun.left_out + weighed.moves_out,
+        misread=begun.misread,
     )
 
 

@@ -18,6 +18,7 @@ from mavcal.calib.recording import Channel
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.norm_fit import NormProblem, solve
 from mavcal.calib.stats.quantisation import mean_of
+from mavcal.calib.stats.stillness import HOLD_S
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ class Poses:
         return len(self.spans)
 
 
-def find_poses(accel: Channel, gyro: Channel, gravity: float | None) -> Array:
+def find_poses(accel: Channel, gyro: Channel, gravity: float | None, min_still: float = HOLD_S) -> Array:
     """Spans (P, 2) of the still poses, of the detector's limits that leave the accelerometer known best.
 
     For every rung of the ladder the accelerometer is fitted to the means of the poses; the rung with the smallest mean
@@ -66,9 +67,11 @@ def find_poses(accel: Channel, gyro: Channel, gravity: float | None) -> Array:
         Finite samples of the same time.
     gravity
         In the unit of `accel`; None: the radius of the quiet readings.
+    min_still
+        s for which a pose was held at least.
     """
     size = gravity if gravity is not None else _radius(accel, gyro)
-    watch = ScatterWindows.of(accel, gyro, size)
+    watch = ScatterWindows.of(accel, gyro, size, min_still / HOLD_S)
     best, chosen = np.inf, np.zeros((0, 2))
     for spans in candidates(watch):
         spans = spans[steady(accel, spans, size)]

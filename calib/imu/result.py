@@ -63,8 +63,12 @@ def imu_results(
     radius: float,
     gyro_scale: float,
     moves_left_out: int,
+    misread: float | None = None,
 ) -> tuple[FitResult, FitResult]:
-    """The fits of both sensors, from the solution in radii and scaled rates with its `covariance` (21, 21)."""
+    """The fits of both sensors, from the solution in radii and scaled rates with its `covariance` (21, 21).
+
+    A gyroscope whose numbers are `misread` is refused, with what they must be multiplied by.
+    """
     x = weighed.solution.x
     spread = _derivative(x, facts, radius, gyro_scale)
     full = spread @ covariance @ spread.T
@@ -75,7 +79,8 @@ def imu_results(
     quality = _quality(poses, weighed, moves_left_out)
     accel = _Part(models[0], full[:12, :12], names[0], warnings, quality)
     gyro = _Part(models[1], full[12:, 12:], names[1], warnings, quality)
-    return _accel_fit(facts, poses, weighed, accel, radius), _gyro_fit(facts, poses, weighed, gyro, gyro_scale)
+    turned = _gyro_fit(facts, poses, weighed, gyro, gyro_scale) if misread is None else _misread(facts, misread)
+    return _accel_fit(facts, poses, weighed, accel, radius), turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,6 +240,14 @@ def _accel_fit(facts: RecordingFacts, poses: Poses, weighed: Weighed, part: _Par
     )
 
 
+def _misread(facts: RecordingFacts, factor: float) -> FitResult:
+    return facts.made(facts.gyro).refused(
+        f"the gyroscope reads {1.0 / factor:.2g} times the rate at which gravity turns between the poses: its unit or "
+        f"its range is another one; multiply its numbers by {factor:.3g}, or check deg/s, rad/s and full scale",
+        movement="state its --unit-gyro",
+    )
+
+
 def _gyro_fit(facts: RecordingFacts, poses: Poses, weighed: Weighed, part: _Part, gyro_scale: float) -> FitResult:
     made = facts.made(facts.gyro)
     scales_open = [name for name in part.open_names if name[-1] == name[-2]]
@@ -252,7 +265,9 @@ def _gyro_fit(facts: RecordingFacts, poses: Poses, weighed: Weighed, part: _Part
         part.model,
         part.covariance,
         message=_message(weighed, part.open_names),
-        n_used=int(poses.gyro_counts.sum()) + int(np.count_nonzero(moves.steps)),
+        n_used=min(
+            int(poses.gyro_counts.sum()) + int(np.count_nonzero(moves.steps)), made.n_samples
+        ),  # poses and moves share their ends
         residual_rms=closure / turning / gyro_scale,
         condition_number=_condition(weighed, slice(9, 18)),
         undetermined=part.open_names,

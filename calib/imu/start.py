@@ -15,6 +15,10 @@ from mavcal.calib.recording import Channel
 Array = NDArray[np.float64]
 
 _COARSE = 9.0  # times the variance of a turn by noise: what the samples' rate changes is more than that
+_LEADS = float(np.radians(10.0))  # a movement that misses the next pose by less leads there
+_OTHER_SCALE = float(np.sqrt(2.0))  # half way to the next range: 250, 500, 1000, 2000 deg/s
+_BETTER = 0.5  # of the miss as given that a factor must leave at most
+_AROUND, _TRIED = 1.5, 25  # about what the turn of gravity tells: how far factors are tried, and how many
 _BLOCK = 0.1  # s over which the direction is averaged while it turns
 
 
@@ -58,12 +62,38 @@ def rough_gyro(
 
 def closure(problem: ImuProblem, x: Array) -> float:
     """Root mean square, rad, of the angle by which the movements of the model `x` (21,) miss the next pose."""
+    return float(np.sqrt((_misses(problem, x) ** 2).mean()))
+
+
+def rate_factor(problem: ImuProblem, x: Array, rough: Array) -> float | None:
+    """What the gyroscope's numbers must be multiplied by, where its unit or range is not what it is said to be.
+
+    None: as they are the movements lead from pose to pose, or no factor makes them. `x` (21,) has the gyroscope as it
+    is given, `rough` (3, 3) is that of :func:`rough_gyro`.
+    """
+    as_given = float(np.median(_misses(problem, x)))
+    begun = float(np.cbrt(abs(np.linalg.det(rough))))
+    if as_given < _LEADS or not begun > 0.0:
+        return None
+
+    def miss(factor: float) -> float:
+        return float(np.median(_misses(problem, np.concatenate([x[:9], (factor * np.eye(3)).ravel(), x[18:]]))))
+
+    tried = {factor: miss(factor) for factor in begun * np.geomspace(1.0 / _AROUND, _AROUND, _TRIED)}
+    tried |= {factor: miss(factor) for factor in min(tried, key=tried.__getitem__) * np.linspace(0.985, 1.015, 7)}
+    best = min(tried, key=tried.__getitem__)
+    wrong = abs(np.log(best)) > np.log(_OTHER_SCALE)
+    return float(best) if wrong and tried[best] < min(_BETTER * as_given, _LEADS) else None
+
+
+def _misses(problem: ImuProblem, x: Array) -> Array:
+    """Angle, rad, by which each movement of the model `x` (21,) misses the next pose, (K,)."""
     inclined = (problem.means - x[:3]) @ symmetric(x[3:9])
     u = inclined / np.linalg.norm(inclined, axis=1)[:, None]
     rotations = integrate(problem.moves, x[9:18].reshape(3, 3), x[18:21], problem.density).rotations
     carried = np.einsum("kij,kj->ki", rotations, u[problem.before])
     cosines = np.einsum("ki,ki->k", carried, u[problem.before + 1])
-    return float(np.sqrt((np.arccos(np.clip(cosines, -1.0, 1.0)) ** 2).mean()))
+    return np.asarray(np.arccos(np.clip(cosines, -1.0, 1.0)), dtype=np.float64)
 
 
 def with_turn_noise(problem: ImuProblem, x: Array) -> ImuProblem:

@@ -44,11 +44,14 @@ class ScatterWindows:
     gravity: float
 
     @classmethod
-    def of(cls, accel: Channel, gyro: Channel, gravity: float) -> ScatterWindows:
-        """Watch two channels of finite samples over the time that both cover; `gravity` in the unit of `accel`."""
+    def of(cls, accel: Channel, gyro: Channel, gravity: float, part: float = 1.0) -> ScatterWindows:
+        """Watch two channels of finite samples over the time that both cover; `gravity` in the unit of `accel`.
+
+        `part` is that of the usual window, for poses that were held for less or more than usual.
+        """
         begin, end = max(accel.t[0], gyro.t[0]), min(accel.t[-1], gyro.t[-1])
         step = max(_median_step(accel), _median_step(gyro))
-        length = max(_WINDOW, _LEAST_SAMPLES * step)
+        length = max(part * _WINDOW, _LEAST_SAMPLES * step)
         starts = occupied_starts(accel.t, begin, end, length)
         both = [window_statistics(c.t, c.values, begin, starts, length) for c in (accel, gyro)]
         floors = [_floor(windows, c.quantum) for windows, c in zip(both, (accel, gyro), strict=True)]

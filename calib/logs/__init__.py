@@ -37,12 +37,14 @@ def read(path: Path | str, **options: Any) -> Recording:
     Raises
     ------
     UnreadableError
-        If the file cannot be opened, is neither, or is damaged.
+        If the file cannot be opened, is neither, or is damaged, or is no ordinary file: only these have an end.
     InvalidInputError
         If an option does not apply.
     """
     file = Path(path)
     try:
+        if file.exists() and not file.is_file():
+            raise UnreadableError(f"{file.name or file} is a folder, a pipe or a device: give a file")
         with file.open("rb") as opened:
             head = opened.read(_HEAD)
     except OSError as error:
@@ -64,6 +66,8 @@ def is_table(path: str | Path) -> bool:
     """Whether the file at `path` is read as a table, to which mappings and units apply; False where it is not there."""
     file = Path(path)
     try:
+        if not file.is_file():
+            return False
         with file.open("rb") as opened:
             return not _kind(opened.read(_HEAD), file.suffix.lower())
     except OSError:

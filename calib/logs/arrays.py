@@ -100,7 +100,9 @@ def _members(archive: zipfile.ZipFile) -> dict[str, _Stored]:
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
             shape, _, dtype = read(opened)
             room = member.file_size - opened.tell()
-        if dtype.hasobject or min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > room:
+        if dtype.hasobject:
+            raise UnreadableError(f"{member.filename} holds objects of Python: save numbers, or dates as datetime64")
+        if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > room:
             raise UnreadableError(f"the .npz is damaged: {member.filename} claims {shape} of {dtype}")
 
         def load(member: zipfile.ZipInfo = member) -> NDArray[Any]:
@@ -138,6 +140,8 @@ def _from_arrays(arrays: Mapping[str, _Stored]) -> TableColumns:
             if column.dtype.kind in "US":
                 texts[len(values)] = tuple(str(cell) for cell in column)
                 values.append(np.full(rows, np.nan))
+            elif column.dtype.kind in "mM":
+                values.append(_seconds(column))
             elif column.dtype.kind in "biuf":
                 values.append(column.astype(np.float64))
             else:
@@ -146,6 +150,17 @@ def _from_arrays(arrays: Mapping[str, _Stored]) -> TableColumns:
     if not values:
         raise UnreadableError("the file holds no arrays of numbers")
     return TableColumns(tuple(names), tuple(values), texts)
+
+
+def _seconds(column: NDArray[Any]) -> Array:
+    """Dates and durations as s from the first on, nan where there is none."""
+    fine = np.datetime_data(column.dtype)[0] in {"ns", "ps", "fs", "as"}
+    column = column.astype(f"{column.dtype.kind}8[{'ns' if fine else 'us'}]")
+    there = ~np.isnat(column)
+    seconds = np.full(len(column), np.nan)
+    if there.any():
+        seconds[there] = (column[there] - column[there][0]) / np.timedelta64(1, "s")
+    return seconds
 
 
 def _array_name(name: str, column: int, width: int) -> str:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.firmware.ardupilot.learning import learning_warnings
+from mavcal.calib.firmware.stream.source import telemetry
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -152,7 +154,8 @@ def inspect(recording: Recording) -> dict[str, Any]:
         "warnings": [
             *_missing(recording),
             *(e.text for e in recording.events if e.kind in TOLD),
-            *_of_pauses(stood),
+            *learning_warnings(recording.parameters.final()),
+            *_of_pauses(stood, telemetry(recording)),
             *(w for c in channels for w in _warnings(c, stood)),
         ],
     }
@@ -177,11 +180,12 @@ def _armed(recording: Recording) -> list[dict[str, float]]:
 def _missing(recording: Recording) -> list[str]:
     """What the recording lacks, one sentence each, and what that means."""
     have = {c.sensor for c in recording.channels if len(c) and c.stage != Stage.DEBIASED}
+    dead = {e.odd.sensor for e in recording.events if e.kind == "dead" and e.odd is not None}
     if not have & set(TRIADS):
-        return ["no accelerometer, gyroscope or compass was recorded: there is nothing to calibrate"]
+        none = "no accelerometer, gyroscope or compass was recorded"
+        return [f"{'every sensor that was recorded is dead' if dead else none}: there is nothing to calibrate"]
     if recording.identity.autopilot is None:  # a table holds what its maker wanted
         return []
-    dead = {e.odd.sensor for e in recording.events if e.kind == "dead" and e.odd is not None}
     found = [text for sensor, text in MISSING.items() if sensor not in have | dead]
     if not recording.parameters:
         found.append("no parameters were recorded: fits are relative to the calibration in force, and are not exported")
@@ -247,14 +251,13 @@ def _columns(values: Any, finite: Any, reduce: Any) -> tuple[float | None, ...]:
     return tuple(found)
 
 
-def _of_pauses(stood: tuple[Gap, ...]) -> list[str]:
+def _of_pauses(stood: tuple[Gap, ...], streamed: bool) -> list[str]:
     if not stood:
         return []
     longest = max(stood, key=lambda p: p.length)
     often = "once" if len(stood) == 1 else f"{len(stood)} times"
-    return [
-        f"the log pauses {often}, for {longest.length:.1f} s at {longest.start:.1f} s: it may record while armed only"
-    ]
+    why = "nothing came over the link" if streamed else "it may record while armed only"
+    return [f"the log pauses {often}, for {longest.length:.1f} s at {longest.start:.1f} s: {why}"]
 
 
 def _warnings(channel: ChannelSummary, stood: tuple[Gap, ...]) -> list[str]:

@@ -28,6 +28,18 @@ def in_order(channel: Channel, latest: float) -> tuple[Channel, int]:
     return channel.take(kept), len(channel) - len(kept)
 
 
+MOST_AT_ONCE = 32
+"""Samples that a clock of whole milliseconds may stamp alike; where more are, it stood still."""
+
+
+def moving(t: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which of the times (N,), in order, are of a clock that goes on: the first alone of those in which it stood."""
+    first = np.ones(len(t), dtype=np.bool_)
+    first[1:] = t[1:] != t[:-1]
+    runs = np.diff(np.append(np.flatnonzero(first), len(t)))
+    return np.asarray(first | np.repeat(runs <= MOST_AT_ONCE, runs))
+
+
 def _longest_rise(t: NDArray[np.float64]) -> NDArray[np.intp]:
     """Rows of a longest non-decreasing subsequence, by patience sorting."""
     tops: list[float] = []

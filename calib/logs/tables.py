@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -36,12 +37,16 @@ from mavcal.calib.logs.canonical import (
     reference_sensor,
 )
 from mavcal.calib.logs.columns import TableColumns, text_columns
+from mavcal.calib.logs.ordered import moving
+from mavcal.calib.logs.zeros import without_zeros
 from mavcal.calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 Array = NDArray[np.float64]
 
 MOST_BYTES = 1 << 31
 """Size of the largest table that is read."""
+LARGEST = 1e15
+"""No column holds more in any unit; counts of 32 bits and nanoseconds of a day do not reach it."""
 NO_TIME = "no_time"
 """Kind of the event that says that rows were counted because the table has no time."""
 
@@ -90,20 +95,28 @@ def read_table(
     table = _Table.of(columns, mapping or {})
     t, events = _time(table, columns, rate)
     order = [key for key in table.cells if key not in {"t", "segment"} and reference_sensor(key) is None]
+    zeros: list[Event] = []
     channels = [
-        channel
+        without_zeros(channel, zeros)
         for sensor, instance in _present(order)
         if (channel := _channel(table, sensor, instance, t, units=units, body=body, world=world)) is not None
     ]
     reference = tuple(
         channel for sensor in REFERENCE_SI if (channel := _reference(table, sensor, t, body, world)) is not None
     )
+    if not channels and order:
+        empty = [name for name in order if not np.isfinite(table.cells[name]).any()]
+        what = f"{', '.join(empty)} hold{'s' if len(empty) == 1 else ''} no number in any row"
+        if not empty:
+            what = f"no row has a number in all of {', '.join(order)}"
+        raise UnreadableError(f"{what} (empty cells or NaN): there is nothing to read")
     if not channels:
         raise UnreadableError(
             "no column is named as a sensor (accel_x, gyro_x, mag_x, temperature ...); the table has "
             f"{columns.listed()}: name them with --map"
         )
-    events += tuple(Event(float(t[0]), "damage", text) for text in table.damage)
+    events += tuple(Event(float(t[0]), "damage", text) for text in (*table.damage, *_empty(table, order)))
+    events += tuple(zeros)
     return Recording(
         channels=tuple(channels),
         events=events,
@@ -207,8 +220,14 @@ class _Table:
         cells: dict[str, Array] = {}
         damage = [columns.damage]
         for name, (index, factor) in chosen.items():
-            cells[name] = columns.values[index] * factor if factor != 1.0 else columns.values[index]
+            dates = _dated(columns, index) if name == "t" else None
+            if dates is not None:
+                cells[name] = dates
+                continue
+            with np.errstate(over="ignore"):
+                cells[name] = columns.values[index] * factor if factor != 1.0 else columns.values[index]
             damage.append(_damage(name, columns, index))
+            damage.append(_bounded(name, cells))
         labels = None
         if "segment" in chosen:
             index = chosen["segment"][0]
@@ -276,6 +295,31 @@ def _damage(name: str, columns: TableColumns, index: int) -> str:
     return f"{len(texts)} cells of {name} are no numbers (such as {texts[0]!r}) and were left out"
 
 
+def _bounded(name: str, cells: dict[str, Array]) -> str:
+    """Leaves out what no column can hold, and says so; empty if there is no such number."""
+    with np.errstate(invalid="ignore"):
+        wild = np.abs(cells[name]) > LARGEST
+    if name == "segment" or not wild.any():
+        return ""
+    said = f"{int(wild.sum())} of {len(wild)} cells of {name} are infinite or beyond {LARGEST:.0e}"
+    if wild.all() or name == "t":
+        raise UnreadableError(f"{said}: that is no measurement")
+    cells[name] = np.where(wild, np.nan, cells[name])
+    return f"{said} and were left out"
+
+
+def _dated(columns: TableColumns, index: int) -> Array | None:
+    """Dates of a column of texts as s from the first on; None: its cells are no dates."""
+    texts = columns.texts.get(index)
+    if texts is None:
+        return None
+    try:
+        dates = [datetime.fromisoformat(text.strip()) for text in texts if text.strip()]
+        return np.array([(date - dates[0]).total_seconds() for date in dates]) if len(dates) == len(texts) else None
+    except (ValueError, TypeError):  # no date, or zones for some of them alone
+        return None
+
+
 def _label(value: float) -> str:
     if not np.isfinite(value):
         return ""
@@ -293,6 +337,13 @@ def _time(table: _Table, columns: TableColumns, rate: float | None) -> tuple[Arr
         raise InvalidInputError(
             f"row {row + 1} of the table has no time: fill column t, or leave it out and give --rate"
         )
+    stood = np.flatnonzero(~moving(t))
+    if len(stood):
+        row = int(stood[0])
+        raise InvalidInputError(
+            f"time stands still from row {row} on (at {t[row]:.6g} s, {len(stood) + 1} rows): fill column t, "
+            "or leave it out and give --rate"
+        )
     back = np.flatnonzero(np.diff(t) < 0)
     if len(back):
         row = int(back[0]) + 1
@@ -301,6 +352,12 @@ def _time(table: _Table, columns: TableColumns, rate: float | None) -> tuple[Arr
             "or leave t out and give --rate"
         )
     return t, ()
+
+
+def _empty(table: _Table, names: list[str]) -> list[str]:
+    """Columns of sensors without a single number."""
+    empty = [name for name in names if not np.isfinite(table.cells[name]).any()]
+    return [f"{', '.join(empty)} hold{'s' if len(empty) == 1 else ''} no number in any row"] if empty else []
 
 
 def _present(names: list[str]) -> list[tuple[Sensor, int]]:

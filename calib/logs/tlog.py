@@ -11,17 +11,19 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
+from mavcal.calib.firmware.names import CALIBRATION_PREFIXES, Role, ardupilot_imu_names
 from mavcal.calib.firmware.stream.announcements import AUTOPILOTS
 from mavcal.calib.firmware.stream.messages import INERTIAL
 from mavcal.calib.firmware.stream.rates import Assembler
-from mavcal.calib.recording import Event, Identity, Recording
+from mavcal.calib.recording import Event, Identity, Oddity, OddSamples, Recording, Sensor
 from mavcal.calib.wire import TlogReader, decode
 
 if TYPE_CHECKING:
     from mavcal.calib.wire import Frame
 
 HEARTBEAT: Final = dialect.MAVLINK_MSG_ID_HEARTBEAT
+LEAST_MESSAGES: Final = 50
+"""Messages of zeros that tell of a dead sensor."""
 INERTIAL_IDS: Final = frozenset(INERTIAL["ardupilot"])
 
 Vehicle = tuple[int, int]
@@ -58,7 +60,7 @@ def read_tlog(
     frames: list[tuple[int | None, Frame]] = [(time_us, frame) for time_us, frame in reader]
     identity = _vehicle([frame for _, frame in frames], system, name)
     recording = Assembler(identity).feed(frames)
-    events = recording.events
+    events = (*_first_state(frames, recording), *recording.events, *_zeros(frames, recording))
     if reader.skipped_bytes:
         damage = f"{reader.skipped_bytes} bytes of {name} belong to no intact record and were stepped over"
         events = (Event(0.0, "damage", damage), *events)
@@ -107,6 +109,43 @@ def _vehicle(frames: list[Frame], system: int | None, name: str) -> Identity:
         )
     chosen = max(known, key=lambda sender: inertial[sender])
     return Identity(autopilot=autopilots[chosen], system=chosen[0], component=chosen[1])
+
+
+def _first_state(frames: list[tuple[int | None, Frame]], recording: Recording) -> list[Event]:
+    """Whether the vehicle was armed when it was first heard; the changes are events already."""
+    identity = recording.identity
+    for _, frame in frames:
+        if frame.message_id == HEARTBEAT and (frame.system, frame.component) == (identity.system, identity.component):
+            message = decode(frame)
+            if message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
+                continue
+            kind = "armed" if message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED else "disarmed"
+            start = recording.span[0]
+            return [Event(start, kind, f"the vehicle was {kind}")] if np.isfinite(start) else []
+    return []
+
+
+def _zeros(frames: list[tuple[int | None, Frame]], recording: Recording) -> list[Event]:
+    """Inertial units that the parameters announce, and whose messages held nothing but zeros.
+
+    Others are not there: a message carries zeros for an inertial unit beside which only a compass is.
+    """
+    identity, parameters = recording.identity, recording.parameters.final()
+    if identity.autopilot != "ardupilot":
+        return []
+    heard = Counter(f.message_id for _, f in frames if (f.system, f.component) == (identity.system, identity.component))
+    events = []
+    for number, message in INERTIAL.get(identity.autopilot or "", {}).items():
+        if message.by_id or heard[number] < LEAST_MESSAGES:
+            continue
+        for sensor in (Sensor.ACCEL, Sensor.GYRO):
+            told = parameters.get(ardupilot_imu_names(sensor, message.instance)[Role.ID])
+            if told and message.instance not in recording.instances(sensor):
+                name = f"{sensor} {message.instance + 1}"
+                text = f"{name}: all {heard[number]} samples of {message.name} are exactly 0, 0, 0"
+                odd = OddSamples(Oddity.ZERO, sensor, message.instance, heard[number], heard[number])
+                events.append(Event(0.0, "dead", text, odd))
+    return events
 
 
 def _end_observed(recording: Recording) -> bool:

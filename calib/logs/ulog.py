@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -15,7 +15,8 @@ from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware.px4.flight import arming_events, flight_channels, truth_channels
 from mavcal.calib.firmware.px4.topics import US, WANTED, inertial_channels
-from mavcal.calib.logs.ordered import in_order
+from mavcal.calib.logs.ordered import in_order, moving
+from mavcal.calib.logs.zeros import without_zeros
 from mavcal.calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
 
 MAGIC: Final = b"ULog\x01\x12\x35"
@@ -92,9 +93,10 @@ def read_ulog(path: Path | str) -> Recording:
     topics = {(d.name, int(d.multi_id)): d.data for d in log.data_list if len(d.data.get("timestamp", ()))}
     start = log.start_timestamp * US
     timeline = _parameters(log, start)
+    identity = _identity(log, topics, timeline.final())
     with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
         inertial, events = inertial_channels(topics, timeline.final())
-        kept = _ordered((*inertial, *flight_channels(topics)), start, events)
+        kept = _ordered((*inertial, *flight_channels(topics, identity.vehicle_type)), start, events)
         truth = _ordered(truth_channels(topics), start, events)
     if not kept:
         raise UnreadableError(f"{file.name} is a ULog without a sensor, attitude or position: nothing to read")
@@ -102,22 +104,30 @@ def read_ulog(path: Path | str) -> Recording:
         channels=kept,
         parameters=timeline,
         events=tuple(sorted((*events, *_said(log, start), *arming_events(topics)), key=lambda e: e.t)),
-        identity=_identity(log, topics),
+        identity=identity,
         source=file.name,
         reference=truth,
     )
 
 
 def _ordered(channels: Iterable[Channel], start: float, events: list[Event]) -> tuple[Channel, ...]:
-    """Channels in the order of time; `events` are told how many samples carry damaged times."""
+    """Channels in the order of time; `events` are told how many samples were left out, and why."""
     kept = []
     for channel in channels:
         ordered, late = in_order(channel, start + LONGEST_S)
         if late:
             text = f"{late} of {len(channel)} samples of {channel.source} carry damaged times and were left out"
             events.append(Event(start, "damage", text))
+        going = moving(ordered.t)
+        if not going.all():
+            stood = int((~going).sum())
+            text = (
+                f"{stood} of {len(channel)} samples of {channel.source} carry one time all over: the clock stood still"
+            )
+            events.append(Event(start, "damage", f"{text}; left out"))
+            ordered = ordered.take(going)
         if len(ordered):
-            kept.append(ordered)
+            kept.append(without_zeros(ordered, events))
     return tuple(kept)
 
 
@@ -172,7 +182,7 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text).strip()
 
 
-def _identity(log: ULog, topics: Any) -> Identity:
+def _identity(log: ULog, topics: Any, parameters: Mapping[str, float]) -> Identity:
     info = log.msg_info_dict
     release, uid = info.get("ver_sw_release"), info.get("sys_uuid")
     firmware = None
@@ -181,8 +191,10 @@ def _identity(log: ULog, topics: Any) -> Identity:
         firmware = (major, minor, patch)
     status = topics.get(("vehicle_status", 0), {})
     system = int(np.median(status["system_id"])) if "system_id" in status else None
+    kind = int(np.median(status["system_type"])) if "system_type" in status else 0  # a MAV_TYPE; 0 is generic
     return Identity(
         autopilot="px4",
+        vehicle_type=kind or int(parameters.get("MAV_TYPE", 0)) or None,
         firmware=firmware,
         uid=uid.lower() if isinstance(uid, str) and uid else None,
         system=system,

@@ -33,6 +33,7 @@ from __future__ import annotations
 from mavcal.calib.mag.accumulator import EllipsoidAccumulator
 from mavcal.calib.mag.blur import deblurred, rates_during
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.coverage import Advice, Coverage
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
 from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis
@@ -40,7 +41,6 @@ from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.minmax import fit_minmax
 from mavcal.calib.mag.moments import adjusted_least_squares
 from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, find_orientation
-from mavcal.calib.mag.result import MagContext
 from mavcal.calib.mag.running import RunningEllipsoid
 from mavcal.calib.mag.shape import MagModel
 from mavcal.calib.mag.sphere import fit_sphere

@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.context import MagFacts
 from mavcal.calib.mag.coverage import Coverage
 from mavcal.calib.mag.ellipsoid import FEWEST, fit_ellipsoid
 from mavcal.calib.mag.moments import Moments
-from mavcal.calib.mag.result import MagFacts
 from mavcal.calib.mag.samples import Cloud, check_samples
 from mavcal.calib.mag.shape import Ellipsoid, MagModel
 from mavcal.calib.mag.sphere import solve_sphere

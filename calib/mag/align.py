@@ -21,8 +21,9 @@ from mavcal.calib.mag.align_lag import FieldLag, lag_of, turning_of
 from mavcal.calib.mag.align_result import AlignFit, aligned_result
 from mavcal.calib.mag.align_solve import AlignmentNoise, AlignmentSolution, align, misclosures
 from mavcal.calib.mag.align_start import linear_start, two_stage_start
+from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.orientation import QUIET, interpolated
-from mavcal.calib.mag.result import MagContext, MagFacts, refusal
+from mavcal.calib.mag.result import refusal
 from mavcal.calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
 from mavcal.calib.mag.samples import check_not_flat, check_samples
 from mavcal.calib.mag.serial import LONGEST, weakened_information

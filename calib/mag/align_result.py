@@ -16,9 +16,11 @@ from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.align_lag import FieldLag
 from mavcal.calib.mag.align_solve import AlignmentSolution
 from mavcal.calib.mag.align_start import check_dip
+from mavcal.calib.mag.context import MagContext
+from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.mounting import mounting_of, rotation_covariance
-from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext
+from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.stats.residuals import residual_statistics
@@ -98,7 +100,7 @@ def aligned_result(method: str, fit: AlignFit, context: MagContext, n_samples: i
     _check_determined(model, covariance, fit.radius)
     quality = _quality(fit, context, model, covariance, cosine)
     left = fit.alignment.residuals
-    return context.made(method, n_samples).fitted(
+    found = context.made(method, n_samples).fitted(
         model,
         covariance,
         message=(
@@ -112,6 +114,7 @@ def aligned_result(method: str, fit: AlignFit, context: MagContext, n_samples: i
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit, context, model)),
     )
+    return earthly(found, context)
 
 
 def _checked_dip(fit: AlignFit) -> float:

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.flight_fit import FlightEstimate
 from mavcal.calib.mag.flight_input import FlightInput
 from mavcal.calib.mag.motor_hidden import by_log
-from mavcal.calib.mag.result import MagContext
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]

@@ -30,9 +30,10 @@ from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.auto import SOFT_IRON_SD
 from mavcal.calib.mag.blur import Rates, deblurred
 from mavcal.calib.mag.blur_axes import axes_of_gyro
+from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.distance import Distances, bisquare, score_rows, shape_prior
 from mavcal.calib.mag.ellipsoid import AUTO, ellipsoid_shape, fit_ellipsoid
-from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result
+from mavcal.calib.mag.result import ShapeFit, magnetometer_result
 from mavcal.calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
 from mavcal.calib.mag.samples import Cloud, not_repeated
 from mavcal.calib.mag.shape import MagModel, correction

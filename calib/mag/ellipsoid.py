@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from mavcal.calib.errors import InvalidInputError, NotConvergedError, UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.auto import averaged_shape
+from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.fallback import sphere_instead
-from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
+from mavcal.calib.mag.result import ShapeFit, magnetometer_result, refusal
 from mavcal.calib.mag.samples import real_array
 from mavcal.calib.mag.shape import N_PARAMETERS, MagModel
 from mavcal.calib.mag.shape_fit import METHOD, Asked, shape_of

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
+from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.result import ShapeFit, magnetometer_result, refusal
 from mavcal.calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
 from mavcal.calib.mag.serial import widened_scatter
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import NotConvergedError, UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS
 from mavcal.calib.mag.distance import ALL_SIDES, score_rows
-from mavcal.calib.mag.result import UNDETERMINED_SD, ShapeFit, plausible_field
+from mavcal.calib.mag.earthly import plausible_field
+from mavcal.calib.mag.result import UNDETERMINED_SD, ShapeFit
 from mavcal.calib.mag.sections import visited
 from mavcal.calib.mag.serial import white_variance
 from mavcal.calib.mag.shape import Ellipsoid, MagModel, correction

@@ -17,13 +17,15 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult, parameter_names
 from mavcal.calib.mag.attitude_check import unusable_attitude
+from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, believed_soft_iron, estimate
 from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, given, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, SHAPES
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.motor_drives import Drive
-from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext, MagFacts
+from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -109,6 +111,13 @@ def _fitted(data: FlightInput, context: MagContext, soft_iron: SoftIron) -> Flig
     return estimate(data.samples, data.turning, Knowledge(context.field, believed_soft_iron(found)))
 
 
+def _departure(rough: float, outliers: float) -> str:
+    """What is wrong, and only that: how far the two are apart, or how many samples leave the others."""
+    if rough > _ROUGHEST:
+        return f"compass and attitude do not agree: {rough:.0%} of the field is left of any offset and Earth's field"
+    return f"{outliers:.0%} of the compass's samples depart from the Earth's field by more than their noise"
+
+
 def _model(x: Array, sensor_from_body: Array) -> TriadModel:
     """The correction of the sensor in its own axes from offset and matrix in the body's."""
     matrix = np.linalg.inv(np.einsum("k,kij->ij", x[SHAPE], SHAPES))
@@ -143,9 +152,8 @@ def _verdict(
         return made.refused(lost, quality=quality)
     if rough > _ROUGHEST or outliers > _MOST_OUTLIERS:
         return made.refused(
-            f"the compass departs from the Earth's field by {rough:.0%} of it, and {outliers:.0%} of its samples by "
-            "more than their noise: another cause than iron on board is at work (corrupt parameters, currents, steel "
-            "on the ground, wrong mounting)",
+            f"{_departure(rough, outliers)}: another cause than iron on board is at work (corrupt parameters, "
+            "currents, steel on the ground, a wrong mounting, an attitude that is bent)",
             quality=quality,
         )
     offsets, entries = _open(found, strength)
@@ -161,7 +169,7 @@ def _verdict(
     blind = [parameter_names().index(n) for n in names]
     told = full.copy()
     told[blind, :] = told[:, blind] = 0.0
-    return made.fitted(
+    fit = made.fitted(
         model,
         told,
         message=_message(quality, offsets, entries, strength),
@@ -173,6 +181,7 @@ def _verdict(
         quality=quality,
         native=_native(found, data, context, strength),
     )
+    return earthly(fit, context)
 
 
 def _both(entry: str) -> tuple[str, ...]:

@@ -20,9 +20,11 @@ from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
 from mavcal.calib.imu.unknowns import UNKNOWNS, ImuPrior, symmetric
 from mavcal.calib.imu.weigh import groups
 from mavcal.calib.mag.blur import deblurred, rates_during
+from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.gyro_chain import BENT, BIAS_SD, LONGEST_DELAY, Chain, ChainSolution, rotation_of, weak_prior
 from mavcal.calib.mag.heading import heading_sd_deg
-from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext, MagFacts
+from mavcal.calib.mag.result import UNDETERMINED_SD
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows, without_spikes
@@ -35,7 +37,6 @@ MOVEMENT = "turn it about two axes or more, by a right angle and both ways, away
 _LEAST_SAMPLES = 30
 _LARGEST = 1e12  # of any unit
 _FASTEST = 70.0  # rad/s, 4000 deg/s: no gyroscope of a vehicle measures more
-_EARTH = (20.0, 70.0)  # uT: the Earth's field anywhere
 _LEAST_TURN = math.radians(30.0)
 _ROUGHEST = 0.15  # of the field: residuals with which nothing is calibrated
 _SHRINK = 0.002  # of the field, by averaging while it turns: more is left out
@@ -172,7 +173,7 @@ def _verdict(made: FitBuilder, chain: Chain, found: ChainSolution, context: MagC
     if context.field is not None:
         lengthening = np.concatenate([np.zeros(3), model.matrix.ravel()]) * context.field.norm_sd / context.field.norm
         full = full + np.outer(lengthening, lengthening)
-    return made.fitted(
+    fit = made.fitted(
         model,
         full,
         message=f"{len(chain.mag)} samples over {chain.mag.t[-1] - chain.mag.t[0]:.0f} s against the gyroscope",
@@ -183,6 +184,7 @@ def _verdict(made: FitBuilder, chain: Chain, found: ChainSolution, context: MagC
         quality=_quality(found, context, model, full),
         native=_native(found, covariance),
     )
+    return earthly(fit, context)
 
 
 def _quality(found: ChainSolution, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
@@ -245,8 +247,6 @@ def _warnings(found: ChainSolution, context: MagContext) -> tuple[str, ...]:
     warnings = []
     if context.strength is None:
         warnings.append("field strength unknown: the matrix keeps the mean radius, its common scale is not calibrated")
-    if context.unit == "uT" and not _EARTH[0] < found.radius < _EARTH[1]:
-        warnings.append(f"a field of {found.radius:.3g} uT is not the Earth's: check the unit, or steel is near")
     if found.coordinates is BENT:
         warnings.append("the gyroscope's scale or axes are off: its matrix was estimated too, calibrate it")
     if np.linalg.norm(found.solution.x[18:21]) > BIAS_SD:

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.attitude_check import unusable_attitude
+from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
 from mavcal.calib.mag.flight_input import FlightInput, given, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
 from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log
-from mavcal.calib.mag.result import MagContext, MagFacts
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -45,6 +46,9 @@ _UNKNOWN = 0.05  # of the field over the range of the drive: a term that is no b
 _DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude make of the motors
 _LOG_ROUGH = 0.3  # of the field, with an attitude that says nothing to a compass
 _NEVER_CALIBRATED = 0.5  # of the field: offset beside a calibration in force that has none
+_ROUGHEST = 0.3  # of the field, left of the fit without motors: nothing beside it is told
+_MOVES = {DriveKind.CURRENT: 3.0, DriveKind.THROTTLE: 0.2, DriveKind.MOTORS: 0.2}
+"""A, and of the range: what moves less hardly changes."""
 _SOFT_IRON_SD = 0.05
 """Prior of the matrix beside the one in force: a nuisance here."""
 
@@ -252,16 +256,20 @@ def _verdict(
     lost = unusable_attitude(data, none.found, in_force, context)
     if lost and chosen is none:
         return _refusal(context, count, lost, **quality)
-    if chosen is none and min(_unknown(c) for c in candidates[1:]) > _UNKNOWN:
+    left = quality["residual_rms"] / float(np.linalg.norm(none.found.x[none.found.layout.field]))
+    if chosen is none and left > _ROUGHEST:
         return _refusal(
             context,
             count,
-            f"the drive of the motors hardly changes, so their field cannot be told from the offset: {MOVEMENT}",
+            f"compass and attitude do not agree even without the motors ({left:.0%} of the field is left): nothing can "
+            "be told of the motors before that is mended; fit mag-flight",
             **quality,
         )
+    if chosen is none and min(_unknown(c) for c in candidates[1:]) > _UNKNOWN:
+        return _refusal(context, count, f"{_why_unknown(candidates[1:])}: {MOVEMENT}", **quality)
     best = chosen if chosen is not none else min(candidates[1:], key=lambda c: c.score)
     native = _native(candidates, chosen, data, in_force, context)
-    return context.made(METHOD, count).fitted(
+    fit = context.made(METHOD, count).fitted(
         in_force,
         np.zeros((len(parameter_names()),) * 2),
         message=_message(none, chosen, best, native, context.unit),
@@ -271,6 +279,21 @@ def _verdict(
         warnings=_warnings(native, chosen, none, context),
         quality=quality,
         native=native,
+    )
+    return earthly(fit, context)
+
+
+def _why_unknown(candidates: Sequence[Candidate]) -> str:
+    """Why the field of the motors cannot be told: what drives them hardly changes, or other things change with it."""
+    best = min(candidates, key=_unknown)
+    assert best.drive is not None
+    moved, least = float(best.drive.range.max()), _MOVES[best.drive.kind]
+    if moved < least:
+        return "the drive of the motors hardly changes, so their field cannot be told from the offset"
+    unit = " A" if best.drive.kind == DriveKind.CURRENT else ""
+    return (
+        f"the field of the motors cannot be told from offset and turns: {best.kind} moved by {moved:.2g}{unit}, and "
+        f"what it does is known to {_unknown(best):.0%} of the field only"
     )
 
 
@@ -303,6 +326,7 @@ def _quality(candidates: Sequence[Candidate], chosen: Candidate, context: MagCon
         "heading_dip_deg": math.degrees(math.atan2(float(field[2]), horizontal)),
         "held_out_rms": {c.kind: c.hidden_rms for c in candidates},
         "held_out_blocks": len(chosen.hidden.scores),
+        "radius": float(np.linalg.norm(field)),
     }
 
 
@@ -371,6 +395,7 @@ def _told(candidate: Candidate, none: Candidate, gain: Array, context: MagContex
         "compensation": _one_or_all(-term),
         "unit": f"{context.unit}/{UNIT[drive.kind]}",
         "motors": list(drive.numbers) if drive.kind == DriveKind.MOTORS else None,
+        "squared": list(drive.squares) if any(drive.squares) else None,
         "range": drive.range.tolist() if count > 1 else float(drive.range[0]),
         "held_out_rms": candidate.hidden_rms,
         "by_log": None
@@ -416,17 +441,22 @@ def _why_not(best: Candidate, none: Candidate, unit: str) -> str:
 
 def _terms(told: Mapping[str, Any]) -> str:
     """What the motors add with its sd, by the gyroscope and by the log's attitude."""
-    text = _listed(told["interference"], told["interference_sd"], told["motors"], told["unit"])
+    text = _listed(told["interference"], told["interference_sd"], told)
     if told["by_log"] is None:
         return text
-    log = _listed(told["by_log"]["interference"], told["by_log"]["interference_sd"], told["motors"], told["unit"])
+    log = _listed(told["by_log"]["interference"], told["by_log"]["interference_sd"], told)
     return f"{text} by the gyroscope, {log} by the log's attitude"
 
 
-def _listed(term: Sequence[Any], sd: Sequence[Any], motors: Sequence[int] | None, unit: str) -> str:
+def _listed(term: Sequence[Any], sd: Sequence[Any], told: Mapping[str, Any]) -> str:
+    motors, unit = told["motors"], told["unit"]
     if motors is None or len(motors) == 1:
         return f"{_vector(term, sd)} {unit}"
-    each = (f"motor {n} {_vector(t, s)}" for n, t, s in zip(motors, term, sd, strict=True))
+    squared = told["squared"] or [False] * len(motors)
+    each = (
+        f"motor {n}{' squared' if square else ''} {_vector(t, s)}"
+        for n, square, t, s in zip(motors, squared, term, sd, strict=True)
+    )
     return f"{', '.join(each)} {unit}"
 
 

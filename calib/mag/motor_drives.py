@@ -35,12 +35,17 @@ UNIT = {DriveKind.CURRENT: "A", DriveKind.THROTTLE: "1", DriveKind.MOTORS: "1"}
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Samples (N, p) at `t` (N,): A, or 0..1. `numbers`: which motors, from 1; (0,) where it is one for all."""
+    """Samples (N, p) at `t` (N,): A, or 0..1. `numbers`: which motors, from 1; (0,) where it is one for all.
+
+    A reversible motor (-1..1) has two columns: its signed drive, and the square, which its supply current follows
+    whichever way it turns. `squares` says which columns are such squares.
+    """
 
     kind: DriveKind
     t: Array
     values: Array
     numbers: tuple[int, ...]
+    squares: tuple[bool, ...] = ()
 
     @classmethod
     def of(cls, kind: DriveKind, channel: Channel) -> Drive | None:
@@ -53,8 +58,16 @@ class Drive:
         live = np.flatnonzero(moves > _LIVE * max(float(np.abs(channel.values).max()), 1e-9))
         if not len(live) or not moves[live].all():
             return None
-        numbers = tuple(int(i) + 1 for i in live) if kind == DriveKind.MOTORS else (0,)
-        return cls(kind, channel.t, channel.values[:, live[:1] if kind != DriveKind.MOTORS else live], numbers)
+        if kind != DriveKind.MOTORS:
+            return cls(kind, channel.t, channel.values[:, live[:1]], (0,))
+        columns = [
+            (int(i) + 1, squared)
+            for i in live
+            for squared in ((False, True) if channel.values[:, i].min() < -_LIVE else (False,))
+        ]
+        values = [channel.values[:, number - 1] ** (2 if squared else 1) for number, squared in columns]
+        numbers, squares = zip(*columns, strict=True)
+        return cls(kind, channel.t, np.column_stack(values), numbers, squares)
 
     def columns(self, t: Array) -> Array:
         """At the times `t` (N,): the slow part of every drive, then the fast part (N, 2 p); nan where not known."""

@@ -1,8 +1,9 @@
-"""Mounting of a magnetometer: which right-angle rotation makes its field agree with the accelerometer.
+"""Mounting of a magnetometer: which rotation makes its field agree with the accelerometer.
 
 Whatever the heading, the angle between field and vertical is fixed by the dip: with g the unit vector down and m the
 unit field, both in the body, ``g . R m = sin(dip)`` holds for the true rotation R alone, provided that the vehicle was
-tilted to all sides.
+tilted to all sides. Mountings by right angles are tried by name; any other is fitted by its angles, and told from a
+sensor whose axes are mirrored, which no mounting is (:mod:`calib.mag.free_rotation`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.mag.free_rotation import (
+    Euler,
+    angle_between,
+    best_mirrors,
+    best_rotations,
+    euler_angles,
+    mirror_words,
+    turn,
+)
 from mavcal.calib.mag.sections import sections
 
 Array = NDArray[np.float64]
@@ -30,6 +40,9 @@ FEWEST = 20
 MARGIN = 4.0
 """Mean square by which the second best rotation must be worse (ArduPilot asks for 2)."""
 
+ASKEW = math.radians(5.0)
+"""Angle from the nearest right-angle mounting up to which that one is meant: brackets and levels are no better."""
+
 _LIKELIHOOD = 10.0  # logarithm of the ratio of likelihoods that is asked for besides: 1 to 22 000
 _EXPLAINS = 0.25  # rms of g . R m - sin(dip), a sine: beyond about 15 degrees nothing is explained
 _KEPT = 0.9  # of the samples, the best: jolts and magnets passed by are in the rest
@@ -38,6 +51,8 @@ _STILL = 0.02  # rad/s
 _JOLT = 0.5  # departure of a sine that is no misalignment any more
 _ROUNDS = 3
 _OPEN_CONDITION = 1e6
+_ACCEL_SD = math.radians(0.3)  # of the vertical: what the accelerometer's offsets (.05 m/s2) and cross terms leave
+_CERTAIN = 10.0  # an angle that is no right one is believed if it is known to this part of itself
 _OPEN = math.radians(5.0)  # sd of a misalignment beyond which it counts as not determined
 
 
@@ -46,8 +61,10 @@ class MountingVerdict(StrEnum):
 
     AS_STATED = "as_stated"  # no rotation is needed
     ROTATED = "rotated"  # one other rotation explains the data, the stated one does not
+    BY_ANGLES = "by_angles"  # a rotation by other angles than right ones explains the data
+    MIRRORED = "mirrored"  # no rotation explains the data, a mirror image does: driver or sensor are at fault
     AMBIGUOUS = "ambiguous"  # several rotations explain the data: tilt more
-    UNEXPLAINED = "unexplained"  # no right-angle rotation does
+    UNEXPLAINED = "unexplained"  # no rotation does
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +79,25 @@ class Mounting:
     pitch: int
     yaw: int
     matrix: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FittedRotation:
+    """The rotation by any angles that explains the data best, from what is taken for the body to the body."""
+
+    matrix: Array  # (3, 3)
+    covariance: Array
+    """(3, 3), rad^2, of small turns of the body about x, y, z."""
+
+    @property
+    def euler(self) -> Euler:
+        """Its angles with their standard deviations."""
+        return euler_angles(self.matrix, self.covariance)
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the whole angle, rad."""
+        return math.sqrt(float(np.trace(self.covariance)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +117,10 @@ class OrientationResult:
     misalignment_sd_deg: tuple[float, float, float] | None
     lag: float | None
     """By how much the magnetometer is later than the accelerometer, s; None: no gyro was given, or nothing turned."""
+    fitted: FittedRotation | None
+    """None: the tilt does not determine it."""
+    sine: float
+    """Sine of the dip, as given or as it is with the best rotation."""
 
 
 def rotation_matrix(roll: float, pitch: float, yaw: float) -> Array:
@@ -134,6 +174,7 @@ def find_orientation(
     inclination: float | None = None,
     gravity: float = STANDARD_GRAVITY,
     candidates: tuple[Mounting, ...] = RIGHT_ANGLES,
+    stated: ArrayLike | None = None,
 ) -> OrientationResult:
     """Find the rotation that is missing between magnetometer and body.
 
@@ -151,7 +192,9 @@ def find_orientation(
     inclination
         Dip of the field, rad. None: it is estimated for every rotation, which takes more tilt to tell them apart.
     candidates
-        Rotations to choose from; the first is the one that is stated now.
+        Rotations by right angles to choose from; the first is the one that is stated now.
+    stated : shape (3, 3) or None
+        The stated mounting, body from sensor: with it a mirrored axis is named as the sensor has it.
 
     Raises
     ------
@@ -172,9 +215,118 @@ def find_orientation(
     effective = len({*zip(sections(field).tolist(), sections(down).tolist(), strict=True)})
     margin = 0.5 * effective * (second / least - 1.0)
     rms = {candidates[i].name: math.sqrt(squares[i]) for i in order}
+    samples = _Samples(down, field, turning, sine, effective)
     verdict, message = _verdict(candidates, order, squares, margin)
-    small = _misalignment(down, field @ best.matrix.T, turning, sine, effective)
-    return OrientationResult(verdict, best, message, rms, margin, len(field), *small)
+    small = _misalignment(samples, best.matrix)
+    fitted, freely, told = _by_any_angles(samples, candidates, squares, stated)
+    if freely is not None:
+        verdict, message = freely, told
+    matrix = fitted.matrix if fitted is not None and verdict == MountingVerdict.BY_ANGLES else best.matrix
+    told_sine = sine if sine is not None else float(np.median(np.einsum("ni,ij,nj->n", down, matrix, field)))
+    if verdict == MountingVerdict.ROTATED and sine is None:
+        message += "; the place is not known, and a compass with a mirrored axis would look the same"
+    return OrientationResult(
+        verdict,
+        best,
+        message,
+        rms,
+        margin,
+        len(field),
+        None if small is None else _degrees(small.turn),
+        None if small is None else _degrees(np.sqrt(np.diag(small.covariance))),
+        None if small is None else small.lag,
+        fitted,
+        told_sine,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    down: Array
+    field: Array
+    turning: Array | None
+    sine: float | None
+    effective: int
+
+    def mean_square(self, matrix: Array) -> float:
+        return _mean_square(self.down, self.field @ matrix.T, self.sine)
+
+    def margin(self, better: float, worse: float) -> float:
+        """Logarithm of the ratio of likelihoods of two mean squares."""
+        return 0.5 * self.effective * (worse / max(better, _LEAST**2) - 1.0)
+
+    def clearly(self, better: float, worse: float) -> bool:
+        return worse >= MARGIN * max(better, _LEAST**2) and self.margin(better, worse) >= _LIKELIHOOD
+
+    def kept(self, matrix: Array) -> tuple[Array, Array]:
+        """The nine tenths of the samples that `matrix` explains best."""
+        vertical = np.einsum("ni,ij,nj->n", self.down, matrix, self.field)
+        error = np.abs(vertical - (float(np.median(vertical)) if self.sine is None else self.sine))
+        best = error <= np.quantile(error, _KEPT)
+        return self.down[best], self.field[best]
+
+
+def _by_any_angles(
+    samples: _Samples, candidates: tuple[Mounting, ...], squares: Array, stated: ArrayLike | None
+) -> tuple[FittedRotation | None, MountingVerdict | None, str]:
+    """The rotation by any angles, and what it says beyond the right-angle ones (None: nothing)."""
+    starts = np.array([c.matrix for c in candidates])
+    rotations = best_rotations(samples.down, samples.field, samples.sine, starts)
+    rotations = best_rotations(*samples.kept(rotations[0]), samples.sine, np.array(rotations))
+    square = samples.mean_square(rotations[0])
+    mirrors = best_mirrors(samples.down, samples.field, samples.sine, starts)
+    if mirrors and (mirrored := _mirrored(samples, mirrors[0], square, stated)):
+        return None, MountingVerdict.MIRRORED, mirrored
+    if math.sqrt(square) > _EXPLAINS:
+        return (
+            None,
+            MountingVerdict.UNEXPLAINED,
+            (
+                f"no mounting explains the compass: the best rotation leaves {math.sqrt(square):.2f} of the field "
+                "against the vertical; calibrate the accelerometer first, and look for steel and currents"
+            ),
+        )
+    small = _misalignment(samples, rotations[0])
+    if small is None:
+        return None, None, ""
+    fitted = FittedRotation(turn(small.turn) @ rotations[0], small.covariance + _ACCEL_SD**2 * np.eye(3))
+    askew, nearest = min((angle_between(c.matrix, fitted.matrix), k) for k, c in enumerate(candidates))
+    if askew <= max(ASKEW, _CERTAIN * fitted.sd):
+        return fitted, None, ""
+    if any(not samples.clearly(square, samples.mean_square(other)) for other in rotations[1:]):
+        return (
+            fitted,
+            MountingVerdict.AMBIGUOUS,
+            ("several mountings explain the compass alike: tilt the vehicle to more sides"),
+        )
+    if not samples.clearly(square, float(squares.min())):
+        return fitted, None, ""
+    return (
+        fitted,
+        MountingVerdict.BY_ANGLES,
+        (
+            f"mounted turned by {fitted.euler}, {math.degrees(askew):.0f} deg from the nearest right-angle mounting "
+            f"({candidates[nearest].name})"
+        ),
+    )
+
+
+def _mirrored(samples: _Samples, mirror: Array, square: float, stated: ArrayLike | None) -> str:
+    """In words, that a mirror image explains the field and no rotation (mean square `square`) does; or empty."""
+    reflected = samples.mean_square(mirror)
+    if math.sqrt(reflected) > _EXPLAINS or not samples.clearly(reflected, square):
+        return ""
+    body = np.eye(3) if stated is None else np.asarray(stated, dtype=np.float64)
+    return (
+        f"{mirror_words(body.T @ mirror @ body)}, which no mounting does (the best rotation leaves "
+        f"{math.sqrt(square):.2f} of the field against the vertical, the mirror image {math.sqrt(reflected):.3f}): the "
+        "driver or the sensor is at fault. Power-cycle the vehicle and calibrate again; replace the compass if it stays"
+    )
+
+
+def _degrees(angles: Array) -> tuple[float, float, float]:
+    x, y, z = np.degrees(angles).tolist()
+    return x, y, z
 
 
 def _unit_vectors(mag: ArrayLike, accel: ArrayLike, gravity: float) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -233,34 +385,42 @@ def _verdict(
     )
 
 
-def _misalignment(
-    down: Array, field: Array, turning: Array | None, sine: float | None, effective: int
-) -> tuple[tuple[float, float, float] | None, tuple[float, float, float] | None, float | None]:
-    """Small rotation phi and lag tau that are left: ``g . (m + phi x m - tau w x m) = sin(dip)``, Gauss-Newton.
+@dataclass(frozen=True, eq=False)
+class _Small:
+    """A small rotation (rotation vector, rad) with its covariance, and the time lag, s."""
+
+    turn: Array
+    covariance: Array
+    lag: float | None
+
+
+def _misalignment(samples: _Samples, matrix: Array) -> _Small | None:
+    """Small rotation phi and lag tau left after `matrix`: ``g . (m + phi x m - tau w x m) = sin(dip)``, Gauss-Newton.
 
     A field in the body turns by ``-w x m``; m is tau late. The sine is a further unknown where the dip is not given.
+    None: the samples do not determine it.
     """
+    down, field, turning, sine = samples.down, samples.field @ matrix.T, samples.turning, samples.sine
     found = np.zeros(4)
     turned = field
     for _ in range(_ROUNDS):
         rows, right = _linear_system(down, turned, turning, sine)
         normal = rows.T @ rows / len(rows)
         if np.linalg.cond(normal) > _OPEN_CONDITION:
-            return None, None, None
+            return None
         solution = np.linalg.solve(normal, rows.T @ right / len(rows))
         found[:3] += solution[:3]
         if turning is not None:
             found[3] += solution[3]
-        turn = found[:3] if turning is None else found[:3] - found[3] * turning
-        once = np.cross(turn, field)
-        turned = field + once + 0.5 * np.cross(turn, once)
+        angles = found[:3] if turning is None else found[:3] - found[3] * turning
+        once = np.cross(angles, field)
+        turned = field + once + 0.5 * np.cross(angles, once)
+    effective = samples.effective
     variance = float(np.mean((right - rows @ solution) ** 2)) * effective / max(effective - len(solution), 1)
-    sd = np.sqrt(np.diag(np.linalg.inv(normal)) * variance / effective)
-    if sd[:3].max() > _OPEN:
-        return None, None, None
-    angles, errors = np.degrees(found[:3]).tolist(), np.degrees(sd[:3]).tolist()
-    lag = None if turning is None else float(found[3])
-    return (angles[0], angles[1], angles[2]), (errors[0], errors[1], errors[2]), lag
+    covariance = np.linalg.inv(normal)[:3, :3] * variance / effective
+    if np.sqrt(np.diag(covariance)).max() > _OPEN:
+        return None
+    return _Small(found[:3], covariance, None if turning is None else float(found[3]))
 
 
 def _linear_system(down: Array, field: Array, turning: Array | None, sine: float | None) -> tuple[Array, Array]:

@@ -7,21 +7,23 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from mavcal.calib.earth import EarthField
-from mavcal.calib.errors import InvalidInputError, UndeterminedError
-from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult, parameter_names
-from mavcal.calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import OFFSETS, FitResult, parameter_names
+from mavcal.calib.mag.context import MagContext
+from mavcal.calib.mag.distance import score_rows
+from mavcal.calib.mag.earthly import earthly
+from mavcal.calib.mag.heading import heading_sd_deg
+from mavcal.calib.mag.hurried import TurningField
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, white_variance
 from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance
-from mavcal.calib.recording import Sensor
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
@@ -35,88 +37,12 @@ FIELD_TOLERANCE = 0.2
 """Departure of the fitted from the modelled field strength, relative, that is reported."""
 
 _ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
+_WANDERS = 0.05  # residual relative to the radius, above the noise, that is 5 deg of heading now and then
 _PIECES = 10.0
 """Pieces of misfit over which an error averages out at most: it follows the movement, not the number of samples."""
-_LEAST_FIELD, _MOST_FIELD = 12.0, 120.0  # uT
 _VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
 _MISFIT = 1.3  # residuals larger than the noise by this factor are reported as misfit
 _MANY = 20_000  # samples that are enough to draw a coverage mask
-
-
-@dataclass(frozen=True, eq=False)
-class MagContext:
-    """What a fit is told about the sensor, and not about the samples.
-
-    Parameters
-    ----------
-    unit
-        Of the samples: ``uT`` or ``counts``.
-    noise_sd
-        Noise of one axis in that unit, without quantisation; None: from the residuals.
-    quantum
-        Width of a quantisation bin; its ``q^2/12`` is added to the variance of `noise_sd`.
-    field
-        The true field: its strength ties the scale, its dip the heading error. None: scale and dip are unknown.
-    body_from_sensor
-        Mounting rotation (3, 3), for the heading error only; None: the sensor's axes are the vehicle's.
-    compensated
-        Whether the vehicle has a compensation of the motors' field in force.
-    sparse
-        Whether it turned so far from one sample to the next that misfit and noise look alike.
-    """
-
-    instance: int = 0
-    unit: str = "uT"
-    noise_sd: float | None = None
-    quantum: float = 0.0
-    field: EarthField | None = None
-    body_from_sensor: Array | None = None
-    relative: bool = False
-    temperature: float | None = None
-    compensated: bool = False
-    sparse: bool = False
-
-    def __post_init__(self) -> None:
-        if self.noise_sd is not None and not (math.isfinite(self.noise_sd) and self.noise_sd > 0.0):
-            raise InvalidInputError(f"noise of a magnetometer must be positive, not {self.noise_sd}")
-        if not (math.isfinite(self.quantum) and self.quantum >= 0.0):
-            raise InvalidInputError(f"a quantisation bin cannot be {self.quantum} wide")
-
-    def made(self, method: str, n_samples: int, movement: str = "") -> FitBuilder:
-        """What begins the result of a method from so many samples."""
-        return FitBuilder(
-            method, Sensor.MAG, self.instance, self.unit, n_samples, self.relative, self.temperature, movement
-        )
-
-    @property
-    def noise_variance(self) -> float | None:
-        """Variance of one axis with quantisation, in the unit of the samples squared; None: not known."""
-        return None if self.noise_sd is None else self.noise_sd**2 + self.quantum**2 / 12.0
-
-    @property
-    def strength(self) -> float | None:
-        """Length of the corrected vectors, uT; None: the mean radius of the ellipsoid."""
-        return None if self.field is None else self.field.norm
-
-    @property
-    def inclination(self) -> float:
-        """Dip of the field, rad."""
-        return DEFAULT_INCLINATION if self.field is None else self.field.inclination
-
-
-class MagFacts(TypedDict, total=False):
-    """Keyword arguments of every magnetometer fit: the parameters of :class:`MagContext`."""
-
-    instance: int
-    unit: str
-    noise_sd: float | None
-    quantum: float
-    field: EarthField | None
-    body_from_sensor: Array | None
-    relative: bool
-    temperature: float | None
-    compensated: bool
-    sparse: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,17 +79,17 @@ class ShapeFit:
         )
 
 
-def plausible_field(radius: float) -> bool:
-    """Whether a field of `radius` uT may be the Earth's (22 to 67), by a sensor whose scale is off and a bent site."""
-    return _LEAST_FIELD < radius < _MOST_FIELD
-
-
 def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:
     """The verdict on `fit` of `samples` (N, 3); refused where the data do not carry it."""
     thinned = samples[:: max(1, len(samples) // _MANY)]
     seen = visited((thinned - fit.ellipsoid.offset) @ correction(fit.ellipsoid, context.strength).matrix.T)
     quality = residual_quality(fit, context) | {"coverage_mask": mask_bytes(seen), "coverage": float(seen.mean())}
-    fit = _widened(fit, quality, context)
+    turn = _turn(fit, samples, context)
+    if turn is not None:
+        lengths = np.linalg.norm(correction(fit.ellipsoid, 1.0).apply(samples), axis=1)
+        quality |= {"step_deg": math.degrees(turn.step), "blur_share": turn.seen_in(lengths)}
+        fit = _blurred(fit, samples, turn)
+    fit = _widened(fit, quality)
     return concluded(fit, quality, len(samples), len(fit.residuals), context)
 
 
@@ -176,7 +102,7 @@ def concluded(
     strength_sd = 0.0 if context.field is None else context.field.norm_sd
     full = correction_covariance(fit.ellipsoid, fit.covariance, context.strength, strength_sd)
     quality = dict(about_samples) | _quality(fit, context, model, full)
-    reason = _why_not(fit, quality["residual_rms"], model, full)
+    reason = _wanders(fit, quality) or _why_not(fit, quality["residual_rms"], model, full)
     if reason is not None:
         message, names = reason
         message = f"{fit.because}. {message[0].upper()}{message[1:]}" if fit.because else message
@@ -184,7 +110,7 @@ def concluded(
     told = full.copy()
     blind = [parameter_names().index(name) for name in fit.left_open]
     told[blind, :] = told[:, blind] = 0.0
-    return made.fitted(
+    found = made.fitted(
         model,
         told,
         message=_message(quality) + _what_is_open(fit),
@@ -196,6 +122,7 @@ def concluded(
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit.ellipsoid, model) | dict(fit.native)),
     )
+    return earthly(found, context)
 
 
 def refusal(method: str, error: UndeterminedError, n_samples: int, context: MagContext) -> FitResult:
@@ -222,17 +149,33 @@ def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
     }
 
 
-def _widened(fit: ShapeFit, quality: Mapping[str, Any], context: MagContext) -> ShapeFit:
+def _turn(fit: ShapeFit, samples: Array, context: MagContext) -> TurningField | None:
+    """How the field turned in samples that follow each other too slowly to be a series; None where they do not."""
+    if context.times is None or len(context.times) != len(samples):
+        return None
+    return TurningField.of(context.times, correction(fit.ellipsoid, 1.0).apply(samples))
+
+
+def _blurred(fit: ShapeFit, samples: Array, turn: TurningField) -> ShapeFit:
+    """The fit with what the longest blur could have moved it by: more samples do not make that less."""
+    inverse = np.linalg.inv(fit.ellipsoid.shape)
+    outwards = turn.blur / np.linalg.norm(turn.u @ inverse, axis=1)  # along the normal, in the unit of the samples
+    pull = score_rows(samples[turn.rows], fit.ellipsoid) @ outwards
+    variance = float(fit.residuals @ fit.residuals) / max(fit.dof, 1.0) * fit.variance_inflation
+    moved = fit.covariance @ pull / max(variance, 1e-300)
+    return dataclasses.replace(fit, covariance=fit.covariance + np.outer(moved, moved))
+
+
+def _widened(fit: ShapeFit, quality: Mapping[str, Any]) -> ShapeFit:
     """The fit with the uncertainty that its misfit leaves, however many samples there are.
 
-    What residuals are beyond the noise is no noise: it averages over :data:`_PIECES` at most. Where samples are
-    `sparse`, nothing tells it from noise, and all that is left counts.
+    What residuals are beyond the noise is no noise: it averages over :data:`_PIECES` at most. Nor is what follows the
+    turn where the compass was read more slowly than it turned.
     """
     squares = quality["residual_rms"] ** 2
-    noise = 0.0 if context.sparse and context.noise_variance is None else quality["noise_sd"] ** 2
-    if not context.sparse and not _misfits(fit, quality):
-        return fit
-    misfit = max(squares - noise, 0.0) / squares if squares > 0.0 else 0.0
+    misfit = quality.get("blur_share", 0.0)
+    if _misfits(fit, quality):
+        misfit = max(misfit, (squares - quality["noise_sd"] ** 2) / squares)
     factor = misfit * len(fit.residuals) / (_PIECES * fit.variance_inflation)
     if factor <= 1.0:
         return fit
@@ -295,6 +238,18 @@ def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tup
     return message, open_ones
 
 
+def _wanders(fit: ShapeFit, quality: Mapping[str, Any]) -> tuple[str, tuple[str, ...]] | None:
+    """Why an ellipsoid whose residuals are no noise, and degrees of heading, may not be used; None if it may."""
+    rough = quality["residual_rms"] / fit.ellipsoid.mean_radius
+    if fit.form != "ellipsoid" or not _WANDERS < rough <= _ROUGHEST or not _misfits(fit, quality):
+        return None
+    message = (
+        f"the field wandered by {rough:.0%} of itself while turning, which is no noise and costs "
+        f"{math.degrees(rough):.0f} deg of heading: keep away from steel, magnets and currents, and repeat"
+    )
+    return message, parameter_names()
+
+
 def _volume(model: TriadModel) -> float:
     return abs(float(np.linalg.det(model.matrix)))
 
@@ -321,11 +276,13 @@ def _warnings(fit: ShapeFit, context: MagContext, quality: Mapping[str, Any]) ->
             f"{'an' if fit.form == 'ellipsoid' else 'a'} {fit.form} (blur, currents, steel nearby). The stated "
             "uncertainty includes that"
         )
-    if context.sparse:
+    if "step_deg" in quality:
+        seen = quality["blur_share"]
         found.append(
-            "the compass was read more slowly than it turned, by 30 deg and more from one sample to the next: errors "
-            f"pass for noise, so more samples make the heading no better than {quality['heading_sd_deg']:.2g} deg. "
-            "Turn more slowly, or record it at 10 Hz"
+            f"the compass was read more slowly than it turned, by {quality['step_deg']:.0f} deg from one sample to the "
+            "next: the stated uncertainty includes what a blur or a lag could hide"
+            + (f", and {seen:.0%} of the residuals' variance follow the turn" if seen else "")
+            + ". Turn more slowly, or record it at 10 Hz"
         )
     if fit.dof < 10:
         found.append(f"only {fit.dof:.0f} samples more than parameters: the stated uncertainty is itself uncertain")

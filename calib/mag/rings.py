@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.result import MagContext, MagFacts, refusal
+from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.result import refusal
 from mavcal.calib.mag.ring_centres import (
     CENTRES,
     FEWEST_OF_CIRCLE,

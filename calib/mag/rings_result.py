@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from mavcal.calib.c_array import c_array, homogeneous
 from mavcal.calib.fit import FitResult, parameter_names
+from mavcal.calib.mag.context import MagContext
+from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.mounting import mounting_of
-from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext
+from mavcal.calib.mag.result import UNDETERMINED_SD
 from mavcal.calib.mag.ring_centres import Circle, Ring, plane_of
 from mavcal.calib.mag.rings_algebra import by_dominant, centres_inverse, columns_of, published
 from mavcal.calib.stats.residuals import residual_statistics
@@ -189,7 +191,7 @@ def rings_result(method: str, fit: RingsFit, context: MagContext, diameter: floa
     quality = _quality(fit, context, model, covariance, strength=strength, of_field=diameter is None, whole=whole)
     quality |= {"n_outliers": n_samples - fit.n_used}
     quality |= {"chi2": chi2 if p_value is not None else None, "dof": closing, "p_value": p_value}
-    return context.made(method, n_samples).fitted(
+    found = context.made(method, n_samples).fitted(
         model,
         covariance,
         message=_message(fit, quality, whole),
@@ -201,6 +203,7 @@ def rings_result(method: str, fit: RingsFit, context: MagContext, diameter: floa
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit, context, model, strength, whole)),
     )
+    return earthly(found, context) if diameter is None else found  # a diameter is in whatever unit
 
 
 def _quality(

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.distance import ALL_SIDES, Distances, Solution, bisquare, gauss_newton
 from mavcal.calib.mag.moments import Moments
-from mavcal.calib.mag.result import MagContext, ShapeFit
+from mavcal.calib.mag.result import ShapeFit
 from mavcal.calib.mag.robust import MOST_OUTLIERS, Start, find_start, robust_sd
 from mavcal.calib.mag.samples import LEAST_VARIANCE, NEARLY_PLANAR, Cloud, check_not_flat, check_real_samples
 from mavcal.calib.mag.serial import LONGEST, weakened_information

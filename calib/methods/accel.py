@@ -18,6 +18,7 @@ from mavcal.calib.methods.method import (
     FIXTURE,
     GRAVITY,
     INSTANCE,
+    MIN_STILL,
     PLACE,
     FindingKind,
     Method,
@@ -54,30 +55,34 @@ def accel_six_face(source: Source, options: Options) -> list[FitResult]:
     """Faces by label, by stillness, or row by row."""
     fits = []
     for accel in source.channels(Sensor.ACCEL):
-        faces, temperature = _faces(source, accel, all_samples=options["samples"] == "all")
-        fits.append(
-            fit_six_face(
-                faces,
-                gravity=options["gravity"],
-                convention=options["convention"],
-                form=options["form"],
-                fixture_sd=options["fixture_sd"],
-                instance=accel.instance,
-                unit=accel.unit,
-                temperature=temperature,
-                relative=source.relative(accel),
-            )
+        faces, temperature = _faces(source, accel, options)
+        fit = fit_six_face(
+            faces,
+            gravity=options["gravity"],
+            convention=options["convention"],
+            form=options["form"],
+            fixture_sd=options["fixture_sd"],
+            instance=accel.instance,
+            unit=accel.unit,
+            temperature=temperature,
+            relative=source.relative(accel),
         )
+        fits.append(fit if source.readings(accel) else _too_short(source, fit, options))
     return fits
 
 
-def _faces(source: Source, accel: Channel, *, all_samples: bool) -> tuple[list[Face], float | None]:
-    """Faces by label, by stillness, or row by row in a table without time; and the mean temperature."""
+def _too_short(source: Source, fit: FitResult, options: Options) -> FitResult:
+    return source.held_too_short(fit, fit.instance, options["min_still"])
+
+
+def _faces(source: Source, accel: Channel, options: Options) -> tuple[list[Face], float | None]:
+    """Faces by label, by stillness, or row by row in a table of readings; and the mean temperature."""
+    all_samples = options["samples"] == "all"
     accel = accel.take(finite_rows(accel.values))
     if source.recording.segments:
         parts = [(down_of(s.label), accel.between(s.start, s.end)) for s in source.recording.segments]
         return _face_means(parts, all_samples=all_samples), None
-    if not source.timed:
+    if source.readings(accel):
         groups: dict[tuple[int, bool], list[int]] = {}
         middle = 0.5 * (accel.values.max(axis=0) + accel.values.min(axis=0))
         for row, value in enumerate(accel.values - middle):
@@ -85,7 +90,7 @@ def _faces(source: Source, accel: Channel, *, all_samples: bool) -> tuple[list[F
             groups.setdefault((axis, bool(value[axis] > 0)), []).append(row)
         parts = [(None, accel.take(np.array(rows))) for rows in groups.values()]
         return _face_means(parts, all_samples=all_samples), None
-    stills = source.stills(accel.instance, held=True)
+    stills = source.stills(accel.instance, held=True, min_still=options["min_still"])
     gyro, temperature = source.maybe(Sensor.GYRO, accel.instance), source.temperature(accel.instance)
     poses = pose_means(accel, stills, gyro=gyro, temperature=temperature)
     square = [p for p in poses if np.abs(p.mean).max() > 0.9 * np.linalg.norm(p.mean)]
@@ -115,19 +120,18 @@ def accel_multi(source: Source, options: Options) -> list[FitResult]:
     for accel in source.channels(Sensor.ACCEL):
         if not source.timed and not source.recording.segments:
             raise InvalidInputError("still poses are found by time: the table has none; give --rate, or a column t")
-        stills = source.stills(accel.instance, held=True)
+        stills = source.stills(accel.instance, held=True, min_still=options["min_still"])
         gyro, temperature = source.maybe(Sensor.GYRO, accel.instance), source.temperature(accel.instance)
-        fits.append(
-            fit_poses(
-                pose_means(accel, stills, gyro=gyro, temperature=temperature),
-                gravity=options["gravity"] or STANDARD_GRAVITY,
-                cross_sd=options["cross_sd"],
-                form=options["form"],
-                instance=accel.instance,
-                unit=accel.unit,
-                relative=source.relative(accel),
-            )
+        fit = fit_poses(
+            pose_means(accel, stills, gyro=gyro, temperature=temperature),
+            gravity=options["gravity"] or STANDARD_GRAVITY,
+            cross_sd=options["cross_sd"],
+            form=options["form"],
+            instance=accel.instance,
+            unit=accel.unit,
+            relative=source.relative(accel),
         )
+        fits.append(_too_short(source, fit, options))
     return fits
 
 
@@ -143,7 +147,7 @@ def accel_thermal(source: Source, options: Options) -> list[FitResult]:
         fits.append(
             fit_accel_thermal(
                 accel,
-                source.stills(accel.instance, held=True),
+                source.stills(accel.instance, held=True, min_still=options["min_still"]),
                 temperature,
                 degree=options["degree"],
                 gravity=options["gravity"] or STANDARD_GRAVITY,
@@ -172,6 +176,7 @@ METHODS = (
             *PLACE,
             Option("convention", CONVENTIONS, "specific-force", "accelcal: the axis that points down reads +g"),
             FIXTURE,
+            MIN_STILL,
             Option("samples", ("means", "all"), "means", "regress on face means, or on all samples as published"),
             Option("form", FORMS, "accelcal", "forward: readings on true vectors, which noise does not bias"),
         ),
@@ -184,6 +189,7 @@ METHODS = (
             INSTANCE,
             GRAVITY,
             *PLACE,
+            MIN_STILL,
             Option("cross_sd", float, 0.01, "prior standard deviation of the cross terms; 0 holds them at zero"),
             Option("form", ("symmetric", "upper"), "symmetric", "canonical form of the matrix"),
         ),
@@ -196,6 +202,7 @@ METHODS = (
             INSTANCE,
             GRAVITY,
             *PLACE,
+            MIN_STILL,
             Option("degree", int, 2, "of the drift, 1 to 3"),
             Option("tref", float, None, "temperature that the offset refers to, degC; else the mean of the poses"),
             Option("cross_sd", float, 0.01, "prior standard deviation of the cross terms; 0 holds them at zero"),

@@ -8,7 +8,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.imu import fit_imu
-from mavcal.calib.methods.method import GRAVITY, INSTANCE, Method, Options, mean_or_none
+from mavcal.calib.methods.method import GRAVITY, INSTANCE, MIN_STILL, Method, Options, mean_or_none
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Sensor
@@ -33,6 +33,7 @@ def imu_multi(source: Source, options: Options) -> list[FitResult]:
                 cross_sd=options["cross_sd"],
                 form=options["form"],
                 spans=np.array([[s.start, s.end] for s in segments]) if segments else None,
+                min_still=options["min_still"],
                 temperature=mean_or_none(temperature.values[:, 0]) if temperature is not None else None,
                 relative=source.relative(accel) or source.relative(gyro),
             )
@@ -50,6 +51,7 @@ METHODS = (
         (
             INSTANCE,
             GRAVITY,
+            MIN_STILL,
             Option("cross_sd", float, 0.01, "what misalignments usually are, rad; what is not known better stays open"),
             Option("form", ("symmetric", "upper"), "symmetric", "canonical form of the accelerometer's matrix"),
         ),

@@ -29,7 +29,7 @@ from mavcal.calib.mag.rings_faces import LABELS
 from mavcal.calib.mag.sphere import fit_sphere
 from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, gravity_of
 from mavcal.calib.methods.source import Source
-from mavcal.calib.methods.surroundings import of_one_surroundings, sparse
+from mavcal.calib.methods.surroundings import of_one_surroundings
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
@@ -55,8 +55,12 @@ def _mag_facts(source: Source, mag: Channel, options: Options) -> dict[str, Any]
         "quantum": mag.quantum,
         "field": _field(source, mag, options),
         "relative": source.relative(mag),
-        "sparse": sparse(source, mag),
     }
+
+
+def _times(source: Source, mag: Channel) -> Array | None:
+    """When `mag` was sampled; None where rows were counted."""
+    return mag.t if source.timed else None
 
 
 def _field(source: Source, mag: Channel, options: Options) -> EarthField | None:
@@ -81,7 +85,7 @@ def mag_of(fit: Callable[..., FitResult]) -> Callable[[Source, Options], list[Fi
 
     def run(source: Source, options: Options) -> list[FitResult]:
         def alone(mag: Channel) -> FitResult:
-            return fit(mag.values, **_mag_facts(source, mag, options))
+            return fit(mag.values, times=_times(source, mag), **_mag_facts(source, mag, options))
 
         channels = [mag.take(finite_rows(mag.values)) for mag in source.channels(Sensor.MAG)]
         return [of_one_surroundings(source, mag, alone) for mag in channels]
@@ -102,7 +106,7 @@ def mag_ellipsoid(source: Source, options: Options) -> list[FitResult]:
         facts["model"] = options["model"]
         if window > 0.0 and gyro is not None:
             return fit_ellipsoid_deblurred(mag.values, rates_during(mag.t, gyro.t, gyro.values, window), **facts)
-        return fit_ellipsoid(mag.values, **facts)
+        return fit_ellipsoid(mag.values, times=_times(source, mag), **facts)
 
     channels = [mag.take(finite_rows(mag.values)) for mag in source.channels(Sensor.MAG)]
     return [of_one_surroundings(source, mag, alone) for mag in channels]

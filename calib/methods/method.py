@@ -19,6 +19,7 @@ from mavcal.calib.methods.names import ENTRIES
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Recording
+from mavcal.calib.stats.stillness import HOLD_S
 
 Array = NDArray[np.float64]
 Options = Mapping[str, Any]
@@ -33,6 +34,8 @@ class FindingKind(StrEnum):
     FIGURES = "figures that belong to no correction"
 
 
+MIN_STILL = Option("min_still", float, HOLD_S, "s for which a pose was held at least; shorter ones are no poses")
+"""What every method takes that finds still poses by itself."""
 SPAN = (
     Option("from", float, None, "s on the recording's clock: nothing before it is used"),
     Option("until", float, None, "s on the recording's clock: nothing after it is used"),

@@ -5,12 +5,27 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+import numpy as np
+
 from mavcal.calib.firmware import undo
-from mavcal.calib.fit import FitResult
+from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.flight.rest import grounded
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.stats.stillness import HELD, RESTING, Still, find_still
+from mavcal.calib.stats.stillness import (
+    HELD,
+    HOLD_S,
+    MANY_MORE,
+    RESTING,
+    SHORTER,
+    Still,
+    find_still,
+    held_for,
+    too_short,
+)
+
+_TURNED_COS = 0.5
+"""Cosine of 60 degrees: nothing turns by that and more at every sample, so such rows are poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,23 +75,48 @@ class Source:
         """Whether the time stamps are times: a table without them has counted rows."""
         return not any(event.kind == NO_TIME for event in self.recording.events)
 
+    def readings(self, channel: Channel) -> bool:
+        """Whether every row of `channel` is a reading by itself: of a face, a pose or a turn, written down one by one.
+
+        So are the rows of a table without time. With a time stamp they are where a rest cannot show, as fewer than two
+        rows are in the shortest one. So they are, too, where the sensor lies another way at every row.
+        """
+        if self.of_vehicle or self.recording.segments or len(channel) < 2:
+            return not self.timed
+        apart = float(np.median(np.diff(channel.t)))
+        return not self.timed or 2.0 * apart > HELD.shortest or _lies_anew(channel)
+
     @property
     def of_vehicle(self) -> bool:
         """Whether it was streamed by a vehicle."""
         return self.recording.identity.autopilot is not None
 
-    def stills(self, instance: int, *, held: bool) -> tuple[Still, ...]:
+    def stills(self, instance: int, *, held: bool, min_still: float = HOLD_S) -> tuple[Still, ...]:
         """Labelled segments, else the still spans of the recording; none in a table without time.
 
-        A vehicle's spans count only with the motors off: a good hover passes for still.
+        A vehicle's spans count only with the motors off: a good hover passes for still. Poses are held for `min_still`
+        seconds at least.
         """
         if self.recording.segments:
             return tuple(Still(s.start, s.end, None, None) for s in self.recording.segments)
         if not self.timed:
             return ()
-        limits = HELD if held else RESTING
+        limits = held_for(HELD if held else RESTING, min_still)
         found = find_still(self.recording, instance=instance, limits=limits)
         return grounded(self.recording, found, limits.shortest) if self.of_vehicle else found
+
+    def held_too_short(self, fit: FitResult, instance: int, min_still: float) -> FitResult:
+        """A refused `fit` that says how long poses were held, where more were held for less than `min_still` s."""
+        if fit.status != FitStatus.REFUSED or self.recording.segments or not self.timed:
+            return fit
+        found = len(self.stills(instance, held=True, min_still=min_still))
+        for part in SHORTER:
+            asked = part * min_still
+            shorter = self.stills(instance, held=True, min_still=asked)
+            if len(shorter) >= MANY_MORE * (found + 1):
+                held = [s.duration + asked * HELD.window / HOLD_S for s in shorter]
+                return dataclasses.replace(fit, message=fit.message + too_short(held, min_still, asked))
+        return fit
 
     def flown_throughout(self, instance: int) -> bool:
         """Whether a vehicle was armed and never at rest: then none of it is a rest, not even the whole."""
@@ -105,3 +145,10 @@ class Source:
 
     def _usable(self, sensor: Sensor, instance: int) -> bool:
         return any(c.stage != Stage.DEBIASED for c in self.recording.find(sensor, instance))
+
+
+def _lies_anew(channel: Channel) -> bool:
+    """Whether the vector of `channel` turned by 60 degrees and more from most rows to the next."""
+    lengths = np.linalg.norm(channel.values, axis=1)
+    cosines = np.einsum("ni,ni->n", channel.values[1:], channel.values[:-1])
+    return bool(np.median(cosines - _TURNED_COS * lengths[1:] * lengths[:-1]) < 0.0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.mag.result import plausible_field
+from mavcal.calib.mag.earthly import plausible_field
 from mavcal.calib.methods.source import Source
 from mavcal.calib.recording import Channel, Recording
 
@@ -28,9 +28,6 @@ _FEWEST = 30  # samples of a stretch that is looked at
 _BORDERS = ("armed", "disarmed", "reboot")  # kinds of events between which surroundings stay
 _WORSE = 1.5  # times the residual of the measure that a stretch of the same surroundings may have
 _VISIBLE = 0.005  # of the field: less is no other surroundings
-_MOVES = np.radians(1.0)  # between samples, of a compass that is being turned
-_FASTEST = 35.0  # rad/s: nothing turns faster, so such rows are in no order of time
-_SPARSE = np.radians(30.0)  # between samples, beyond which misfit and noise look alike
 
 
 @dataclass(frozen=True)
@@ -43,23 +40,6 @@ class _Part:
     @property
     def text(self) -> str:
         return f"{self.mag.t[0]:.0f} to {self.mag.t[-1]:.0f} s"
-
-
-def sparse(source: Source, mag: Channel) -> bool:
-    """Whether `mag` was read more slowly than it turned, by 30 degrees and more from one sample to the next.
-
-    What is wrong with the model then changes from sample to sample, as noise does.
-    """
-    if not source.timed or len(mag) < _FEWEST:
-        return False
-    about = mag.values - 0.5 * (mag.values.max(axis=0) + mag.values.min(axis=0))
-    units = about / np.maximum(np.linalg.norm(about, axis=1), 1e-300)[:, None]
-    turned = np.arccos(np.clip(np.einsum("ni,ni->n", units[1:], units[:-1]), -1.0, 1.0))
-    moving = turned > _MOVES
-    if int(moving.sum()) < _FEWEST or float(np.median(turned[moving])) < _SPARSE:
-        return False
-    rates = turned[moving] / np.maximum(np.diff(mag.t)[moving], 1e-9)
-    return float(np.median(rates)) < _FASTEST
 
 
 def of_one_surroundings(source: Source, mag: Channel, fit: Callable[[Channel], FitResult]) -> FitResult:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import calibration_names, sensor_ids
+from mavcal.calib.firmware.ardupilot.learning import learning_warnings
 from mavcal.calib.firmware.names import LEVEL, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
@@ -261,6 +263,21 @@ def _value(
 
 
 def temperature(snapshot: Snapshot) -> Check:
+    """Temperature of every inertial unit against what its calibration covers; a unit that learns one is no pass."""
+    made, learning = _warmth(snapshot), learning_warnings(snapshot.parameters)
+    if not learning or made.verdict == Verdict.FAIL:
+        return made
+    remedy = "Let it finish: start cold and leave the vehicle alone until it is warm. Or set the parameter to 0."
+    return dataclasses.replace(
+        made,
+        verdict=Verdict.WARN,
+        reason=f"{'; '.join(learning)}.",
+        remedy=remedy,
+        evidence=(made.reason, *made.evidence),
+    )
+
+
+def _warmth(snapshot: Snapshot) -> Check:
     """Temperature of every inertial unit against what its calibration covers."""
     measures, notes = [], []
     for instance in snapshot.recording.instances(Sensor.TEMPERATURE):

@@ -16,7 +16,18 @@ from mavcal.calib.firmware import calibration_names
 from mavcal.calib.firmware.compose.ardupilot import mark_calibrated
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.px4_memory import Vector, set_vector
-from mavcal.calib.firmware.names import CROSS, LEVEL, MOTOR, OFFSET, ROTATION_EULER, SCALE, THERMAL, Role, Triple
+from mavcal.calib.firmware.names import (
+    CROSS,
+    LEVEL,
+    MOTOR,
+    OFFSET,
+    PX4_CUSTOM,
+    ROTATION_EULER,
+    SCALE,
+    THERMAL,
+    Role,
+    Triple,
+)
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.plan import (
     Fingerprint,
@@ -139,6 +150,8 @@ class _Restoration:
             self._vectors(values)
         for wanted in values:
             self._set(wanted)
+        if self._fingerprint.autopilot == "px4":
+            self._angles_in_order(values)
         accels = {w.about.instance for w in values if w.about is not None and w.about.sensor == Sensor.ACCEL}
         changed = [change for change in self._draft.changes if change.sensor == Sensor.ACCEL]
         if self._fingerprint.autopilot == "ardupilot" and changed:
@@ -200,6 +213,15 @@ class _Restoration:
             set_vector(self._draft, Vector(about, triple, numbers, np.zeros(3), "", _why(row[triple[0]])), numbers)
             for wanted in row.values():
                 values.remove(wanted)
+
+    def _angles_in_order(self, values: Sequence[ExpectedValue]) -> None:
+        """PX4 makes the number of a magnetometer "custom" while its row holds angles: a number comes behind them."""
+        for number in values:
+            if number.about is None or number.role != Role.ROTATION:
+                continue
+            angles = [w.name for w in values if w.about == number.about and w.role in ROTATION_EULER]
+            last = int(number.value) != PX4_CUSTOM
+            self._draft.reorder([*angles, number.name] if last else [number.name, *angles])
 
     def _in_row(self, wanted: ExpectedValue) -> bool:
         """Whether its row holds the id already; an empty one is loaded whole when its id is written."""

@@ -193,7 +193,7 @@ class MagProcedure(TickedProcedure):
             if reached and self._reached_at is None:
                 self._reached_at = self.time
             self._next_fit = self.time + (LOOK_EVERY if reached else max(LOOK_EVERY, (BACKOFF - 1.0) * self.elapsed))
-            mountings = {i: t.mounting() for i, t in self._tracks.items()}
+            mountings = self._mountings()
             if reached and (late or self._confirmed(mountings)):
                 self._end(mountings, f"the heading of every compass is known to {self._worst():.2f} deg or better")
             elif late:
@@ -202,6 +202,24 @@ class MagProcedure(TickedProcedure):
     def _refit(self) -> None:
         for track in self._tracks.values():
             track.refit()
+
+    def _mountings(self) -> dict[int, OrientationResult | None]:
+        """Which mounting explains each compass.
+
+        Where the place is not known, a mirrored compass looks like one that is turned in a field that points to the
+        other side. All compasses are in one field: those that are as stated say to which.
+        """
+        found = {i: t.mounting() for i, t in self._tracks.items()}
+        if self.context.earth_field is not None:
+            return found
+        known = [m.sine for m in found.values() if m is not None and m.verdict == MountingVerdict.AS_STATED]
+        if not known:
+            return found
+        sine = float(np.median(known))
+        return {
+            i: self._tracks[i].mounting(sine) if m is not None and m.verdict != MountingVerdict.AS_STATED else m
+            for i, m in found.items()
+        }
 
     def _worst(self) -> float:
         return max((t.heading_sd for t in self._tracks.values()), default=math.inf)
@@ -239,7 +257,7 @@ class MagProcedure(TickedProcedure):
     def _on_answer(self, value: str) -> None:
         """``finish``: the operator takes what is there."""
         self._refit()
-        mountings = {i: t.mounting() for i, t in self._tracks.items()}
+        mountings = self._mountings()
         worst = self._worst()
         if worst > self._target:
             self._warn(

@@ -16,8 +16,16 @@ from mavcal.calib.mag.accumulator import EllipsoidAccumulator
 from mavcal.calib.mag.blur import Rates
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.mag.coverage import Coverage
+from mavcal.calib.mag.free_rotation import angle_between
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION
-from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, find_orientation
+from mavcal.calib.mag.orientation import (
+    RIGHT_ANGLES,
+    FittedRotation,
+    Mounting,
+    MountingVerdict,
+    OrientationResult,
+    find_orientation,
+)
 from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
@@ -26,13 +34,6 @@ LEAST = 60
 
 LEAST_NOISE = 1e-4
 """Noise of one axis over the field strength below which no compass is believed to be."""
-
-
-WARNED_ASKEW = 5.0
-"""Angle between compass and accelerometer, degrees, that is told: the heading is off by about as much."""
-
-REFUSED_ASKEW = 20.0
-"""Angle, degrees, beyond which the nearest right-angle mounting is no description of the real one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +145,12 @@ class MagTrack:
         except CalibError:
             self.fit = None
 
-    def mounting(self) -> OrientationResult | None:
-        """Which mounting explains the compass; None: the movement says nothing of it, or there is no fit."""
+    def mounting(self, sine: float | None = None) -> OrientationResult | None:
+        """Which mounting explains the compass; None: the movement says nothing of it, or there is no fit.
+
+        `sine`: that of the dip, as other compasses of the vehicle have it; used where the place does not say it.
+        """
+        dip = math.asin(max(-1.0, min(1.0, sine))) if sine is not None else None
         if self.fit is None or self.fit.status == FitStatus.REFUSED:
             return None
         try:
@@ -153,7 +158,8 @@ class MagTrack:
                 self.fit.model.apply(self._shape.samples) @ self.body.T,
                 np.vstack(self._force),
                 gyro=np.vstack(self._turning),
-                inclination=None if self.field is None else self.field.inclination,
+                inclination=dip if self.field is None else self.field.inclination,
+                stated=self.body,
             )
         except UndeterminedError:
             return None
@@ -163,24 +169,15 @@ class MagTrack:
         assert self.fit is not None
         known = None if mounting is None else _as_quality(mounting)
         quality = {**self.fit.quality, "orientation": known, "blurred": self.blurred}
-        askew = _askew(mounting)
-        if mounting is not None and (mounting.verdict == MountingVerdict.UNEXPLAINED or askew > REFUSED_ASKEW):
-            message = mounting.message
-            if mounting.verdict != MountingVerdict.UNEXPLAINED:
-                message = (
-                    f"no right-angle mounting explains the compass: the best ({mounting.best.name}) is {askew:.0f} deg "
-                    "off; mount it square to the vehicle, or set its rotation by angles"
-                )
+        if mounting is not None and mounting.verdict in (MountingVerdict.UNEXPLAINED, MountingVerdict.MIRRORED):
             made = FitBuilder(self.fit.method, Sensor.MAG, self.instance, self.fit.unit, self.fit.n_samples)
-            return made.refused(message, quality=quality)
+            return made.refused(mounting.message, quality=quality)
         warnings = self.fit.warnings
         if mounting is None or mounting.verdict == MountingVerdict.AMBIGUOUS:
             text = "the mounting of the compass could not be checked against the accelerometer"
             warnings += (text if mounting is None else mounting.message,)
-        elif mounting.verdict == MountingVerdict.ROTATED:
+        elif mounting.verdict in (MountingVerdict.ROTATED, MountingVerdict.BY_ANGLES):
             warnings += (mounting.message,)
-        if askew > WARNED_ASKEW:
-            warnings += (f"the compass is mounted {askew:.0f} deg askew, which no parameter holds",)
         return dataclasses.replace(self.fit, quality=quality, warnings=warnings)
 
     def _joined_rates(self) -> Rates:
@@ -189,28 +186,41 @@ class MagTrack:
         return self._rates[0]
 
 
-def _askew(mounting: OrientationResult | None) -> float:
-    """Angle that is left over after the best mounting, degrees; 0 where it is not known to a tenth of itself."""
-    if mounting is None or mounting.misalignment_deg is None or mounting.misalignment_sd_deg is None:
-        return 0.0
-    angle = float(np.linalg.norm(mounting.misalignment_deg))
-    return angle if angle > 10.0 * float(np.linalg.norm(mounting.misalignment_sd_deg)) else 0.0
-
-
 def _as_quality(mounting: OrientationResult) -> dict[str, Any]:
     """JSON-able; `matrix` turns what the stated mounting calls body into the body."""
-    best = mounting.best
+    found = mounting_quality(mounting.verdict, mounting.best, mounting.fitted, mounting.message)
     return {
-        "verdict": mounting.verdict.value,
-        "name": best.name,
-        "roll": best.roll,
-        "pitch": best.pitch,
-        "yaw": best.yaw,
-        "matrix": best.matrix.tolist(),
-        "message": mounting.message,
+        **found,
         "log_likelihood_margin": float(mounting.log_likelihood_margin),
         "rms": next(iter(mounting.rms.values())),
         "misalignment_deg": mounting.misalignment_deg,
         "misalignment_sd_deg": mounting.misalignment_sd_deg,
         "lag": mounting.lag,
+    }
+
+
+def mounting_quality(
+    verdict: MountingVerdict, best: Mounting, fitted: FittedRotation | None, message: str
+) -> dict[str, Any]:
+    """A mounting as ``quality["orientation"]`` of a fit has it: what the composers of plans read.
+
+    `matrix` turns what the stated mounting calls body into the body; so do the angles. By right angles they are exact
+    and have no standard deviation. `askew_deg` is the angle between the fitted rotation and the nearest by right
+    angles (`nearest`); None: the movement does not tell.
+    """
+    by_angles = verdict == MountingVerdict.BY_ANGLES and fitted is not None
+    euler = fitted.euler if by_angles and fitted is not None else None
+    nearest = best if fitted is None else max(RIGHT_ANGLES, key=lambda m: float(np.trace(m.matrix.T @ fitted.matrix)))
+    return {
+        "verdict": verdict.value,
+        "name": best.name if euler is None else str(euler),
+        "roll": best.roll if euler is None else euler.roll,
+        "pitch": best.pitch if euler is None else euler.pitch,
+        "yaw": best.yaw if euler is None else euler.yaw,
+        "sd_deg": None if euler is None else euler.sd,
+        "matrix": (best.matrix if fitted is None or euler is None else fitted.matrix).tolist(),
+        "covariance": None if fitted is None or euler is None else fitted.covariance.tolist(),
+        "nearest": nearest.name,
+        "askew_deg": None if fitted is None else math.degrees(angle_between(nearest.matrix, fitted.matrix)),
+        "message": message,
     }

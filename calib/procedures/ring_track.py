@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
-from mavcal.calib.mag.orientation import RIGHT_ANGLES, MountingVerdict
-from mavcal.calib.procedures.mag_track import REFUSED_ASKEW
+from mavcal.calib.mag.free_rotation import angle_between
+from mavcal.calib.mag.orientation import ASKEW, RIGHT_ANGLES, FittedRotation, MountingVerdict
+from mavcal.calib.procedures.mag_track import mounting_quality
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.poses import DOWN
 from mavcal.calib.procedures.protocol import Pose
@@ -46,30 +48,22 @@ class RingTrack:
         return abs(self.angle) >= ONCE_AROUND and min(counts, default=0) >= FEWEST
 
 
-def mounting_in(rotation: Array) -> dict[str, object]:
-    """The right-angle mounting that is nearest to `rotation`, as ``quality["orientation"]`` of a compass has it.
+def mounting_in(rotation: Array, covariance: Array) -> dict[str, Any]:
+    """The mounting that `rotation` means, as ``quality["orientation"]`` of a compass has it.
 
-    `rotation` (3, 3) turns what the stated mounting calls body into the body; the angle that is left over beside the
-    right-angle rotation is in ``askew_deg``.
+    `rotation` (3, 3) turns what the stated mounting calls body into the body; `covariance` (3, 3), rad^2, is that of
+    small turns of the body. A rotation within 5 degrees of one by right angles means that one.
     """
-    best = max(RIGHT_ANGLES, key=lambda m: float(np.trace(m.matrix.T @ rotation)))
-    askew = math.degrees(math.acos(float(np.clip(0.5 * (np.trace(best.matrix.T @ rotation) - 1.0), -1.0, 1.0))))
+    fitted = FittedRotation(rotation, covariance)
+    askew, nearest = min((angle_between(m.matrix, rotation), k) for k, m in enumerate(RIGHT_ANGLES))
+    best = RIGHT_ANGLES[nearest]
     verdict, message = MountingVerdict.AS_STATED, "mounted as stated"
-    if askew > REFUSED_ASKEW:
-        verdict = MountingVerdict.UNEXPLAINED
+    if askew > ASKEW:
+        verdict = MountingVerdict.BY_ANGLES
         message = (
-            f"no right-angle mounting explains the compass: the best ({best.name}) is {askew:.0f} deg off; mount it "
-            "square to the vehicle, or set its rotation by angles"
+            f"mounted turned by {fitted.euler}, {math.degrees(askew):.0f} deg from the nearest right-angle mounting "
+            f"({best.name})"
         )
-    elif best is not RIGHT_ANGLES[0]:
+    elif nearest:
         verdict, message = MountingVerdict.ROTATED, f"mounted turned by {best.name} against what is stated"
-    return {
-        "verdict": verdict.value,
-        "name": best.name,
-        "roll": best.roll,
-        "pitch": best.pitch,
-        "yaw": best.yaw,
-        "matrix": best.matrix.tolist(),
-        "message": message,
-        "askew_deg": askew,
-    }
+    return mounting_quality(verdict, best, fitted, message)

@@ -12,8 +12,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mavcal.calib.earth import EarthField
 from mavcal.calib.firmware.storable import MAG
 from mavcal.calib.fit import FitBuilder, FitResult, FitStatus
+from mavcal.calib.mag.free_rotation import mirror_words
+from mavcal.calib.mag.mounting import rotation_covariance
 from mavcal.calib.mag.orientation import MountingVerdict
 from mavcal.calib.mag.result import FIELD_TOLERANCE
 from mavcal.calib.mag.rings import fit_rings
@@ -21,7 +24,6 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
-from mavcal.calib.procedures.mag_track import WARNED_ASKEW
 from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
 from mavcal.calib.procedures.placing import Facing, facing, place, shown_down
 from mavcal.calib.procedures.pose_fit import CHANCE
@@ -33,7 +35,7 @@ from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import Spin, SpinWatch
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
     kind="mag-rings",
@@ -204,7 +206,9 @@ class MagRingsProcedure(TickedProcedure):
             field=self.context.earth_field,
             relative=self.context.relative,
         )
-        return _mounted(fit, instance) if fit.status == FitStatus.OK else fit
+        if fit.status != FitStatus.OK:
+            return fit
+        return _mounted(fit, instance, self.context.earth_field, body)
 
     def _end(self, fits: list[FitResult], reached: float) -> None:
         self._dropped_rows()
@@ -245,17 +249,23 @@ class MagRingsProcedure(TickedProcedure):
         )
 
 
-def _mounted(fit: FitResult, instance: int) -> FitResult:
-    """The fit (in the body) with what its rotation says of the mounting; refused if no mounting explains it."""
-    mounting = mounting_in(fit.model.rotation)
-    quality = {**fit.quality, "orientation": mounting}
-    if mounting["verdict"] == MountingVerdict.UNEXPLAINED:
+def _mounted(fit: FitResult, instance: int, field: EarthField | None, stated: Array) -> FitResult:
+    """The fit (in the body) with what its rotation says of the mounting; refused if the axes are mirrored.
+
+    The centres of the rings lie where the vertical field points, or all opposite if an odd number of axes is reversed:
+    which of the two it is, only the `field` of the place tells. `stated` (3, 3) is the stated mounting.
+    """
+    rotation = fit.model.rotation
+    upward = np.linalg.det(np.array(fit.native["columns"])) < 0.0
+    if field is not None and upward != (field.inclination < 0.0):
+        words = mirror_words(stated.T @ -rotation @ stated)
         made = FitBuilder(fit.method, Sensor.MAG, instance, fit.unit, fit.n_samples)
-        remedy = "mount the compass square to the vehicle, or state its rotation by angles"
-        return made.refused(str(mounting["message"]), movement=remedy, quality=quality)
+        message = f"{words}, which no mounting does: the driver or the sensor is at fault"
+        remedy = "power-cycle the vehicle and calibrate again; replace the compass if it stays"
+        quality = {**fit.quality, "orientation": {"verdict": MountingVerdict.MIRRORED.value, "message": message}}
+        return made.refused(message, movement=remedy, quality=quality)
+    mounting = mounting_in(rotation, rotation_covariance(fit.model, fit.covariance))
     warnings = fit.warnings
-    if mounting["verdict"] == MountingVerdict.ROTATED:
+    if mounting["verdict"] != MountingVerdict.AS_STATED:
         warnings += (str(mounting["message"]),)
-    if float(str(mounting["askew_deg"])) > WARNED_ASKEW:
-        warnings += (f"the compass is mounted {mounting['askew_deg']:.0f} deg askew, which no parameter holds",)
-    return dataclasses.replace(fit, quality=quality, warnings=warnings)
+    return dataclasses.replace(fit, quality={**fit.quality, "orientation": mounting}, warnings=warnings)

@@ -12,7 +12,7 @@ for still here; :func:`calib.gyro.steady_turn` tells it from a bias.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -70,6 +70,37 @@ RESTING = StillnessLimits(
     shortest=1.0,
 )
 """On a table: nothing touches it."""
+
+
+HOLD_S = 2.0
+"""How long a pose has to be held for :data:`HELD`: its shortest span, half a window at each end, and some to spare."""
+
+SHORTER = (0.5, 0.25)
+"""Parts of the time asked for at which it is looked whether poses were held for less."""
+MANY_MORE = 2
+"""Times as many poses that have to be there then."""
+
+
+def held_for(limits: StillnessLimits, seconds: float) -> StillnessLimits:
+    """`limits` for poses that are held for `seconds`.
+
+    Raises
+    ------
+    InvalidInputError
+        If that is no positive number.
+    """
+    if not (np.isfinite(seconds) and seconds > 0.0):
+        raise InvalidInputError(f"a pose is held for a positive number of seconds, not {seconds}")
+    part = seconds / HOLD_S
+    return dataclasses.replace(limits, window=part * limits.window, shortest=part * limits.shortest)
+
+
+def too_short(held: Sequence[float], needed: float, asked: float) -> str:
+    """The end of a refusal: poses were `held` for so long, s, and what to do; `asked` would take them."""
+    return (
+        f"; {len(held)} poses were held for {np.median(held):.2g} s each, and {needed:g} s are needed: hold them for "
+        f"longer, or take the short ones with --min-still {asked:g}"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,10 +84,11 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
     """The gap of ``{real, sim, nominal}``, each ``{path, reading, sha256}`` or None: a sentence and the report.
 
     With `title` also its page; `without` leaves effects out, `nested` is as in :func:`calib.gap.run`. `limit_s` is the
-    time from now on after which the best answer so far is given. `seconds` is the time of the diagnosis alone. A digest
-    may be left out.
+    processor time after which the best answer so far is given: None for as long as it takes; where it is left out, that
+    of :mod:`calib.gap`. The answer is given after `wall_s` by the clock as well, where that is there. `seconds` is the
+    time of the diagnosis alone. A digest may be left out.
     """
-    asked = time.monotonic()
+    asked, spent = time.monotonic(), time.process_time()
     from mavcal.calib import gap, logs
     from mavcal.calib.gap.schema import as_json
     from mavcal.calib.gap_report import gap_to_html
@@ -103,8 +104,18 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
     hashes = {role: part["sha256"] for role in ("real", "sim") if "sha256" in (part := order[role] or {})}
     tell("diagnosing")
     began = time.perf_counter()
-    limit = order.get("limit_s")
-    pace = gap.GapPace(lambda: time.monotonic() - asked, math.inf if limit is None else limit, _seldom(tell))
+    limit = order.get("limit_s", gap.DEFAULT_LIMIT_S)
+    limit = math.inf if limit is None else limit
+    wall = order.get("wall_s", math.inf)
+    if wall < limit:
+        limit = wall
+
+    def elapsed() -> float:
+        """Processor time; by the clock where that runs out earlier."""
+        by_clock = (time.monotonic() - asked) * (limit / wall) if math.isfinite(wall) else 0.0
+        return max(time.process_time() - spent, by_clock)
+
+    pace = gap.GapPace(elapsed, limit, _seldom(tell))
     report = gap.run(
         real,
         sim,

@@ -99,7 +99,7 @@ async def one(diagnosing: Diagnoser, case: Case, folder: Path, *, nested: bool) 
     for side, columns in (("real", case.real), ("sim", case.sim)):
         np.savez(paths[side], allow_pickle=False, **columns)
     parts = {side: {"path": str(path)} for side, path in paths.items()}
-    order = {**parts, "nominal": [], "without": list(case.without), "nested": nested}
+    order = {**parts, "nominal": [], "without": list(case.without), "nested": nested, "limit_s": None}
     answer = await diagnosing.ask(order)
     for path in paths.values():
         path.unlink()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,14 @@ if TYPE_CHECKING:
 ACCEL_UNITS = ("si", "g", "mg", "counts")
 GYRO_UNITS = ("si", "deg/s", "mrad/s", "counts")
 MAG_UNITS = ("uT", "mgauss", "gauss", "counts")
+_NO_FILES = (
+    (stat.S_ISDIR, "a folder: give one of the files in it"),
+    (stat.S_ISFIFO, "a pipe (FIFO): save what comes out of it to a file, and give that"),
+    (stat.S_ISSOCK, "a socket: connect to it with --connect, or give a file"),
+    (stat.S_ISCHR, "a device: connect to a serial port with --connect, or give a file"),
+    (stat.S_ISBLK, "a disk: give a file on it"),
+)
+"""What has no end as a file has: a pipe may wait for ever, a device may never stop."""
 
 
 def parse_mapping(_ctx: click.Context, _param: click.Parameter, value: str | None) -> dict[str, str]:
@@ -105,9 +114,13 @@ def readable_file(path: str) -> Path:
     Raises
     ------
     click.BadParameter
-        If there is none.
+        If there is none, or it is a folder, a pipe or a device.
     """
     file = Path(path)
-    if not file.is_file():
+    if not file.exists():
         raise click.BadParameter(f"there is no file {path}")
+    mode = file.stat().st_mode
+    what = next((name for is_one, name in _NO_FILES if is_one(mode)), None)
+    if what is not None:
+        raise click.BadParameter(f"{file.name or file} is {what}")
     return file

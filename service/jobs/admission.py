@@ -15,6 +15,7 @@ from mavcal.service.errors import (
     PlanBlocked,
     PlanChanged,
     PlanMissing,
+    StoreError,
     VehicleArmed,
     VehicleBusy,
     VehicleConflict,
@@ -23,6 +24,7 @@ from mavcal.service.errors import (
 from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.port import JobVehicle
 from mavcal.service.jobs.states import PHYSICAL, JobState
+from mavcal.service.store.protocol import Store
 
 WAY = "way"
 """In a job's context: the link in use when its plan was accepted."""
@@ -39,6 +41,13 @@ def require_ready(vehicle: JobVehicle, *, busy: bool = False) -> None:
         raise VehicleConflict(now.conflict)
     if now.calibrating and not busy:
         raise VehicleBusy("The vehicle runs a calibration of its own. Let it finish, or cancel it there.")
+
+
+def require_whole(store: Store) -> None:
+    """Raise StoreError while nothing may be written, because what has to be kept of a write could not be."""
+    obstacle = store.obstacle()
+    if obstacle is not None:
+        raise StoreError(obstacle)
 
 
 def require_vehicle(job: Job) -> str:

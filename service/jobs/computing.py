@@ -104,7 +104,7 @@ class Computing:
         return (await self._start(FIT, {"recording": recording, "method": method, "options": dict(options)})).job
 
     async def diagnose(self, real: str, sim: str | None, nominal: Sequence[str], limit_s: float | None = None) -> Job:
-        """A job that diagnoses the gap of an upload, `limit_s` seconds long at most once it has begun.
+        """A job that diagnoses the gap of an upload, of at most `limit_s` seconds of processor time.
 
         Raises
         ------

@@ -31,6 +31,7 @@ from mavcal.service.jobs.admission import (
     require_free,
     require_ready,
     require_vehicle,
+    require_whole,
 )
 from mavcal.service.jobs.adoption import adopted, composed
 from mavcal.service.jobs.book import JobBook
@@ -194,8 +195,6 @@ class JobEngine:
         over, running = ENDED | {JobState.REVIEW}, self._tasks.running
         await self._tidying.finished(lambda: {task for key, task in running.items() if self.get(key).state in over})
 
-    # --- asking
-
     def list(self) -> tuple[Job, ...]:
         """Every job, oldest first."""
         return self.book.list()
@@ -218,8 +217,6 @@ class JobEngine:
     def subscribe(self, job_id: str | None = None, after: int = 0) -> AsyncIterator[EventRow]:
         """Events after `after` (a sequence of that job, or an id over all jobs), for ever."""
         return self.book.subscribe(job_id, after)
-
-    # --- capturing
 
     async def preflight(self, vehicle_id: str, *, heading: float | None = None) -> Preflight:
         """Check a vehicle within ten seconds (30 on a slow link); nothing is written.
@@ -284,6 +281,7 @@ class JobEngine:
         chosen = validate_options(kind, options or {})
         context = {**(begun_by or {}), "plan_options": checked_plan_options(plan_options or {})}
         require_sensors_of(spec, plan_options or {})
+        require_whole(self._store)  # a calibration that could never be written is not begun
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
         require_ready(vehicle, busy=True)  # which is waited for
@@ -468,6 +466,7 @@ class JobEngine:
     def _require_writing(self) -> None:
         if self._read_only:
             raise Forbidden("this service runs with --read-only and never writes: export the plan instead")
+        require_whole(self._store)
 
     async def _history(self, vehicle: JobVehicle) -> tuple[VerifiedCalibration, ...]:
         jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)

@@ -206,7 +206,7 @@ class Computations(Protocol):
         limit_s: float | None = None,
         told: Told | None = None,
     ) -> Diagnosis:
-        """The sim-to-real gap of an upload; with `limit_s` the best answer after so many seconds."""
+        """The sim-to-real gap of an upload; `limit_s` is its processor time, None: the default."""
         ...
 
 

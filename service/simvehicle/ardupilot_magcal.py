@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.service.simvehicle import ardupilot_parameters as names
 from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
 from mavcal.service.simvehicle.ardupilot_stored import StoredCalibrations
+from mavcal.service.simvehicle.mounting import true_mounting
 from mavcal.service.simvehicle.parameters import Value
-from mavcal.service.simvehicle.rotation import mounting_matrix
 from mavcal.service.simvehicle.vehicle import FlightController
 
 MOVING_RATE = 0.2  # rad/s: slower motion brings no new samples
@@ -71,7 +71,7 @@ class MagCalibration:
         world = self._sensors.world
         slot = self._sensors.compasses[instance]
         truth = world.truth.mags[slot]
-        rotation = mounting_matrix(world.config.mag_orientations[slot])
+        rotation = true_mounting(world.config, slot)
         correction = rotation @ np.linalg.inv(truth.matrix) @ rotation.T
         offset = -rotation @ truth.offset * MGAUSS_PER_UT
         vectors = {

@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterator
 
 from mavcal.service.simvehicle.config import MAX_IMUS, VehicleConfig
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.mounting import ANGLES, ARDUPILOT_CUSTOM, stated
 from mavcal.service.simvehicle.parameters import AXES, ParameterType, SimParameter, Value, float32
 
 ACCEL_IDS = (2753028, 2753036, 2753044)
@@ -100,7 +102,7 @@ def _digit(instance: int) -> str:
 
 def _compass(config: VehicleConfig) -> Iterator[SimParameter]:
     count = config.mag_count
-    orientations = config.mag_orientation_parameters or config.mag_orientations
+    orientations = _orientations(config)
     for k in range(3):
         yield from _vector(f"COMPASS_OFS{_digit(k)}", 0.0)
         yield from _vector(f"COMPASS_MOT{_digit(k)}", 0.0)
@@ -184,9 +186,24 @@ def _ahrs(config: VehicleConfig) -> Iterator[SimParameter]:
     yield from _vector("AHRS_TRIM", 0.0)
     yield _make("AHRS_ORIENTATION", _I8, config.board_orientation)
     yield from _ordinary("AHRS_COMP_BETA 9 0.1|AHRS_GPS_MINSATS 2 6|AHRS_EKF_TYPE 2 3|AHRS_OPTIONS 4 0")
-    yield _make("CUST_ROT_ENABLE", _I8, 0)
-    for k in (1, 2):
-        yield from _ordinary(f"CUST_ROT{k}_ROLL 9 0|CUST_ROT{k}_PITCH 9 0|CUST_ROT{k}_YAW 9 0")
+    custom = _by_angles(config)
+    yield _make("CUST_ROT_ENABLE", _I8, 1 if custom else 0)
+    for number, stem in ARDUPILOT_CUSTOM.items():
+        for name, angle in zip(ANGLES, custom.get(number, (0.0, 0.0, 0.0)), strict=True):
+            yield _make(f"{stem}_{name}", _F, angle)
+
+
+def _by_angles(config: VehicleConfig) -> dict[int, tuple[float, float, float]]:
+    """Angles by the number of the custom rotation that holds them."""
+    wanted = [angles for _, angles in stated(config) if angles is not None]
+    if len(wanted) > len(ARDUPILOT_CUSTOM):
+        raise ConfigurationError(f"mag_angles_deg: ArduPilot has {len(ARDUPILOT_CUSTOM)} custom rotations")
+    return dict(zip(ARDUPILOT_CUSTOM, wanted, strict=False))
+
+
+def _orientations(config: VehicleConfig) -> list[int]:
+    free = iter(_by_angles(config))
+    return [number if angles is None else next(free) for number, angles in stated(config)]
 
 
 def accel_offset_name(instance: int) -> str:

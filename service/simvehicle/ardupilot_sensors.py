@@ -13,10 +13,10 @@ from mavcal.service.simvehicle.corrections import (
     ardupilot_compass,
     ardupilot_gyro,
 )
-from mavcal.service.simvehicle.errors import ConfigurationError
 from mavcal.service.simvehicle.magreader import MagReader
+from mavcal.service.simvehicle.mounting import CustomRotations
 from mavcal.service.simvehicle.parameters import ParameterTable
-from mavcal.service.simvehicle.rotation import Array, mounting_matrix
+from mavcal.service.simvehicle.rotation import Array
 from mavcal.service.simvehicle.sensor_faults import SensorFaults
 from mavcal.service.simvehicle.world import MotionState, SimWorld
 
@@ -62,6 +62,7 @@ class ArduPilotSensors:
         self.world, self.table, self._faults = world, table, faults
         self.reader = compass_reader(world)
         self.accel_calibrating = False
+        self._custom = CustomRotations(table)
         self._cache: dict[int, ImuCalibration] = {}
         self._cached_version = -1
         self.detect()
@@ -71,7 +72,8 @@ class ArduPilotSensors:
         mask = int(self.table.get("INS_ENABLE_MASK", 127))
         chips = range(len(self.world.truth.accels))
         self.chips = [k for k in chips if mask >> k & 1 and not self._faults.absent("accel", k)]
-        self.board = _mounting(self.table.get("AHRS_ORIENTATION"))
+        self._custom.boot()
+        self.board = self._custom.mounting(self.table.get("AHRS_ORIENTATION"))
         mags = [k for k in range(len(self.world.truth.mags)) if not self._faults.absent("mag", k)]
         by_id = {names.MAG_IDS[k]: k for k in mags}
         wanted = [int(self.table.get(f"COMPASS_PRIO{k}_ID")) for k in (1, 2, 3)]
@@ -154,7 +156,8 @@ class ArduPilotSensors:
         chip = self.compasses[instance]
         raw = self.reader.raw(chip, t) * MGAUSS_PER_UT
         external = self.table.get(names.compass_external_name(chip)) != 0
-        rotation = _mounting(self.table.get(names.compass_name("ORIENT", chip))) if external else self.board
+        stated = self.table.get(names.compass_name("ORIENT", chip))
+        rotation = self._custom.mounting(stated) if external else self.board
         return np.asarray(raw @ rotation.T)
 
     def compass(self, instance: int, t: Array) -> Array:
@@ -182,11 +185,3 @@ class ArduPilotSensors:
         else:
             return None
         return np.asarray(level[:, None] * self.table.vector(names.compass_name("MOT", slot)))
-
-
-def _mounting(orientation: float) -> Array:
-    """Unknown orientations act as none, as an out-of-range enum does in the firmware."""
-    try:
-        return mounting_matrix(int(orientation))
-    except ConfigurationError:
-        return np.eye(3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -58,6 +59,8 @@ class VehicleConfig:
     imu_temperature_offsets: tuple[float, ...] = (0.0, 1.2, -0.8)
     mag_orientations: tuple[int, ...] = (0, 6, 0)  # how each magnetometer is really mounted
     mag_orientation_parameters: tuple[int, ...] | None = None  # what the parameters say; None: the truth
+    # Roll, pitch, yaw in degrees of a magnetometer that no number describes; None: as mag_orientations has it.
+    mag_angles_deg: tuple[tuple[float, float, float] | None, ...] = ()
     mag_external: tuple[bool, ...] = (False, True, False)
     board_orientation: int = 0
     highres_mag_defect: bool = True  # ArduPilot 4.7-dev before 2026-02 multiplies by 1000 instead of dividing
@@ -113,6 +116,8 @@ def _converted(name: str, value: Any, present: Any) -> Any:
             return Calibration(value)
         if name == "mag_orientation_parameters":
             return None if value is None else tuple(int(v) for v in value)
+        if name == "mag_angles_deg":
+            return tuple(None if entry is None else _angles(entry) for entry in value)
         if isinstance(present, Mapping):
             return dict(value)
         if isinstance(present, tuple):
@@ -125,6 +130,13 @@ def _converted(name: str, value: Any, present: Any) -> Any:
         return type(present)(value)
     except (TypeError, ValueError) as error:
         raise ConfigurationError(f"configuration {name} = {value!r} cannot be used: {error}") from error
+
+
+def _angles(entry: Any) -> tuple[float, float, float]:
+    roll, pitch, yaw = (float(angle) for angle in entry)
+    if not all(math.isfinite(angle) for angle in (roll, pitch, yaw)):
+        raise ValueError("an angle must be finite")
+    return roll, pitch, yaw
 
 
 def _checked(config: VehicleConfig) -> VehicleConfig:

@@ -13,8 +13,9 @@ import numpy as np
 from mavcal.service.simvehicle import ardupilot_parameters as ardupilot
 from mavcal.service.simvehicle import px4_parameters as px4
 from mavcal.service.simvehicle.config import Calibration, SimAutopilot, VehicleConfig
+from mavcal.service.simvehicle.mounting import true_mounting
 from mavcal.service.simvehicle.parameters import AXES
-from mavcal.service.simvehicle.rotation import Array, mounting_matrix
+from mavcal.service.simvehicle.rotation import Array
 from mavcal.service.simvehicle.truth import T_REF, SensorTruth, VehicleTruth
 
 # By how much it is off by now: as much as a new calibration can prove, and not so much that the sensors look broken.
@@ -58,7 +59,7 @@ def _ardupilot(config: VehicleConfig, truth: VehicleTruth, wear: _Wear) -> dict[
         values |= {ardupilot.caltemp_name(sensor, k): T_REF for sensor in ("ACC", "GYR")}
     for k, mag in enumerate(truth.mags):
         offset, matrix = _soft_iron(wear, mag)
-        body = mounting_matrix(config.mag_orientations[k])
+        body = true_mounting(config, k)
         matrix = body @ matrix @ body.T
         values |= _named(ardupilot.compass_name("OFS", k), -MGAUSS_PER_UT * body @ offset)
         values |= _named(ardupilot.compass_name("DIA", k), np.diag(matrix))

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mavcal.service.simvehicle.mounting import ANGLES, PX4_CUSTOM
 from mavcal.service.simvehicle.parameters import ParameterTable
 from mavcal.service.simvehicle.px4_parameters import SLOTS, vector_names
 from mavcal.service.simvehicle.rotation import Array
@@ -20,6 +21,7 @@ GYRO_OFFSET_THRESHOLD = 0.01  # rad/s
 MAG_OFFSET_THRESHOLD = 0.005  # Gauss
 SCALE_THRESHOLD = 0.01
 OFF_DIAGONAL_THRESHOLD = 0.01
+FLT_EPSILON = 1.1920929e-07
 
 
 @dataclass
@@ -51,7 +53,7 @@ class SensorMemory:
             return
         base = f"CAL_{self.kind}{self.slot}"
         self.priority = int(table.get(f"{base}_PRIO", -1))
-        self.rotation = int(table.get(f"{base}_ROT", -1))
+        self.rotation = self._rotation(table, base)
         self.set_offset(_vector(table, base, "OFF", 0.0))
         if self.kind != "GYRO":
             self._set_scale(_vector(table, base, "SCALE", 1.0))
@@ -59,6 +61,16 @@ class SensorMemory:
             self._set_off_diagonal(_vector(table, base, "ODIAG", 0.0))
             self.power = _vector(table, base, "COMP", 0.0)
         self.loaded = True
+
+    def _rotation(self, table: ParameterTable, base: str) -> int:
+        """ROT; a number beside angles that are not zero becomes "custom" (Magnetometer.cpp, ParametersLoad)."""
+        number = int(table.get(f"{base}_ROT", -1))
+        angles = [table.get(f"{base}_{angle}") for angle in ANGLES]
+        if self.kind != "MAG" or number < 0 or number == PX4_CUSTOM or not any(abs(a) > FLT_EPSILON for a in angles):
+            return number
+        table.store(f"{base}_ROT", PX4_CUSTOM)
+        table.save(f"{base}_ROT")
+        return PX4_CUSTOM
 
     def set_offset(self, offset: Array) -> bool:
         """Replace the offset if it is farther away than the threshold; whether it was replaced."""

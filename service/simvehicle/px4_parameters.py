@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 
 from mavcal.service.simvehicle.config import VehicleConfig
+from mavcal.service.simvehicle.mounting import ANGLES, PX4_CUSTOM, stated
 from mavcal.service.simvehicle.parameters import ParameterTable, ParameterType, SimParameter, float32
 
 ACCEL_IDS = GYRO_IDS = (1310988, 1310996, 1311004)
@@ -107,14 +108,15 @@ def _inertial(config: VehicleConfig) -> Iterator[SimParameter]:
 
 
 def _magnetic(config: VehicleConfig) -> Iterator[SimParameter]:
-    orientations = config.mag_orientation_parameters or config.mag_orientations
+    mountings = list(stated(config))
     for k in range(SLOTS):
         slot = f"CAL_MAG{k}"
         present = k < config.mag_count and not config.factory
         yield _int(f"{slot}_ID", MAG_IDS[k] if present else 0)
         yield _int(f"{slot}_PRIO", DEFAULT_PRIORITY if present else UNINITIALISED)
-        yield _int(f"{slot}_ROT", orientations[k] if present and config.mag_external[k] else -1)
-        for name, value in (("ROLL", 0.0), ("PITCH", 0.0), ("YAW", 0.0)):
+        number, angles = mountings[k] if present and config.mag_external[k] else (-1, None)
+        yield _int(f"{slot}_ROT", number if angles is None else PX4_CUSTOM)
+        for name, value in zip(ANGLES, angles or (0.0, 0.0, 0.0), strict=True):
             yield _float(f"{slot}_{name}", value)
         for axis in "XYZ":
             for name, value in (("OFF", 0.0), ("SCALE", 1.0), ("ODIAG", 0.0), ("COMP", 0.0)):

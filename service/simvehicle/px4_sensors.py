@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,15 +10,15 @@ from mavcal.service.simvehicle import px4_parameters as names
 from mavcal.service.simvehicle.corrections import px4_accel, px4_gyro, px4_mag, px4_thermal
 from mavcal.service.simvehicle.errors import ConfigurationError
 from mavcal.service.simvehicle.magreader import MagReader
+from mavcal.service.simvehicle.mounting import ANGLES, PX4_CUSTOM
 from mavcal.service.simvehicle.parameters import ParameterTable
 from mavcal.service.simvehicle.px4_memory import SensorMemory
-from mavcal.service.simvehicle.rotation import Array, matrices_from_quaternions, mounting_matrix, quaternion_from_euler
+from mavcal.service.simvehicle.rotation import Array, matrix_from_degrees, mounting_matrix
 from mavcal.service.simvehicle.sensor_faults import SensorFaults
 from mavcal.service.simvehicle.world import MotionState, SimWorld
 
 GAUSS_PER_UT = 0.01
 MAG_PERIOD_S = 0.02  # raw magnetometers are new 50 times a second
-CUSTOM_ROTATION = 100
 COMPENSATION_THRUST, COMPENSATION_CURRENT = 1, (2, 3)
 
 
@@ -71,8 +70,7 @@ class Px4Sensors:
         """A parameter_update was published: load what is loaded now. Magnetometers wait while armed."""
         for memory in (*self.accels, *self.gyros, *(() if armed else self.mags)):
             memory.load(self._table)
-        level = [math.radians(self._table.get(f"SENS_BOARD_{axis}_OFF")) for axis in "XYZ"]
-        self.level = matrices_from_quaternions(quaternion_from_euler(level[0], level[1], level[2]))
+        self.level = matrix_from_degrees(*(self._table.get(f"SENS_BOARD_{axis}_OFF") for axis in "XYZ"))
         self.body_from_sensor = self.level @ self._board
         self._thermal = {
             (sensor, k): self._thermal_set(sensor, memory.device_id)
@@ -158,10 +156,9 @@ class Px4Sensors:
     def _mag_rotation(self, memory: SensorMemory) -> Array:
         if memory.rotation < 0:
             return self.body_from_sensor
-        if memory.rotation == CUSTOM_ROTATION and memory.slot is not None:
+        if memory.rotation == PX4_CUSTOM and memory.slot is not None:
             base = f"CAL_MAG{memory.slot}"
-            euler = [math.radians(self._table.get(f"{base}_{name}")) for name in ("ROLL", "PITCH", "YAW")]
-            return np.asarray(self.level @ matrices_from_quaternions(quaternion_from_euler(*euler)))
+            return np.asarray(self.level @ matrix_from_degrees(*(self._table.get(f"{base}_{a}") for a in ANGLES)))
         return np.asarray(self.level @ _mounting(memory.rotation))
 
     def _power(self, t: Array, *, armed: bool) -> Array:

@@ -142,9 +142,13 @@ def shortest_rotation(a: Array, b: Array) -> Array:
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
+def matrix_from_degrees(roll: float, pitch: float, yaw: float) -> Array:
+    """R of roll, pitch, yaw in degrees, turned in the order yaw, pitch, roll."""
+    return matrices_from_quaternions(quaternion_from_euler(*map(math.radians, (roll, pitch, yaw))))
+
+
 def mounting_matrix(orientation: int) -> Array:
     """R body_from_sensor of a mounting enum value. Raises ConfigurationError for one that is not modelled."""
     if orientation not in MOUNTING_EULER_DEG:
         raise ConfigurationError(f"mounting rotation {orientation} is not modelled: use 0..40")
-    roll, pitch, yaw = map(float, np.radians(MOUNTING_EULER_DEG[orientation]))
-    return matrices_from_quaternions(quaternion_from_euler(roll, pitch, yaw))
+    return matrix_from_degrees(*MOUNTING_EULER_DEG[orientation])

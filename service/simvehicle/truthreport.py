@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcal.service.simvehicle.rotation import mounting_matrix
+from mavcal.service.simvehicle.mounting import true_angles, true_mounting
 from mavcal.service.simvehicle.truth import T_REF, SensorTruth
 from mavcal.service.simvehicle.vehicle import FlightController
 from mavcal.service.simvehicle.world import SimWorld
@@ -52,10 +52,11 @@ def _inertial_entry(
 
 def _mag_entry(world: SimWorld, k: int, device_id: int) -> dict[str, Any]:
     sensor = world.truth.mags[k]
-    rotation = mounting_matrix(world.config.mag_orientations[k])
+    rotation = true_mounting(world.config, k)
     return {
         "id": device_id,
         "orientation": world.config.mag_orientations[k],
+        "angles_deg": true_angles(world.config, k),
         "external": world.config.mag_external[k],
         "body_offset": (rotation @ sensor.offset).tolist(),
         "body_matrix": (rotation @ sensor.matrix @ rotation.T).tolist(),

@@ -8,6 +8,7 @@ import numpy as np
 
 from mavcal.service.simvehicle.config import VehicleConfig
 from mavcal.service.simvehicle.motion import CurrentMotion
+from mavcal.service.simvehicle.mounting import true_mounting
 from mavcal.service.simvehicle.rotation import Array, body_from_ned, mounting_matrix
 from mavcal.service.simvehicle.thermal import Thermal
 from mavcal.service.simvehicle.truth import SensorTruth, draw_truth
@@ -81,7 +82,7 @@ class SimWorld:
         self.field = np.asarray(config.field_ned_ut)
         self.gravity = np.array([0.0, 0.0, -config.gravity])
         self.sensor_from_body = mounting_matrix(config.board_orientation).T
-        self.mag_from_body = tuple(mounting_matrix(config.mag_orientations[k]).T for k in range(config.mag_count))
+        self.mag_from_body = tuple(true_mounting(config, k).T for k in range(config.mag_count))
         self._noise = np.random.default_rng([config.seed, 2])
         self._wander = {
             (truths, k): RandomWalk(np.random.default_rng([config.seed, 3, j, k]))

@@ -47,6 +47,10 @@ class JobStore(Protocol):
         """The same, and wait for it without holding up the event loop."""
         ...
 
+    def obstacle(self) -> str | None:
+        """Why nothing may be written to a vehicle: a table is not there; None: all are."""
+        ...
+
     def save_job(self, row: JobRow, *, event: tuple[str, Json] | None = None) -> EventRow | None:
         """Insert or replace a job; with `event` (kind, data) the change and its event are one transaction."""
         ...

@@ -33,10 +33,27 @@ from mavcal.service.store.rows import (
 )
 
 _JOBS_AT_ONCE = 100
+_NEEDED = ("jobs", "job_events", "journal", "snapshots", "plans", "segments", "audit")
+"""Tables without which nothing may be written to a vehicle."""
 
 
 class SqlJobs(SqlRows):
     """See :class:`service.store.protocol.JobStore`."""
+
+    def obstacle(self) -> str | None:
+        """Why nothing may be written to a vehicle: a table is not there; None: all are."""
+        missing = [name for name in _NEEDED if not self._readable(name)]
+        if not missing:
+            return None
+        listed = ", ".join(missing)
+        return f"the database has no table {listed}: restore it from a backup, or use another data directory"
+
+    def _readable(self, table: str) -> bool:
+        try:
+            self._read(f"SELECT 1 FROM {table} LIMIT 1")
+        except StoreError:
+            return False
+        return True
 
     # --- jobs and events
 

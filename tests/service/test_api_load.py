@@ -96,6 +96,27 @@ async def test_the_next_request_of_a_connection_must_be_finished_too(tmp_path: P
         writer.close()
 
 
+@pytest.mark.parametrize(
+    "piece",
+    ["GET /healthz?" + "x" * 200_000, "GET /healthz HTTP/1.1\r\nHOST\r\nX-Long: " + "x" * 200_000,
+     "GET /healthz HTTP/1.1\r\nHOST\r\n" + "".join(f"X-{k}: {'y' * 100}\r\n" for k in range(2000)) + "\r\n"],
+    ids=["an address", "a value", "many headers"],
+)  # fmt: skip
+async def test_a_head_of_a_request_has_a_largest_size(tmp_path: Path, piece: str) -> None:
+    async with served(tmp_path) as a:
+        reader, writer = await raw(a, piece)
+        async with asyncio.timeout(scaled(30)):
+            answer = await _rest(reader)
+        assert answer.startswith(b"HTTP/1.1 431") or not answer  # the rest of it came on a closed connection
+        writer.close()
+        fitting = "GET /healthz HTTP/1.1\r\nHOST\r\nX-Long: " + "x" * 30_000 + "\r\n\r\n"
+        for _ in range(2):
+            reader, writer = await raw(a, fitting)
+            async with asyncio.timeout(scaled(30)):
+                assert (await reader.readline()).startswith(b"HTTP/1.1 200")
+            writer.close()
+
+
 async def _rest(reader: asyncio.StreamReader) -> bytes:
     """What comes until the server closes the connection."""
     try:

@@ -99,11 +99,13 @@ async def test_a_diagnosis_has_every_upload_in_its_role(computing, with_sim):
     assert json.loads(found.documents[0].body) == DIAGNOSIS["report"]
 
 
-@pytest.mark.parametrize(("asked", "limit"), [(None, 160.0), (5.0, 5.0), (1000.0, 160.0), (math.inf, 160.0)])
+@pytest.mark.parametrize(("asked", "limit"), [(None, None), (5.0, 5.0), (1000.0, 160.0), (math.inf, 160.0)])
 async def test_a_diagnosis_answers_before_its_child_would_be_ended(computing, asked, limit):
     made, children, [real, _] = await computing(**{DIAGNOSE: DIAGNOSIS})
     await made.diagnose(real.id, None, (), limit_s=asked)
-    assert children.asked[0][1]["limit_s"] == pytest.approx(limit)
+    order = children.asked[0][1]
+    assert order.get("limit_s") == (None if limit is None else pytest.approx(limit))
+    assert order["wall_s"] == pytest.approx(160.0)
 
 
 async def test_an_error_names_the_uploads_as_their_owner_does(computing):

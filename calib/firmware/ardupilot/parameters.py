@@ -57,8 +57,6 @@ UT_PER_MGAUSS: Final = 0.1
 FIELD_SCALE_MAX: Final = 1.5
 """COMPASS_SCALE acts between 1/1.5 and 1.5 and is silently ignored elsewhere."""
 
-CUSTOM_ROTATIONS: Final = {101: "CUST_ROT1", 102: "CUST_ROT2"}
-
 
 def calibration_in_force(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> TriadModel:
     """The correction that an ArduPilot with `parameters` applies: raw sensor frame to corrected body frame.
@@ -183,7 +181,7 @@ def _polynomial(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> T
 
 
 def _rotation(parameters: Mapping[str, Value], number: float) -> Array:
-    custom = CUSTOM_ROTATIONS.get(int(number))
-    if custom is None:
+    angles = names.ARDUPILOT_CUSTOM.get(int(number))
+    if angles is None:
         return rotation_matrix("ardupilot", int(number))
-    return euler_matrix(*(need(parameters, f"{custom}_{angle}") for angle in ("ROLL", "PITCH", "YAW")))
+    return euler_matrix(*(need(parameters, name) for name in angles))

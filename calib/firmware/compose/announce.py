@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 ALIGNED = 1e-9
 """rad; smaller turns are rounding."""
+ROUNDED = 0.02
+"""Degrees; smaller turns are those of angles that are written with two decimals."""
 SINGLE_PRECISION = 1e-5
 """m/s2; what storing a scale as float32 may cost, and not worth a word."""
 _BY_CHANCE = 0.05
@@ -109,22 +111,28 @@ def lose_gyro_matrix(draft: Draft, about: Subject, fit: FitResult) -> None:
 
 
 def lose_compass_mounting(draft: Draft, about: Subject, fit: FitResult, old: Array, new: Array) -> None:
-    """Announce what of a magnetometer's mounting no parameter holds.
+    """Announce what of a magnetometer's mounting the plan leaves.
 
     `old` and `new` (3, 3) take the sensor to the body, as stated now and by the plan. The whole correction is
-    ``old Q S (m - b)``; ``new S (m - b)`` is stored, so ``old Q new^T`` is left. A fit of lengths has no Q.
+    ``old Q S (m - b)``; ``new S (m - b)`` is stored, so ``old Q new^T`` is left. A fit of lengths has no Q: gravity may
+    have told the turn T by other than right angles, and ``T old new^T`` is left.
     """
     rotation = losses.split(fit).rotation
-    if losses.rotation_angle(rotation) <= ALIGNED:
+    orientation = fit.quality.get("orientation") or {}
+    if losses.rotation_angle(rotation) > ALIGNED:
+        left = old @ rotation @ new.T
+    elif orientation.get("covariance") is not None:
+        left = np.array(orientation["matrix"], dtype=np.float64) @ old @ new.T
+    else:
         return
-    angle = np.degrees(losses.rotation_angle(old @ rotation @ new.T))
-    if angle > np.degrees(ALIGNED):
+    angle = np.degrees(losses.rotation_angle(left))
+    if angle > ROUNDED:
         draft.lose(
             about,
             "mounting",
             angle,
             "deg",
-            f"{about}: mounted {angle:.2f} deg askew, which no parameter holds: the heading is off by about as much",
+            f"{about}: mounted {angle:.2f} deg askew, which is not written: the heading is off by about as much",
         )
 
 

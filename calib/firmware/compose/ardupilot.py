@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
+from mavcal.calib.firmware.ardupilot.learning import learning_warnings
 from mavcal.calib.firmware.compose.announce import lose_accel, lose_gyro_matrix, offsets_usable, scale_usable
 from mavcal.calib.firmware.compose.ardupilot_thermal import set_thermal, thermal_in_force
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
@@ -41,6 +42,8 @@ STORE_AS_CALIBRATED: Final = 76.0
 
 def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
     """Plan every accelerometer and gyroscope that was fitted."""
+    for text in learning_warnings(draft.parameters) if pairs else ():
+        draft.warn(text)
     drifting = {pair.about.instance for pair in pairs if pair.drift is not None}
     for instance in sorted(drifting):
         set_thermal(draft, instance, [p for p in pairs if p.about.instance == instance])

@@ -23,19 +23,25 @@ from mavcal.calib.firmware.ardupilot.parameters import UT_PER_MGAUSS
 from mavcal.calib.firmware.compose.announce import lose_compass_mounting
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair, body_from_raw, keeps_matrix
-from mavcal.calib.firmware.compose.mounting import MountingRotation, ask_for_mounting, mounting_turn
+from mavcal.calib.firmware.compose.mounting import (
+    MountingRotation,
+    ask_for_mounting,
+    by_angles,
+    mounting_turn,
+    set_angles,
+)
 from mavcal.calib.firmware.limits import COMPASS_OFFS_MAX, COMPASS_SCALE_WINDOW
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import ParameterKind
-from mavcal.calib.firmware.rotations import nearest_rotation
+from mavcal.calib.firmware.rotations import rotation_matrix, rotation_words
 from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.mag.free_rotation import Euler
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
 PREFLIGHT_CALIBRATION: Final = 241
 STORE_AS_CALIBRATED: Final = 76.0
-EXACT: Final = 1e-6  # rad
 
 
 def compose_compasses(draft: Draft, pairs: Sequence[Pair]) -> None:
@@ -61,9 +67,10 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     if not _is_whole(draft, about, fit):
         return
     old = body_from_raw(ardupilot.calibration_in_force, roles, draft.parameters, about)
-    turn = mounting_turn(draft, about, fit)
-    new = old if turn is None else turn.matrix @ old
-    if turn is not None and not _set_rotation(draft, about, roles, turn, new):
+    internal = int(draft.parameters.get(roles[Role.EXTERNAL], 0)) == 0
+    turn = mounting_turn(draft, about, fit, follows="AHRS_ORIENTATION" if internal else "")
+    new = old if turn is None else _set_rotation(draft, about, roles, turn, turn.matrix @ old)
+    if new is None:
         return
     parts = losses.split(fit).rotated(new)
     if not _field_plausible(draft, about, fit, parts):
@@ -93,7 +100,8 @@ def _is_whole(draft: Draft, about: Subject, fit: FitResult) -> bool:
 
 def _set_rotation(
     draft: Draft, about: Subject, roles: Mapping[Role, str], turn: MountingRotation, body_from_sensor: Array
-) -> bool:
+) -> Array | None:
+    """Plan the mounting `body_from_sensor`, by number or by angles; what will be in force (3, 3), None if it cannot."""
     if int(draft.parameters.get(roles[Role.EXTERNAL], 0)) == 0:
         draft.block(
             f"{about} is internal and follows AHRS_ORIENTATION, but its field is turned by {turn.name} against the "
@@ -101,13 +109,19 @@ def _set_rotation(
             f"{roles[Role.EXTERNAL]} to 1 and repeat) or the board's orientation is wrong",
             about,
         )
-        return False
-    number, angle = nearest_rotation("ardupilot", body_from_sensor)
-    if angle > EXACT:
-        draft.block(f"{about} is turned by {turn.name}, and ArduPilot has no number for the resulting mounting", about)
-        return False
+        return None
     name = roles[Role.ROTATION]
-    ask_for_mounting(draft, "ardupilot", about, turn, (name, int(draft.parameters.get(name, 0)), number))
+    before, number, angles = int(draft.parameters.get(name, 0)), turn.number("ardupilot", body_from_sensor), ""
+    if number is None:
+        number = _free_custom(draft, about, name)
+        if number is None:
+            return None
+        euler, in_force = by_angles(turn, body_from_sensor)
+        angles = f"{rotation_words('ardupilot', number)}: {euler}"
+        _set_custom(draft, about, number, euler)
+    else:
+        in_force = rotation_matrix("ardupilot", number)
+    ask_for_mounting(draft, "ardupilot", about, turn, (name, before, number), angles)
     draft.set_integer(
         name,
         number,
@@ -116,7 +130,52 @@ def _set_rotation(
         kind=ParameterKind.INT8,
         about=about,
     )
-    return True
+    return in_force
+
+
+def _set_custom(draft: Draft, about: Subject, number: int, euler: Euler) -> None:
+    """The angles before the number that calls them: where they were never used they act at once, else after a restart.
+
+    AP_CustomRotations.cpp makes a rotation of its angles when it is first used, and never again before the next boot.
+    """
+    draft.set_integer(
+        names.ARDUPILOT_CUSTOM_SWITCH,
+        1,
+        Rank.ROTATION,
+        "use rotations by angles",
+        kind=ParameterKind.INT8,
+        about=about,
+        needs_reboot=True,
+    )
+    set_angles(draft, about, names.ARDUPILOT_CUSTOM[number], euler, needs_reboot=True, hidden=True)
+
+
+def _free_custom(draft: Draft, about: Subject, own: str) -> int | None:
+    """The custom rotation that this compass has alone, or one that nothing uses; None: there is none."""
+    if names.ARDUPILOT_CUSTOM_SWITCH not in draft.parameters:
+        draft.block(
+            f"{about} is mounted at angles that no number of ArduPilot's stands for, and this vehicle has no "
+            f"{names.ARDUPILOT_CUSTOM_SWITCH} (ArduPilot 4.3 and later): mount the compass square, or update",
+            about,
+        )
+        return None
+    compasses = [f"COMPASS_ORIENT{digit}" for digit in ("", "2", "3")]
+    users = [name for name in ("AHRS_ORIENTATION", *compasses) if name != own]
+    used = {int(draft.get(name, 0)) for name in users}
+    numbers = [n for n in names.ARDUPILOT_CUSTOM if n not in used]
+    mine = int(draft.parameters.get(own, 0))
+    if mine in numbers:
+        return mine
+    empty = [n for n in numbers if not any(draft.get(name, 0.0) for name in names.ARDUPILOT_CUSTOM[n])]
+    if not empty:
+        draft.block(
+            f"{about} is mounted at angles that no number of ArduPilot's stands for, and both custom rotations "
+            "(CUST_ROT1_*, CUST_ROT2_*) hold angles already: set those to 0 that nothing uses, or mount the compass "
+            "square",
+            about,
+        )
+        return None
+    return empty[0]
 
 
 def _field_plausible(draft: Draft, about: Subject, fit: FitResult, parts: losses.Parts) -> bool:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
+from mavcal.calib.firmware.ardupilot.learning import LEARNING
 from mavcal.calib.firmware.ardupilot.parameters import T_REF, THERMAL_SCALE
 from mavcal.calib.firmware.compose.announce import lose_drift
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
@@ -30,7 +31,6 @@ Names = Mapping[Role, str]
 
 ORDERS: Final = (1, 2, 3)
 ENABLED: Final = 1
-LEARNING: Final = 2
 
 
 def recentre(degree: int, shift: float) -> Array:

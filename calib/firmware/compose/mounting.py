@@ -2,23 +2,33 @@
 
 The magnetometer procedure leaves its finding in ``quality["orientation"]``: ``verdict`` (a
 :class:`calib.mag.orientation.MountingVerdict`), ``name`` and ``matrix``, the rotation from what is taken for the body
-now to the true body.
+now to the true body. One that is by no right angles comes with its ``covariance`` and with ``askew_deg``, its angle
+from the ``nearest`` right-angle one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.firmware.compose.draft import Draft, Subject
-from mavcal.calib.firmware.options import to_confirm
-from mavcal.calib.firmware.rotations import rotation_words
+from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.names import ROTATION_EULER, Role
+from mavcal.calib.firmware.options import how, to_confirm
+from mavcal.calib.firmware.rotations import euler_matrix, nearest_rotation, rotation_words
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.orientation import MountingVerdict
+from mavcal.calib.mag.free_rotation import Euler, euler_angles
+from mavcal.calib.mag.orientation import ASKEW, MountingVerdict
 
 Array = NDArray[np.float64]
+
+EXACT = 1e-6  # rad
+DECIMALS = 2
+"""Decimals of an angle that is written, in degrees: no fit is so good."""
+TOLERATED = 20.0
+"""Angle, degrees, up to which a compass may stay as it is stated and is told to be askew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,38 +37,114 @@ class MountingRotation:
 
     name: str
     matrix: Array
+    covariance: Array | None = None
+    """(3, 3) in rad^2 of small turns of the body; None: by right angles, and exact."""
+
+    @property
+    def tolerance(self) -> float:
+        """Angle, rad, up to which a rotation that the firmware has by number means the same mounting."""
+        return EXACT if self.covariance is None else ASKEW
+
+    def number(self, autopilot: str, body_from_sensor: Array) -> int | None:
+        """The firmware's number of the mounting `body_from_sensor` that results; None: it has none."""
+        number, angle = nearest_rotation(autopilot, body_from_sensor)
+        return number if angle <= self.tolerance else None
+
+
+def by_angles(turn: MountingRotation, body_from_sensor: Array) -> tuple[Euler, Array]:
+    """The angles to write for a mounting, and the rotation (3, 3) that they make."""
+    exact = euler_angles(body_from_sensor, turn.covariance)
+    roll, pitch, yaw = (round(angle, DECIMALS) + 0.0 for angle in exact.angles)
+    return Euler(roll, pitch, yaw, exact.sd), euler_matrix(roll, pitch, yaw)
+
+
+def set_angles(
+    draft: Draft, about: Subject, names: tuple[str, ...], euler: Euler, *, needs_reboot: bool, hidden: bool
+) -> None:
+    """Plan three angles of a mounting, each with its standard deviation."""
+    sds = euler.sd or (None, None, None)
+    for name, word, angle, sd in zip(names, ("roll", "pitch", "yaw"), euler.angles, sds, strict=True):
+        draft.set_real(
+            name,
+            angle,
+            Rank.ROTATION,
+            f"{about} is mounted at this {word}",
+            about=about,
+            sd=sd,
+            unit="deg",
+            needs_reboot=needs_reboot,
+            hidden=hidden,
+        )
+
+
+def angle_names(roles: Mapping[Role, str]) -> tuple[str, ...]:
+    """The parameters that hold the angles of one sensor alone, roll pitch yaw."""
+    return tuple(roles[role] for role in ROTATION_EULER)
 
 
 def ask_for_mounting(
-    draft: Draft, autopilot: str, about: Subject, turn: MountingRotation, change: tuple[str, int, int]
+    draft: Draft, autopilot: str, about: Subject, turn: MountingRotation, change: tuple[str, int, int], angles: str = ""
 ) -> None:
-    """Say in words that a rotation parameter changes (name, old, new); nothing is written before that is confirmed."""
+    """Say in words that a rotation parameter changes (name, old, new); nothing is written before that is confirmed.
+
+    `angles`: what the new number stands for, where it is no number of the firmware's table.
+    """
     name, old, new = change
     stated = rotation_words(autopilot, old)
     found = f"compass {about.instance + 1} is mounted turned by {turn.name}"
     if stated != "none":
         found += f" against what {name} says ({stated})"
-    step = f"{name} changes from {old} ({stated}) to {new} ({rotation_words(autopilot, new)})"
+    step = f"{name} changes from {old} ({stated}) to {new} ({angles or rotation_words(autopilot, new)})"
     if draft.options.confirm_mounting:
         draft.warn(f"{found}, as confirmed: {step}", first=True)
     else:
         draft.block(f"{found}: {step}. Look at it. {to_confirm('confirm_mounting')}")
 
 
-def mounting_turn(draft: Draft, about: Subject, fit: FitResult) -> MountingRotation | None:
-    """The rotation to put right; None: the mounting is as stated, or nothing was found out about it."""
+def mounting_turn(draft: Draft, about: Subject, fit: FitResult, *, follows: str) -> MountingRotation | None:
+    """The rotation to put right; None: the mounting stays as stated, or nothing was found out about it.
+
+    `follows`: the parameter of the board that an internal compass follows; empty: the compass has its own.
+    """
     found = fit.quality.get("orientation")
     if not found:
         return None
     verdict = MountingVerdict(found["verdict"])
+    matrix = np.array(found.get("matrix", np.eye(3)), dtype=np.float64)
+    name = str(found.get("name", "")).replace("_", " ")
     if verdict == MountingVerdict.UNEXPLAINED:
         draft.block(
-            f"{about}: no right-angle mounting makes its field agree with the accelerometer. Calibrate the "
-            "accelerometer first; if it stays, the compass is mounted at an odd angle: set its rotation",
+            f"{about}: no mounting makes its field agree with the accelerometer. Calibrate the accelerometer first",
             about,
         )
+    elif verdict == MountingVerdict.MIRRORED:
+        draft.block(f"{about}: {found.get('message', 'its axes are mirrored')}", about)
     elif verdict == MountingVerdict.AMBIGUOUS:
         draft.warn(f"{about}: its movement does not show whether it is mounted as stated; tilt further to all sides")
     elif verdict == MountingVerdict.ROTATED:
-        return MountingRotation(str(found["name"]).replace("_", " "), np.array(found["matrix"], dtype=np.float64))
+        return MountingRotation(name, matrix)
+    elif verdict == MountingVerdict.BY_ANGLES:
+        turn = MountingRotation(name, matrix, np.array(found["covariance"], dtype=np.float64))
+        if found["nearest"] == "none" and float(found["askew_deg"]) <= TOLERATED:
+            return _if_wanted(draft, about, turn, float(found["askew_deg"]), follows)
+        return turn
+    return None
+
+
+def _if_wanted(
+    draft: Draft, about: Subject, turn: MountingRotation, askew: float, follows: str
+) -> MountingRotation | None:
+    """A turn so small that the stated mounting may stay: it is offered, and made if the operator confirms it."""
+    if follows:
+        draft.warn(
+            f"{about} is mounted {askew:.0f} deg askew (turned by {turn.name}) and follows {follows}: it has no angles "
+            "of its own. Mount the board square, or calibrate the accelerometer if that is what is off"
+        )
+        return None
+    if draft.options.confirm_mounting:
+        return turn
+    draft.warn(
+        f"{about} is mounted {askew:.0f} deg askew, turned by {turn.name}: look at it; {how('confirm_mounting')} "
+        "writes these angles"
+    )
     return None

@@ -15,7 +15,14 @@ from mavcal.calib.firmware import losses, names
 from mavcal.calib.firmware.compose.announce import lose_compass_mounting
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair, keeps_matrix
-from mavcal.calib.firmware.compose.mounting import MountingRotation, ask_for_mounting, mounting_turn
+from mavcal.calib.firmware.compose.mounting import (
+    MountingRotation,
+    angle_names,
+    ask_for_mounting,
+    by_angles,
+    mounting_turn,
+    set_angles,
+)
 from mavcal.calib.firmware.compose.px4 import set_row
 from mavcal.calib.firmware.compose.px4_memory import Vector, neutral_model, placed, representable, row_of, set_vector
 from mavcal.calib.firmware.limits import COMPASS_SCALE_WINDOW
@@ -23,12 +30,12 @@ from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS
-from mavcal.calib.firmware.rotations import nearest_rotation, rotation_matrix
+from mavcal.calib.firmware.rotations import rotation_matrix, rotation_words
 from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.free_rotation import Euler
 
 Array = NDArray[np.float64]
 
-EXACT = 1e-6  # rad
 EARTH_FIELD = 50.0
 """uT, for the cost of a loss where the field was not known."""
 
@@ -59,8 +66,11 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     roles = row_of(draft, about)
     if not _mounted_as_taken(draft, about, roles):
         return
-    turn = mounting_turn(draft, about, fit)
-    if turn is not None and not _set_rotation(draft, about, roles, turn):
+    internal = int(draft.get(roles[Role.ROTATION], -1)) < 0
+    turn = mounting_turn(draft, about, fit, follows="SENS_BOARD_ROT" if internal else "")
+    before = neutral_model(draft.parameters, about).matrix
+    after = before if turn is None else _set_rotation(draft, about, roles, turn, before)
+    if after is None:
         return
     parts = losses.split(fit)
     factor = float(np.cbrt(np.linalg.det(parts.symmetric)))
@@ -82,8 +92,7 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     for triple, vector in wanted.items():
         set_vector(draft, vector, stored[triple])
     _lose(draft, about, fit, parts, wanted, stored)
-    mounting = neutral_model(draft.parameters, about).matrix
-    lose_compass_mounting(draft, about, fit, mounting, mounting if turn is None else turn.matrix @ mounting)
+    lose_compass_mounting(draft, about, fit, before, after)
 
 
 def _lose(
@@ -148,33 +157,52 @@ def _mounted_as_taken(draft: Draft, about: Subject, roles: Mapping[Role, str]) -
     return True
 
 
-def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn: MountingRotation) -> bool:
-    number = int(draft.get(roles[Role.ROTATION], -1))
+def _set_rotation(
+    draft: Draft, about: Subject, roles: Mapping[Role, str], turn: MountingRotation, before: Array
+) -> Array | None:
+    """Plan the mounting that `turn` makes of `before` (L R); what will be in force (3, 3), None if it cannot be.
+
+    The level adjustment L of the board acts behind the sensor's own rotation R: ``L R' = T L R``.
+    """
+    name = roles[Role.ROTATION]
+    number = int(draft.get(name, -1))
     if number < 0:
         draft.block(
             f"{about} is internal and follows SENS_BOARD_ROT, but its field is turned by {turn.name} against the "
             "accelerometer: the board's orientation is wrong, or the sensor is external and not known as such",
             about,
         )
-        return False
-    if number >= px4.ROTATION_CUSTOM:
-        draft.block(
-            f"{about} has a rotation of its own (custom angles), and is turned by a further {turn.name}: correct it",
+        return None
+    level = px4.level_adjustment(draft.parameters)
+    # right angles are not turned by the level, a degree or two, which they do not know
+    wanted = level.T @ turn.matrix @ before if turn.covariance is not None else turn.matrix @ level.T @ before
+    new, custom = turn.number("px4", wanted), angle_names(roles)
+    if new is None:
+        euler, own = by_angles(turn, wanted)
+        ask_for_mounting(
+            draft,
+            "px4",
             about,
+            turn,
+            (name, number, px4.ROTATION_CUSTOM),
+            f"{rotation_words('px4', px4.ROTATION_CUSTOM)}: {euler}",
         )
-        return False
-    # the found rotation is by right angles, so the level adjustment, a degree or two, does not matter to it
-    new, angle = nearest_rotation("px4", turn.matrix @ rotation_matrix("px4", number))
-    if angle > EXACT:
-        draft.block(f"{about} is turned by {turn.name}, and PX4 has no number for the resulting mounting", about)
-        return False
-    ask_for_mounting(draft, "px4", about, turn, (roles[Role.ROTATION], number, new))
+        _set_number(draft, about, name, px4.ROTATION_CUSTOM, turn)  # angles beside another number would become custom
+        set_angles(draft, about, custom, euler, needs_reboot=False, hidden=False)
+        return np.asarray(level @ own)
+    ask_for_mounting(draft, "px4", about, turn, (name, number, new))
+    if px4.by_angles(draft.parameters, roles):
+        set_angles(draft, about, custom, Euler(0.0, 0.0, 0.0), needs_reboot=False, hidden=False)
+    _set_number(draft, about, name, new, turn)
+    return np.asarray(level @ rotation_matrix("px4", new))
+
+
+def _set_number(draft: Draft, about: Subject, name: str, number: int, turn: MountingRotation) -> None:
     draft.set_integer(
-        roles[Role.ROTATION],
-        new,
+        name,
+        number,
         Rank.ROTATION,
         f"{about} is mounted turned by {turn.name}",
         kind=ParameterKind.INT32,
         about=about,
     )
-    return True

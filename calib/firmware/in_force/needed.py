@@ -20,7 +20,6 @@ DRIFT_KINDS = frozenset({"thermal"})
 STREAMED = 3
 """Instances that either firmware streams."""
 _OF_PX4 = ("SENS_", "IMU_")
-_CUSTOM = {101: "CUST_ROT1", 102: "CUST_ROT2"}
 _PER_MOTOR = 3
 
 
@@ -87,7 +86,12 @@ def _ardupilot_compasses(known: Mapping[str, Value]) -> Iterator[str]:
         yield from ids[names.ARDUPILOT_COMPASS_SLOTS :]
     for slot, device in enumerate(held):
         if slot == 0 or device:
-            yield from names.ardupilot_compass_names(slot, slot).values()
+            roles = names.ardupilot_compass_names(slot, slot)
+            yield from roles.values()
+            if known.get(roles[Role.EXTERNAL], 0):  # it may have to be turned by angles, in a place that is free
+                yield names.ARDUPILOT_CUSTOM_SWITCH
+                if known.get(names.ARDUPILOT_CUSTOM_SWITCH, 0):
+                    yield from (name for angles in names.ARDUPILOT_CUSTOM.values() for name in angles)
     if known.get("COMPASS_MOTCT", 0) == _PER_MOTOR:
         yield "COMPASS_PMOT_EN"
         yield from (f"COMPASS_PMOT{motor}_{axis}" for motor in range(1, 5) for axis in "XYZ")
@@ -96,9 +100,9 @@ def _ardupilot_compasses(known: Mapping[str, Value]) -> Iterator[str]:
 def _custom_rotations(known: Mapping[str, Value]) -> Iterator[str]:
     mountings = ("AHRS_ORIENTATION", "COMPASS_ORIENT", "COMPASS_ORIENT2", "COMPASS_ORIENT3")
     for number in {int(known.get(name, 0)) for name in mountings}:
-        if number in _CUSTOM:
-            yield "CUST_ROT_ENABLE"
-            yield from (f"{_CUSTOM[number]}_{angle}" for angle in ("ROLL", "PITCH", "YAW"))
+        if number in names.ARDUPILOT_CUSTOM:
+            yield names.ARDUPILOT_CUSTOM_SWITCH
+            yield from names.ARDUPILOT_CUSTOM[number]
 
 
 def _px4_rows(sensor: Sensor, known: Mapping[str, Value], *, drift: bool) -> Iterator[str]:

@@ -8,7 +8,7 @@ from typing import Final
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.in_force.fingerprint import SENSOR_IDS
-from mavcal.calib.firmware.names import BOARD_ROTATION, ROTATION_EULER, Role
+from mavcal.calib.firmware.names import ARDUPILOT_CUSTOM, BOARD_ROTATION, ROTATION_EULER, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.slots import CALIBRATED, ardupilot_calibration_names, px4_calibration_names
 from mavcal.calib.fit import FitResult, FitStatus
@@ -54,6 +54,9 @@ def origin_of(recording: Recording, fits: Iterable[FitResult]) -> Origin:
     for sensor, instance in fitted:
         roles = _NAMES[autopilot](parameters, sensor, instance)
         mounting |= {roles[role] for role in _MOUNTING if role in roles}
+    if autopilot == "ardupilot":
+        used = [ARDUPILOT_CUSTOM.get(int(parameters.get(name, 0)), ()) for name in mounting]
+        mounting.update(name for angles in used for name in angles)
     return Origin(
         autopilot,
         recording.identity.uid,

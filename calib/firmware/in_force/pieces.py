@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,6 +24,10 @@ Parameters = dict[str, Value]
 PX4_KEYS = tuple((sensor, instance) for sensor in CALIBRATED for instance in range(PX4_SLOTS))
 
 
+_WORDS = {Sensor.ACCEL: ("ACC", "TC_A"), Sensor.GYRO: ("GYR", "TC_G"), Sensor.MAG: ("COMPASS", "MAG", "TC_M")}
+"""By these a parameter's name tells whose calibration it is; one that has none of them is everybody's."""
+
+
 @dataclass(frozen=True, eq=False)
 class Piece:
     """Parameters from time `start` (s) on, and on PX4 what of them has reached its memory."""
@@ -30,7 +35,13 @@ class Piece:
     start: float
     parameters: Parameters
     memory: dict[Key, px4.Px4Calibration]
+    changes: frozenset[str] = frozenset()
+    """The parameters that changed at its start."""
     _models: dict[Key, TriadModel] = field(default_factory=dict, repr=False)
+
+    def concerns(self, sensor: Sensor) -> bool:
+        """Whether a parameter that changed at its start may be of a sensor of that kind."""
+        return any(_may_concern(name, sensor) for name in self.changes)
 
     def completed(self, autopilot: str, first: Parameters) -> Piece:
         """The same span with parameters that had not been seen before; they held all along."""
@@ -42,7 +53,7 @@ class Piece:
                     loaded = _loaded(parameters, key)
                     if loaded is not None:
                         memory[key] = loaded
-        return Piece(self.start, parameters, memory)
+        return Piece(self.start, parameters, memory, self.changes)
 
     def changed(self, t: float, changes: Parameters) -> Piece:
         """The span that begins when `changes` are made at time `t`."""
@@ -51,7 +62,7 @@ class Piece:
         for key, held in self.memory.items():
             with contextlib.suppress(FirmwareError):  # the sensor moved to a row that was never seen
                 memory[key] = held.update(parameters)
-        return Piece(t, parameters, memory)
+        return Piece(t, parameters, memory, frozenset(changes))
 
     def throughout(self) -> Piece:
         """The same without a beginning."""
@@ -90,6 +101,13 @@ class Piece:
             if not np.array_equal(a.coefficients, b.coefficients):
                 return False
         return np.array_equal(ours.offset, theirs.offset) and np.array_equal(ours.matrix, theirs.matrix)
+
+
+@lru_cache(maxsize=1024)
+def _may_concern(name: str, sensor: Sensor) -> bool:
+    """Whether a calibration parameter is of that kind of sensor, or of no kind alone (the board's rotation)."""
+    of = [kind for kind, words in _WORDS.items() if any(word in name for word in words)]
+    return not of or sensor in of
 
 
 def _loaded(parameters: Parameters, key: Key) -> px4.Px4Calibration | None:

@@ -213,19 +213,23 @@ def _together(changes: Mapping[float, Parameters], entry: ParameterEntry) -> flo
     return min(near, default=entry.t)
 
 
-def _spans(channel: Channel, pieces: list[Piece], autopilot: str) -> list[tuple[Piece, NDArray[np.bool_]]]:
+def _spans(channel: Channel, pieces: list[Piece], autopilot: str) -> list[tuple[Piece, NDArray[np.intp]]]:
     """Which rows of `channel` lie in which piece; rows near a change of its correction in none."""
-    ends = [piece.start for piece in pieces[1:]] + [np.inf]
+    starts = np.array([piece.start for piece in pieces[1:]])
     allowed = np.ones(len(channel), dtype=bool)
     key = channel.sensor, channel.instance
-    for before, after in itertools.pairwise(pieces):
-        if not before.same(autopilot, after, key):
-            allowed &= (channel.t < after.start - GUARD_BEFORE_S) | (channel.t >= after.start + GUARD_AFTER_S)
+    guards = np.searchsorted(channel.t, (starts - GUARD_BEFORE_S, starts + GUARD_AFTER_S)).T.tolist()
+    for (before, after), (first, last) in zip(itertools.pairwise(pieces), guards, strict=True):
+        near = allowed[first:last]  # a log may hold thousands of changes: only those that cost samples are looked at
+        if near.any() and after.concerns(channel.sensor) and not before.same(autopilot, after, key):
+            near[:] = False
+    edges = [0, *np.searchsorted(channel.t, starts).tolist(), len(channel)]
     spans = [
-        (piece, allowed & (channel.t >= piece.start) & (channel.t < end))
-        for piece, end in zip(pieces, ends, strict=True)
+        (piece, first + np.flatnonzero(allowed[first:last]))
+        for piece, first, last in zip(pieces, edges, edges[1:], strict=False)
+        if last > first
     ]
-    return [(piece, rows) for piece, rows in spans if rows.any()]
+    return [(piece, rows) for piece, rows in spans if len(rows)]
 
 
 def _turned(zero_bin: NDArray[np.bool_] | None, matrix: Array) -> NDArray[np.bool_] | None:

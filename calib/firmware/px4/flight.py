@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.px4.topics import TRUTH, US, Topic, Topics, columns, has, instances_of, sample_time, triple
 from mavcal.calib.recording import Channel, Event, Sensor, Stage
@@ -16,17 +18,19 @@ Array = NDArray[np.float64]
 FIX_3D: Final = 3
 ARMING_STATE_ARMED: Final = 2
 MOST_OUTPUTS: Final = 16
-PWM_LOW, PWM_SPAN = 1000.0, 1000.0
+PWM_LOW, PWM_NEUTRAL, PWM_SPAN = 1000.0, 1500.0, 1000.0
+REVERSIBLE: Final = frozenset(
+    {dialect.MAV_TYPE_GROUND_ROVER, dialect.MAV_TYPE_SURFACE_BOAT, dialect.MAV_TYPE_SUBMARINE}
+)
+WITH_SURFACES: Final = frozenset(
+    {dialect.MAV_TYPE_FIXED_WING, *range(dialect.MAV_TYPE_VTOL_DUOROTOR, dialect.MAV_TYPE_VTOL_RESERVED5 + 1)}
+)
 
 
-def flight_channels(topics: Topics) -> list[Channel]:
-    """Attitude, position, velocity, place, current, throttle, motors and rotor speeds."""
-    return [
-        channel
-        for maker in (_attitude, _gps, _local, _current, _throttle, _motors, _rotors)
-        for channel in maker(topics)
-        if len(channel)
-    ]
+def flight_channels(topics: Topics, kind: int | None = None) -> list[Channel]:
+    """Attitude, position, velocity, place, current, throttle, motors and rotor speeds; `kind` is the MAV_TYPE."""
+    makers = (_attitude, _gps, _local, _current, _throttle, partial(_motors, kind=kind), _rotors)
+    return [channel for maker in makers for channel in maker(topics) if len(channel)]
 
 
 def truth_channels(topics: Topics) -> list[Channel]:
@@ -40,13 +44,13 @@ def truth_channels(topics: Topics) -> list[Channel]:
 
 
 def arming_events(topics: Topics) -> list[Event]:
-    """Every change between armed and disarmed, the first state included if it is armed."""
+    """The first state, armed or disarmed, and every change."""
     for name, column, armed in (("actuator_armed", "armed", 1), ("vehicle_status", "arming_state", ARMING_STATE_ARMED)):
         topic = topics.get((name, 0))
         if topic is None or column not in topic or not len(topic["timestamp"]):
             continue
         state = topic[column].astype(np.int64) == armed
-        turned = np.flatnonzero(np.diff(state, prepend=False))
+        turned = np.flatnonzero(np.diff(state, prepend=not state[0]))
         kinds = ["armed" if state[i] else "disarmed" for i in turned]
         stamps = topic["timestamp"][turned].astype(np.float64) * US
         return [Event(float(t), kind, f"the vehicle was {kind}") for t, kind in zip(stamps, kinds, strict=True)]
@@ -127,20 +131,27 @@ def _throttle(topics: Topics) -> Iterator[Channel]:
         yield _finite(Sensor.THROTTLE, 0, sample_time(topic), size, "1", "actuator_controls_0")
 
 
-def _motors(topics: Topics) -> Iterator[Channel]:
-    """Motor commands 0..1; where only PWM was logged, every output in use, whatever it drives."""
+def _motors(topics: Topics, kind: int | None = None) -> Iterator[Channel]:
+    """Motor commands 0..1, or -1..1; where only PWM was logged, every output in use, whatever it drives.
+
+    Pulses of a rover, boat or sub rest at neutral. Those of a plane are not taken: its surfaces rest there as well.
+    """
     topic = topics.get(("actuator_motors", 0))
     if topic is not None:
         used = [f"control[{k}]" for k in range(MOST_OUTPUTS) if f"control[{k}]" in topic]
         used = [name for name in used if np.isfinite(topic[name]).any()]
         if used:
-            values = np.clip(np.nan_to_num(columns(topic, *used), nan=0.0), 0.0, 1.0)  # nan: the motor is stopped
+            # nan: the motor is stopped; below 0: it turns back (CA_R_REV)
+            values = np.clip(np.nan_to_num(columns(topic, *used), nan=0.0), -1.0, 1.0)
             yield _finite(Sensor.MOTOR, 0, sample_time(topic), values, "1", "actuator_motors")
         return
+    if kind in WITH_SURFACES:
+        return
+    zero, span, least = (PWM_NEUTRAL, 0.5 * PWM_SPAN, -1.0) if kind in REVERSIBLE else (PWM_LOW, PWM_SPAN, 0.0)
     for multi_id, outputs in instances_of(topics, "actuator_outputs"):
         used = [f"output[{k}]" for k in range(MOST_OUTPUTS) if f"output[{k}]" in outputs and _is_pwm(outputs, k)]
         if used:
-            values = np.clip((columns(outputs, *used) - PWM_LOW) / PWM_SPAN, 0.0, 1.0)
+            values = np.clip((columns(outputs, *used) - zero) / span, least, 1.0)
             yield _finite(Sensor.MOTOR, multi_id, sample_time(outputs), values, "1", "actuator_outputs")
 
 

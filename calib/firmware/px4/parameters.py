@@ -42,8 +42,10 @@ __all__ = [
     "Px4Calibration",
     "Thresholds",
     "board_rotation",
+    "by_angles",
     "calibration_in_force",
     "calibration_names",
+    "level_adjustment",
     "motor_term",
     "mounting",
     "sensor_ids",
@@ -54,8 +56,9 @@ Array = NDArray[np.float64]
 UT_PER_GAUSS: Final = 100.0
 MOTOR_BY_THRUST, MOTOR_BY_CURRENT = 1, 2
 """CAL_MAG_COMP_TYP: thrust; from 2 on the current of battery 0, 1, in kA."""
-ROTATION_CUSTOM: Final = 100
-"""CAL_MAGn_ROT from here on: the Euler angles of the row hold."""
+ROTATION_CUSTOM: Final = names.PX4_CUSTOM
+NO_ANGLE: Final = float(np.finfo(np.float32).eps)
+"""An angle of a row up to this counts as none, degrees."""
 
 
 @dataclass(frozen=True)
@@ -193,10 +196,11 @@ def motor_term(
 
 def board_rotation(parameters: Mapping[str, Value]) -> Array:
     """``L R``: SENS_BOARD_ROT, then the level adjustment SENS_BOARD_*_OFF; body from board, shape (3, 3)."""
-    return _level(parameters) @ rotation_matrix("px4", int(need(parameters, names.BOARD_ROTATION["px4"])))
+    return level_adjustment(parameters) @ rotation_matrix("px4", int(need(parameters, names.BOARD_ROTATION["px4"])))
 
 
-def _level(parameters: Mapping[str, Value]) -> Array:
+def level_adjustment(parameters: Mapping[str, Value]) -> Array:
+    """L: the level adjustment SENS_BOARD_*_OFF, applied behind every sensor's rotation, shape (3, 3)."""
     return euler_matrix(*(need(parameters, name) for name in names.PX4_LEVEL))
 
 
@@ -206,18 +210,22 @@ def mounting(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> 
     number = int(need(parameters, roles[Role.ROTATION]))
     if number < 0:  # an internal sensor follows the board
         return board_rotation(parameters)
-    if number >= ROTATION_CUSTOM and Role.ROTATION_ROLL in roles:
-        return _level(parameters) @ euler_matrix(*vector(parameters, roles, names.ROTATION_EULER))
-    return _level(parameters) @ rotation_matrix("px4", number)
+    if Role.ROTATION_ROLL in roles and (number == ROTATION_CUSTOM or by_angles(parameters, roles)):
+        return level_adjustment(parameters) @ euler_matrix(*vector(parameters, roles, names.ROTATION_EULER))
+    return level_adjustment(parameters) @ rotation_matrix("px4", number)
+
+
+def by_angles(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> bool:
+    """Whether a magnetometer's row holds angles: they make its number "custom" (Magnetometer.cpp, ParametersLoad)."""
+    return any(abs(float(parameters.get(roles[role], 0.0))) > NO_ANGLE for role in names.ROTATION_EULER)
 
 
 def _thermal(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> tuple[Array, ThermalPolynomial | None]:
     none = np.zeros(3), None
     if Role.THERMAL_ID not in roles or int(parameters.get(roles[Role.THERMAL_ENABLE], 0)) != 1:
         return none
-    owner = int(parameters.get(roles[Role.THERMAL_ID], 0))
-    if owner == 0 or owner != int(need(parameters, roles[Role.ID])):
-        return none  # the row that these names would use is still free
+    if int(parameters.get(roles[Role.THERMAL_ID], 0)) == 0:
+        return none  # the names are those of a free row: none is the sensor's own (slots.px4_thermal_slot)
     polynomial = ThermalPolynomial(
         t_ref=need(parameters, roles[Role.THERMAL_REF]),
         t_min=need(parameters, roles[Role.THERMAL_MIN]),

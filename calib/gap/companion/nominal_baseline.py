@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from mavcal.calib.gap.companion.steady_effects import steady_effects
 from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
 from mavcal.calib.gap.problem import GapProblem, MinimumGain, NuisanceEffect, Trace
+from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.thresholds import GainThresholds, accepted_difference
@@ -49,7 +50,9 @@ class NominalBaseline:
 
 
 def nominal_baseline_of(
-    learned: Callable[[Callable[[Sequence[Trace]], tuple[Trace, ...]]], GapProblem], alpha: float
+    learned: Callable[[Callable[[Sequence[Trace]], tuple[Trace, ...]]], GapProblem],
+    alpha: float,
+    pace: GapPace | None = None,
 ) -> NominalBaseline:
     """What of the mean a nominal recording shows beside a pose of its own.
 
@@ -60,14 +63,16 @@ def nominal_baseline_of(
         the ideal.
     alpha
         Chance that anything is found where there is nothing.
+    pace
+        How long it may take; None: as long as it takes.
     """
     baseline, before = NominalBaseline(()), 0.0
     for _ in range(_ROUNDS):
         problem = learned(baseline.in_ideal)
-        found = steady_effects(problem, alpha, GainThresholds(), _OF_ONE_RECORDING).supported
+        found = steady_effects(problem, alpha, GainThresholds(), _OF_ONE_RECORDING, pace).supported
         gain = sum(one.gain for one in found)
         baseline = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
-        if abs(gain - before) <= _SETTLED * before:
+        if abs(gain - before) <= _SETTLED * before or (pace is not None and pace.ends()):
             break
         before = gain
     return baseline

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from mavcal.calib.gap.companion.steady_effects import steady_effects
 from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
 from mavcal.calib.gap.problem import GapProblem, MinimumGain, ReferenceInfo, Trace
+from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.schema import EffectEstimate
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.thresholds import GainThresholds, accepted_difference
@@ -50,14 +51,14 @@ class Baseline:
         return with_effects_in(traces, self.effects)[0]
 
 
-def baseline_of(problem: GapProblem, alpha: float) -> Baseline:
+def baseline_of(problem: GapProblem, alpha: float, pace: GapPace | None = None) -> Baseline:
     """What of the mean a simulated flight shows beside its own ideal; what happens once is not carried over.
 
     The noise that was learned from this flight has in it what is looked for: it is fitted again beside it.
     """
     problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
-    found = steady_effects(problem, alpha, GainThresholds(MinimumGain(small, small, small, small)))
+    found = steady_effects(problem, alpha, GainThresholds(MinimumGain(small, small, small, small)), pace=pace)
     largest = {t.sensor: 0.0 for t in problem.traces}
     for one in found.found:
         for sensor in one.sensors:
@@ -82,10 +83,11 @@ def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     own = {s: _nuisance_gain(problem, baseline, livelier, s) for s in small}
     moves = _movement(problem)
     level = {s: max(small[s], own[s]) for s in small}
-    least = {s: max(_scaled_by_movement(problem, small[s], moves, baseline.movement, s), own[s]) for s in small}
+    noise = {s: _scaled_by_movement(problem, small[s], moves, baseline.movement, s) for s in small}
+    least = {s: max(noise[s], own[s]) for s in small}
     reference = _of_both(problem.reference, baseline.reference)
     warnings = (*changed.warnings, *_calm_flight_warnings(moves, baseline.movement))
-    minimum_gain = MinimumGain(least, least, level, least)
+    minimum_gain = MinimumGain(least, least, level, noise)  # what is open of a mean makes no noise louder
     return replace(changed, minimum_gain=minimum_gain, reference=reference, warnings=warnings)
 
 

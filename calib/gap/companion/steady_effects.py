@@ -16,6 +16,7 @@ from mavcal.calib.gap.model.joint import Model, setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence
 from mavcal.calib.gap.search.contest import Contest
@@ -54,7 +55,11 @@ class SteadyEffects:
 
 @one_diagnosis()
 def steady_effects(
-    problem: GapProblem, alpha: float, thresholds: GainThresholds, without: Sequence[str] = ()
+    problem: GapProblem,
+    alpha: float,
+    thresholds: GainThresholds,
+    without: Sequence[str] = (),
+    pace: GapPace | None = None,
 ) -> SteadyEffects:
     """Steady effects on the mean that are significant beside each other, and above what recordings differ by anyway."""
     views = split(views_of(problem, {}, {}))
@@ -62,7 +67,7 @@ def steady_effects(
     if not views or not hypotheses:
         return SteadyEffects()
     setting = setting_of(views)
-    contest = Contest(hypotheses, thresholds=thresholds)
+    contest = Contest(hypotheses, thresholds=thresholds, pace=pace)
     chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
     chosen = reduced(chosen, _indifferent(chosen, contest))
     found = _reported(chosen, contest)

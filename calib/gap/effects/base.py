@@ -47,13 +47,15 @@ class EffectShape:
     between neighbours. Where M is large, `screen(trace, residual)` picks a few of them (at least one) that are worth
     trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid. `still`: between two
     samples nothing depends on it (the moment of a jump), so that no derivative leads to its best value; it stays where
-    the search found it.
+    the search found it. `chosen`: beside another free effect any value may describe the same (the temperature at which
+    a drift vanishes, beside an offset).
     """
 
     parameter: EffectParameter
     grid: Callable[[Trace], Array]
     screen: Callable[[Trace, Array], Array] | None = None
     still: bool = False
+    chosen: bool = False
 
 
 @dataclass(frozen=True)

@@ -209,7 +209,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         columns=earth_columns,
         plain="another field of the Earth than assumed",
         rivals=("mag_rotation", "mag_hard_iron", "mag_soft_iron"),
-        traits=frozenset({Trait.STEADY, Trait.SIZE}),
+        traits=frozenset({Trait.STEADY, Trait.SIZE, Trait.OUTSIDE}),
     ),
     MeanEffect(
         "mag_field_gradient",
@@ -221,5 +221,6 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         columns=gradient_columns,
         plain="a field that changes with the place",
         rivals=("mag_hard_iron", "mag_earth_field", "mag_random_walk"),
+        traits=frozenset({Trait.OUTSIDE}),
     ),
 )

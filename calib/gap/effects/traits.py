@@ -19,6 +19,8 @@ class Trait(Enum):
     SIZE = "it makes the reference's movement larger or smaller"
     COARSE = "it rounds the samples to levels"
     DEAD_BAND = "small readings are zero, as they are on coarse levels"
+    OUTSIDE = "it is around the vehicle: every instance of the sensor sees it"
+    GROWING = "it grows evenly with time: what warms up evenly cannot be told from it"
     LATE = "its shape is how late readings come, in seconds"
 
 

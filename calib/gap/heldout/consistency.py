@@ -44,8 +44,8 @@ _TURNED = (Sensor.ACCEL, Sensor.MAG)
 def inconsistent_effects(
     problem: GapProblem, lattice: Lattice, chosen: ChosenModel, heldout: Heldout | None
 ) -> frozenset[Key]:
-    """Named effects of `chosen` that some block denies or cannot tell of, or that the log's own attitude denies."""
-    named = [t for t in chosen.model.members if not t.hypothesis.effect.nameless]
+    """Effects and shapes of `chosen` that a block denies or cannot tell of, or the log's own attitude denies."""
+    named = chosen.model.members
     denied = {t.hypothesis.key for t in named} - set(on_every_block(() if heldout is None else heldout.gates))
     other = along_own_attitude(problem)
     left = [t for t in named if t.hypothesis.key not in denied]

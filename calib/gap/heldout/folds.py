@@ -24,6 +24,7 @@ from mavcal.calib.gap.model.joint import (
 )
 from mavcal.calib.gap.model.noise_fit import starting_noise, with_term
 from mavcal.calib.gap.model.views import View, between
+from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.selection import fitted_about, without
@@ -190,6 +191,6 @@ def with_weight(model: Model) -> Model:
     return replace(model, weight=weight)
 
 
-def contest_of(hypotheses: Sequence[Hypothesis], thresholds: GainThresholds) -> Contest:
+def contest_of(hypotheses: Sequence[Hypothesis], thresholds: GainThresholds, pace: GapPace | None = None) -> Contest:
     """A contest of its own: every fold has other columns, and only as many are kept as one selection asks for."""
-    return Contest(hypotheses, budget=16_000_000, thresholds=thresholds)
+    return Contest(hypotheses, budget=16_000_000, thresholds=thresholds, pace=pace)

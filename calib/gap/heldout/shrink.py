@@ -51,6 +51,8 @@ _LONG = 40_000
 block."""
 _FEW = 4
 """Blocks where a series is longer than `_LONG` samples: each repeats the selection. Source: decision 4."""
+_LEAST_HELD_OUT = 2
+"""Blocks that are held out however little time is left. Chosen, not measured: two may contradict each other."""
 _RESAMPLED = 2000
 """Draws of as many blocks, for an interval. Chosen, not measured: fifty lie beyond either end of 95 %."""
 _PROMISING = 0.01
@@ -129,8 +131,11 @@ def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] =
     if not folds:
         return None
     floor_ratio = _excess(chosen.model)
-    losses, lowest, gains, steps, determined = [], [], [], [], []
+    losses: list[tuple[float, float]] = []
+    lowest, gains, steps, determined = [], [], [], []
     for fold in folds:
+        if len(losses) >= _LEAST_HELD_OUT and contest.pace.ends():
+            break
         base = refitted(fold.train).model
         for term in given:
             base = joined(base, term) if foretold(term, chosen.model, fold.train.setting) else base
@@ -145,6 +150,7 @@ def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] =
         determined.append(known)
         gains.append([predictive_loss(model, fold.test) - nats[-1] for model in less])
         steps.append([nats[0] - loss for loss in nats[1:]])
+    folds = folds[: len(losses)]
     beside = _gains_beside_noise(chosen, contest)
     gates = tuple(
         gate_of(term, np.array([g[i] for g in gains]), [k[i] for k in determined], folds, chosen, beside)
@@ -191,7 +197,8 @@ def nested_in(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: floa
             losses.append(float(fixed))
             continue
         began = pace.now
-        losses.append(_selected_again(fold, chosen, contest, alpha))
+        loss = _selected_again(fold, chosen, contest, alpha)
+        losses.append(float(fixed) if pace.ends() else loss)  # a search that was cut short selects too little
         took = pace.now - began
     return replace(found, losses=np.column_stack([found.losses[:, 0], losses]))
 
@@ -258,7 +265,7 @@ def _selected_again(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: fl
     level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
     if not few:
         return predictive_loss(refitted(fold.train).model, fold.test)
-    found = select(refitted(fold.train).model, contest_of(few, contest.thresholds), level)
+    found = select(refitted(fold.train).model, contest_of(few, contest.thresholds, contest.pace), level)
     return predictive_loss(found.model, fold.test)
 
 

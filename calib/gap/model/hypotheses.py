@@ -129,7 +129,7 @@ def hypotheses_of(
                 possible.append(instances)
         sets: list[tuple[int, ...]] = [p for p in possible if len(p) == 1]
         if (common := _together(possible)) is not None:
-            sets.append(common)
+            sets = [common] if Trait.OUTSIDE in effect.traits else [*sets, common]
         times = _REPEATS if effect.repeatable else 1
         at_fault, certain = _at_fault(effect, worse or {}), _certain(effect, worse or {})
         for instances in sets:

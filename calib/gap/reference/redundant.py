@@ -138,6 +138,12 @@ _SURE = 4.0
 _MORE = 4.0
 """Standard errors by which a band must have more power than the simulator's. Chosen, not measured: one in 32 000 is as
 far above by chance, and many bands are asked."""
+_CONTROLLED_HZ = 20.0
+"""Frequency above which a vehicle does not answer to the noise of its own gyroscope: below, both units read the answer.
+Chosen, not measured: rate controllers of copters have a bandwidth of 5 to 15 Hz."""
+_LOUDER = 1.0
+"""Power that an instance must have beyond the simulator's, in parts of that. Source: `prices.FLIGHT_NOISE_RATIO`, the
+same."""
 _TILTS = 3.0
 """Standard deviations of the reference's tilt that may stand for what two accelerometers differ by across gravity.
 Source: decision 42 has the rule. Three is chosen, not measured: one in 370 is larger by chance, on one axis."""
@@ -248,13 +254,27 @@ def _fast(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] | None) -> tuple[i
     bands = _bands(*real)
     nominal_bands = _bands(*sim) if sim is not None else []
     nominal_bands += [_Band(0.0, 0.0, 0.0, 0)] * (len(bands) - len(nominal_bands))
-    best, found = 0.0, None
-    for band, before in zip(bands, nominal_bands, strict=False):
+    best, found, also = 0.0, None, False
+    for k, (band, before) in enumerate(zip(bands, nominal_bands, strict=False)):
         excess = band.difference - before.difference
         chance = before.difference * math.sqrt(2.0 / band.count)
-        if excess > _MORE * chance and (energy := band.count * excess) > best:
-            best, found = energy, _of(real, band, before, excess)
-    return found
+        if excess > _MORE * chance:
+            if (energy := band.count * excess) > best:
+                best, found = energy, _of(real, band, before, excess)
+            also |= sim is not None and 0.25 * real[0].fs / 2**k > _CONTROLLED_HZ and _the_other_too(band, before)
+    return tuple(sorted(real[0].instances + real[1].instances)) if found and also else found
+
+
+def _the_other_too(band: _Band, before: _Band) -> bool:
+    """Whether the quieter of two instances has become louder as well, by its own noise and more.
+
+    One may have nine tenths of what the difference gained, and the other is ten times as loud as it should be.
+    """
+    excess = band.difference - before.difference
+    side = 2.0 * (band.product - before.product) / excess
+    error = 2.0 * math.sqrt(band.mean * band.difference / band.count) / excess
+    part = 0.5 * (1.0 - abs(side))
+    return part > 0.5 * _SURE * error and part * excess > _LOUDER * 0.5 * before.difference
 
 
 def _of(real: tuple[Trace, Trace], band: _Band, before: _Band, excess: float) -> tuple[int, ...] | None:

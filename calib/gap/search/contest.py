@@ -127,7 +127,7 @@ class Contest:
 
     def without_thresholds(self) -> Contest:
         """The same in which any gain may join that is significant."""
-        return Contest(self.hypotheses, cache=self._cache)
+        return Contest(self.hypotheses, cache=self._cache, pace=self.pace)
 
     def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> HypothesisColumns:
         """Transformed columns of `hypothesis`, kept."""
@@ -144,13 +144,22 @@ class Contest:
         """Scores of several on their grids; those that are not `sure` are to be asked for alone before they count.
 
         A free amplitude gains more at its best shape than on the grid, and no less than an effect that is nothing but a
-        shape: both are close, and most are never looked at again.
+        shape: both are close, and most are never looked at again. Those for which there is no time are left out.
         """
-        return [self.score(h, beside, refine=False) for h in hypotheses]
+        found = []
+        for hypothesis in hypotheses:
+            if self.pace.ends():
+                break
+            found.append(self.score(hypothesis, beside, refine=False))
+        return found
 
     def assured(self, scores: Sequence[ContestScore], beside: Beside, least: float) -> list[ContestScore]:
         """The same, with every one whose `delta` may be above `least` at its best shape."""
-        return [s if s.sure or s.delta < least else self.score(s.hypothesis, beside) for s in scores]
+        found = []
+        for score in scores:
+            known = score.sure or score.delta < least or self.pace.ends()
+            found.append(score if known else self.score(score.hypothesis, beside))
+        return found
 
     def _mean_score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool) -> ContestScore:
         effect = hypothesis.effect

@@ -74,11 +74,13 @@ def settled(chosen: ChosenModel, contest: Contest, alpha: float, before: Settled
         The result of another contest. For the same model only hypotheses that were not in it are compared.
     """
     level = alpha / max(chosen.tests, 1)
+    if before is not None and before.chosen is chosen and contest.pace.ends():
+        return before
     places = _places(chosen, contest, before.places if before is not None and before.chosen is chosen else {})
     fresh, exchanges = True, 0
     while True:
         other = _improved(chosen, places, level, contest) if exchanges < prices.MOST_EXCHANGES else None
-        if other is None and fresh:
+        if other is None and (fresh or contest.pace.ends()):
             return SettledModel(chosen, places)
         if other is None:
             places, fresh = _places(chosen, contest, {}), True
@@ -236,8 +238,15 @@ def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known:
         for rival in contest.hypotheses
         if not (rival.key in taken or rival.again) and _meets(rival, term.hypothesis, model)
     ]
-    scores = [_less(noise_score(rival, bare), stiff) for rival in rivals if isinstance(rival.effect, NoiseEffect)]
-    coarse = contest.scores([rival for rival in rivals if not isinstance(rival.effect, NoiseEffect)], beside)
+    likely = [rival for rival in rivals if _is_near(rival, term.hypothesis)]  # never left out, or nothing is probable
+    far = [rival for rival in rivals if not _is_near(rival, term.hypothesis)]
+    scores = [_less(noise_score(rival, bare), stiff) for rival in likely if isinstance(rival.effect, NoiseEffect)]
+    for rival in far:
+        if isinstance(rival.effect, NoiseEffect) and not contest.pace.ends():
+            scores.append(_less(noise_score(rival, bare), stiff))
+    means = [rival for rival in likely if not isinstance(rival.effect, NoiseEffect)]
+    coarse = [contest.score(rival, beside, refine=False) for rival in means]
+    coarse += contest.scores([rival for rival in far if not isinstance(rival.effect, NoiseEffect)], beside)
     scores += contest.assured(coarse, beside, own_delta - prices.RIVAL_REACH)
     for score in scores:
         near = own_delta - score.delta < prices.RIVAL_REACH + price_of_kind(score.hypothesis.effect)
@@ -260,6 +269,11 @@ def _own_score(chosen: ChosenModel, term: Term, columns: HypothesisColumns, besi
         found = replace(found, gain=gain, beta=beta, evidence=gain - found.price)
     grid = next((s.grid for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), 1)
     return priced(term.hypothesis, term.theta, found, grid)
+
+
+def _is_near(rival: Hypothesis, own: Hypothesis) -> bool:
+    """Whether it is the same effect elsewhere or in another form, or one that is known to imitate it."""
+    return rival.effect.id == own.effect.id or rival.effect.id in own.effect.rivals
 
 
 def _meets(rival: Hypothesis, own: Hypothesis, model: Model) -> bool:

@@ -11,9 +11,11 @@ from mavcal.calib.gap.effects.base import EffectParameter
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.joint import NoiseTerm, Term
 from mavcal.calib.gap.model.noise_fit import NoiseEstimate
+from mavcal.calib.gap.model.normal_equations import solved
 from mavcal.calib.gap.schema import ParameterEstimate
 from mavcal.calib.gap.search.added_noise import line_amplitudes
 from mavcal.calib.gap.search.selection import ChosenModel
+from mavcal.calib.gap.telling.line_frequency import frequency_sd
 from mavcal.calib.gap.unknown.transitions import levels_apart, moment_of
 from mavcal.calib.gap.worth.attitude_error import variance_of_tilt
 
@@ -44,11 +46,12 @@ def estimates_of(chosen: ChosenModel, term: Term | NoiseTerm, widening: float = 
         if Trait.LINE in term.hypothesis.effect.traits:
             values, se = line_amplitudes(term, chosen.model)
             found = NoiseEstimate(values[None], se[None])
-        return _of_noise(term, found)
+        return _of_noise(term, found, chosen)
     i = chosen.model.terms.index(term)
     rows = chosen.joint.slices[i]
-    variance = np.diag(chosen.joint.covariance)[rows].copy()
-    variance[_unseen(chosen.joint.normal.gram)[rows]] = math.inf
+    covariance, gram = _with_stated_temperatures(chosen)
+    variance = np.diag(covariance)[rows].copy()
+    variance[_unseen(gram)[rows]] = math.inf
     effect = term.effect
     names = effect.parameters if effect.shape is None else (*effect.parameters, effect.shape.parameter)
     se = np.hypot(widening * np.sqrt(variance), np.sqrt(variance_of_tilt(chosen.model, chosen.joint)[rows]))
@@ -68,7 +71,7 @@ def _estimate(parameter: EffectParameter, value: float, se: float) -> ParameterE
     return ParameterEstimate(parameter.name, value, se, (value - _Z * se, value + _Z * se), parameter.unit)
 
 
-def _of_noise(term: NoiseTerm, found: NoiseEstimate) -> tuple[ParameterEstimate, ...]:
+def _of_noise(term: NoiseTerm, found: NoiseEstimate, chosen: ChosenModel) -> tuple[ParameterEstimate, ...]:
     effect = term.hypothesis.effect
     made = []
     for parameter, value, se in zip(effect.parameters, found.values.ravel(), found.se.ravel(), strict=True):
@@ -79,8 +82,33 @@ def _of_noise(term: NoiseTerm, found: NoiseEstimate) -> tuple[ParameterEstimate,
         low, high = (math.sqrt(max(float(value) + sign * _Z * float(se), 0.0)) for sign in (-1.0, 1.0))
         made.append(ParameterEstimate(parameter.name, root, (high - low) / (2.0 * _Z), (low, high), parameter.unit))
     if effect.shape is not None:
-        made.append(_estimate(effect.shape.parameter, term.theta, math.inf))
+        made.append(_estimate(effect.shape.parameter, term.theta, frequency_sd(chosen.model, term)))
     return tuple(made)
+
+
+def _with_stated_temperatures(chosen: ChosenModel) -> tuple[Array, Array]:
+    """Covariance and Gram matrix of all amplitudes, where a temperature is stated that no data can show.
+
+    Beside a free offset the temperature at which a drift vanishes is a choice: any will do, with the offset that the
+    sensor has there. The one that was fitted is kept, without an error, and the offset is the one at it.
+    """
+    joint = chosen.joint
+    hidden = _unseen(joint.normal.gram)
+    stated = [
+        rows.stop - 1
+        for term, rows in zip(chosen.model.terms, joint.slices, strict=False)
+        if term.effect.shape is not None and term.effect.shape.chosen and hidden[rows.stop - 1]
+    ]
+    if not stated:
+        return joint.covariance, joint.normal.gram
+    gram = joint.normal.gram.copy()
+    gram[stated], gram[:, stated] = 0.0, 0.0
+    count = len(joint.covariance)
+    free = [k for k in range(count) if k not in stated]
+    covariance = np.zeros_like(joint.covariance)
+    covariance[np.ix_(free, free)] = solved(gram[np.ix_(free, free)], np.zeros(len(free)))[1]
+    gram[stated, stated] = 1.0  # it is known
+    return covariance, gram
 
 
 def _unseen(gram: Array) -> NDArray[np.bool_]:

@@ -28,6 +28,9 @@ _LEFTOVER = 1e-7
 _MINUTES_DIFFER = 2.0
 """Times a learned spectrum, up to which power may be that of other minutes. Chosen, not measured: noise doubles from
 minute to minute (`nominal_baseline._LOUD`)."""
+_JOLT_S, _JOLTS = 0.5, 0.03
+"""Length of a jolt, s, and part of a recording that is jolts. Chosen, not measured: a filter of 20 Hz has settled by
+then; two or three touchdowns of a flight of a minute."""
 _GROUPS = 24
 """Bands of a series, of a constant ratio of frequencies. Chosen, not measured: some seven to a decade of frequency."""
 _AROUND = 50
@@ -85,18 +88,19 @@ def _excesses(model: Model, v: int, bandwidth_hz: float) -> list[_Excess]:
         return []
     view = model.setting.views[v]
     power = np.array([model.noise[3 * v + c].power for c in axes])
-    ratio = view.spectra(model.residual[v])[axes] ** 2 / power
+    white = view.spectra(model.residual[v])[axes] / np.sqrt(power)
+    ratio = white**2
     tests = _GROUPS * model.setting.axes
     edges = _edges(view, bandwidth_hz)
     if len(edges) < 2:
         return []
-    parts = {"xyz"[c]: ratio[j : j + 1] for j, c in enumerate(axes)}
+    parts = {"xyz"[c]: white[j : j + 1] for j, c in enumerate(axes)}
     for looked in (
         (_band(view, own, (low, high), axis) for axis, own in parts.items() for low, high in itertools.pairwise(edges)),
-        (_band(view, ratio, band) for band in (*itertools.pairwise(edges), (edges[0], edges[-1]))),
+        (_band(view, white, band) for band in (*itertools.pairwise(edges), (edges[0], edges[-1]))),
         (_line(view, ratio[:, : edges[-1]]),),
-        _passing(view, view.spectra(model.residual[v])[axes] / np.sqrt(power)),
-        _blips(view, view.spectra(model.residual[v])[axes] / np.sqrt(power)),
+        _passing(view, white),
+        _blips(view, white),
     ):
         found = [one for one in looked if one.p * tests < _LEFTOVER]
         if found:
@@ -115,19 +119,36 @@ def _bin_hz(view: View) -> float:
     return 0.5 * view.fs / view.n
 
 
-def _band(view: View, ratio: Array, band: tuple[int, int], axis: str = "") -> _Excess:
-    """Power of axes (p, count), in parts of their noise's, from one bin to another."""
+def _band(view: View, white: Array, band: tuple[int, int], axis: str = "") -> _Excess:
+    """Power of axes, in parts of their noise's, from one bin to another, of whitened spectra (p, count)."""
     low, high = band
-    count, square = ratio[:, low:high].size, float(ratio[:, low:high].sum())
+    count, square = white[:, low:high].size, float((white[:, low:high] ** 2).sum())
+    if view.density is not None and square > _MINUTES_DIFFER * count and view.sensor is Sensor.ACCEL:
+        square = min(square, _between_jolts(view, white, band))
     if view.density is not None and square <= _MINUTES_DIFFER * count:
         p = 1.0  # a learned spectrum is that of other minutes: twice as much is none of this recording's
     elif math.isinf(view.dof):
         p = float(chdtrc(count, square))
     else:
-        p = float(fdtrc(count, view.dof * len(ratio), square / max(count, 1)))
+        p = float(fdtrc(count, view.dof * len(white), square / max(count, 1)))
     start, end = ((k + view.first) * _bin_hz(view) for k in band)
     on = f"{view.sensor.value}.{axis}" if axis else view.sensor.value
     return _Excess(view.sensor, p, _nats(square, count), f"power from {start:.3g} to {end:.3g} Hz on {on}")
+
+
+def _between_jolts(view: View, white: Array, band: tuple[int, int]) -> float:
+    """Sum of squares in a band without the moments of the hardest jolts, as if the rest were all.
+
+    A touchdown is a few samples of a flight, and no two are alike. Units that are sampled at moments of their own read
+    it differently.
+    """
+    moved = np.add.reduce([view.traces[i].measured[view.keep] for i in view.weights])
+    change = np.append((np.diff(moved, axis=0) ** 2).sum(axis=1), 0.0)
+    change = uniform_filter1d(change, max(1, round(_JOLT_S * view.n / max(float(view.t[-1] - view.t[0]), 1e-9))))
+    calm = change <= np.quantile(change, 1.0 - _JOLTS)
+    series = np.where(calm, np.stack([view.whitened(axis) for axis in white]), 0.0)
+    low, high = (k + view.first for k in band)
+    return float((dct(series, type=2, norm="ortho", axis=1)[:, low:high] ** 2).sum() / calm.mean())
 
 
 def _nats(square: float, count: int) -> float:

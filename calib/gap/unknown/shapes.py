@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import EffectParameter, MeanEffect
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Setting, Term
 from mavcal.calib.gap.problem import Trace
@@ -65,6 +66,7 @@ _MATRICES = {
 _OFFSETS = {Sensor.ACCEL: "accel_bias", Sensor.GYRO: "gyro_bias", Sensor.MAG: "mag_hard_iron"}
 _SCALES = {Sensor.ACCEL: "accel_scale", Sensor.GYRO: "gyro_scale", Sensor.MAG: "mag_soft_iron"}
 """The simplest effects: where one has no name, it is a shape, or what is nearest would stand for it."""
+_SINCE_START, _SINCE_POWER_UP = "time since the start", "time since power-up"
 _AXES = "xyz"
 
 
@@ -108,9 +110,20 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[st
                 continue
             own = [t for t in tones if t.hypothesis.touches(view) and instance in t.hypothesis.instances]
             for group in (*_groups(trace, named), *(g for tone in own for g in _periodic(trace, tone))):
-                shape = _shape(trace, group, instance)
+                shape = _shape(trace, group, (instance,))
                 found.setdefault(shape.whole.key, shape)
+    for shape in _together(setting):
+        found.setdefault(shape.whole.key, shape)
     return tuple(found.values())
+
+
+def _together(setting: Setting) -> Iterator[ShapeHypothesis]:
+    """What grows with time on all instances of a sensor alike: any of them would explain a part of it."""
+    for sensor in dict.fromkeys(view.sensor for view in setting.views):
+        own = [view for view in setting.views if view.sensor is sensor and not view.first]
+        units = tuple(sorted({i for view in own for i in view.weights}))
+        if len(units) > 1:
+            yield from (_shape(own[0].any_trace, group, units) for group in _growing(own[0].any_trace))
 
 
 def flexible(hypothesis: Hypothesis) -> bool:
@@ -129,9 +142,9 @@ def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
     yield from _simplest(trace, named)
 
 
-def _shape(trace: Trace, group: _Group, instance: int) -> ShapeHypothesis:
+def _shape(trace: Trace, group: _Group, instances: tuple[int, ...]) -> ShapeHypothesis:
     def made(text: str, rows: Rows, *, part: bool = False) -> Hypothesis:
-        return Hypothesis(_effect(trace, text, group, rows, part=part), (instance,))
+        return Hypothesis(_effect(trace, text, group, rows, part=part), instances)
 
     q = 1 if group.each else len(group.signals)
     rows = np.arange(3 * q, dtype=np.intp)
@@ -177,6 +190,7 @@ def _effect(own: Trace, text: str, group: _Group, rows: Rows, *, part: bool) -> 
         signals=signals if whole else None,
         family=group.family,
         part=part,
+        traits=frozenset({Trait.GROWING} if group.text in (_SINCE_START, _SINCE_POWER_UP) else ()),
     )
 
 
@@ -277,9 +291,18 @@ def _driven(trace: Trace) -> Iterator[_Group]:
             yield _Group("driven", name, scalar[None])
         if name not in ("temperature", "the slope of temperature"):
             yield _Group("driven", f"square of {name}", (scalar**2)[None])
+    yield from _growing(trace)
     elapsed = trace.t - trace.t[0]
     for time in _APPROACHES_S:
         yield _Group("approach", f"approach with {time:g} s", np.exp(-elapsed / time)[None])
+
+
+def _growing(trace: Trace) -> Iterator[_Group]:
+    """What grows evenly, from the start of the recording or of the clock: an autopilot's begins with its power."""
+    start, span = float(trace.t[0]), float(trace.t[-1] - trace.t[0])
+    yield _Group("driven", _SINCE_START, (trace.t - start)[None])
+    if 0.0 < start < span:
+        yield _Group("driven", _SINCE_POWER_UP, trace.t[None])
 
 
 def _own(trace: Trace) -> Iterator[_Group]:

@@ -64,12 +64,12 @@ def unnamed_causes_in(
     ]
     known = taken | {h.key for h in shapes} | {key for drift in drifts for key in drift.keys}
     doubted = [a for a in attributions if a.doubted and a.key not in known]
-    names = {t.hypothesis.key: t.hypothesis.effect.id for t in model.members}
+    effects = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
     return (
         *(UnnamedCause((h.key,), h.effect.excited_by) for h in shapes),
         *levels,
         *drifts,
-        *(UnnamedCause((a.key,), f"{a.shape}, or {names[a.key]}") for a in doubted),
+        *(UnnamedCause((a.key,), f"{a.shape}, or {effects[a.key].id}; to tell: {effects[a.key].fix}") for a in doubted),
         *_swarms(model),
         *_beats(model),
         *(UnnamedCause((key,), text) for key, text in bursts(model)),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Hypothesis, Key
 from mavcal.calib.gap.schema import EVEN, Rival
 from mavcal.calib.gap.search import prices
@@ -30,6 +31,10 @@ _NEAR = 12.0
 _SAME = 0.98
 """Part of the evidence of an effect above which a rival is listed as well, though not beyond `prices.RIVAL_REACH`.
 Source: GAP 3.6, 2 % of the gain."""
+
+
+DRIFT_IN_TIME = "drift_in_time"
+"""What is listed beside an effect of temperature where time explains as much: it has no effect of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,11 @@ def attributed(settled: SettledModel, contest: Contest) -> tuple[Attribution, ..
     return tuple(sorted(found, key=lambda a: -a.share))
 
 
+def _grows(other: Alternative) -> bool:
+    """Whether it is something that grows evenly with time."""
+    return Trait.GROWING in other.score.hypothesis.effect.traits
+
+
 def _likeliest_shape(others: Sequence[Alternative]) -> str:
     shapes = [a.score for a in others if a.score.hypothesis.effect.nameless]
     return max(shapes, key=lambda s: s.delta).hypothesis.effect.excited_by if shapes else ""
@@ -97,6 +107,8 @@ def _judged(
         near = max(_NEAR, min((1.0 - _SAME) * place.own, prices.RIVAL_REACH)) + price_of_kind(
             other.score.hypothesis.effect
         )
+        if is_unknown and Trait.THERMAL in own.effect.traits and _grows(other) and delta < near:
+            rivals.append(Rival(DRIFT_IN_TIME, other.kappa, delta, own.effect.fix))
         if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and delta < near:
             rivals.append(Rival(other.score.hypothesis.effect.id, other.kappa, delta, own.effect.fix))
     best: dict[str, Rival] = {}

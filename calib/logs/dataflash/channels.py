@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
 from mavcal.calib.logs.dataflash.clock import ordered
+from mavcal.calib.logs.ordered import moving
 from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Rounding, Sensor
 
 if TYPE_CHECKING:
@@ -24,8 +25,10 @@ INSTANCES: Final = 8
 WORDS: Final = {
     Oddity.UNREADABLE: "are no numbers that such a sensor can read",
     Oddity.UNHEALTHY: "the vehicle itself calls unhealthy",
-    Oddity.ZERO: "are exactly 0, 0, 0, which no field is",
+    Oddity.ZERO: "are exactly 0, 0, 0, which such a sensor never reads",
 }
+_NEVER_ZERO: Final = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+"""Sensors that are dead where they read nothing but zeros."""
 
 
 class SensorChannels:
@@ -54,7 +57,7 @@ class SensorChannels:
         health = [reading.healthy for reading, _ in present if reading.healthy in table]
         for instance, rows in instances(table, number):
             t = self._clock.sample_times(rows)
-            keep = ordered(t)
+            keep = self._in_time(rows, instance, t)
             healthy = {name: column != 0 for name, column in zip(health, rows.columns(*health), strict=True)}
             data = rows.arrays(*(columns for _, columns in present))
             for reading, _ in present:
@@ -64,30 +67,49 @@ class SensorChannels:
                 if channel is not None:
                     yield channel
 
+    def _in_time(self, rows: Table, instance: int, t: Array) -> Mask:
+        """The rows whose time goes on; how many do not is said."""
+        keep = ordered(t)
+        back = int((np.isfinite(t) & ~keep).sum())
+        stood = np.flatnonzero(keep)[~moving(t[keep])]
+        keep[stood] = False
+        for count, why in ((back, "times that go back"), (len(stood), "one time all over: the clock stood still")):
+            if count:
+                text = f"{count} of {len(t)} samples of {rows.name}, instance {instance + 1}, carry {why}; left out"
+                first = t[np.isfinite(t)]
+                self.events.append(Event(float(first[0]) if len(first) else 0.0, "damage", text))
+        return keep
+
     def _good(
         self, table: Table, reading: LogReading, instance: int, t: Array, values: Array, healthy: Mask | None
     ) -> Mask:
         good = _readable(values, reading.most)
         if not good.all():
             self._say(reading, instance, t, ~good, Oddity.UNREADABLE, table)
-        if healthy is not None and not healthy.all() and healthy.any():
+        if healthy is not None and not healthy.all():
             self._say(reading, instance, t, ~healthy, Oddity.UNHEALTHY, table)
-            good &= healthy
-        if reading.sensor == Sensor.MAG:
+            if healthy.any():  # else they are all that there is, and whoever judges them knows of it
+                good &= healthy
+        if reading.sensor in _NEVER_ZERO:
             zero: Mask = ~np.asarray(values.any(axis=1))
             if zero.all() and len(zero):
                 text = f"{reading.sensor} {instance + 1}: all {len(zero)} samples of {table.name} are exactly 0, 0, 0"
                 first, odd = _odd(Oddity.ZERO, reading, instance, t, zero)
                 self.events.append(Event(first, "dead", text, odd))
-            elif zero.any():
+            elif zero.any() and reading.sensor != Sensor.GYRO:  # at rest a gyroscope of whole numbers may read 0
                 self._say(reading, instance, t, zero, Oddity.ZERO, table)
-            good &= ~zero & _read_anew(t, values)
+                good &= ~zero
+        if reading.sensor == Sensor.MAG:
+            good &= _read_anew(t, values)
         return good
 
     def _say(self, reading: LogReading, instance: int, t: Array, bad: Mask, what: Oddity, table: Table) -> None:
         text = f"{reading.sensor} {instance + 1}: {int(bad.sum())} of {len(t)} samples of {table.name} {WORDS[what]}"
         first, odd = _odd(what, reading, instance, t, bad)
-        self.events.append(Event(first, "damage", f"{text}; left out", odd))
+        kept = what == Oddity.UNHEALTHY and bad.all()
+        self.events.append(
+            Event(first, "damage", f"{text}; {'kept, for there are no others' if kept else 'left out'}", odd)
+        )
 
 
 def _odd(what: Oddity, reading: LogReading, instance: int, t: Array, bad: Mask) -> tuple[float, OddSamples]:
@@ -118,7 +140,7 @@ def _channel(table: Table, reading: LogReading, instance: int, t: Array, values:
     """The good rows; None if there are none, or nothing but zeros: the sensor is not there."""
     if not good.all():
         t, values = t[good], values[good]
-    if not len(t) or not values.any():
+    if not len(t) or not values.any():  # a thermometer that is not there reads 0 as well
         return None
     zero_bin = None
     if reading.rounding == Rounding.TOWARD_ZERO:

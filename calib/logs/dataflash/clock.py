@@ -26,6 +26,8 @@ STAMPS: Final = (("TimeUS", 1e-6), ("T", 1e-3), ("TimeMS", 1e-3))
 """Columns that hold the time since boot. GPS of old firmwares says the time of the week in TimeMS, and its own in T."""
 WHOLE: Final = ("Q", "I", "q", "i")
 WRAP_US: Final = 2**32
+WRAP_S: Final = 1e-6 * WRAP_US
+"""A clock of 32 bits of microseconds runs over after 71 minutes."""
 LATEST_US: Final = 1_000_000
 """A sample that claims to be older than this when it is logged was read at a time that is not known."""
 BACKWARD_S: Final = 1.0
@@ -51,6 +53,7 @@ class Clock:
         self._densest: Table | None = None
         self._span: tuple[float, float] | None = None
         self._restarts: list[tuple[int, float, float]] = []
+        self._wrapped: list[bool] = []
         stamped = [name for name in log if name not in ("FMT", "PARM", "UNIT", "MULT") and _stamp(log[name])]
         if not stamped:
             return
@@ -58,8 +61,11 @@ class Clock:
         times = _stamps(self._densest)
         added = 0.0
         for row in _restarts(times):
-            step = float(times[row - 1]) + added + RESTART_GAP_S - float(times[row])
-            self._restarts.append((int(self._densest.offsets[row]), step, float(times[row]) + step))
+            before, after = float(times[row - 1]), float(times[row])
+            wrapped = 0.0 <= after + WRAP_S - before < LONGEST_JUMP_S
+            step = added + (WRAP_S if wrapped else before + RESTART_GAP_S - after)
+            self._restarts.append((int(self._densest.offsets[row]), step, after + step))
+            self._wrapped.append(wrapped)
             added = step
         times = self._moved(times, self._densest)
         believed = np.flatnonzero(_believed(times))
@@ -90,8 +96,12 @@ class Clock:
 
     @property
     def events(self) -> list[Event]:
-        """Restarts within the log."""
-        return [Event(t, "reboot", "the vehicle's clock started again") for _, _, t in self._restarts]
+        """Restarts within the log; a clock of 32 bits that ran over did not start again."""
+        return [
+            Event(t, "reboot", "the vehicle's clock started again")
+            for (_, _, t), wrapped in zip(self._restarts, self._wrapped, strict=True)
+            if not wrapped
+        ]
 
     def times(self, table: Table) -> Array:
         """When the messages of `table` were written, s; nan where the stamp cannot be believed."""

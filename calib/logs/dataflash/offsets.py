@@ -39,7 +39,7 @@ def learned_offsets(log: Log, clock: Clock, parameters: ParameterTimeline) -> tu
                 if found:
                     entries += found
                     text = (
-                        f"the offset of compass {instance + 1} was changed by the vehicle itself (learnt in flight); "
+                        f"the offset of compass {instance + 1} was changed by the vehicle itself (learnt on the way); "
                         "from here on it is known to the whole mGauss only"
                     )
                     events.append(Event(found[0].t, "text", text))

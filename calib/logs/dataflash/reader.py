@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -10,6 +11,7 @@ import numpy as np
 
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware.ardupilot.log_fields import TEXT_COLUMNS, WANTED, implied_parameters
+from mavcal.calib.firmware.ardupilot.outputs import kind_of_vehicle
 from mavcal.calib.firmware.faults import parameter_faults
 from mavcal.calib.logs.dataflash.batch import batch_channels
 from mavcal.calib.logs.dataflash.channels import SensorChannels
@@ -77,10 +79,16 @@ def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Re
     clock = Clock(log)
     identity = identity_of(log)
     parameters, said = _parameters(log, clock, identity, whole=whole)
+    kind = kind_of_vehicle(identity.vehicle_type, parameters.final())
+    identity = dataclasses.replace(identity, vehicle_type=kind)
     sensors = SensorChannels(log, clock)
     final = parameters.final()
-    channels = [*sensors.channels, *batch_channels(log, final), *state_channels(log, clock, final)]
-    if not channels:
+    channels = [
+        *sensors.channels,
+        *batch_channels(log, final),
+        *state_channels(log, clock, final, identity.vehicle_type),
+    ]
+    if not channels and not any(event.kind == "dead" for event in sensors.events):
         raise UnreadableError(
             f"{source} is a DataFlash log without a single sample of an inertial unit, a compass or a pose "
             f"(it holds {', '.join(sorted(log)) or 'no message'}): there is nothing to calibrate in it"

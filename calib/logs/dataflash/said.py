@@ -16,12 +16,16 @@ if TYPE_CHECKING:
     from mavcal.calib.logs.dataflash.clock import Clock
     from mavcal.calib.logs.dataflash.tables import Log
 
-_FIRMWARE: Final = re.compile(r"(?:APM:)?(?:Ardu)?(Copter|Plane|Rover|Sub)\s+V(\d+)\.(\d+)(?:\.(\d+))?", re.IGNORECASE)
+_FIRMWARE: Final = re.compile(
+    r"(?:APM:)?(?:Ardu|Antenna)?(Copter|Plane|Rover|Sub|Tracker|Blimp)\s+V(\d+)\.(\d+)(?:\.(\d+))?", re.IGNORECASE
+)
 _TYPES: Final = {
     "copter": dialect.MAV_TYPE_QUADROTOR,
     "plane": dialect.MAV_TYPE_FIXED_WING,
     "rover": dialect.MAV_TYPE_GROUND_ROVER,
     "sub": dialect.MAV_TYPE_SUBMARINE,
+    "tracker": dialect.MAV_TYPE_ANTENNA_TRACKER,
+    "blimp": dialect.MAV_TYPE_AIRSHIP,
 }
 _SIMULATED: Final = re.compile(r"[0-9A-Za-z]{32}")
 """A simulated vehicle prints its machine's id as it is, and sends the first bytes of it."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.firmware.ardupilot.log_fields import MOTOR_FUNCTIONS, PWM_DEFAULT, THROTTLE_FUNCTIONS
+from mavcal.calib.firmware.ardupilot.outputs import LEAST_US, MOST_US, motor_outputs
 from mavcal.calib.geometry import quaternion_from_euler
 from mavcal.calib.logs.dataflash.channels import INSTANCES, instances
 from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
@@ -44,14 +44,21 @@ _TRUTH = (
 )
 
 
-def state_channels(log: Log, clock: Clock, parameters: Mapping[str, float]) -> list[Channel]:
+def state_channels(
+    log: Log, clock: Clock, parameters: Mapping[str, float], vehicle_type: int | None = None
+) -> list[Channel]:
     """Attitude, position, velocity, current, throttle, motors and rotors, as far as the log has them."""
     found: list[Channel | None] = [_attitude(log, clock)]
     for number, name in enumerate(("GPS", "GPS2")):
         if name in log:
             found += _gps(log[name], clock, number)
     found += _currents(log, clock)
-    found += [_throttle(log, clock), _motors(log, clock, parameters), _rotors(log, clock), *_vibration(log, clock)]
+    found += [
+        _throttle(log, clock),
+        _motors(log, clock, parameters, vehicle_type),
+        _rotors(log, clock),
+        *_vibration(log, clock),
+    ]
     return [channel for channel in found if channel is not None and len(channel)]
 
 
@@ -152,40 +159,25 @@ def _throttle(log: Log, clock: Clock) -> Channel | None:
     return _made(Sensor.THROTTLE, table, clock.times(table), table[column] / scale, "1", quantum=1e-3 if whole else 0.0)
 
 
-def _motors(log: Log, clock: Clock, parameters: Mapping[str, float]) -> Channel | None:
+def _motors(log: Log, clock: Clock, parameters: Mapping[str, float], vehicle_type: int | None) -> Channel | None:
+    """Drive of every motor, 0..1, or -1..1 of a reversible one. An output that never says anything is left out."""
     table = log.get("RCOU") or log.get("MOT")
     if table is None:
         return None
-    outputs = [name for name in table.names if name.strip("ChanMot").isdigit()]
-    chosen = _motor_outputs([int(name.strip("ChanMot")) for name in outputs], parameters)
-    if not chosen:
+    names = {int(name.strip("ChanMot")): name for name in table.names if name.strip("ChanMot").isdigit()}
+    chosen = motor_outputs(list(names), parameters, vehicle_type)
+    named = any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in parameters)
+    drives = []
+    for output in chosen:
+        pulse = table[names[output.number]].astype(np.float64)
+        drive = output.drive(pulse)
+        presumed = not named and drive.any() and not np.ptp(drive)  # one pulse throughout is a servo's, or nobody's
+        if ((pulse >= LEAST_US) & (pulse <= MOST_US)).any() and not presumed:
+            drives.append(drive)
+    if not drives:
         return None
-    low, high = _pwm(parameters)
-    columns = dict(zip((int(name.strip("ChanMot")) for name in outputs), outputs, strict=True))
-    pwm = np.column_stack(table.columns(*(columns[output] for output in chosen))).astype(np.float64)
-    driven = (pwm > 0).any(axis=0)
-    if not driven.any():
-        return None
-    values = np.clip((pwm[:, driven] - low) / (high - low), 0.0, 1.0)
-    return _made(Sensor.MOTOR, table, clock.times(table), values, "1", quantum=1.0 / (high - low))
-
-
-def _motor_outputs(outputs: list[int], parameters: Mapping[str, float]) -> list[int]:
-    """Outputs that drive motors, by motor number; an old firmware has the first ones drive them."""
-    functions = {n: int(parameters.get(f"SERVO{n}_FUNCTION", 0)) for n in outputs}
-    motors = {MOTOR_FUNCTIONS[f]: n for n, f in functions.items() if f in MOTOR_FUNCTIONS}
-    if motors:
-        return [motors[k] for k in sorted(motors)]
-    throttles = [n for n, f in functions.items() if f in THROTTLE_FUNCTIONS]
-    return throttles or ([n for n in outputs if n <= 8] if "SERVO1_FUNCTION" not in parameters else [])
-
-
-def _pwm(parameters: Mapping[str, float]) -> tuple[float, float]:
-    """Pulse widths of 0 and 1, us."""
-    for low, high in (("MOT_PWM_MIN", "MOT_PWM_MAX"), ("RC3_MIN", "RC3_MAX")):
-        if 500 <= parameters.get(low, 0) < parameters.get(high, 0) <= 2500:
-            return float(parameters[low]), float(parameters[high])
-    return PWM_DEFAULT
+    low, high = chosen[0].low, chosen[0].high
+    return _made(Sensor.MOTOR, table, clock.times(table), np.column_stack(drives), "1", quantum=1.0 / (high - low))
 
 
 def _vibration(log: Log, clock: Clock) -> list[Channel]:

@@ -20,8 +20,7 @@ class GapRequest(Request):
         default=None,
         gt=0.0,
         allow_inf_nan=False,
-        description="seconds after which the best answer so far is given, from when the diagnosis has begun; "
-        "null: as long as it takes",
+        description="seconds of processor time after which the best answer so far is given; null: 60",
     )
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mavcal.calib.errors import FirmwareError, InvalidInputError
-from mavcal.calib.gap.progress import GapProgress, GapStage
+from mavcal.calib.gap.progress import DEFAULT_LIMIT_S, GapProgress, GapStage
 from mavcal.service.children import tasks
 from mavcal.service.children.tasks import diagnose, fit, inspect, series
 from tests.clock import ManualClock
@@ -98,8 +97,23 @@ def test_a_diagnosis_may_be_told_what_to_leave_out(rest, told, asked, monkeypatc
     order = {"real": rest, "sim": None, "nominal": [], "without": ["gyro_bias"], "nested": False, "title": "a flight"}
     found = diagnose(order, told.append)
     assert (asked["sim"], asked["inputs"], asked["without"], asked["nested"]) == (None, None, ["gyro_bias"], False)
-    assert asked["pace"].limit_s == math.inf
+    assert asked["pace"].limit_s == DEFAULT_LIMIT_S
     assert found["page"] == "<h1>a flight</h1>"
+
+
+def test_a_diagnosis_ends_by_the_clock_where_that_runs_out_first(rest, told, asked, monkeypatch):
+    clock = ManualClock(100.0)
+    monkeypatch.setattr(
+        tasks, "time", SimpleNamespace(monotonic=clock, process_time=lambda: 3.0, perf_counter=lambda: 0.0)
+    )
+    order = {"real": rest, "sim": None, "nominal": [], "wall_s": 600.0}
+    diagnose(order, told.append)
+    pace = asked["pace"]
+    assert (pace.limit_s, pace.now) == (DEFAULT_LIMIT_S, 0.0)
+    clock.now += 300.0
+    assert pace.now == pytest.approx(0.5 * DEFAULT_LIMIT_S)
+    diagnose({**order, "limit_s": None}, told.append)
+    assert asked["pace"].limit_s == 600.0
 
 
 def test_of_the_steps_of_a_stage_a_few_a_second_are_told(monkeypatch, told):

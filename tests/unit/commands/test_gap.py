@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,9 +10,10 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from mavcal.calib.gap.progress import DEFAULT_LIMIT_S
 from mavcal.calib.gap.schema import GapVerdict, LocatedGap, NotTestable, Regime, Rival, Shrink, Unknown
 from mavcal.service.commands import gap
-from mavcal.service.commands.gap import command
+from mavcal.service.commands.gap import LIMIT_S, command
 from tests.unit.gap.export.making import effect, report
 
 BIAS = effect("accel_bias", bias=(0.3, 0.0, -0.1))
@@ -160,9 +160,13 @@ def test_json_has_the_report_and_what_was_exported_and_the_page_is_written(diagn
     page, remedy = tmp_path / "a.html", tmp_path / "a.parm"
     result, handed = diagnosed(report(BIAS), "--report", str(page), "--export", str(remedy), "--json")
     told = json.loads(result.stdout)
-    assert (told["verdict"], told["exports"][0]["file"], handed["limit"]) == ("explained", "a.parm", math.inf)
+    assert (told["verdict"], told["exports"][0]["file"], handed["limit"]) == ("explained", "a.parm", LIMIT_S)
     assert page.read_text() == "<h1>Sim-to-real gap of a.csv</h1>"
     assert "SIM_ACC1_BIAS_X" in remedy.read_text()
+
+
+def test_the_default_limit_is_that_of_the_diagnosis():
+    assert LIMIT_S == DEFAULT_LIMIT_S
 
 
 def test_a_subcommand_needs_no_recording(monkeypatch):

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import os
+import socket
+
 import click
 import pytest
 from hypothesis import given
@@ -84,12 +87,21 @@ def test_a_file_or_faces_and_not_both(file, faces):
         read_recording(file, faces, {})
 
 
-def test_a_file_that_is_not_there_or_is_a_folder_is_named(tmp_path):
+def test_what_is_no_file_is_named_by_what_it_is_and_never_opened(tmp_path):
     (tmp_path / "a").touch()
     assert readable_file(str(tmp_path / "a")) == tmp_path / "a"
-    for path in (tmp_path, tmp_path / "b"):
-        with pytest.raises(click.BadParameter, match="there is no file"):
-            readable_file(str(path))
+    os.mkfifo(tmp_path / "pipe.bin")
+    with socket.socket(socket.AF_UNIX) as opened:
+        opened.bind(str(tmp_path / "s"))
+        for path, says in (
+            (tmp_path / "b", "there is no file"),
+            (tmp_path, "is a folder"),
+            (tmp_path / "pipe.bin", "is a pipe"),
+            (tmp_path / "s", "is a socket"),
+            ("/dev/null", "is a device"),
+        ):
+            with pytest.raises(click.BadParameter, match=says):
+                readable_file(str(path))
 
 
 def test_the_options_of_reading_are_told_from_those_of_the_method():

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcal.calib.flight.rest import Known, TimeSpan, ground, grounded, rests
-from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
+from mavcal.calib.recording import Channel, Event, Identity, Recording, Sensor, Stage
 from mavcal.calib.stats.stillness import Still
 
 T = np.arange(0.0, 100.01, 0.1)
@@ -61,6 +61,20 @@ def test_arming_tells_when_the_motors_ran(said, off, running):
         np.testing.assert_allclose(spans(found.off), expected)
 
 
+@pytest.mark.parametrize(
+    ("autopilot", "first", "running"),
+    [
+        ("px4", DISARM, []),  # its logs begin with a state
+        ("px4", ARM, [(0.0, 100.0)]),
+        ("ardupilot", DISARM, [(0.0, 0.8)]),  # an event on board is a change
+        ("ardupilot", ARM, [(0.8, 100.0)]),
+    ],
+)
+def test_a_first_state_holds_from_the_beginning(autopilot, first, running):
+    made = dataclasses.replace(recording(events=[(0.8, first)]), identity=Identity(autopilot))
+    assert spans(ground(made).running) == running
+
+
 def test_a_pause_shorter_than_the_run_down_of_the_rotors_is_no_rest():
     found = ground(recording(events=[(20.0, ARM), (60.0, DISARM), (60.4, ARM), (80.0, DISARM)]))
     np.testing.assert_allclose(spans(found.off), [(0.0, 20.0), (80.5, 100.0)])
@@ -74,7 +88,7 @@ def test_an_output_above_idle_tells_from_the_sample_before_to_the_sample_after()
     np.testing.assert_allclose(spans(found.off), [(0.0, 29.9), (40.6, 100.0)])
 
 
-@pytest.mark.parametrize(("level", "runs"), [(0.03, False), (0.031, True), (-0.5, False)])
+@pytest.mark.parametrize(("level", "runs"), [(0.03, False), (0.031, True), (-0.03, False), (-0.5, True)])
 def test_idle_is_three_hundredths_of_the_range(level, runs):
     found = ground(recording(output(np.full(len(T), level))))
     assert bool(found.running) == runs

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.flight.plan import next_steps
 from mavcal.calib.flight.rest import Ground, Known, Phase, Rest, TimeSpan
-from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.recording import Channel, Identity, ParameterTimeline, Recording, Sensor, Stage
 
 T = np.arange(0.0, 100.0, 0.1)
 FLEW = Ground((TimeSpan(0.0, 20.0),), (TimeSpan(20.0, 80.0),), Known.ARMING)
@@ -27,9 +27,14 @@ def rest(start, end):
     return Rest(start, end, Phase.BEFORE, Known.ARMING)
 
 
-def step(method, *channels, rests=(), ground=FLEW, parameters=None, source=""):
+COPTER, ROVER, SUB = 2, 10, 12
+"""MAV_TYPE."""
+
+
+def step(method, *channels, rests=(), ground=FLEW, parameters=None, source="", kind=COPTER):
     timeline = ParameterTimeline.constant({} if parameters is None else parameters)
-    made = next_steps(Recording(channels, parameters=timeline, source=source), rests, ground)
+    identity = Identity("ardupilot", kind)
+    made = next_steps(Recording(channels, parameters=timeline, identity=identity, source=source), rests, ground)
     return next(s for s in made if s.method == method)
 
 
@@ -68,7 +73,7 @@ def test_a_drift_needs_degrees_at_rest(span, linear, poly):
     found = step("thermal-poly", warm, rests=[rest(0.0, 19.9)])
     assert found.worthwhile == poly
     assert (f"at rest the temperature moved by {span:.1f} degC: 10 are needed" in found.reason) == (not poly)
-    assert step("thermal-poly", warm).reason.startswith("the vehicle never rested with its motors off")
+    assert step("thermal-poly", warm).reason.startswith("no rest of 2 s with the motors off. Set LOG_DISARMED 1")
     assert step("thermal-poly", GYRO).reason == "the log has no temperature of the inertial units"
 
 
@@ -125,6 +130,8 @@ def test_without_an_attitude_the_gyroscope_carries_the_field():
     few = turned(700.0).take(slice(0, 19))
     assert step("mag-flight", MAG, GYRO, few).worthwhile
     assert step("mag-flight", MAG, turned(700.0), ground=STOOD).reason == "the vehicle never flew"
+    for kind, words in ((ROVER, "the vehicle never drove"), (SUB, "the vehicle never was under way")):
+        assert step("mag-flight", MAG, turned(700.0), ground=STOOD, kind=kind).reason == words
 
 
 @pytest.mark.parametrize("method", ["mag-flight", "mag-motor", "mag-ellipsoid"])

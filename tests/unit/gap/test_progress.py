@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.progress import GapPace, GapProgress, GapStage, with_limit
 from mavcal.calib.gap.schema import GapReport, GapVerdict, as_json
+from mavcal.calib.gap.search.contest import Contest, ContestScore
 from mavcal.calib.gap.telling.inputs import inputs_of
 from mavcal.calib.gap_report.words import verdict_sentence
 from mavcal.calib.recording import Sensor
@@ -59,7 +61,7 @@ def test_a_stage_ends_at_its_part_of_the_limit_and_what_was_left_out_is_kept() -
     watch.now = 40.0
     assert not pace.ends()
     assert not pace.left_out
-    assert pace.ends(needs_s=20.0)
+    assert pace.ends(needs_s=40.0)
     assert pace.ended
     assert list(pace.left_out) == [GapStage.SELECTION]
     pace.begin(GapStage.REPORT)
@@ -142,7 +144,7 @@ def test_time_that_ends_in_the_selection_gives_what_was_found_and_claims_no_more
     watch = Watch()
 
     def late(standing: GapProgress) -> None:
-        watch.now = 0.75 if standing.share > 0.25 else 0.1  # after the first step
+        watch.now = 0.85 if standing.share > 0.25 else 0.1  # after the first step
 
     report = diagnose(biased(), pace=GapPace(watch, 1.0, late))
     assert len(report.effects) == 1
@@ -157,6 +159,34 @@ def test_no_time_at_all_is_no_answer_and_not_the_absence_of_a_gap() -> None:
     assert report.effects == ()
     assert report.verdict is GapVerdict.NOT_TESTABLE
     assert verdict_sentence(report) == "There was no time for an answer."
+
+
+@pytest.mark.parametrize("limit", [400.0, 1200.0])
+def test_no_look_at_all_rivals_is_begun_that_the_limit_does_not_leave(
+    monkeypatch: pytest.MonkeyPatch, limit: float
+) -> None:
+    """The clock goes on with every hypothesis that is scored: noise that wanders had all scored again and again."""
+    watch, score = Watch(), Contest.score
+
+    def scored(self: Contest, *arguments: Any, **options: Any) -> ContestScore:
+        watch.now += 1.0
+        return score(self, *arguments, **options)
+
+    monkeypatch.setattr(Contest, "score", scored)
+    report = diagnose(biased(), pace=GapPace(watch, limit))
+    assert report.left_out
+    assert watch.now < 1.05 * limit
+
+
+def test_a_long_step_tells_again_how_long_the_rest_takes() -> None:
+    told: list[GapProgress] = []
+    watch = Watch()
+    pace = GapPace(watch, 100.0, told.append)
+    pace.begin(GapStage.SELECTION)
+    for _ in range(20):
+        watch.now += 0.2
+        assert not pace.ends()
+    assert 5 < len(told) < 10
 
 
 def test_a_verdict_that_claims_nothing_stays() -> None:

@@ -16,13 +16,12 @@ from mavcal.calib.recording import (
     Channel,
     Event,
     Identity,
-    Oddity,
-    OddSamples,
     ParameterTimeline,
     Recording,
     Sensor,
     Stage,
 )
+from tests.unit.health.made import flight
 
 T = np.arange(0.0, 120.0, 0.1)
 PLACE = (47.4, 8.5, 500.0)
@@ -221,46 +220,6 @@ def test_where_the_motors_are_the_cause_their_remedy_is_told():
     assert made["steady"].action == made["motors"].action
 
 
-def zeros(count, total=1000, sensor=Sensor.MAG):
-    return Event(12.5, "damage", "", OddSamples(Oddity.ZERO, sensor, 0, count, total, until=80.0))
-
-
-def test_zeros_are_a_fault_from_a_tenth_of_the_samples_on():
-    made = found("dead", compass(), events=[zeros(100)])
-    assert made.verdict == FAULTY
-    assert made.text == "reads 0, 0, 0 in 10 % of its samples, first at 12.5 s"
-    assert (made.start, made.end) == (12.5, 80.0)
-    for event in (zeros(99), zeros(100, None), zeros(100, sensor=Sensor.ACCEL), Event(1.0, "damage", "")):
-        assert found("dead", compass(), events=[event]) is None
-
-
-def test_a_dead_compass_is_told_without_a_channel_of_its_own():
-    dead = Event(0.0, "dead", "", OddSamples(Oddity.ZERO, Sensor.MAG, 1, 500, 500))
-    assert found("dead", instance=1, events=[dead]).verdict == FAULTY
-    unused = found("dead", instance=1, events=[dead], parameters={"COMPASS_USE2": 0})
-    assert (unused.verdict, unused.action) == (CANNOT_SAY, "")
-    other = Event(0.0, "dead", "", OddSamples(Oddity.ZERO, Sensor.GYRO, 1, 500, 500))
-    assert findings(events=[other, Event(0.0, "dead", "")]) == []
-
-
-def test_a_compass_that_reads_only_zero_is_faulty_even_where_nothing_turned():
-    flat = channel(Sensor.MAG, np.zeros((len(T), 3)), "uT", stage=Stage.CORRECTED)
-    assert found("dead", flat).verdict == FAULTY
-    held = dataclasses.replace(flat, values=np.tile(FIELD, (len(T), 1)))
-    assert found("dead", held).verdict == CANNOT_SAY
-    assert [f.check for f in findings(held, ATTITUDE, POSITION)] == ["dead"]
-
-
-@pytest.mark.parametrize(("tilt", "verdict"), [(5.0, CANNOT_SAY), (8.0, FAULTY)])
-def test_a_constant_compass_is_dead_where_gravity_went_to_another_axis(tilt, verdict):
-    """The limit of 1 m/s2 across is a tilt of 5.9 deg."""
-    angle = np.radians(np.where(T > 60.0, tilt, 0.0))
-    force = 9.80665 * np.column_stack([np.sin(angle), np.zeros_like(T), -np.cos(angle)])
-    accel = channel(Sensor.ACCEL, force, "m/s2", stage=Stage.CORRECTED)
-    held = channel(Sensor.MAG, np.tile(FIELD, (len(T), 1)), "uT", stage=Stage.CORRECTED)
-    assert found("dead", held, accel).verdict == verdict
-
-
 def test_parameters_that_are_no_numbers_are_told_of_their_own_compass():
     made = findings(
         parameters={
@@ -326,3 +285,18 @@ def test_a_compass_in_counts_is_not_judged_and_compared_with_none():
     made = findings(compass(), counts, ATTITUDE, POSITION)
     assert [(f.check, f.verdict) for f in made if f.instance == 1] == [("field", CANNOT_SAY)]
     assert "compasses" not in {f.check for f in made}
+
+
+@pytest.mark.parametrize(
+    ("strength", "verdict"),
+    [(117.0, FAULTY), (85.0, SUSPICIOUS), (12.0, FAULTY), (49.0, CANNOT_SAY), (66.0, CANNOT_SAY)],
+)
+def test_without_a_position_the_earth_has_22_to_67_anywhere(strength, verdict):
+    recording = flight(1).with_channels(c for c in flight(1).channels if c.sensor != Sensor.POSITION)
+    mag = recording.channel(Sensor.MAG, 0)
+    size = np.median(np.linalg.norm(mag.values, axis=1))
+    scaled = dataclasses.replace(mag, values=mag.values * strength / size)
+    made = recording.with_channels(scaled if c is mag else c for c in recording.channels)
+    (found,) = [f for f in compass_findings(made) if (f.check, f.instance) == ("earth", 0)]
+    assert found.verdict == verdict
+    assert "the Earth has 22 to 67 uT anywhere" in found.text

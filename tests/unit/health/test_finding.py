@@ -69,9 +69,11 @@ def test_a_limit_without_a_second_step_calls_nothing_faulty():
     surer=st.floats(0.0, 1.0),
 )
 def test_a_larger_number_is_never_better_and_a_surer_one_never_milder(value, more, sd, surer):
-    judged = RISING.index(judged_value(value, sd, LIMIT))
-    assert RISING.index(judged_value(value + more, sd, LIMIT)) >= judged
-    assert RISING.index(judged_value(value, surer * sd, LIMIT)) >= judged
+    worsening = [OK, CANNOT_SAY, SUSPICIOUS, FAULTY]  # what is not known is no better than what is ok
+    judged = worsening.index(judged_value(value, sd, LIMIT))
+    assert worsening.index(judged_value(value + more, sd, LIMIT)) >= judged
+    known = judged_value(value, surer * sd, LIMIT)
+    assert worsening.index(known) >= judged or judged_value(value, sd, LIMIT) == CANNOT_SAY
 
 
 def test_the_worst_verdict_counts_and_a_check_that_was_not_made_counts_last():

@@ -101,7 +101,7 @@ def test_a_rest_is_one_with_the_motors_off():
 def test_a_vehicle_that_swung_is_judged_beside_its_attitude():
     made = found(*pair(gyro=(0.04, 0.0, 0.0), accel=(0.0, 0.0, 0.5), shake=3.0), level(), off=())
     gravity, offset = of(made, "gravity"), of(made, "offset", Sensor.GYRO)
-    assert "along the vertical in flight" in gravity.text
+    assert "along the vertical under way" in gravity.text
     assert gravity.verdict == SUSPICIOUS
     assert "beyond the turn of the attitude" in offset.text
     assert offset.verdict == SUSPICIOUS

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+import pytest
+
+from mavcal.calib.health.overview import overview
 from mavcal.calib.health.report import health
-from mavcal.calib.recording import Event, Identity, ParameterTimeline, Sensor
+from mavcal.calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
 from tests.unit.health.made import CALIBRATED, flight
 
 COPTER, PLANE, ROVER = 2, 1, 10
@@ -71,3 +75,44 @@ def test_losses_of_the_logger_are_said():
     assert "3 stretches that the logger lost, the first at 40.0 s" in lacks(
         dataclasses.replace(recording, events=(*recording.events, *drops))
     )
+
+
+def streamed(kind=COPTER, parameters=None, firmware=None, autopilot="ardupilot", rate=2.0):
+    """What telemetry at `rate` brings of a flight: rounded inertial samples and attitudes."""
+    t = np.arange(0.0, 120.0, 1.0 / rate)
+    noise = np.random.default_rng(3).integers(-2, 3, (len(t), 3))
+    channels = [
+        Channel(Sensor.ACCEL, 0, t, 0.0098 * noise + [0.0, 0.0, -9.8], "m/s2", Stage.FILTERED, "RAW_IMU", 0.0098),
+        Channel(Sensor.GYRO, 0, t, 1e-3 * noise, "rad/s", Stage.FILTERED, "RAW_IMU", 1e-3),
+    ]
+    timeline = ParameterTimeline.constant({**CALIBRATED, "LOG_BITMASK": 65535.0, **(parameters or {})})
+    return Recording(tuple(channels), identity=Identity(autopilot, kind, firmware), parameters=timeline)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "name"),
+    [
+        ({"parameters": {"SR0_RAW_SENS": 2.0}}, "Raise SR0_RAW_SENS to 20 (it is 2)"),
+        ({"parameters": {"SR0_RAW_SENS": 2.0, "SR1_EXTRA1": 4.0}}, "Raise SRn_RAW_SENS to 20"),
+        ({"parameters": {"MAV1_RAW_SENS": 2.0}}, "Raise MAV1_RAW_SENS to 20 (it is 2)"),
+        ({"firmware": (4, 7, 0)}, "Raise MAVn_RAW_SENS to 20"),
+        ({"firmware": (4, 5, 7)}, "Raise SRn_RAW_SENS to 20"),
+        ({"autopilot": "px4"}, "Ask for SCALED_IMU at 20 Hz or more (SET_MESSAGE_INTERVAL), or set MAV_n_MODE"),
+    ],
+)
+def test_what_telemetry_lacks_is_mended_by_its_stream_rates(vehicle, name):
+    recording = streamed(**vehicle)
+    answer = str(overview(recording))
+    assert name in answer
+    assert not any(
+        word in answer for word in ("LOG_BITMASK", "SDLOG", "INS_LOG", "LOG_DISARMED", "this firmware does not log")
+    )
+
+
+def test_a_rest_in_slow_telemetry_is_called_too_slow_to_use_and_no_flight():
+    answer = str(overview(streamed()))
+    assert "2 Hz are too slow to tell a rest: 8 Hz are needed" in answer
+    assert "while motionless" in answer
+    assert "in flight; gravity" not in answer
+    assert "no rest of" not in answer
+    assert "too slow" not in str(overview(streamed(rate=25.0)))

@@ -7,6 +7,7 @@ import dataclasses
 import pytest
 
 from mavcal.calib.health.finding import HealthVerdict
+from mavcal.calib.health.overview import overview
 from mavcal.calib.health.report import health
 from mavcal.calib.recording import ParameterTimeline, Sensor
 from tests.unit.health.made import CALIBRATED, flight
@@ -50,3 +51,12 @@ def test_without_a_temperature_calibration_nothing_is_claimed(parameters):
     made = found(parameters)
     assert made.verdict == HealthVerdict.CANNOT_SAY
     assert made.text == "was at 30 to 39 degC; no temperature calibration is in force: its drift is not corrected"
+
+
+@pytest.mark.parametrize("enabled", [0, 1, 2])
+def test_a_unit_that_learns_its_temperature_calibration_is_warned_of(enabled):
+    parameters = ParameterTimeline.constant({**CALIBRATED, **corrected(0.0, 60.0, enabled)})
+    document = overview(dataclasses.replace(flight(1), parameters=parameters))
+    warned = [text for text in document["warnings"] if text.startswith("INS_TCAL1_ENABLE is 2")]
+    assert len(warned) == (enabled == 2)
+    assert ("it learns one from the next start on" in found(corrected(0.0, 60.0, enabled)).text) == (enabled == 2)

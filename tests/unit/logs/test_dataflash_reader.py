@@ -104,6 +104,39 @@ class TestSensors:
         assert recording.channel(Sensor.MAG, 2).values[0].tolist() == pytest.approx([-0.35, 0.0, 0.0])
 
 
+SAMPLED = made.Message(112, "MAG", "QBhhhhhhhhhBI", "TimeUS,I,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOX,MOY,MOZ,Health,S")
+SAMPLED_WIDE = made.Message(112, "MAG", "QBhhhhhhhhhBQ", SAMPLED.columns)
+TURN_US = 2**32
+
+
+class TestSampleTimes:
+    """``S`` is when the compass was read: in 64 bits, or in the 32 that wrap every 71 minutes."""
+
+    @pytest.mark.parametrize("message", [SAMPLED, SAMPLED_WIDE])
+    @pytest.mark.parametrize("written_us", [9_000_000, TURN_US - 40, TURN_US, TURN_US + 500, 3 * TURN_US + 7])
+    @pytest.mark.parametrize(
+        ("late_us", "believed"),
+        [
+            (0, True),
+            (4000, True),
+            (-30, True),
+            (999_999, True),
+            (-999_999, True),
+            (1_000_000, False),
+            (5_000_000, False),
+        ],
+    )
+    def test_a_sample_has_the_time_at_which_it_was_read(self, message, written_us, late_us, believed):
+        read = written_us - late_us
+        rows = message.rows(3, TimeUS=written_us + np.arange(3) * 100_000, MagX=100, Health=1, I=0, S=0)
+        said = read + np.arange(3) * 100_000
+        rows["S"] = said % TURN_US if message is SAMPLED else said
+        data = HEAD + message.definition() + rows.tobytes()
+        t = read_dataflash(data).channel(Sensor.MAG, 0).t
+        first = 1e-6 * (read if believed else written_us)
+        assert t == pytest.approx(first + 0.1 * np.arange(3), abs=1e-6)
+
+
 class TestBatches:
     def recording(self, option: float) -> Recording:
         data = made.head({**made.PARAMETERS, "INS_LOG_BAT_OPT": option})
@@ -248,7 +281,7 @@ class TestParameters:
         recording = read_dataflash(HEAD + rows.tobytes())
         assert len(recording.channel(Sensor.MAG)) == 6
         assert kinds(recording, "damage") == [
-            "mag 1: 4 of 10 samples of MAG are exactly 0, 0, 0, which no field is; left out"
+            "mag 1: 4 of 10 samples of MAG are exactly 0, 0, 0, which such a sensor never reads; left out"
         ]
         (odd,) = [event.odd for event in recording.events if event.kind == "damage"]
         assert odd == OddSamples(Oddity.ZERO, Sensor.MAG, 0, 4, 10, until=17.0)
@@ -271,7 +304,7 @@ class TestParameters:
         rows = made.MAG.rows(20, TimeUS=t, S=t, MagX=300, OfsX=[0] * 10 + [60] * 10, Health=1)
         recording = read_dataflash(HEAD + rows.tobytes())
         assert [(e.name, e.value) for e in recording.parameters.changes(("COMPASS_OFS",))] == [("COMPASS_OFS_X", 60.0)]
-        assert any("learnt in flight" in text for text in kinds(recording, "text"))
+        assert any("learnt on the way" in text for text in kinds(recording, "text"))
         raw = undo(recording).channel(Sensor.MAG)
         assert raw.values[0, 0] == pytest.approx(30.05)
         assert raw.values[-1, 0] == pytest.approx(24.05)

@@ -98,3 +98,8 @@ def test_one_damaged_time_of_a_log_goes_alone(at, stamp):
     times = 1.0 + np.arange(20.0)
     times[at] = stamp
     np.testing.assert_array_equal(np.flatnonzero(~ordered(times)), [at])
+
+
+def test_a_time_like_the_one_before_a_wrong_one_is_right():
+    assert ordered(np.array([1.0, 5.0, 1.0, 2.0])).tolist() == [True, False, True, True]
+    assert ordered(np.array([1.0, 5.0, 0.5, 6.0])).tolist() == [True, True, False, True]

@@ -91,7 +91,7 @@ class TestReading:
         broken[len(heartbeat()) + 25] ^= 0x55
         recording = read_tlog(bytes(broken))
         assert len(recording.channel(Sensor.ACCEL)) == 49
-        assert [e.kind for e in recording.events] == ["damage"]
+        assert [e.kind for e in recording.events] == ["damage", "disarmed"]
 
     @given(st.binary(max_size=300), st.integers(0, 49))
     @settings(max_examples=50, deadline=None)
@@ -312,3 +312,15 @@ class TestRealPx4:
         rest = (accel.values - SITL_BIAS - drift) / PX4_ACCEL_K
         for part in np.array_split(rest[warming], 5):
             assert np.abs(part.mean(axis=0) - [0, 0, -G]).max() < 4.5 * 0.02 / np.sqrt(len(part)) + 2e-4
+
+
+@pytest.mark.parametrize(
+    ("told", "dead"), [({"INS_ACC2_ID": 12.0, "INS_GYR2_ID": 22.0}, 2), ({"INS_ACC2_ID": 0.0}, 0), ({}, 0)]
+)
+def test_a_unit_of_zeros_is_dead_where_its_id_is_set_and_absent_elsewhere(told: dict[str, float], dead: int) -> None:
+    zeros = b"".join(
+        record(dialect.MAVLink_scaled_imu2_message(1000 + 20 * k, 0, 0, 0, 0, 0, 0, 5, 6, 7 + k, 0)) for k in range(60)
+    )
+    listed = b"".join(parameter(name, value) for name, value in told.items())
+    events = read_tlog(heartbeat() + listed + STREAM + zeros).events
+    assert sum(event.kind == "dead" for event in events) == dead

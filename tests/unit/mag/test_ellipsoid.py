@@ -147,15 +147,16 @@ def test_answers_turn_scale_and_shift_with_the_samples(seed: int, scale: float, 
     samples = u / np.linalg.norm(u, axis=1, keepdims=True) * [60.0, 48.0, 50.0] + 0.2 * rng.normal(size=(60, 3))
     turn = Rotation.random(rng=rng).as_matrix()
     order = rng.permutation(60)
-    fit = fit_ellipsoid(samples, robust=False)
-    moved = fit_ellipsoid((scale * samples @ turn.T + shift * scale)[order], robust=False)
+    fit = fit_ellipsoid(samples, robust=False, unit="counts")
+    moved = fit_ellipsoid((scale * samples @ turn.T + shift * scale)[order], robust=False, unit="counts")
     tolerance = 1e-5 * 50.0 * scale
     np.testing.assert_allclose(moved.model.offset, scale * (turn @ fit.model.offset + shift), atol=tolerance)
     np.testing.assert_allclose(moved.model.matrix, turn @ fit.model.matrix @ turn.T, atol=1e-5)
 
 
 def test_a_known_noise_counts_where_samples_are_few(twelve_points: Any) -> None:
-    own, told = fit_ellipsoid(twelve_points), fit_ellipsoid(twelve_points, noise_sd=4.0, quantum=1.0)
+    own = fit_ellipsoid(twelve_points, unit="counts")
+    told = fit_ellipsoid(twelve_points, noise_sd=4.0, quantum=1.0, unit="counts")
     np.testing.assert_allclose(told.sd[:3] / own.sd[:3], math.sqrt((16.0 + 1.0 / 12.0) / 2.0549 / 2.64), rtol=2e-3)
     assert told.quality["noise_from"] == "given"
     assert told.quality["chi2"] == pytest.approx(6.1648 / (16.0 + 1.0 / 12.0), rel=1e-3)

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.ellipsoid import ellipsoid_shape, fit_ellipsoid
-from mavcal.calib.mag.result import MagContext
 
 FIELD = 49.0 * np.array([np.cos(1.15), 0.0, np.sin(1.15)])
 OFFSET = np.array([8.0, -5.0, 12.0])

@@ -101,10 +101,10 @@ def test_a_gyroscope_that_is_off_is_estimated_too():
 @given(seed=st.integers(0, 2**31), factor=st.floats(0.3, 3.0), shift=st.floats(-40.0, 40.0))
 def test_turning_scaling_and_shifting_the_data_moves_the_answer_accordingly(seed, factor, shift):
     mag, gyro = moved(np.random.default_rng(6), seconds=20.0)
-    fit = fit_gyro_aided(mag, gyro, delay=0.0)
+    fit = fit_gyro_aided(mag, gyro, delay=0.0, unit="counts")
     Q = Rotation.random(random_state=seed).as_matrix()
     turned = dataclasses.replace(mag, values=factor * mag.values @ Q.T + shift)
-    other = fit_gyro_aided(turned, gyro, delay=0.0)
+    other = fit_gyro_aided(turned, gyro, delay=0.0, unit="counts")
     assert other.model.offset == pytest.approx(factor * Q @ fit.model.offset + shift, abs=0.02 * factor)
     assert scaled(other.model.matrix) == pytest.approx(scaled(fit.model.matrix) @ Q.T, abs=2e-3)
 

@@ -8,17 +8,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.mag.free_rotation import angle_between
 from mavcal.calib.mag.orientation import RIGHT_ANGLES, MountingVerdict, find_orientation, interpolated, rotation_matrix
 
 DIP = math.radians(66.0)
 NORTH_EAST_DOWN = 49.0 * np.array([math.cos(DIP), 0.0, math.sin(DIP)])
 
 
-def moved(rng: np.random.Generator, count: int, tilt_deg: float = 180.0) -> tuple[Any, Any]:
+def moved(rng: np.random.Generator, count: int, tilt_deg: float = 180.0, dip: float = DIP) -> tuple[Any, Any]:
     """Field in uT and specific force in the body, (count, 3) each, with 0.5 uT and 0.1 m/s2 of noise."""
     tilt = np.radians(rng.uniform(-tilt_deg, tilt_deg, (count, 2)))
     attitude = Rotation.from_euler("ZYX", np.column_stack([rng.uniform(-math.pi, math.pi, count), tilt]))
-    mag = attitude.inv().apply(NORTH_EAST_DOWN) + 0.5 * rng.normal(size=(count, 3))
+    north_east_down = 49.0 * np.array([math.cos(dip), 0.0, math.sin(dip)])
+    mag = attitude.inv().apply(north_east_down) + 0.5 * rng.normal(size=(count, 3))
     return mag, attitude.inv().apply([0.0, 0.0, -9.80665]) + 0.1 * rng.normal(size=(count, 3))
 
 
@@ -62,10 +64,70 @@ def test_moderate_tilt_is_enough_when_the_dip_is_known() -> None:
     assert (found.verdict, found.best.name) == (MountingVerdict.ROTATED, "roll_180")
 
 
-def test_a_mounting_between_right_angles_is_not_rounded() -> None:
-    mag, accel = moved(np.random.default_rng(4), 300)
-    found = find_orientation(mag @ rotation_matrix(0, 0, 45), accel, inclination=DIP)
-    assert found.verdict in (MountingVerdict.AMBIGUOUS, MountingVerdict.UNEXPLAINED)
+@pytest.mark.parametrize("angles", [(0, 0, 45), (0, 0, 29), (0, 12, 0), (-9, 0, 0), (45, 30, 130), (180, 0, 61)])
+@pytest.mark.parametrize(("tilt", "dip_known"), [(180.0, True), (180.0, False), (45.0, True)])
+def test_a_mounting_between_right_angles_is_fitted(angles: Any, tilt: float, dip_known: bool) -> None:
+    mag, accel = moved(np.random.default_rng(4), 600, tilt)
+    found = find_orientation(mag @ rotation_matrix(*angles), accel, inclination=DIP if dip_known else None)
+    assert found.verdict == MountingVerdict.BY_ANGLES
+    assert found.fitted is not None
+    assert angle_between(found.fitted.matrix, rotation_matrix(*angles)) < 3.0 * found.fitted.sd
+    assert math.radians(0.3) < found.fitted.sd < math.radians(1.0)
+    assert str(found.fitted.euler) in found.message
+    assert found.sine == pytest.approx(math.sin(DIP), abs=0.02)
+
+
+def test_an_angle_as_small_as_that_of_a_bracket_is_a_right_angle() -> None:
+    mag, accel = moved(np.random.default_rng(14), 600)
+    assert find_orientation(mag @ rotation_matrix(0, 4, 90), accel, inclination=DIP).verdict == MountingVerdict.ROTATED
+    found = find_orientation(mag @ rotation_matrix(0, 7, 90), accel, inclination=DIP)
+    assert (found.verdict, found.best.name) == (MountingVerdict.BY_ANGLES, "yaw_90")
+
+
+def test_an_odd_angle_is_not_told_by_turns_on_the_level() -> None:
+    mag, accel = moved(np.random.default_rng(15), 600, tilt_deg=2.0)
+    found = find_orientation(mag @ rotation_matrix(0, 0, 29), accel, inclination=DIP)
+    assert found.verdict == MountingVerdict.AMBIGUOUS
+
+
+def test_samples_beside_a_magnet_do_not_turn_the_angles() -> None:
+    rng = np.random.default_rng(16)
+    mag, accel = moved(rng, 600)
+    mag[:30] += [60.0, -40.0, 20.0]
+    found = find_orientation(mag @ rotation_matrix(3, -8, 29), accel, inclination=DIP)
+    assert found.verdict == MountingVerdict.BY_ANGLES
+    assert found.fitted is not None
+    assert angle_between(found.fitted.matrix, rotation_matrix(3, -8, 29)) < math.radians(1.5)
+
+
+MIRRORS = {
+    "its x axis reads with the wrong sign": np.diag([-1.0, 1.0, 1.0]),
+    "its z axis reads with the wrong sign": np.diag([1.0, 1.0, -1.0]),
+    "all its axes read reversed": -np.eye(3),
+    "its x and y axes are exchanged": np.eye(3)[[1, 0, 2]],
+    "its axes are mirrored": -rotation_matrix(30, 40, 50),
+}
+
+
+@pytest.mark.parametrize("words", MIRRORS)
+@pytest.mark.parametrize(("tilt", "dip"), [(180.0, DIP), (45.0, DIP), (180.0, -0.9), (180.0, 0.2)])
+@pytest.mark.parametrize("stated", [np.eye(3), rotation_matrix(0, 0, 270)], ids=["none", "yaw_270"])
+def test_mirrored_axes_are_named_as_the_sensor_has_them(words: str, tilt: float, dip: float, stated: Any) -> None:
+    mag, accel = moved(np.random.default_rng(17), 600, tilt, dip)
+    sensor = mag @ stated @ MIRRORS[words]
+    found = find_orientation(sensor @ stated.T, accel, inclination=dip, stated=stated)
+    assert found.verdict == MountingVerdict.MIRRORED
+    assert found.message.startswith(words + ", which no mounting does")
+    assert "Power-cycle" in found.message
+    assert found.fitted is None
+
+
+def test_where_the_place_is_not_known_a_mirror_image_is_a_doubt_and_no_finding() -> None:
+    mag, accel = moved(np.random.default_rng(18), 600)
+    found = find_orientation(mag @ MIRRORS["its z axis reads with the wrong sign"], accel)
+    assert (found.verdict, found.best.name) == (MountingVerdict.ROTATED, "yaw_180")
+    assert "a compass with a mirrored axis would look the same" in found.message
+    assert found.sine == pytest.approx(-math.sin(DIP), abs=0.02)
 
 
 def test_a_field_that_has_nothing_to_do_with_the_vertical_is_not_explained() -> None:

@@ -74,15 +74,16 @@ def test_a_span_that_is_asked_for_is_all_that_is_used():
 
 
 def test_sampling_slower_than_the_turning_has_a_floor():
+    """A blur of a tenth of a second makes 0.04 % of the field, however quiet the compass is."""
     rng = np.random.default_rng(7)
     slow = np.arange(0.0, 3000.0)
     fits = []
     for t in (slow[:300], slow):
-        values = read(tumbled(t), BENCH, rng)
+        values = tumbled(t).inv().apply(FIELD) + BENCH + 0.03 * rng.normal(size=(len(t), 3))
         mag = Channel(Sensor.MAG, 0, t, values, "uT", Stage.RAW, "test")
         fits.append(METHODS["mag-ellipsoid"].run(Recording((mag,)))[0])
     few, many = (fit.quality["heading_sd_deg"] for fit in fits)
-    assert many == pytest.approx(few, rel=0.15)  # ten times the samples do not make it three times better
+    assert many > 0.5 * few  # ten times the samples do not make it three times better
     assert any("read more slowly than it turned" in text for text in fits[1].warnings)
 
 

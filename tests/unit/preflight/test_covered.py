@@ -164,6 +164,16 @@ def test_a_temperature_at_the_edge_of_the_covered_ones_is_no_failure_yet(degrees
     assert history.temperature(vehicle.snapshot()).verdict == verdict
 
 
+def test_a_unit_that_learns_its_temperature_calibration_is_no_pass():
+    vehicle = healthy(ARDUPILOT, redundant=True)
+    before = history.temperature(vehicle.snapshot())
+    vehicle.parameters["INS_TCAL2_ENABLE"] = 2
+    check = history.temperature(vehicle.snapshot())
+    assert before.verdict == Verdict.PASS
+    assert check.verdict == Verdict.WARN
+    assert check.reason.startswith("INS_TCAL2_ENABLE is 2: inertial unit 2 learns its temperature calibration")
+
+
 def test_without_a_thermometer_the_temperature_is_unknown():
     snapshot = healthy(ARDUPILOT).snapshot()
     bare = snapshot.recording.with_channels(c for c in snapshot.recording.channels if c.sensor != Sensor.TEMPERATURE)

@@ -64,6 +64,26 @@ def test_what_was_reset_is_put_back(seed: int) -> None:
     assert vehicle.parameters | {c.name: c.new for c in plan.changes} == pytest.approx(verified)
 
 
+@pytest.mark.parametrize(
+    ("then", "now"),
+    [
+        ({"ROT": 6, "YAW": 0.0, "ROLL": 0.0}, {"ROT": 100, "YAW": 29.0, "ROLL": 3.0}),
+        ({"ROT": 100, "YAW": 29.0, "ROLL": 3.0}, {"ROT": 6, "YAW": 0.0, "ROLL": 0.0}),
+    ],
+)
+def test_a_number_of_a_mounting_comes_behind_angles_that_go_and_before_those_that_come(
+    then: dict[str, float], now: dict[str, float]
+) -> None:
+    """PX4 makes any number "custom" as long as the row holds angles (Magnetometer.cpp, ParametersLoad)."""
+    vehicle = whole(PX4)
+    vehicle.parameters |= {f"CAL_MAG0_{k}": v for k, v in {"PITCH": 0.0, **then}.items()}
+    vehicle.verified = dataclasses.replace(vehicle.verified, parameters=dict(vehicle.parameters))
+    vehicle.parameters |= {f"CAL_MAG0_{k}": v for k, v in now.items()}
+    names = [c.name for c in restored(vehicle).changes]
+    assert sorted(names) == ["CAL_MAG0_ROLL", "CAL_MAG0_ROT", "CAL_MAG0_YAW"]
+    assert names.index("CAL_MAG0_ROT") == (0 if then["ROT"] == 100 else 2)
+
+
 def test_a_sensor_that_sits_at_another_place_takes_its_values_with_it() -> None:
     vehicle = healthy(ARDUPILOT, redundant=True)
     first, second = (ardupilot_imu_names(Sensor.ACCEL, i) for i in (0, 1))

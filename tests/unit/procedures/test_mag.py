@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
@@ -7,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import EarthField
+from mavcal.calib.mag.free_rotation import angle_between
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.mag import SPEC, MagProcedure
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt
@@ -82,14 +85,40 @@ def test_a_compass_that_is_mounted_turned_is_recognised(clean):
     np.testing.assert_array_equal(orientation["matrix"], turned)
 
 
-def test_a_compass_mounted_askew_is_refused_with_the_cause(clean):
-    from scipy.spatial.transform import Rotation
+ODD = Rotation.from_euler("ZYX", [29.0, -8.0, 3.0], degrees=True).as_matrix()
+MIRROR = np.diag([1.0, 1.0, -1.0])
 
-    askew = Rotation.from_euler("xyz", [45.0, 45.0, 45.0], degrees=True).as_matrix()
-    truth = replace(clean().mags[0], sensitivity=clean().mags[0].sensitivity @ askew.T)
-    outcome = run(clean(mags=(truth,)).tumble(60.0).record())[0].outcome
+
+def mounted(clean, *matrices):
+    """Compasses that each of `matrices` takes to the body."""
+    one = clean().mags[0]
+    return clean(mags=tuple(replace(one, sensitivity=one.sensitivity @ m.T) for m in matrices)).tumble(60.0)
+
+
+def test_a_compass_mounted_at_odd_angles_is_fitted_with_them(clean):
+    (fit,) = run(mounted(clean, ODD).record())[0].outcome.results
+    found = fit.quality["orientation"]
+    assert (found["verdict"], found["nearest"]) == ("by_angles", "none")
+    assert angle_between(np.array(found["matrix"]), ODD) < np.radians(1.0)
+    assert [found["roll"], found["pitch"], found["yaw"]] == pytest.approx([3.0, -8.0, 29.0], abs=1.0)
+    assert all(0.2 < sd < 0.7 for sd in found["sd_deg"])
+    assert found["askew_deg"] == pytest.approx(np.degrees(angle_between(np.eye(3), ODD)), abs=1.0)
+    assert any(text.startswith("mounted turned by roll") for text in fit.warnings)
+    assert json.loads(json.dumps(found))["yaw"] == found["yaw"]
+
+
+def test_a_mirrored_compass_is_refused_by_name(clean):
+    outcome = run(mounted(clean, MIRROR).record())[0].outcome
     assert isinstance(outcome, GaveUp)
-    assert "no right-angle mounting explains the compass" in outcome.cause
+    assert "its z axis reads with the wrong sign, which no mounting does" in outcome.cause
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_beside_another_compass_a_mirrored_one_is_known_wherever_it_is(clean, known):
+    context = CONTEXT if known else replace(CONTEXT, earth_field=None)
+    first, second = run(mounted(clean, np.eye(3), MIRROR).record(), context=context)[0].outcome.results
+    assert first.quality["orientation"]["verdict"] == "as_stated"
+    assert (second.status, second.quality["orientation"]["verdict"]) == ("refused", "mirrored")
 
 
 def test_fast_turns_are_left_out_and_mild_blur_is_computed_back(clean):

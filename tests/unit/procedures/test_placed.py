@@ -166,7 +166,24 @@ def test_rings_of_a_compass_that_is_mounted_otherwise_find_its_rotation():
     assert (fit.quality["orientation"]["verdict"], fit.quality["orientation"]["name"]) == ("rotated", "yaw_90")
     odd = replace(MAG, sensitivity=MAG.sensitivity @ YAW_45.T)
     outcome, _ = run("mag-rings", turned(Bench(mags=(odd,))), fixture_sd=0.0)
-    assert "no right-angle mounting explains" in outcome.cause
+    found = outcome.results[0].quality["orientation"]
+    assert (found["verdict"], found["yaw"]) == ("by_angles", pytest.approx(45.0, abs=0.5))
+    assert 0.0 < max(found["sd_deg"]) < 0.5
+    (tilted,) = run("mag-rings", turned(Bench(mags=(odd,))), fixture_sd=0.1, uncertainty=1.0)[0].results
+    assert min(tilted.quality["orientation"]["sd_deg"]) > max(found["sd_deg"])  # a fixture that may be tilted
+
+
+@pytest.mark.parametrize("dip", [60.0, -60.0])
+def test_rings_of_a_mirrored_compass_are_refused_by_name(dip):
+    field = EarthField.from_elements(50.0, np.radians(dip))
+    truth = replace(MAG, sensitivity=MAG.sensitivity @ np.diag([1.0, -1.0, 1.0]))
+    context = replace(CONTEXT, earth_field=field)
+    outcome, _ = run(
+        "mag-rings", turned(Bench(mags=(truth,), field_ned=field.north_east_down)), context, fixture_sd=0.0
+    )
+    assert "its y axis reads with the wrong sign, which no mounting does" in outcome.cause
+    good, _ = run("mag-rings", turned(Bench(mags=(MAG,), field_ned=field.north_east_down)), context, fixture_sd=0.0)
+    assert good.results[0].quality["orientation"]["verdict"] == "as_stated"
 
 
 def test_a_ring_that_is_too_fast_or_tilted_is_begun_anew():

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 
 import numpy as np
@@ -17,6 +18,7 @@ from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.report import to_json
 from mavcal.calib.stats.stillness import Still, find_still
 from mavcal.calib.thermal.accel import fit_accel_thermal
+from mavcal.calib.thermal.accel_solve import within_poses
 
 G = 9.80665
 FACES = np.array([[0, 0, -1], [0, 0, 1], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0]], dtype=float)
@@ -213,3 +215,56 @@ def test_impossible_options_are_errors():
         fit_accel_thermal(*data, gravity=-1.0)
     with pytest.raises(InvalidInputError, match="cross terms"):
         fit_accel_thermal(*data, cross_sd=-1.0)
+
+
+RATE = 50.0
+
+
+def poses(*parts):
+    """A channel of still poses, each (samples, first temperature, last one), with their scaled temperatures."""
+    rng = np.random.default_rng(11)
+    x = np.concatenate([np.linspace(low, high, n) for n, low, high in parts])
+    edges = np.cumsum([0, *(n for n, _, _ in parts)])
+    t = np.arange(len(x)) / RATE
+    stills = [Still(t[i] - 1e-6, t[j - 1] + 1e-6, None, None) for i, j in itertools.pairwise(edges)]
+    offsets = np.repeat(rng.normal(size=(len(parts), 3)), [n for n, _, _ in parts], axis=0)
+    values = offsets + x[:, None] * [0.3, -0.2, 0.1] + 1e-3 * rng.normal(size=(len(x), 3))
+    return Channel(Sensor.ACCEL, 0, t, values, "m/s2", Stage.RAW, "test"), x, stills
+
+
+@pytest.mark.parametrize(
+    ("pose", "used"),
+    [
+        ((16, 0.0, 0.1), True),
+        ((15, 0.0, 0.1), False),  # too short to have a slope of its own
+        ((100, 0.5, 0.519), False),  # 1.9 % of the span: a hand's sway is all that it shows
+        ((100, 0.5, 0.521), True),
+        ((100, 0.521, 0.5), True),
+    ],
+)
+def test_short_poses_and_those_that_stay_as_warm_tell_nothing_of_the_drift_within(pose, used):
+    accel, x, stills = poses((200, 0.0, 0.4), (200, 0.6, 1.0), pose)
+    found = within_poses(accel, x, stills, 1)
+    assert found.n == 400 + used * pose[0]
+    np.testing.assert_allclose(found.coefficients, [[0.3, -0.2, 0.1]], atol=2e-3)
+    longer = within_poses(accel, 2.0 * x, stills, 1)  # of the span, whatever its unit
+    assert longer.n == found.n
+
+
+def test_where_no_pose_warms_nothing_is_told():
+    accel, x, stills = poses((200, 0.0, 0.001), (200, 1.0, 1.001))
+    found = within_poses(accel, x, stills, 2)
+    assert (found.n, found.coefficients.any(), found.information.any()) == (0, False, False)
+    assert found.information.shape == (3, 2, 2)
+
+
+@pytest.mark.parametrize(("samples", "used"), [(63, 0), (64, 64)])
+def test_fewer_samples_than_64_tell_nothing_within(samples, used):
+    assert within_poses(*poses((samples, 0.0, 1.0)), 1).n == used
+
+
+def test_the_information_within_is_that_of_the_noise_left_there():
+    accel, x, stills = poses((4000, 0.0, 1.0), (4000, 0.0, 1.0))
+    found = within_poses(accel, x, stills, 1)
+    sd = 1.0 / np.sqrt(found.information[:, 0, 0])
+    np.testing.assert_allclose(sd, 1e-3 / np.sqrt(8000 / 12.0), rtol=0.35)

@@ -8,6 +8,7 @@ import pytest
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.thermal import compass
 from mavcal.calib.thermal.compass import fit_mag_thermal
 
 POSES = (np.array([20.0, 5.0, 42.0]), np.array([-38.0, 12.0, -15.0]))
@@ -123,3 +124,61 @@ def test_the_reference_temperature_moves_no_slope():
     one, other = (fit_mag_thermal(poses, t_ref=t_ref) for t_ref in (25.0, -10.0))
     assert other.native["slopes"] == pytest.approx(one.native["slopes"], rel=1e-6, abs=1e-9)
     assert other.model.polynomial.t_ref == -10.0
+
+
+def of(slopes, sd, field=(30.0, 30.0, 30.0)):
+    """A pose with these slopes on x, y, z."""
+    told = np.array(slopes, dtype=float), np.array(sd, dtype=float), np.array(field, dtype=float), np.ones(3)
+    return compass._Pose(None, *told)
+
+
+@pytest.mark.parametrize(
+    ("slopes", "sd", "repeats"),
+    [
+        ((0.10, 0.10), 1e-4, True),
+        ((0.10, 0.12), 1e-4, True),  # a tenth either side of their mean
+        ((0.10, 0.16), 1e-4, True),  # 23 % either side
+        ((0.10, 0.175), 1e-4, False),  # 27 %
+        ((0.10, 0.16), 0.08, False),  # their mean is 2.3 of its own sd
+        ((0.10, 0.18), 0.02, True),  # 29 %, but within 3 sd of each
+        ((0.10, 0.18), 0.013, False),  # 3.1 sd
+        ((0.0, 0.0), 1e-3, False),
+        ((-0.10, -0.12), 1e-4, True),
+    ],
+)
+def test_an_axis_repeats_by_agreement_sign_and_significance(slopes, sd, repeats):
+    found = [of((value, 0.1, -0.1), (sd, 1e-4, 1e-4)) for value in slopes]
+    assert compass._repeats(found).tolist() == [repeats, True, True]
+
+
+def test_of_three_poses_every_one_has_to_repeat():
+    rest = (0.1, 0.1), (1e-4, 1e-4)
+    others = [of((0.2, *rest[0]), (0.08, *rest[1])), of((0.22, *rest[0]), (0.02, *rest[1]))]
+    assert compass._repeats([*others, of((0.2, *rest[0]), (0.08, *rest[1]))])[0]
+    assert not compass._repeats([*others, of((-0.02, *rest[0]), (0.08, *rest[1]))])[0]  # 2.8 sd off, but the other way
+    assert not compass._repeats([of((0.2, *rest[0]), (0.01, *rest[1]))]).any()
+
+
+@pytest.mark.parametrize(
+    ("fields", "slopes", "goes"),
+    [
+        ((30.0, -30.0), (0.1, -0.1), True),
+        ((30.0, 14.0), (0.1, 0.0467), True),
+        ((30.0, 16.0), (0.1, 0.0533), False),  # fields too much alike to tell it from a drift of the offset
+        ((30.0, 31.0), (0.1, 0.1033), False),
+        ((30.0, -30.0), (0.1, 0.1), False),
+        ((30.0, -30.0), (0.001, -0.001), False),  # within chance
+    ],
+)
+def test_a_drift_goes_with_the_field_only_where_the_fields_differ(fields, slopes, goes):
+    found = [of((k, 0.0, 0.0), (1e-3, 1e-3, 1e-3), (f, 0.0, 0.0)) for k, f in zip(slopes, fields, strict=True)]
+    assert compass._goes_with_field(found, 0) == goes
+
+
+def test_the_range_of_temperature_is_that_of_all_poses():
+    rng = np.random.default_rng(11)
+    mag, t = pose(0, rng)
+    cold, warm = (mag, 0.5 * t - 10.0), (mag, t + 20.0)
+    for poses in ([cold, warm], [warm, cold]):
+        fit = fit_mag_thermal(poses)
+        assert (fit.quality["t_min"], fit.quality["t_max"]) == (pytest.approx(1.5), pytest.approx(67.0, abs=1e-3))

@@ -127,6 +127,16 @@ def test_a_compass_that_is_askew_loses_what_the_new_rotation_leaves(draft, make_
     assert "mounted 3.00 deg askew" in draft.losses[0].text
 
 
+def test_what_is_left_of_a_mounting_is_an_angle_between_directions_of_the_body(draft, make_fit):
+    """The rotation of a fit is along the sensor's axes: one about its z axis is about y of the body it is rolled in."""
+    askew = make_fit(Sensor.MAG, matrix=euler_matrix(0, 0, 30))
+    rolled = euler_matrix(90, 0, 0)
+    announce.lose_compass_mounting(draft, MAG, askew, rolled, rolled @ euler_matrix(0, 0, 30))
+    assert draft.losses == ()
+    announce.lose_compass_mounting(draft, MAG, askew, rolled, euler_matrix(0, 0, 30) @ rolled)
+    assert draft.losses[0].cost == pytest.approx(42.1, abs=0.1)
+
+
 @pytest.mark.parametrize(("about", "unit"), [(ACCEL, "m/s2"), (GYRO, "rad/s")])
 def test_a_drift_that_is_not_written_costs_its_span(draft, make_fit, about, unit):
     # x goes from -0.3 to +0.4, y is a parabola of 10^2 and 40^2 at the ends and 0 between, z is constant

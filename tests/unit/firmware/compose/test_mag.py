@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mavcal.calib.firmware import names
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.without_row import without_row
 from mavcal.calib.firmware.rotations import rotation_matrix
 from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.mag.free_rotation import angle_between
 from mavcal.calib.recording import Event, ParameterEntry, Sensor
 
 SOFT = np.array([[1.06, 0.03, -0.02], [0.03, 0.95, 0.015], [-0.02, 0.015, 1.03]])
@@ -99,6 +101,33 @@ def test_motor_compensation_is_carried_into_the_new_matrix(ardupilot_parameters,
     plan = compose([mag_fit(make_fit)], parameters, ardupilot_fingerprint)
     values = after(plan, parameters)
     np.testing.assert_allclose([values[f"COMPASS_MOT_{a}"] for a in "XYZ"], -SOFT @ induced, rtol=1e-6)
+
+
+@pytest.mark.parametrize("stated", [0, 2, 14, 28])
+@pytest.mark.parametrize("internal", [False, True])
+@pytest.mark.parametrize("scale", [0.0, 1.2, 9.0])
+@pytest.mark.parametrize("turn", [0, 6])
+def test_the_motor_term_is_carried_into_the_frame_of_the_new_mounting(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit, stated, internal, scale, turn
+):
+    """What the motors induce is a field at the sensor: the term takes it away before the write and after it."""
+    if internal and turn:
+        pytest.skip("an internal compass follows the board")
+    name = "AHRS_ORIENTATION" if internal else "COMPASS_ORIENT"
+    parameters = ardupilot_parameters | {"COMPASS_MOTCT": 1, "COMPASS_EXTERNAL": int(not internal), name: stated}
+    parameters |= {f"COMPASS_DIA_{a}": d for a, d in zip("XYZ", (1.2, 0.9, 1.1), strict=True)}
+    parameters |= {f"COMPASS_ODI_{a}": c for a, c in zip("XYZ", (0.05, -0.04, 0.02), strict=True)}
+    parameters["COMPASS_SCALE"] = scale
+    induced = np.array([4.0, -2.0, 3.0])  # mGauss per unit of throttle, along the axes of the sensor
+    old = -ardupilot.calibration_in_force(parameters, Sensor.MAG, 0).matrix @ induced
+    parameters |= {f"COMPASS_MOT_{a}": m for a, m in zip("XYZ", old, strict=True)}
+    fit = turned(make_fit, rotation_matrix("ardupilot", turn)) if turn else mag_fit(make_fit)
+    plan = compose([fit], parameters, ardupilot_fingerprint, options=CONFIRMED)
+    assert not plan.blockers
+    found = after(plan, parameters)
+    new = -ardupilot.calibration_in_force(found, Sensor.MAG, 0).matrix @ induced
+    np.testing.assert_allclose([found[f"COMPASS_MOT_{a}"] for a in "XYZ"], new, rtol=1e-5, atol=1e-6)
+    assert np.abs(new - old).max() > 0.1
 
 
 def test_code_76_for_compasses_and_learning_off(ardupilot_parameters, ardupilot_fingerprint, make_fit):
@@ -258,33 +287,209 @@ def turned(make_fit, matrix, name="yaw_90"):
     return mag_fit(make_fit, quality=KNOWN | {"orientation": orientation})
 
 
-def test_px4_puts_an_external_compass_right_only_where_it_has_a_number(px4_parameters, px4_fingerprint, make_fit):
+def test_px4_puts_an_external_compass_right_by_number_where_it_has_one(px4_parameters, px4_fingerprint, make_fit):
     fit = turned(make_fit, rotation_matrix("px4", 2))
-    confirmed = ComposeOptions(confirm_mounting=True)
 
-    def composed(rotation, found=fit):
-        parameters = px4_parameters | {"CAL_MAG0_ROT": rotation}
-        return compose([found], parameters, px4_fingerprint, options=confirmed)
+    def composed(rotation, **more):
+        parameters = px4_parameters | {"CAL_MAG0_ROT": rotation} | more
+        return compose([fit], parameters, px4_fingerprint, options=CONFIRMED)
 
     assert {c.name: c.new for c in composed(0).changes}["CAL_MAG0_ROT"] == 2
     assert {c.name: c.new for c in composed(2).changes}["CAL_MAG0_ROT"] == 4
-    for rotation, text in ((-1, "internal and follows SENS_BOARD_ROT"), (100, "a rotation of its own (custom angles)")):
-        plan = composed(rotation)
-        assert text in plan.blockers[0]
+    plan = composed(-1)
+    assert "internal and follows SENS_BOARD_ROT" in plan.blockers[0]
+    assert plan.changes == ()
+    # angles that stay beside a number would make it custom again: they go first
+    changes = [(c.name, c.new) for c in composed(100, CAL_MAG0_YAW=45.0).changes if c.name in PX4_MOUNTING]
+    assert changes == [("CAL_MAG0_YAW", 0.0), ("CAL_MAG0_ROT", 3)]
+
+
+CONFIRMED = ComposeOptions(confirm_mounting=True)
+ODD = Rotation.from_euler("ZYX", [29.0, -8.0, 3.0], degrees=True).as_matrix()
+AP_MOUNTING = ["CUST_ROT_ENABLE", "CUST_ROT1_ROLL", "CUST_ROT1_PITCH", "CUST_ROT1_YAW", "COMPASS_ORIENT"]
+PX4_MOUNTING = ["CAL_MAG0_ROT", "CAL_MAG0_ROLL", "CAL_MAG0_PITCH", "CAL_MAG0_YAW"]
+
+
+def at_angles(make_fit, matrix=ODD, askew_deg=30.0, nearest="none", instance=0):
+    found = {
+        "verdict": "by_angles",
+        "name": "roll 3.0 ± 0.3, pitch -8.0 ± 0.3, yaw 29.0 ± 0.3 deg",
+        "matrix": matrix.tolist(),
+        "covariance": (np.radians(0.3) ** 2 * np.eye(3)).tolist(),
+        "nearest": nearest,
+        "askew_deg": askew_deg,
+    }
+    return mag_fit(make_fit, instance, quality=KNOWN | {"orientation": found})
+
+
+def custom(parameters, **more):
+    """An ArduPilot with custom rotations that are switched off, so that their angles are not listed."""
+    return parameters | {"COMPASS_EXTERNAL": 1, "COMPASS_EXTERN2": 1, "CUST_ROT_ENABLE": 0} | more
+
+
+def mountings(plan, names):
+    return [(c.name, c.new) for c in plan.changes if c.name in names]
+
+
+def test_odd_angles_become_a_custom_rotation_of_ardupilot(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    parameters = custom(ardupilot_parameters)
+    (blocker,) = compose([at_angles(make_fit)], parameters, ardupilot_fingerprint).blockers
+    assert "COMPASS_ORIENT changes from 0 (none) to 101 (custom rotation 1: roll 3.0 ± 0.3, pitch" in blocker
+    assert "confirm_mounting" in blocker
+    plan = compose([at_angles(make_fit)], parameters, ardupilot_fingerprint, options=CONFIRMED)
+    assert not plan.blockers
+    assert plan.needs_reboot
+    expected = zip(AP_MOUNTING, [1, 3.0, -8.0, 29.0, 101], strict=True)
+    assert mountings(plan, AP_MOUNTING) == [(name, pytest.approx(value, abs=0.005)) for name, value in expected]
+    assert all(0.25 < c.sd < 0.4 and c.unit == "deg" for c in plan.changes if c.name in AP_MOUNTING[1:4])
+    model = ardupilot.calibration_in_force(after(plan, parameters), Sensor.MAG, 0)
+    raw = np.random.default_rng(1).normal(0, 40, (50, 3))
+    np.testing.assert_allclose(model.apply(raw), at_angles(make_fit).model.apply(raw) @ ODD.T, atol=0.01)
+    assert not [loss for loss in plan.losses if loss.what == "mounting"]
+
+
+@pytest.mark.parametrize("level", [(0.0, 0.0, 0.0), (2.0, -1.0, 1.5)])
+@pytest.mark.parametrize(
+    "stated", [{"CAL_MAG0_ROT": 0}, {"CAL_MAG0_ROT": 6}, {"CAL_MAG0_ROT": 100, "CAL_MAG0_ROLL": 40.0}]
+)
+def test_odd_angles_become_the_angles_of_px4s_row(px4_parameters, px4_fingerprint, make_fit, level, stated):
+    parameters = px4_parameters | dict(zip(names.PX4_LEVEL, level, strict=True)) | stated
+    before = px4.mounting(parameters, Sensor.MAG, 0)
+    plan = compose([at_angles(make_fit)], parameters, px4_fingerprint, options=CONFIRMED)
+    assert not plan.blockers
+    found = after(plan, parameters)
+    assert found["CAL_MAG0_ROT"] == 100
+    assert angle_between(px4.mounting(found, Sensor.MAG, 0), ODD @ before) < np.radians(0.01)
+    assert not [loss for loss in plan.losses if loss.what == "mounting"]
+    written = [name for name, _ in mountings(plan, PX4_MOUNTING)]
+    assert written == PX4_MOUNTING[written[0] != "CAL_MAG0_ROT" :]  # the number first, or angles make it custom
+
+
+def test_a_fitted_angle_near_a_number_of_the_firmware_is_that_number(
+    ardupilot_parameters, ardupilot_fingerprint, px4_parameters, px4_fingerprint, make_fit
+):
+    about = at_angles(make_fit, Rotation.from_euler("ZYX", [46.0, 1.0, -1.0], degrees=True).as_matrix(), 44.0)
+    parameters = custom(ardupilot_parameters)
+    plan = compose([about], parameters, ardupilot_fingerprint, options=CONFIRMED)
+    assert mountings(plan, AP_MOUNTING) == [("COMPASS_ORIENT", 1)]
+    np.testing.assert_allclose(
+        ardupilot.mounting(after(plan, parameters), Sensor.MAG, 0), rotation_matrix("ardupilot", 1), atol=1e-12
+    )
+    (loss,) = (x for x in plan.losses if x.what == "mounting")
+    assert loss.cost == pytest.approx(np.sqrt(3.0), abs=0.05)
+    px4_plan = compose([about], px4_parameters | {"CAL_MAG0_ROT": 0}, px4_fingerprint, options=CONFIRMED)
+    assert mountings(px4_plan, PX4_MOUNTING) == [("CAL_MAG0_ROT", 1)]
+
+
+@pytest.mark.parametrize(
+    ("more", "number"),
+    [
+        ({}, 101),
+        ({"AHRS_ORIENTATION": 101, "CUST_ROT1_YAW": 9.0}, 102),
+        ({"COMPASS_ORIENT2": 101, "CUST_ROT1_YAW": 9.0}, 102),
+        ({"COMPASS_ORIENT": 102, "CUST_ROT2_YAW": 9.0, "CUST_ROT1_YAW": 9.0}, 102),
+        ({"CUST_ROT1_PITCH": 9.0}, 102),
+        ({"CUST_ROT1_PITCH": 9.0, "CUST_ROT2_ROLL": 9.0}, None),
+        ({"COMPASS_ORIENT2": 101, "AHRS_ORIENTATION": 102}, None),
+        ({"COMPASS_ORIENT": 101, "COMPASS_ORIENT2": 101, "CUST_ROT1_YAW": 9.0}, 102),
+    ],
+)
+def test_a_custom_rotation_that_something_else_uses_is_left_alone(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit, more, number
+):
+    angles = {f"CUST_ROT{k}_{a}": 0.0 for k in (1, 2) for a in ("ROLL", "PITCH", "YAW")}
+    parameters = custom(ardupilot_parameters, **angles, CUST_ROT_ENABLE=1)
+    parameters |= more
+    plan = compose([at_angles(make_fit)], parameters, ardupilot_fingerprint, options=CONFIRMED)
+    if number is None:
+        assert "hold angles already" in plan.blockers[0]
         assert plan.changes == ()
-    askew = turned(make_fit, Rotation.from_euler("zyx", [20.0, 10.0, 5.0], degrees=True).as_matrix(), "odd")
-    assert "PX4 has no number for the resulting mounting" in composed(0, askew).blockers[0]
-    assert composed(0, askew).changes == ()
+        return
+    assert not plan.blockers
+    assert after(plan, parameters)["COMPASS_ORIENT"] == number
+    other = {101: "CUST_ROT2", 102: "CUST_ROT1"}[number]
+    assert not [c for c in plan.changes if c.name.startswith(other)]
 
 
-def test_ardupilot_has_no_number_for_an_odd_angle(ardupilot_parameters, ardupilot_fingerprint, make_fit):
-    askew = turned(make_fit, Rotation.from_euler("zyx", [20.0, 10.0, 5.0], degrees=True).as_matrix(), "odd")
-    options = ComposeOptions(confirm_mounting=True)
-    plan = compose([askew], ardupilot_parameters, ardupilot_fingerprint, options=options)
-    assert "ArduPilot has no number for the resulting mounting" in plan.blockers[0]
+def test_a_right_angle_is_exact_and_turns_the_angles_that_are_stated(
+    ardupilot_parameters, ardupilot_fingerprint, px4_parameters, px4_fingerprint, make_fit
+):
+    """134 degrees is a degree from a number of the firmware; a compass that is stated at 44 is not at 135 by a turn."""
+    fit = turned(make_fit, rotation_matrix("px4", 2))
+    held = {"CUST_ROT_ENABLE": 1, "CUST_ROT1_ROLL": 0.0, "CUST_ROT1_PITCH": 0.0, "CUST_ROT1_YAW": 44.0}
+    now = custom(ardupilot_parameters, **held, COMPASS_ORIENT=101)
+    plan = compose([fit], now, ardupilot_fingerprint, options=CONFIRMED)
+    assert mountings(plan, AP_MOUNTING) == [("CUST_ROT1_YAW", pytest.approx(134.0))]
+    row = px4_parameters | {"CAL_MAG0_ROT": 100, "CAL_MAG0_YAW": 44.0}
+    plan = compose([fit], row, px4_fingerprint, options=CONFIRMED)
+    assert mountings(plan, PX4_MOUNTING) == [("CAL_MAG0_YAW", pytest.approx(134.0))]
+
+
+def test_only_new_angles_wait_for_a_restart(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    """A rotation that was made at boot acts as soon as it is called by its number; its angles do not change before."""
+    held = {"CUST_ROT_ENABLE": 1, "CUST_ROT2_YAW": 0.0, "CUST_ROT2_ROLL": 0.0, "CUST_ROT2_PITCH": 0.0}
+    held |= {"CUST_ROT1_ROLL": 3.0, "CUST_ROT1_PITCH": -8.0, "CUST_ROT1_YAW": 29.0, "COMPASS_ORIENT": 101}
+    now = custom(ardupilot_parameters, **held)
+    fit = at_angles(make_fit, Rotation.from_euler("Z", 12.0, degrees=True).as_matrix(), 12.0)
+    plan = compose([fit], now, ardupilot_fingerprint, options=CONFIRMED)
+    late = {c.name for c in plan.changes if c.needs_reboot}
+    assert late == {c.name for c in plan.changes if c.name.startswith("CUST_ROT1_")}
+    assert late
+    first = compose([at_angles(make_fit)], custom(ardupilot_parameters), ardupilot_fingerprint, options=CONFIRMED)
+    assert {c.name for c in first.changes if c.needs_reboot} == set(AP_MOUNTING[:4])
+
+
+def test_two_compasses_at_odd_angles_have_a_custom_rotation_each(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    fits = [at_angles(make_fit), at_angles(make_fit, ODD.T, instance=1)]
+    parameters = custom(ardupilot_parameters)
+    plan = compose(fits, parameters, ardupilot_fingerprint, options=CONFIRMED)
+    assert not plan.blockers
+    found = after(plan, parameters)
+    for k, matrix in enumerate((ODD, ODD.T)):
+        assert angle_between(ardupilot.mounting(found, Sensor.MAG, k), matrix) < np.radians(0.01)
+
+
+def test_an_ardupilot_without_custom_rotations_says_so(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    known = {name: v for name, v in custom(ardupilot_parameters).items() if not name.startswith("CUST_ROT")}
+    plan = compose([at_angles(make_fit)], known, ardupilot_fingerprint, options=CONFIRMED)
+    assert "this vehicle has no CUST_ROT_ENABLE (ArduPilot 4.3 and later)" in plan.blockers[0]
     assert len(plan.blockers) == 1
     assert plan.changes == ()
     assert plan.losses == ()  # what is not written costs nothing
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("internal", [True, False])
+def test_a_compass_that_is_little_askew_may_stay_and_its_angles_are_offered(request, make_fit, autopilot, internal):
+    parameters = {**request.getfixturevalue(f"{autopilot}_parameters")}
+    stated = {"ardupilot": {"COMPASS_EXTERNAL": int(not internal)}, "px4": {"CAL_MAG0_ROT": -1 if internal else 0}}
+    parameters |= {"CUST_ROT_ENABLE": 0} | stated[autopilot] if autopilot == "ardupilot" else stated[autopilot]
+    matrix = Rotation.from_euler("Y", 12.0, degrees=True).as_matrix()
+    fingerprint = request.getfixturevalue(f"{autopilot}_fingerprint")
+    fit = at_angles(make_fit, matrix, 12.0)
+    plan = compose([fit], parameters, fingerprint)
+    assert not plan.blockers
+    assert not mountings(plan, [*AP_MOUNTING, *PX4_MOUNTING])
+    (loss,) = (x for x in plan.losses if x.what == "mounting")
+    assert loss.cost == pytest.approx(12.0, abs=1e-6)
+    offered = any("(--confirm-mounting) writes these angles" in text for text in plan.warnings)
+    follows = any("it has no angles of its own" in text for text in plan.warnings)
+    assert (offered, follows) == (not internal, internal)
+    confirmed = compose([fit], parameters, fingerprint, options=CONFIRMED)
+    assert not confirmed.blockers
+    assert bool(mountings(confirmed, [*AP_MOUNTING, *PX4_MOUNTING])) == (not internal)
+    beyond = compose([at_angles(make_fit, askew_deg=30.0)], parameters, fingerprint)
+    assert ("internal" if internal else "confirm_mounting") in beyond.blockers[0]
+    quarter = compose([at_angles(make_fit, matrix, 12.0, "yaw_90")], parameters, fingerprint)
+    assert quarter.blockers
+
+
+def test_a_mirrored_compass_is_never_planned(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    orientation = {"verdict": "mirrored", "message": "its z axis reads with the wrong sign"}
+    fit = mag_fit(make_fit, quality=KNOWN | {"orientation": orientation})
+    plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint, options=CONFIRMED)
+    assert "its z axis reads with the wrong sign" in plan.blockers[0]
+    assert plan.changes == ()
 
 
 def test_a_mounting_that_could_not_be_told_is_a_warning_and_changes_nothing(

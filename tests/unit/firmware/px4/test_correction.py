@@ -57,9 +57,12 @@ class TestMotors:
 
 
 class TestMounting:
-    @pytest.mark.parametrize(("number", "yaw"), [(-1, 90), (0, 0), (4, 180), (100, 30)])
-    def test_an_internal_sensor_follows_the_board_and_an_external_one_its_own(self, px4_parameters, number, yaw):
-        known = px4_parameters | {"SENS_BOARD_ROT": 2, "CAL_MAG0_ROT": number, "CAL_MAG0_YAW": 30.0}
+    @pytest.mark.parametrize(
+        ("number", "angle", "yaw"), [(-1, 30, 90), (0, 0, 0), (4, 0, 180), (4, 1e-7, 180), (4, 30, 30), (100, 30, 30)]
+    )
+    def test_an_internal_sensor_follows_the_board_and_an_external_one_its_own(self, px4_parameters, number, angle, yaw):
+        """Angles in the row of an external sensor hold whatever its number says (Magnetometer.cpp, ParametersLoad)."""
+        known = px4_parameters | {"SENS_BOARD_ROT": 2, "CAL_MAG0_ROT": number, "CAL_MAG0_YAW": float(angle)}
         known |= {"CAL_MAG0_ROLL": 0.0, "CAL_MAG0_PITCH": 0.0, "SENS_BOARD_X_OFF": 2.0}
         turn = euler_matrix(2.0, 0, 0) @ euler_matrix(0, 0, yaw)
         np.testing.assert_allclose(px4.mounting(known, Sensor.MAG, 0), turn, atol=1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.px4.flight import arming_events, flight_channels, truth_channels
 from mavcal.calib.recording import Sensor, Stage
@@ -99,12 +100,13 @@ def test_the_throttle_is_the_length_of_the_thrust_or_the_old_fourth_control():
     assert told({("actuator_controls_0", 0): topic([2_000_000], control=[[0.1, 0.2, 0.3]])}) == []
 
 
-def test_motors_are_those_that_ever_get_a_command_clipped_to_zero_and_one():
+def test_motors_are_those_that_ever_get_a_command_clipped_to_full_thrust_either_way():
+    """-1 is full thrust backwards, of motors that reverse (PX4 ``msg/versioned/ActuatorMotors.msg``)."""
     nan = np.nan
-    commands = topic([1_000_000, 2_000_000], control=[[-0.5, nan, 0.25, nan], [1.5, nan, nan, nan]])
+    commands = topic([1_000_000, 2_000_000], control=[[-1.5, nan, 0.25, nan], [1.5, nan, -0.5, nan]])
     outputs = topic([1_000_000], output=[[1100, 1200]])
     topics = {("actuator_motors", 0): commands, ("actuator_outputs", 0): outputs}
-    assert told(topics) == [(Sensor.MOTOR, 0, "1", "actuator_motors", [1.0, 2.0], [[0, 0.25], [1, 0]])]
+    assert told(topics) == [(Sensor.MOTOR, 0, "1", "actuator_motors", [1.0, 2.0], [[-1, 0.25], [1, -0.5]])]
     stopped = topic([1_000_000], control=[[nan, nan]])
     assert told({("actuator_motors", 0): stopped, ("actuator_outputs", 0): outputs}) == []
     many = topic([1_000_000], control=[[0.5] * 17])
@@ -159,7 +161,7 @@ def test_a_simulator_s_truth_is_named_after_its_topics():
     assert told(topics) == []
 
 
-def test_arming_is_told_at_every_change_and_first_by_the_switch():
+def test_arming_is_told_at_its_first_state_and_every_change_and_first_by_the_switch():
     t_us = [1_000_000, 2_000_000, 3_000_000, 4_000_000]
     state = topic(t_us, arming_state=[2, 1, 2, 3])
     events = arming_events({("vehicle_status", 0): state})
@@ -171,9 +173,25 @@ def test_arming_is_told_at_every_change_and_first_by_the_switch():
     ]
     switch = topic(t_us, armed=[0, 0, 1, 1])
     both = {("vehicle_status", 0): state, ("actuator_armed", 0): switch}
-    assert [(e.t, e.kind) for e in arming_events(both)] == [(3.0, "armed")]
+    assert [(e.t, e.kind) for e in arming_events(both)] == [(1.0, "disarmed"), (3.0, "armed")]
     unreadable = both | {("actuator_armed", 0): topic(t_us, prearmed=[0, 0, 1, 1])}
     assert len(arming_events(unreadable)) == 4
     empty = both | {("actuator_armed", 0): {n: c[:0] for n, c in switch.items()}}
     assert len(arming_events(empty)) == 4
     assert arming_events({}) == []
+
+
+@pytest.mark.parametrize("kind", [dialect.MAV_TYPE_GROUND_ROVER, dialect.MAV_TYPE_SURFACE_BOAT])
+def test_outputs_that_turn_both_ways_rest_at_neutral(kind):
+    outputs = topic([1_000_000, 2_000_000], output=[[1500, 1000], [2000, 1500]])
+    (channel,) = flight_channels({("actuator_outputs", 0): outputs}, kind)
+    assert channel.values.tolist() == [[0, -1], [1, 0]]
+
+
+@pytest.mark.parametrize("kind", [dialect.MAV_TYPE_FIXED_WING, dialect.MAV_TYPE_VTOL_TILTROTOR])
+def test_outputs_of_a_vehicle_with_surfaces_tell_of_no_motor(kind):
+    outputs = topic([1_000_000], output=[[1500, 1000]])
+    assert flight_channels({("actuator_outputs", 0): outputs}, kind) == []
+    commands = topic([1_000_000], control=[[0.5]])
+    both = {("actuator_outputs", 0): outputs, ("actuator_motors", 0): commands}
+    assert [c.source for c in flight_channels(both, kind)] == ["actuator_motors"]

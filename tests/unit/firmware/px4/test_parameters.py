@@ -144,9 +144,23 @@ class TestInForce:
         parameters = BOARD | row("CAL_ACC0", 7) | thermal("A", 0, 8)
         assert px4.calibration_in_force(parameters, Sensor.ACCEL, 0).polynomial is None
 
+    @pytest.mark.parametrize(("owner", "device"), [(0, 7), (0, 0), (8, 7), (8, 0)])
+    @pytest.mark.parametrize(("letter", "sensor", "stem"), [("A", Sensor.ACCEL, "ACC"), ("G", Sensor.GYRO, "GYRO")])
+    def test_a_thermal_row_of_nobody_does_not_count(
+        self, owner: int, device: int, letter: str, sensor: Sensor, stem: str
+    ) -> None:
+        """A free row may hold what an earlier sensor left there; two ids of zero are no match."""
+        names = px4.calibration_names({f"CAL_{stem}0_ID": 7}, sensor, 0)
+        assert names[Role.THERMAL_ID] == f"TC_{letter}0_ID"
+        parameters = BOARD | row(f"CAL_{stem}0", device) | thermal(letter, 0, owner)
+        model = px4.calibration_in_force(parameters, sensor, 0)
+        assert model.polynomial is None
+        assert not model.offset.any()
+
     def test_thermal_rows_act_only_when_enabled(self) -> None:
-        parameters = BOARD | row("CAL_GYRO0", 7) | thermal("G", 0, 7) | {"TC_G_ENABLE": 0}
-        assert px4.calibration_in_force(parameters, Sensor.GYRO, 0).polynomial is None
+        for enable, acts in ((0, False), (1, True), (2, False)):
+            parameters = BOARD | row("CAL_GYRO0", 7) | thermal("G", 0, 7) | {"TC_G_ENABLE": enable}
+            assert (px4.calibration_in_force(parameters, Sensor.GYRO, 0).polynomial is not None) == acts
 
     def test_board_rotation_then_level(self) -> None:
         turned = BOARD | {"SENS_BOARD_ROT": 2, "SENS_BOARD_X_OFF": 90.0} | row("CAL_ACC0", 7)

@@ -155,6 +155,12 @@ def test_a_flight_that_moves_more_may_differ_more_but_not_in_its_level():
     assert calmer.lasting[Sensor.ACCEL] == before.lasting[Sensor.ACCEL]
 
 
+def test_what_is_open_of_a_mean_hides_no_noise(simulated):
+    """White noise of all compasses had to beat what the simulated flight's soft iron leaves open."""
+    minimum_gain = beside(flight(2), simulated).minimum_gain
+    assert minimum_gain.lasting[Sensor.ACCEL] > 2.0 * minimum_gain.noise[Sensor.ACCEL] > 0.0
+
+
 def test_a_sensor_that_only_the_simulated_flight_has_needs_no_evidence(simulated):
     """A compass that reads one value throughout has no trace, and its simulated counterpart may have effects."""
     without = problem_of(np.random.default_rng(2), (Sensor.GYRO,))

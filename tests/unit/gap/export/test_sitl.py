@@ -135,6 +135,27 @@ def test_a_drift_is_stated_about_the_middle_of_the_simulators_range() -> None:
     assert not any("GYR" in name for name in values)
 
 
+@pytest.mark.parametrize(
+    ("base", "middle"),
+    [
+        ({"SIM_IMUT1_TMIN": 10.0, "SIM_IMUT1_TMAX": 50.0}, 30.0),
+        ({"SIM_IMUT1_TMIN": -20.0, "SIM_IMUT1_TMAX": 100.0}, 40.0),
+        ({"SIM_IMUT1_TMIN": 10.0, "SIM_ACC1_BIAS_X": 0.0}, 40.0),  # the simulator's own TMAX is 70
+        ({"SIM_IMUT1_TMAX": 50.0, "SIM_ACC1_BIAS_X": 0.0}, 25.0),  # and its TMIN 0
+    ],
+)
+def test_a_drift_is_the_effects_at_every_temperature_of_the_simulators_range(
+    base: dict[str, float], middle: float
+) -> None:
+    poly = effect("accel_temp_poly", per_degc=(0.0065, 0, 0), per_degc2=(1.5e-4, 0, 0), t_ref=30.0)
+    values = patch(report(poly), base).values
+    assert 0.5 * (values["SIM_IMUT1_TMIN"] + values["SIM_IMUT1_TMAX"]) == pytest.approx(middle)
+    for temperature in (0.0, 25.0, 60.0):
+        d, e = temperature - middle, temperature - 30.0
+        drift = sum(1e-6 * values[f"SIM_IMUT1_ACC{k}_X"] * d**k for k in (1, 2, 3))
+        assert values["SIM_ACC1_BIAS_X"] + drift == pytest.approx(0.0065 * e + 1.5e-4 * e**2)
+
+
 def test_what_the_simulator_has_stays_below_the_effect_and_keeps_its_names() -> None:
     base = {"SIM_MAG_OFS_X": 7.0, "SIM_MAG_OFS_Y": 0.0, "SIM_MAG_OFS_Z": 1.0, "SIM_MAG_MOT_X": 2.0}
     base["SIM_ACC1_BIAS_X"] = 0.1

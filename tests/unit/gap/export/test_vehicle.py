@@ -11,10 +11,13 @@ from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.export import ParameterFormat, read_parameters
 from mavcal.calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
+from mavcal.calib.firmware.rotations import rotation_matrix
 from mavcal.calib.gap.export import Target, exported
-from mavcal.calib.gap.export.vehicle import vehicle_plan
+from mavcal.calib.gap.export.state import REFERENCE_TEMPERATURE
+from mavcal.calib.gap.export.vehicle import _reference, corrected_model, vehicle_plan
 from mavcal.calib.gap.schema import EffectEstimate, Unknown
 from mavcal.calib.recording import Identity, ParameterEntry, ParameterTimeline, Recording, Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 from .making import effect, report
 
@@ -153,3 +156,44 @@ def test_a_vehicle_that_nobody_knows_gets_nothing() -> None:
         vehicle_plan(report(effect("accel_bias", bias=(1, 0, 0))), Recording(()))
     with pytest.raises(FirmwareError, match="no effect of the report is a calibration"):
         vehicle_plan(report(effect("accel_delay", delay_s=0.01)), flown(parameters()))
+
+
+@pytest.mark.parametrize(("low", "high"), [(-10.0, 60.0), (18.0, 22.0), (35.0, 80.0)])
+@pytest.mark.parametrize("drifts", [False, True])
+def test_a_curve_in_force_keeps_the_temperatures_that_it_was_measured_in(low: float, high: float, drifts: bool) -> None:
+    """The range of the flight, 20 to 30 degC, is that of what the flight shows; the curve in force has its own."""
+    found = [effect("gyro_temp_linear", per_degc=(1e-4, 0.0, 0.0), t_ref=25.0)] if drifts else []
+    found.append(effect("gyro_bias", bias=(0.01, 0.0, 0.0)))
+    before = ThermalPolynomial(25.0, low, high, np.array([[2e-4], [0.0], [1e-4]]))
+    force = TriadModel([0.1, 0.2, 0.3], np.eye(3), before)
+    model = corrected_model(force, np.eye(3), found, (Sensor.GYRO, 1), 25.0, (20.0, 30.0))
+    assert model.polynomial is not None
+    assert (model.polynomial.t_min, model.polynomial.t_max) == (low, high)
+    np.testing.assert_allclose(model.polynomial.coefficients[:, 0], [2e-4 + 1e-4 * drifts, 0.0, 1e-4], atol=1e-12)
+    assert model.polynomial.t_ref == 25.0
+    np.testing.assert_allclose(model.offset, [0.11, 0.2, 0.3])
+    plain = corrected_model(TriadModel(), np.eye(3), found, (Sensor.GYRO, 1), 25.0, (20.0, 30.0))
+    assert (plain.polynomial is not None) == drifts
+    if plain.polynomial is not None:
+        assert (plain.polynomial.t_min, plain.polynomial.t_max) == (20.0, 30.0)
+
+
+@pytest.mark.parametrize("number", [0, 2, 14])
+def test_a_drift_is_found_along_the_body_and_taken_away_along_the_sensor(number: int) -> None:
+    mounting = rotation_matrix("ardupilot", number)
+    found = [
+        effect("gyro_temp_linear", per_degc=(1e-4, 2e-4, 0.0), t_ref=25.0),
+        effect("gyro_bias", bias=(0.01, 0.0, 0.02)),
+    ]
+    model = corrected_model(TriadModel(matrix=mounting), mounting, found, (Sensor.GYRO, 1), 25.0, (20.0, 30.0))
+    assert model.polynomial is not None
+    np.testing.assert_allclose(model.polynomial.coefficients[:, 0], mounting.T @ [1e-4, 2e-4, 0.0], atol=1e-12)
+    np.testing.assert_allclose(model.offset, mounting.T @ [0.01, 0.0, 0.02], atol=1e-12)
+
+
+def test_drifts_are_stated_where_the_one_in_force_is() -> None:
+    found = [effect("gyro_temp_linear", per_degc=(1e-4, 0.0, 0.0), t_ref=28.0)]
+    curve = ThermalPolynomial(35.0, 0.0, 60.0, np.zeros((3, 1)))
+    assert _reference(found, TriadModel(polynomial=curve)) == 35.0
+    assert _reference(found, TriadModel()) == 28.0
+    assert _reference([effect("gyro_bias", bias=(0.01, 0.0, 0.0))], TriadModel()) == REFERENCE_TEMPERATURE

@@ -87,3 +87,17 @@ def test_what_is_an_error_of_the_trajectory_is_not_told() -> None:
     assert verdict_sentence(report) == "No difference beyond the error of the reference was found."
     beside = diagnosed(dataclasses.replace(alone, alone=False, own_attitude=None))
     assert [e.id for e in beside.effects] == ["mag_rotation"]
+
+
+def test_a_shape_that_the_trajectory_makes_is_not_told_either() -> None:
+    """With no name for what the other attitude takes away, a shape stands for it: a dead travel in white noise."""
+    tilt = np.array([6.0, -4.0, 5.0])
+
+    def turned(trace: Trace) -> np.ndarray:
+        return Rotation.from_rotvec(np.radians(tilt)).inv().apply(trace.ideal) - trace.ideal
+
+    problem = standing_alone(turned, (6.0, -4.0, 5.0))
+    report = diagnose(problem, effects=(by_id()["mag_hard_iron"],), nested=False)
+    assert report.effects == ()
+    assert not report.unknown.flag
+    assert report.verdict is GapVerdict.REFERENCE

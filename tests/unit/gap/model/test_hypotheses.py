@@ -75,6 +75,13 @@ def test_slow_bands_do_not_speak_for_fast_ones(effect_id, elsewhere):
     assert handicapped(effect_id, {Sensor.GYRO: FaultyInstances(slow=(1,))}) == elsewhere
 
 
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_an_earth_that_only_one_compass_sees_is_no_earth(count):
+    problem = problem_of(np.random.default_rng(1), (Sensor.MAG,), instances=count)
+    tested, _ = hypotheses_of([by_id()["mag_earth_field"]], views_of(problem, {}, {}))
+    assert [h.instances for h in tested] == [tuple(range(count))]
+
+
 def test_every_repetition_of_an_effect_has_the_same_handicap():
     problem = problem_of(np.random.default_rng(1), (Sensor.GYRO,), instances=2)
     tested, _ = hypotheses_of([by_id()["gyro_step"]], views_of(problem, {}, {}), {Sensor.GYRO: SLOW_AND_FAST})

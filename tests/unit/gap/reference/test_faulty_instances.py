@@ -59,6 +59,21 @@ def test_more_noise_is_that_of_the_instances_that_have_it(seed, with_sim, louder
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("quieter", [0, 1])
+def test_an_instance_that_is_less_loud_than_the_other_is_loud_as_well(seed, quieter):
+    """ArduPilot's simulator gives the second gyroscope nine times the power of noise for the same parameter."""
+    sizes = [9.0 * SIGMA, 9.0 * SIGMA]
+    sizes[quieter] = 3.0 * SIGMA
+    assert told(instances(seed, added=tuple(sizes)), instances(seed + 100)).fast == (0, 1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_one_that_is_very_loud_does_not_make_the_other_loud(seed):
+    for added, whose in (((9.0 * SIGMA, 0.0), (0,)), ((0.0, 9.0 * SIGMA), (1,))):
+        assert told(instances(seed, added=added), instances(seed + 100)).fast == whose
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("sigma", [EQUAL, UNLIKE])
 def test_what_the_simulator_has_as_well_is_nobodys(seed, sigma):
     assert faulty_instances_of(instances(seed, sigma), instances(seed + 100, sigma)) == {}

@@ -85,3 +85,25 @@ def test_noise_that_is_louder_for_a_moment_is_nothing_that_passes():
 
     assert not any("passes" in left.text for left in left_of(louder))
     assert not any("passes" in left.text for at in (0, 6000, 6017, 11_999) for left in left_of(spike_at(at)))
+
+
+def jolted(*, lasts, sensor=Sensor.ACCEL):
+    """An accelerometer with a spectrum of another flight, and more noise: at a touchdown, or all the time."""
+    rng = np.random.default_rng(3)
+    t = np.arange(N) / FS
+    touches = (t > 55.0) & (t < 55.4)
+    ideal = np.zeros((N, 3)) - [0.0, 0.0, 9.8]
+    ideal += 20.0 * touches[:, None] * rng.normal(size=(N, 3))
+    more = (4.0 if lasts else 40.0) * SD * rng.normal(size=(N, 3)) * (1.0 if lasts else touches[:, None])
+    measured = ideal + SD * rng.normal(size=(N, 3)) + more
+    hz = np.linspace(0.0, 0.5 * FS, 50)
+    psd = np.full((50, 3), SD**2)
+    trace = Trace(sensor, (0,), t, measured, ideal, np.ones(N, dtype=bool), psd=psd, psd_hz=hz, sigma_dof=1e4)
+    setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), N / FS), {}, {}))
+    return excess_power(starting_model(setting, starting_noise(setting)))
+
+
+def test_what_lasts_as_long_as_a_touchdown_is_no_error_of_the_accelerometer():
+    assert jolted(lasts=False) == []
+    (left,) = jolted(lasts=True)
+    assert left.text.startswith("power from")

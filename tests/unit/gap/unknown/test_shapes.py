@@ -62,7 +62,10 @@ def test_every_covariate_that_is_recorded_has_its_line_and_none_that_is_not():
 def test_shapes_are_told_apart_by_instance_and_from_the_catalogue():
     found = [h for shape in shapes_of(model_of(instances=2).setting) for h in shape.hypotheses]
     assert len({h.key for h in found}) == len(found)
-    assert {h.instances for h in found} == {(0,), (1,)}
+    assert {h.instances for h in found} == {(0,), (1,), (0, 1)}
+    together = {h.effect.excited_by for h in found if h.instances == (0, 1)}
+    assert all(text.startswith("time since the start on ") for text in together)  # the clock of the test begins at zero
+    assert together
     assert all(h.effect.nameless for h in found)
     assert not {h.effect.id for h in found} & set(by_id())
 

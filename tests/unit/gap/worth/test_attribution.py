@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcal.calib.gap.effects import by_id, catalogue
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.exchange import Alternative, Place
 from mavcal.calib.gap.worth import attribution
@@ -19,8 +20,14 @@ from mavcal.calib.gap.worth.attribution import TEMPERATURE, Attribution
 OWN = 100.0
 """Penalised evidence of the effect itself."""
 NAMELESS = SimpleNamespace(
-    id="shape", nameless=True, family=next(iter(prices.SHAPE_PRICES)), part=0, excited_by="bursts"
+    id="shape",
+    nameless=True,
+    family=next(iter(prices.SHAPE_PRICES)),
+    part=0,
+    excited_by="bursts",
+    traits=frozenset(),
 )
+GROWING = SimpleNamespace(**{**vars(NAMELESS), "excited_by": "time", "traits": frozenset({Trait.GROWING})})
 
 
 def score(effect, delta, *, p=1e-6, instances=(0,)):
@@ -52,6 +59,16 @@ BIAS, ROTATION, SCALE, WALK = (by_id()[f"accel_{name}"] for name in ("bias", "ro
 def test_an_effect_without_a_rival_is_sure_and_nothing_is_unknown():
     rivals, sure, unknown = judged()
     assert (rivals, sure, unknown) == ((), pytest.approx(1.0), pytest.approx(0.0))
+
+
+def test_beside_a_temperature_that_rises_with_time_both_are_named_with_what_decides():
+    rivals, sure, _ = judged(other(GROWING, 1.0, kappa=0.99), own="gyro_temp_linear")
+    (rival,) = rivals
+    assert (rival.id, rival.kappa, rival.delta) == ("drift_in_time", 0.99, 1.0)
+    assert "cool" in rival.fix
+    assert sure < 0.6
+    assert judged(other(GROWING, 100.0), own="gyro_temp_linear")[0] == ()  # the temperature did not follow the time
+    assert judged(other(GROWING, 1.0), own="accel_bias")[0] == ()
 
 
 @settings(max_examples=30)

@@ -1,0 +1,133 @@
+"""Which outputs of an ArduPilot drive motors, and how far each pulse drives its motor.
+
+A range (copter, throttle of a plane) runs from rest at its least pulse. A reversible output rests at its neutral pulse:
+thrusters of a sub (``AP_Motors6DOF``: 1500 us), throttles of rovers and boats (``SERVOn_TRIM``), throttles of planes
+with reverse thrust (``THR_MIN`` < 0), 3D speed controllers (``SERVO_BLH_3DMASK``). Sources: ``AP_MotorsUGV.cpp``,
+``AP_Motors6DOF.cpp``, ``SRV_Channel.cpp`` and ``ArduPlane/servos.cpp``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from mavcal.calib.firmware.ardupilot.log_fields import MOTOR_FUNCTIONS, PWM_DEFAULT, THROTTLE_FUNCTIONS
+
+Array = NDArray[np.float64]
+
+LEAST_US: Final = 500.0
+MOST_US: Final = 2500.0
+"""Pulses of a speed controller. What lies outside was never set: 0, or what the memory held."""
+NEUTRAL_US: Final = 1500.0
+REVERSIBLE_RANGE: Final = (1100.0, 1900.0)
+"""Default ends of the outputs (``SERVOn_MIN``, ``SERVOn_MAX``)."""
+_COPTERS_FIRST: Final = 8
+"""Outputs that may drive motors of a copter without ``SERVOn_FUNCTION``."""
+_OLD_THROTTLE, _OLD_STEERING = 3, 1
+"""Outputs of throttle and steering before ``SERVOn_FUNCTION``; both are motors of a skid-steered rover."""
+_BY_PARAMETERS: Final[tuple[tuple[int, tuple[str, ...]], ...]] = (
+    (dialect.MAV_TYPE_SUBMARINE, ("JS_GAIN_DEFAULT", "SURFACE_DEPTH", "MOT_1_DIRECTION")),
+    (dialect.MAV_TYPE_GROUND_ROVER, ("CRUISE_THROTTLE", "CRUISE_SPEED", "SKID_STEER_OUT", "TURN_MAX_G")),
+    (dialect.MAV_TYPE_FIXED_WING, ("ARSPD_FBW_MIN", "AIRSPEED_MIN", "TRIM_ARSPD_CM", "LIM_ROLL_CD", "ROLL_LIMIT_DEG")),
+)
+"""Parameters that only one kind of firmware has."""
+
+
+@dataclass(frozen=True)
+class MotorOutput:
+    """One output that drives a motor: its number from 1, and its pulses, us."""
+
+    number: int
+    low: float
+    high: float
+    neutral: float | None = None
+    """The pulse at which it rests between two directions; None: it turns one way, from `low` on."""
+    reversed: bool = False
+
+    def drive(self, pulse: Array) -> Array:
+        """0..1, or -1..1 of a reversible one; 0 where there is no pulse."""
+        given = (pulse >= LEAST_US) & (pulse <= MOST_US)
+        if self.neutral is None:
+            share = (pulse - self.low) / (self.high - self.low)
+            value = np.clip(1.0 - share if self.reversed else share, 0.0, 1.0)
+        else:
+            span = np.where(pulse >= self.neutral, self.high - self.neutral, self.neutral - self.low)
+            value = np.clip((pulse - self.neutral) / np.maximum(span, 1.0), -1.0, 1.0)
+            value = -value if self.reversed else value
+        return np.where(given, value, 0.0)
+
+
+def kind_of_vehicle(told: int | None, parameters: Mapping[str, float]) -> int | None:
+    """MAV_TYPE: as `told`, else as parameters that only one kind of firmware has say; None: not known."""
+    if told is not None:
+        return told
+    return next((kind for kind, names in _BY_PARAMETERS if any(name in parameters for name in names)), None)
+
+
+def motor_outputs(
+    outputs: Sequence[int], parameters: Mapping[str, float], vehicle_type: int | None
+) -> list[MotorOutput]:
+    """The outputs among `outputs` that drive motors, by motor number where a function tells it."""
+    kind = kind_of_vehicle(vehicle_type, parameters)
+    functions = {n: int(parameters.get(f"SERVO{n}_FUNCTION", 0)) for n in outputs}
+    motors = {MOTOR_FUNCTIONS[f]: n for n, f in functions.items() if f in MOTOR_FUNCTIONS}
+    throttles = [n for n, f in functions.items() if f in THROTTLE_FUNCTIONS]
+    if motors:
+        rotors = [_output(motors[k], parameters, kind, _low_high(parameters)) for k in sorted(motors)]
+        return [*rotors, *(_output(n, parameters, kind, None) for n in throttles)]
+    if throttles or any(f"SERVO{n}_FUNCTION" in parameters for n in (1, *outputs)):
+        return [_output(n, parameters, kind, None) for n in throttles]
+    return [_output(n, parameters, kind, _low_high(parameters)) for n in _old(kind, parameters) if n in outputs]
+
+
+def _old(kind: int | None, parameters: Mapping[str, float]) -> tuple[int, ...]:
+    """Outputs of motors in firmwares without ``SERVOn_FUNCTION``."""
+    if kind == dialect.MAV_TYPE_GROUND_ROVER:
+        return (_OLD_STEERING, _OLD_THROTTLE) if parameters.get("SKID_STEER_OUT") else (_OLD_THROTTLE,)
+    if kind == dialect.MAV_TYPE_FIXED_WING:
+        return (_OLD_THROTTLE,)
+    return tuple(range(1, _COPTERS_FIRST + 1))
+
+
+def _output(
+    number: int, parameters: Mapping[str, float], kind: int | None, low_high: tuple[float, float] | None
+) -> MotorOutput:
+    turned = bool(parameters.get(f"SERVO{number}_REVERSED", parameters.get(f"RC{number}_REV", 1) == -1))
+    ends = low_high or _ends(number, parameters) or PWM_DEFAULT
+    if not _reversible(number, parameters, kind):
+        return MotorOutput(number, *ends, reversed=turned and low_high is None)
+    low, high = _ends(number, parameters) or REVERSIBLE_RANGE
+    trim = parameters.get(f"SERVO{number}_TRIM", parameters.get(f"RC{number}_TRIM", NEUTRAL_US))
+    neutral = NEUTRAL_US if kind == dialect.MAV_TYPE_SUBMARINE or not low < trim < high else float(trim)
+    return MotorOutput(number, low, high, neutral, turned)
+
+
+def _reversible(number: int, parameters: Mapping[str, float], kind: int | None) -> bool:
+    if kind in (dialect.MAV_TYPE_SUBMARINE, dialect.MAV_TYPE_GROUND_ROVER, dialect.MAV_TYPE_SURFACE_BOAT):
+        return True
+    if int(parameters.get("SERVO_BLH_3DMASK", 0)) >> (number - 1) & 1:
+        return True
+    function = int(parameters.get(f"SERVO{number}_FUNCTION", 0))
+    return kind != dialect.MAV_TYPE_QUADROTOR and function in THROTTLE_FUNCTIONS and parameters.get("THR_MIN", 0) < 0
+
+
+def _ends(number: int, parameters: Mapping[str, float]) -> tuple[float, float] | None:
+    """Least and most pulse of that output; None: not told."""
+    for stem in (f"SERVO{number}", f"RC{number}"):
+        low, high = parameters.get(f"{stem}_MIN", 0.0), parameters.get(f"{stem}_MAX", 0.0)
+        if LEAST_US <= low < high <= MOST_US:
+            return float(low), float(high)
+    return None
+
+
+def _low_high(parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Pulses of the rotors of a copter or a VTOL at rest and at full power."""
+    for low, high in (("MOT_PWM_MIN", "MOT_PWM_MAX"), ("Q_M_PWM_MIN", "Q_M_PWM_MAX"), ("RC3_MIN", "RC3_MAX")):
+        if LEAST_US <= parameters.get(low, 0) < parameters.get(high, 0) <= MOST_US:
+            return float(parameters[low]), float(parameters[high])
+    return PWM_DEFAULT

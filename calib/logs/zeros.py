@@ -1,0 +1,27 @@
+"""Samples of an accelerometer or a compass that are exactly nothing, which such a sensor reads only when it is dead."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Sensor
+
+_NEVER_ZERO: Final = (Sensor.ACCEL, Sensor.MAG)
+"""A gyroscope may read 0, 0, 0 at rest."""
+
+
+def without_zeros(channel: Channel, events: list[Event]) -> Channel:
+    """`channel` without such samples; `events` are told how many. A channel that holds nothing else is kept."""
+    if channel.sensor not in _NEVER_ZERO or channel.unit == "counts":
+        return channel
+    zero = ~np.asarray(channel.values.any(axis=1))
+    if not zero.any() or zero.all():
+        return channel
+    when, count = channel.t[zero], int(zero.sum())
+    odd = OddSamples(Oddity.ZERO, channel.sensor, channel.instance, count, len(zero), until=float(when[-1]))
+    text = f"{count} of {len(zero)} samples of {channel.source} are exactly 0, 0, 0, which such a sensor never reads"
+    told = f"{channel.sensor} {channel.instance + 1}: {text}; left out"
+    events.append(Event(float(when[0]), "damage", told, odd))
+    return channel.take(~zero)

@@ -1,0 +1,73 @@
+"""How the sensors are mounted: really, by the configuration, and as the parameters say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from mavcal.service.simvehicle.config import VehicleConfig
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.parameters import ParameterTable
+from mavcal.service.simvehicle.rotation import Array, matrix_from_degrees, mounting_matrix
+
+ANGLES = ("ROLL", "PITCH", "YAW")
+ARDUPILOT_CUSTOM = {101: "CUST_ROT1", 102: "CUST_ROT2"}
+PX4_CUSTOM = 100
+CUSTOM_SWITCH = "CUST_ROT_ENABLE"
+
+
+def true_mounting(config: VehicleConfig, mag: int) -> Array:
+    """R body_from_sensor of a magnetometer as it is really mounted."""
+    angles = true_angles(config, mag)
+    return mounting_matrix(config.mag_orientations[mag]) if angles is None else matrix_from_degrees(*angles)
+
+
+def true_angles(config: VehicleConfig, mag: int) -> tuple[float, float, float] | None:
+    """Roll, pitch, yaw in degrees of a magnetometer that no number describes."""
+    return config.mag_angles_deg[mag] if mag < len(config.mag_angles_deg) else None
+
+
+def stated(config: VehicleConfig) -> Iterator[tuple[int, tuple[float, float, float] | None]]:
+    """What the parameters of a new vehicle say of each magnetometer: a number, and the angles where it has none."""
+    for mag in range(config.mag_count):
+        if config.mag_orientation_parameters is not None:
+            yield config.mag_orientation_parameters[mag], None
+        else:
+            yield config.mag_orientations[mag], true_angles(config, mag)
+
+
+class CustomRotations:
+    """ArduPilot's two rotations by angles (AP_CustomRotations.cpp).
+
+    One is made of its angles when it is first used, or at boot where they are switched on; from then on its angles
+    act at the next boot only. The first use switches them on.
+    """
+
+    def __init__(self, table: ParameterTable) -> None:
+        self._table = table
+        self._made: dict[int, Array] = {}
+
+    def boot(self) -> None:
+        """Forget what was made; make all where they are switched on."""
+        self._made.clear()
+        if self._table.get(CUSTOM_SWITCH):
+            for number in ARDUPILOT_CUSTOM:
+                self.matrix(number)
+
+    def matrix(self, number: int) -> Array:
+        """R of one of them."""
+        if number not in self._made:
+            stem = ARDUPILOT_CUSTOM[number]
+            self._made[number] = matrix_from_degrees(*(self._table.get(f"{stem}_{angle}") for angle in ANGLES))
+            if CUSTOM_SWITCH in self._table and not self._table.get(CUSTOM_SWITCH):
+                self._table.store(CUSTOM_SWITCH, 1)
+                self._table.save(CUSTOM_SWITCH)
+        return self._made[number]
+
+    def mounting(self, number: float) -> Array:
+        """R of a mounting number; an unknown one acts as none, as an out-of-range enum does in the firmware."""
+        if int(number) in ARDUPILOT_CUSTOM:
+            return self.matrix(int(number))
+        try:
+            return mounting_matrix(int(number))
+        except ConfigurationError:
+            return mounting_matrix(0)
