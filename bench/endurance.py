@@ -36,8 +36,8 @@ STREAMS = 8
 STRANGERS = 40
 LAZY_THREADS = min(32, (os.cpu_count() or 1) + 4) + 4
 """So many asyncio's own pool starts at most (ThreadPoolExecutor's default), one whenever none is idle: a busy machine
-fills it in any hour. anyio's pool, for files and synchronous routes, has one a request at a time, and ends idle ones only
-when it is asked again; four are allowed for. A leak of one an hour shows in the 24 hours of the whole bench."""
+fills it in any hour. anyio's pool, for files and synchronous routes, has one a request at a time, and ends idle ones
+only when it is asked again: four are allowed for. A leak of one an hour shows in the 24 hours of the whole bench."""
 MB = 1e6
 
 
