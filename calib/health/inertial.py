@@ -266,8 +266,8 @@ def _heading_open(channel: Channel, witness: _Witness) -> tuple[HealthVerdict, s
     if judged_value(rate, sd, limits.RATE) == HealthVerdict.OK:
         return HealthVerdict.OK, ""
     return HealthVerdict.CANNOT_SAY, (
-        f". About the vertical it turns by {np.degrees(rate):.2f} +- {np.degrees(sd):.2f} deg/s beyond the attitude, "
-        f"whose heading is not to be believed ({witness.support.heading}): ten seconds at rest would decide"
+        f". About the vertical it turns by {np.degrees(rate):.2f} ± {shown_sd(float(np.degrees(sd)))} deg/s beyond "
+        f"the attitude, whose heading is not to be believed ({witness.support.heading}): ten seconds at rest would decide"
     )
 
 
