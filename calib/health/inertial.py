@@ -267,7 +267,8 @@ def _heading_open(channel: Channel, witness: _Witness) -> tuple[HealthVerdict, s
         return HealthVerdict.OK, ""
     return HealthVerdict.CANNOT_SAY, (
         f". About the vertical it turns by {np.degrees(rate):.2f} ± {shown_sd(float(np.degrees(sd)))} deg/s beyond "
-        f"the attitude, whose heading is not to be believed ({witness.support.heading}): ten seconds at rest would decide"
+        f"the attitude, whose heading is not to be believed ({witness.support.heading}): "
+        "ten seconds at rest would decide"
     )
 
 
