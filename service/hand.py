@@ -15,7 +15,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.service.errors import HandBusy, LinkDown, NotSimulated
 from mavcal.service.jobs.codec import to_json
 from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import CAPTURING, ENDED
+from mavcal.service.jobs.states import CAPTURING, ENDED, JobState
 from mavcal.service.link import Hand, Link
 from mavcal.service.simvehicle import ControlChannel, ControlError, Operator
 from mavcal.service.vehicle import Vehicle
@@ -91,9 +91,13 @@ class SimulatedHands:
         for job in self._jobs():
             if job.vehicle_id in moved and job.state not in ENDED:
                 newest[job.vehicle_id or ""] = job
-        for vehicle_id, job in newest.items():
+        for vehicle_id, link in moved.items():
             with suppress(ControlError):  # the vehicle has gone; its link tells
-                await self._serve(moved[vehicle_id], job)
+                job = newest.get(vehicle_id)
+                if job is not None:
+                    await self._serve(link, job)
+                if job is None or job.state == JobState.REVIEW:
+                    await asyncio.to_thread(self._put_down, link, turning=job is not None)
 
     async def _serve(self, link: Link, job: Job) -> None:
         prompt: dict[str, Any] | None = None if job.prompt is None else to_json(job.prompt)
@@ -108,6 +112,11 @@ class SimulatedHands:
         if now - since < MOMENT_S:
             return
         await asyncio.to_thread(self._followed, link, prompt)
+
+    def _put_down(self, link: Link, *, turning: bool) -> None:
+        """What was moved is put down, level; `turning`: only if it turns still."""
+        if link.id in self._operators and (not turning or self._operator(link).turning):
+            self._operator(link).rest()
 
     def _followed(self, link: Link, prompt: dict[str, Any]) -> None:
         self._operator(link).follow(prompt)

@@ -21,4 +21,5 @@ store.begin(() => {
   watchJobs(store);
   render(panel, shell(store));
 });
+window.addEventListener("resize", () => store.changed());
 for (const touch of ["pointerdown", "keydown"]) window.addEventListener(touch, wakeUp, { once: true });

@@ -101,16 +101,16 @@ export interface CalibrationCampaignRequest {
   vehicles: string[] | "all";
   /** Only those that carry this tag; null: whatever they carry. */
   tag?: string | null;
-  /** A kind of `/procedures`, such as gyro or level. */
-  kind: string;
-  /** Options of that procedure. */
-  options?: Record<string, number | boolean>;
   /** Options of every plan; confirmations belong to one plan and are refused. */
   plan_options?: PlanOptions;
   /** Accept and write every plan that nothing stands against; needs the scope write-params. */
   apply?: boolean;
   /** With `apply`: restart a vehicle whose plan needs it; else that plan stays in review. */
   reboot?: boolean;
+  /** A kind of `/procedures`, such as gyro or level. */
+  kind: string;
+  /** Options of that procedure. */
+  options?: Record<string, number | boolean>;
 }
 
 /** One parameter to be set. */
@@ -1145,6 +1145,22 @@ export interface RegistrationModel {
   extras: Record<string, string>;
 }
 
+/** Put the last verified calibration of many vehicles back. */
+export interface RestoreCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/vehicles`, or `all` that are heard now. */
+  vehicles: string[] | "all";
+  /** Only those that carry this tag; null: whatever they carry. */
+  tag?: string | null;
+  /** Options of every plan; confirmations belong to one plan and are refused. */
+  plan_options?: PlanOptions;
+  /** Accept and write every plan that nothing stands against; needs the scope write-params. */
+  apply?: boolean;
+  /** With `apply`: restart a vehicle whose plan needs it; else that plan stays in review. */
+  reboot?: boolean;
+}
+
 /** Put the last verified calibration back. */
 export interface RestoreRequest {
   /** These sensors alone, as gyro0 or accel1; empty: all, and what belongs to the board. */
@@ -2047,6 +2063,13 @@ export interface Operations {
     method: "POST";
     path: "/api/v1/campaigns/calibrate";
     body: CalibrationCampaignRequest;
+    answer: JobModel;
+  };
+  /** Put the last verified calibration of many vehicles back as one job. Without `apply` their plans wait in review. */
+  start_restore_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/restore";
+    body: RestoreCampaignRequest;
     answer: JobModel;
   };
   /** Run one method on many uploads as one job; the fits are in its items. */

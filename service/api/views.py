@@ -217,8 +217,9 @@ def item_model(item: Item, campaign_id: str, job: Job | None) -> ItemModel:
     found = result.get("preflight")
     href = f"api/v1/jobs/{campaign_id}/documents"
     return ItemModel.model_validate(
-        {name: getattr(item, name) for name in ("number", "subject", "name", "outcome", "code", "text", "job_id")}
+        {name: getattr(item, name) for name in ("number", "subject", "name", "outcome", "code", "text")}
         | {
+            "job_id": item.job_id if job is None else job.id,
             "job_state": None if job is None else job.state,
             "began_at": item.began_at,
             "ended_at": item.ended_at,

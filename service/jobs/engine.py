@@ -240,8 +240,16 @@ class JobEngine:
             found = await self._preflights.run(vehicle, self._history, heading=heading)
             return await self._record.keep_preflight(found)
 
-    async def restore(self, vehicle_id: str, plan_options: Mapping[str, Any] | None = None) -> Job:
+    async def restore(
+        self,
+        vehicle_id: str,
+        plan_options: Mapping[str, Any] | None = None,
+        *,
+        begun_by: Mapping[str, Any] | None = None,
+    ) -> Job:
         """A job that plans to put the last verified calibration back, mapped by device id; then in review or failed.
+
+        `begun_by` goes to its context: the campaign that began it.
 
         Raises
         ------
@@ -250,7 +258,7 @@ class JobEngine:
         InvalidInputError, VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, PhysicalJobRunning
             As for :meth:`adopt`.
         """
-        context = {"plan_options": checked_plan_options(plan_options or {})}
+        context = {"plan_options": checked_plan_options(plan_options or {}), **(begun_by or {})}
         vehicle = self._vehicles.vehicle(vehicle_id)
         require_ready(vehicle)
         await require_restorable(vehicle, self._history)

@@ -25,6 +25,8 @@ class Store {
     this.vehicles = new Map();
     /** @type {Map<string, string>} Names that people gave, by vehicle. */
     this.names = new Map();
+    /** @type {Map<string, string[]>} Tags that people gave, by vehicle. */
+    this.tags = new Map();
     /** @type {Map<string, LinkModel>} */
     this.links = new Map();
     /** @type {Map<string, JobSummary>} */
@@ -95,7 +97,9 @@ class Store {
     if (!this.procedures.length) this.procedures = await ask("list_procedures");
     const jobs = await ask("list_jobs", { query: { order: "newest", limit: NEWEST } });
     this.jobs = byId(jobs);
-    this.names = new Map((await ask("list_fleet", { query: { limit: 1000 } })).map((unit) => [unit.unit, unit.name]));
+    const units = await ask("list_fleet", { query: { limit: 1000 } });
+    this.names = new Map(units.map((unit) => [unit.unit, unit.name]));
+    this.tags = new Map(units.map((unit) => [unit.unit, unit.tags]));
     await this._look();
     await Promise.all([...this.full.keys()].map((id) => this.load(id)));
     this.ready = true;

@@ -3,7 +3,8 @@
 import { h } from "../core/dom.js";
 import { go, to } from "../core/route.js";
 import { ask } from "../core/service.js";
-import { kindName, moment, number, unitName } from "../core/words.js";
+import { AUTOPILOTS, kindName, moment, number, unitName } from "../core/words.js";
+import { vehicleName } from "./home.js";
 import { badge, quiet, table, title } from "./parts.js";
 
 /** @import { FleetSensorModel, SensorRecordModel, UnitHistoryModel } from "../mavcal.d.ts" */
@@ -17,11 +18,12 @@ export function historyRoom(store) {
   const history = store.answer(`history ${id}`, () => ask("get_unit_history", { parameters: { unit_id: id } }), 30000);
   if (!history) return h("div", {}, title("History"), quiet("Reading the history …"));
   const { unit } = history;
-  const here = store.vehicles.has(id);
+  const vehicle = store.vehicles.get(id);
   return h("div", {},
-    title(`History of ${unit.name || unit.unit}`, here ? h("div", { class: "actions" },
+    title(`History of ${unit.name || (vehicle ? vehicleName(vehicle) : AUTOPILOTS[unit.autopilot] ?? "a vehicle")}`, vehicle ? h("div", { class: "actions" },
       h("a", { class: "button", href: to("vehicle", id) }, "The vehicle"),
       h("button", { onclick: () => restore(store, id) }, "Restore the last verified calibration")) : null),
+    vehicle ? null : h("p", { class: "quiet small" }, `Unit ${unit.unit}`),
     unit.needs_recalibration ? h("p", { class: "first-line warn" }, `Calibrate it again: ${unit.reasons.map((reason) => reason.text).join("; ")}`) : null,
     unit.sensors.length ? unit.sensors.map((sensor) => sensorCard(store, history, sensor)) : quiet("No calibration of this unit has been verified yet."));
 }
@@ -59,7 +61,7 @@ function sensorCard(store, history, sensor) {
     drift(sensor),
     ours.filter((record) => record.bias).length > 1 ? curves(ours) : null,
     compared(ours.filter((record) => chosen.includes(record.source_id))),
-    rows.length ? table(["", "when", "by", ">°C", `>offset, ${sensor.drift.unit}`, ">± sd"], rows, "Calibrations") : quiet("Not measured yet."));
+    rows.length ? table(["", "when", "by", ">°C", `>offset, ${sensor.drift.unit}`, ">± sd"], rows, "Calibrations", [1, 2]) : quiet("Not measured yet."));
 }
 
 /** @param {FleetSensorModel} sensor */
@@ -99,5 +101,5 @@ function compared(two) {
     const sd = Math.hypot(a.sd?.[i] ?? 0, b.sd?.[i] ?? 0);
     return [axis, number(from), number(till), number(till - from, 3), sd ? `${number(Math.abs(till - from) / sd, 2)} sd` : "–"];
   });
-  return table(["axis", `>${moment(a.at)}`, `>${moment(b.at)}`, `>change, ${a.unit}`, ">that is"], rows, "Two calibrations compared");
+  return table(["axis", `>${moment(a.at)}`, `>${moment(b.at)}`, `>change, ${a.unit}`, ">that is"], rows, "Two calibrations compared", [0, 3, 4]);
 }

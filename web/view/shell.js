@@ -11,6 +11,7 @@ import { logRoom } from "./log.js";
 import { gapRoom } from "./gap.js";
 import { historyRoom } from "./history.js";
 import { setupRoom } from "./setup.js";
+import { campaignRoom } from "./campaign.js";
 import { widgetRoom } from "./widget.js";
 
 /** @import { View } from "../core/dom.js" */
@@ -18,7 +19,7 @@ import { widgetRoom } from "./widget.js";
 
 /** @type {Record<string, (store: Store) => View>} */
 const ROOMS = {
-  home, vehicle: vehicleRoom, job: jobRoom, logs: logsRoom, log: logRoom, gap: gapRoom, history: historyRoom, setup: setupRoom, widget: widgetRoom,
+  home, vehicle: vehicleRoom, job: jobRoom, campaign: campaignRoom, logs: logsRoom, log: logRoom, gap: gapRoom, history: historyRoom, setup: setupRoom, widget: widgetRoom,
 };
 
 /** @param {Store} store @returns {View[]} */
@@ -41,7 +42,7 @@ function header(store, room) {
   return h("header", { class: "top" },
     h("a", { class: "brand", href: to("home"), "aria-label": "mavcal, home" }, needle(), "mavcal"),
     h("nav", { "aria-label": "Rooms" },
-      way("home", "Vehicles", ["vehicle", "job", "history"]), way("logs", "Logs", ["log"]), way("gap", "Gap"), way("setup", "Setup")),
+      way("home", "Vehicles", ["vehicle", "job", "campaign", "history"]), way("logs", "Logs", ["log"]), way("gap", "Gap"), way("setup", "Setup")),
     h("p", { class: `connection ${store.connection.good ? "good" : "bad"}`, role: "status" },
       h("span", { class: "lamp", "aria-hidden": "true" }), h("span", { class: "words" }, store.connection.text)));
 }

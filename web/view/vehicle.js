@@ -41,26 +41,31 @@ function calibration(store, vehicle) {
 
 /** @param {Store} store @param {VehicleModel} vehicle */
 function preflight(store, vehicle) {
-  const held = store.keep(`preflight ${vehicle.id}`, () => ({ running: false, report: /** @type {PreflightModel | undefined} */ (undefined) }));
+  const held = store.keep(`preflight ${vehicle.id}`, () => ({ began: 0, report: /** @type {PreflightModel | undefined} */ (undefined) }));
   /** @type {(fix: ("gyro" | "level")[]) => Promise<any>} */
   const look = (fix) => store.act(async () => {
-    held.running = true;
+    held.began = Date.now();
+    const clock = setInterval(() => store.changed(), 1000); // its seconds are counted
     store.changed();
     try {
       held.report = await ask("run_preflight", { parameters: { vehicle_id: vehicle.id }, body: { fix } });
       store.forget(`sensors ${vehicle.id}`);
     } finally {
-      held.running = false;
+      clearInterval(clock);
+      held.began = 0;
     }
   });
-  const report = held.report;
+  const { began, report } = held;
+  const job = store.running(vehicle.id);
+  const waits = began > 0 || vehicle.silent || job !== undefined;
   return h("section", { key: "preflight" },
-    h("p", {}, "Put the vehicle down, leave it still, and look. Nothing is written by a look."),
+    h("p", {}, "Put the vehicle down, leave it still, and look. It takes 10 to 30 s. Nothing is written by a look."),
+    job ? h("p", { class: "first-line busy" }, `${kindName(job.kind)} goes on: look when it has ended.`) : null,
     h("div", { class: "actions" },
-      h("button", { class: "primary", disabled: held.running || vehicle.silent, onclick: () => look([]) }, held.running ? "Looking for ten seconds …" : "Look now"),
-      h("button", { disabled: held.running || vehicle.silent, onclick: () => look(["gyro"]) }, "Calibrate the gyro, then look")),
+      h("button", { class: "primary", disabled: waits, onclick: () => look([]) }, began ? `Looking … ${Math.round((Date.now() - began) / 1000)} s` : "Look now"),
+      h("button", { disabled: waits, onclick: () => look(["gyro"]) }, "Calibrate the gyro, then look")),
     report ? h("div", {},
-      h("p", { class: `first-line ${VERDICT_TONES[report.verdict]}` }, report.summary),
+      h("p", { class: `first-line ${VERDICT_TONES[report.verdict]}` }, `${report.summary} Looked at for ${Math.round(report.seconds)} s.`),
       h("ul", { class: "plain checks" }, report.checks.map((check) => row(check)))) : null);
 }
 

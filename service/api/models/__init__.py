@@ -10,6 +10,7 @@ from mavcal.service.api.models.campaigns import (
     GapCampaignRequest,
     ItemModel,
     PreflightCampaignRequest,
+    RestoreCampaignRequest,
 )
 from mavcal.service.api.models.events import (
     AnswerData,
@@ -221,6 +222,7 @@ __all__ = [
     "RecordingJobRequest",
     "RecordingModel",
     "RegistrationModel",
+    "RestoreCampaignRequest",
     "RestoreRequest",
     "ResultModel",
     "ReviewModel",

@@ -64,7 +64,8 @@ function picture(store, job) {
 
 /** What a person should know before writing: open where it is short. @param {PlanModel} plan */
 function notes(plan) {
-  const { warnings } = plan;
+  const agreed = plan.agreements.map(({ text }) => text);
+  const warnings = [...new Set(plan.warnings)].filter((text) => !agreed.some((other) => text.includes(other) || other.includes(text))); // read below
   if (!warnings.length) return null;
   return h("details", { class: "card", open: warnings.length <= 2 },
     h("summary", {}, badge("warn", warnings.length === 1 ? "1 thing to know" : `${warnings.length} things to know`)),
@@ -82,7 +83,9 @@ function losses(plan) {
 function choices(store, job, plan) {
   const options = /** @type {Record<string, any>} */ (job.plan_options);
   const sensors = [...new Set(job.results.map((fit) => `${fit.sensor}${fit.instance}`))];
-  const only = /** @type {string[]} */ (options.only?.length ? options.only : sensors);
+  const wanted = /** @type {string[]} */ (options.only?.length ? options.only : sensors);
+  const agreeing = new Set(plan.agreements.map(({ sensor, instance }) => `${sensor}${instance}`));
+  const only = wanted.filter((name) => !agreeing.has(name));
   /** @type {(change: Record<string, any>) => Promise<any>} */
   const again = (change) => store.act(async () => {
     await ask("renew_plan", { parameters: { job_id: job.id }, body: { plan_options: { ...options, ...change } } });
@@ -96,6 +99,7 @@ function choices(store, job, plan) {
     sensors.length > 1 ? job.results.map(({ sensor, instance }) => {
       const name = `${sensor}${instance}`;
       const on = only.includes(name);
+      if (agreeing.has(name)) return box(name, `${unitName(sensor, instance)}: as it is, nothing new to write`, false, {}, true);
       return box(name, unitName(sensor, instance), on, { only: on ? only.filter((other) => other !== name) : [...only, name] }, on && only.length === 1);
     }) : null,
     gyro ? box("keep", "Keep the gyro offsets at the next start (INS_GYR_CAL = 0)", options.keep_gyro_at_boot === true, { keep_gyro_at_boot: options.keep_gyro_at_boot !== true }) : null,
@@ -106,7 +110,7 @@ function choices(store, job, plan) {
 /** @param {PlanModel} plan */
 function changes(plan) {
   return table(["parameter", ">now", ">new", ">± sd", "unit", "why"],
-    plan.changes.map((change) => [change.name, number(change.old, 6), number(change.new, 6), rough(change.sd), change.unit, change.why]), "Parameters");
+    plan.changes.map((change) => [change.name, number(change.old, 6), number(change.new, 6), rough(change.sd), change.unit, change.why]), "Parameters", [0, 1, 2]);
 }
 
 /** @param {Store} store @param {JobModel} job */
@@ -152,6 +156,6 @@ export function written(store, job) {
     verification?.movement ? h("p", { class: "quiet" }, `To prove the rest: ${verification.movement.text}`) : null,
     h("details", { class: "card", open: running }, h("summary", {}, `${plan.changes.length} parameters`),
       table(["parameter", "state", ">before", ">new"], plan.changes.map((change, i) =>
-        [change.name, state(change, i), number(change.old, 6), number(change.new, 6)]), "Parameters")),
+        [change.name, state(change, i), number(change.old, 6), number(change.new, 6)]), "Parameters", [0, 1])),
     exports(store, job));
 }
