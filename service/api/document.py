@@ -107,7 +107,7 @@ def document(app: FastAPI) -> Json:
             for status in statuses(path, method, operation):
                 if status == 422 or str(status) not in operation["responses"]:
                     operation["responses"][str(status)] = _answer(status)
-                    schemas[f"Problem{status}"] = _problem(status)
+                    schemas[f"Problem{status}"] = _problem(status, schemas["Problem"])
     return made
 
 
@@ -188,11 +188,19 @@ def _answer(status: int) -> Json:
     return {"description": HTTPStatus(status).phrase, "content": {"application/problem+json": {"schema": schema}}}
 
 
-def _problem(status: int) -> Json:
-    """A problem with this status, and the codes that come with it."""
+def _problem(status: int, general: Json) -> Json:
+    """A problem with this status, and the codes that come with it.
+
+    It repeats the fields of `general`: generators of clients cannot merge a number with one value of it.
+    """
     chosen = sorted(code for code, known in codes().items() if status in known)
-    own = {"status": {"const": status}, "code": {"enum": chosen}}
+    own = {
+        "status": {**general["properties"]["status"], "const": status},
+        "code": {"type": "string", "title": f"Problem{status}Code", "enum": chosen},
+    }
     return {
+        **general,
+        "title": f"Problem{status}",
         "description": f"{HTTPStatus(status).phrase}.",
-        "allOf": [{"$ref": REF.format(model="Problem")}, {"type": "object", "properties": own}],
+        "properties": {**general["properties"], **own},
     }

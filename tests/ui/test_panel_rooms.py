@@ -56,7 +56,7 @@ def test_links_are_opened_refused_and_closed_and_text_stays_text(desk, tmp_path)
         desk.press("Connect")
         desk.sees("<img src=x", inside=".notice")
         assert desk.page.locator("#panel img").count() == 0
-        assert desk.page.title() == "mavcal"
+        assert desk.page.title() == "Setup · mavcal"
         desk.page.fill("#url", "serial:/dev/ttyNONE9:57600")
         desk.press("Connect")
         desk.sees("ttyNONE9", inside=".jobs")

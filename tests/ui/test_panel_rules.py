@@ -64,6 +64,7 @@ READY = {
     "about": "#name",
     "live": ".charts figure",
     "capture": ".faces li",
+    "campaign": ".campaign tbody tr",
     "review": ".before-after img",
     "logs": ".jobs li",
     "log": ".charts figure",

@@ -16,7 +16,10 @@ export function badge(tone, text) {
 /** @type {Record<string, Tone>} */
 export const VERDICT_TONES = { pass: "good", warn: "warn", fail: "bad", unknown: "unknown" };
 
-const NARROW = 640; // pixels: a table of many columns is rows of one line
+const NARROW = 640; // pixels: a table of many columns is rows of one line, and charts wait until they are asked for
+
+/** Whether this is a phone, held upright. */
+export const isNarrow = () => window.innerWidth <= NARROW;
 
 /**
  * A table whose headings that begin with ">" stand over numbers. On a phone each row is one line of the columns `line`,
@@ -24,7 +27,7 @@ const NARROW = 640; // pixels: a table of many columns is rows of one line
  * @param {string[]} head @param {any[][]} rows @param {string} label @param {number[]} [line]
  */
 export function table(head, rows, label, line) {
-  if (line && window.innerWidth <= NARROW) return folded(head, rows, label, line);
+  if (line && isNarrow()) return folded(head, rows, label, line);
   const numeric = head.map((text) => text.startsWith(">"));
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": label },
     h("table", {},

@@ -3,7 +3,8 @@
 import { h } from "../core/dom.js";
 import { to } from "../core/route.js";
 import { useKey } from "../core/service.js";
-import { home } from "./home.js";
+import { kindName, STATES } from "../core/words.js";
+import { condition, home, vehicleName } from "./home.js";
 import { vehicleRoom } from "./vehicle.js";
 import { jobRoom } from "./job/room.js";
 import { logsRoom } from "./logs.js";
@@ -12,6 +13,7 @@ import { gapRoom } from "./gap.js";
 import { historyRoom } from "./history.js";
 import { setupRoom } from "./setup.js";
 import { campaignRoom } from "./campaign.js";
+import { campaignName } from "./fleet.js";
 import { widgetRoom } from "./widget.js";
 
 /** @import { View } from "../core/dom.js" */
@@ -32,6 +34,22 @@ export function shell(store) {
     room === "job" ? null : notice(store),
     store.keyNeeded ? keyForm(store) : h("main", { id: "content", class: `room ${room}`, key: room, tabindex: "-1" }, ROOMS[room](store)),
   ].filter((view) => view !== null);
+}
+
+/** The page and its state, for whoever has many windows or does not see them. @param {Store} store */
+export function pageTitle(store) {
+  const { room, id } = store.place;
+  const job = store.full.get(id);
+  const vehicle = store.vehicles.get(id);
+  /** @type {Record<string, string>} */
+  const titles = {
+    home: `Vehicles (${store.vehicles.size})`, logs: "Logs", log: "Log", gap: "Gap", setup: "Setup",
+    vehicle: vehicle ? `${vehicleName(vehicle)}: ${condition(vehicle)[1]}` : "Vehicle",
+    history: vehicle ? `History of ${vehicleName(vehicle)}` : "History",
+    job: job ? `${kindName(job.kind)}: ${STATES[job.state]}` : "Job",
+    campaign: job ? `${campaignName(job)} of many: ${STATES[job.state]}` : "Campaign",
+  };
+  return [titles[room], store.connection.good ? "" : "not connected", "mavcal"].filter(Boolean).join(" · ");
 }
 
 /** @param {Store} store @param {string} room */

@@ -41,14 +41,14 @@ function calibration(store, vehicle) {
 
 /** @param {Store} store @param {VehicleModel} vehicle */
 function preflight(store, vehicle) {
-  const held = store.keep(`preflight ${vehicle.id}`, () => ({ began: 0, report: /** @type {PreflightModel | undefined} */ (undefined) }));
+  const held = store.keep(`preflight ${vehicle.id}`, () => ({ began: 0, heading: "", report: /** @type {PreflightModel | undefined} */ (undefined) }));
   /** @type {(fix: ("gyro" | "level")[]) => Promise<any>} */
   const look = (fix) => store.act(async () => {
     held.began = Date.now();
     const clock = setInterval(() => store.changed(), 1000); // its seconds are counted
     store.changed();
     try {
-      held.report = await ask("run_preflight", { parameters: { vehicle_id: vehicle.id }, body: { fix } });
+      held.report = await ask("run_preflight", { parameters: { vehicle_id: vehicle.id }, body: { fix, heading: held.heading === "" ? null : Number(held.heading) } });
       store.forget(`sensors ${vehicle.id}`);
     } finally {
       clearInterval(clock);
@@ -64,6 +64,11 @@ function preflight(store, vehicle) {
     h("div", { class: "actions" },
       h("button", { class: "primary", disabled: waits, onclick: () => look([]) }, began ? `Looking … ${Math.round((Date.now() - began) / 1000)} s` : "Look now"),
       h("button", { disabled: waits, onclick: () => look(["gyro"]) }, "Calibrate the gyro, then look")),
+    h("details", {}, h("summary", { class: "small" }, "The true heading is known"),
+      h("div", { class: "row-form" }, h("label", { for: "heading" }, "Heading of the nose from true north, deg"),
+        h("input", { id: "heading", type: "number", min: "0", max: "360", value: held.heading,
+          oninput: (/** @type {Event} */ event) => { held.heading = /** @type {HTMLInputElement} */ (event.target).value; } })),
+      h("p", { class: "quiet small" }, "With it a look tells which of two compasses is off.")),
     report ? h("div", {},
       h("p", { class: `first-line ${VERDICT_TONES[report.verdict]}` }, `${report.summary} Looked at for ${Math.round(report.seconds)} s.`),
       h("ul", { class: "plain checks" }, report.checks.map((check) => row(check)))) : null);
