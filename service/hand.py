@@ -96,8 +96,8 @@ class SimulatedHands:
                 job = newest.get(vehicle_id)
                 if job is not None:
                     await self._serve(link, job)
-                if job is None or job.state == JobState.REVIEW:
-                    await asyncio.to_thread(self._put_down, link, turning=job is not None)
+                if self._is_left(link, job):
+                    await asyncio.to_thread(self._operator(link).rest)
 
     async def _serve(self, link: Link, job: Job) -> None:
         prompt: dict[str, Any] | None = None if job.prompt is None else to_json(job.prompt)
@@ -113,10 +113,12 @@ class SimulatedHands:
             return
         await asyncio.to_thread(self._followed, link, prompt)
 
-    def _put_down(self, link: Link, *, turning: bool) -> None:
-        """What was moved is put down, level; `turning`: only if it turns still."""
-        if link.id in self._operators and (not turning or self._operator(link).turning):
-            self._operator(link).rest()
+    def _is_left(self, link: Link, job: Job | None) -> bool:
+        """Whether nobody needs the vehicle as it is: its job has ended, or is in review and it turns still."""
+        if link.id not in self._operators:
+            return False
+        _, _, operator = self._operators[link.id]
+        return operator.turning if job is not None and job.state == JobState.REVIEW else job is None and not operator.resting
 
     def _followed(self, link: Link, prompt: dict[str, Any]) -> None:
         self._operator(link).follow(prompt)

@@ -58,6 +58,7 @@ HEADERS = {
         *("open_link", "watch_vehicle", "start_job", "upload_recording", "plan_recording"),
         *("fit_recording", "start_fit", "diagnose_gap", "restore_calibration", "add_signing_key"),
         *("start_preflight_campaign", "start_calibration_campaign", "start_fit_campaign", "start_gap_campaign"),
+        "start_restore_campaign",
     ),
     "Link": ("list_jobs", "list_fleet", "list_items"),
 }

@@ -114,6 +114,11 @@ class Operator:
             self._once(("oblique", tuple(direction)), "hold", pose=_attitude(direction))
 
     @property
+    def resting(self) -> bool:
+        """Whether it was put down, or was never moved."""
+        return self._doing in (None, "rest")
+
+    @property
     def turning(self) -> bool:
         """Whether it tumbles or turns, until it is told otherwise."""
         return self._doing == "tumble" or (isinstance(self._doing, tuple) and self._doing[0] == "turn")

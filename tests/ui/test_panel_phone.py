@@ -92,3 +92,27 @@ def test_the_picture_of_a_review_is_not_blown_up_and_what_is_not_written_is_not_
     desk.sees("nothing new to write", inside=".choices")
     assert desk.page.get_by_text(agreeing[0]["text"].capitalize()).count() == 1  # a note is read once
     desk.close()
+
+
+def test_a_compass_that_is_mounted_otherwise_is_told_in_words_and_a_picture_without_a_flag(browser, place):
+    url, _, job = place
+    upside_down = {"verdict": "rotated", "name": "roll_180", "matrix": [[1, 0, 0], [0, -1, 0], [0, 0, -1]]}
+    blocker = "compass 1 is mounted turned by roll 180: look at it. Confirm it with the plan option confirm_mounting (--c)"
+
+    def mounted(route: Route) -> None:
+        answer = route.fetch()
+        told = answer.json()
+        told["results"][0] |= {"sensor": "mag", "instance": 0}
+        told["results"][0]["quality"]["orientation"] = upside_down
+        told["plan"]["blockers"] = [blocker]
+        route.fulfill(response=answer, body=json.dumps(told))
+
+    desk = Panel(browser, {"width": 1280, "height": 860})
+    desk.page.route(f"**/api/v1/jobs/{job}", mounted)
+    desk.open(url, f"#/job/{job}")
+    desk.sees("Compass 1 takes the top for the underside.", inside=".mounting")
+    expect(desk.page.locator(".mounting attitude-scene canvas")).to_be_attached()
+    expect(desk.page.get_by_label("The compass really is mounted as found")).to_be_visible()
+    desk.sees("Confirm it below, once you have looked.", inside=".review")
+    assert "--" not in desk.text(".review .notice")
+    desk.close()

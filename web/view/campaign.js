@@ -3,7 +3,7 @@
 import { h } from "../core/dom.js";
 import { to } from "../core/route.js";
 import { ask } from "../core/service.js";
-import { ENDED } from "../core/store.js";
+import { BUSY, ENDED } from "../core/store.js";
 import { sentence, span, STATES, tone, words } from "../core/words.js";
 import { campaignName } from "./fleet.js";
 import { vehicleName } from "./home.js";
@@ -34,7 +34,8 @@ export function campaignRoom(store) {
     return h("div", { class: "card" }, quiet(failed === undefined ? "Reading this campaign …" : "There is no such campaign."));
   }
   const over = ENDED.has(job.state);
-  const items = store.answer(`items ${id} ${over}`, () => ask("list_items", { parameters: { job_id: id }, query: { limit: MOST } }), over ? 15000 : AGE_MS);
+  const items = store.answer(`items ${id} ${over}`, () => ask("list_items", { parameters: { job_id: id }, query: { limit: MOST } }), over ? 15000 : AGE_MS)
+    ?? /** @type {ItemModel[] | undefined} */ (store.kept.get(`answer items ${id} false`)?.value); // while the last answer is on its way
   const rows = (items ?? []).map((item) => ({ item, needs: need(store, item) })).sort((a, b) =>
     ORDER.indexOf(a.needs) - ORDER.indexOf(b.needs) || a.item.number - b.item.number);
   return h("div", {},
@@ -48,9 +49,10 @@ const vehicles = (count) => `${count} ${count === 1 ? "vehicle" : "vehicles"}`;
 
 /** What an item needs: a hand now, or what became of it. @param {Store} store @param {ItemModel} item */
 function need(store, item) {
-  if (item.outcome === "review") return item.job_state === "review" ? "review" : item.job_state === "succeeded" ? "done" : "cancelled";
+  const state = store.jobs.get(item.job_id ?? "")?.state ?? item.job_state;
+  if (item.outcome === "review") return state === "review" ? "review" : state === "succeeded" ? "done" : state && BUSY.has(state) ? "running" : "cancelled";
   if (item.outcome !== "running") return item.outcome;
-  return item.job_state === "waiting_for_operator" || promptOf(store, item) ? "hand" : item.job_state === "in_doubt" ? "in_doubt" : "running";
+  return state === "waiting_for_operator" || promptOf(store, item) ? "hand" : state === "in_doubt" ? "in_doubt" : "running";
 }
 
 /** @param {Store} store @param {ItemModel} item */

@@ -28,7 +28,10 @@ const ROOMS = {
 export function shell(store) {
   const room = ROOMS[store.place.room] ? store.place.room : "home";
   return [
-    h("a", { class: "skip", href: "#content" }, "Skip to content"),
+    h("a", { class: "skip", href: "#content", onclick: (/** @type {Event} */ event) => {
+      event.preventDefault(); // the address names a room, not a place in the page
+      document.getElementById("content")?.focus();
+    } }, "Skip to content"),
     header(store, room),
     banner(store),
     room === "job" ? null : notice(store),

@@ -4,6 +4,7 @@ import { h } from "../../core/dom.js";
 import { ask, save } from "../../core/service.js";
 import { number, rough, sentence, unitName, words } from "../../core/words.js";
 import { badge, quiet, table, VERDICT_TONES } from "../parts.js";
+import { mountings } from "./mounting.js";
 
 /** @import { ChangeModel, JobModel, PlanModel, ReviewModel } from "../../mavcal.d.ts" */
 /** @typedef {typeof import("../../core/store.js").store} Store */
@@ -20,7 +21,7 @@ export function review(store, job) {
   const found = reviewOf(store, job);
   return h("section", { class: "review", "aria-label": "Review" },
     found ? headline(found) : quiet("Reading the review …"),
-    plan.blockers.map((text, i) => h("p", { class: "notice", role: "alert", key: `b${i}` }, `Nothing will be written: ${text}`)),
+    plan.blockers.map((text, i) => h("p", { class: "notice", role: "alert", key: `b${i}` }, `Nothing will be written: ${text.replace(/ Confirm it with the plan option .*$/, " Confirm it below, once you have looked.")}`)),
     found ? criteria(found) : null,
     found?.picture ? picture(store, job) : null,
     notes(plan),
@@ -103,6 +104,7 @@ function choices(store, job, plan) {
       return box(name, unitName(sensor, instance), on, { only: on ? only.filter((other) => other !== name) : [...only, name] }, on && only.length === 1);
     }) : null,
     gyro ? box("keep", "Keep the gyro offsets at the next start (INS_GYR_CAL = 0)", options.keep_gyro_at_boot === true, { keep_gyro_at_boot: options.keep_gyro_at_boot !== true }) : null,
+    mountings(job, store.vehicles.get(job.vehicle_id ?? "")),
     plan.blockers.some((text) => text.includes("mount")) ? box("mounting", "The compass really is mounted as found", options.confirm_mounting === true, { confirm_mounting: options.confirm_mounting !== true }) : null,
     h("button", { class: "plain small", onclick: () => again({}) }, "Plan again on the present parameters"));
 }

@@ -1,0 +1,47 @@
+// How a compass is mounted, if that is not as the parameters say: in words, in a picture, and to be confirmed.
+
+import { h } from "../../core/dom.js";
+import { unitName } from "../../core/words.js";
+import { IDENTITY } from "../../scene/rotation.js";
+
+/** @import { JobModel, VehicleModel } from "../../mavcal.d.ts" */
+/** @import { Quaternion } from "../../scene/rotation.js" */
+
+const ENDS = [["the nose", "the tail"], ["the right side", "the left side"], ["the underside", "the top"]];
+
+/**
+ * Each compass that is mounted otherwise than stated. @param {JobModel} job @param {VehicleModel | undefined} vehicle
+ */
+export function mountings(job, vehicle) {
+  return job.results.filter((fit) => fit.sensor === "mag").map((fit) => {
+    const found = /** @type {{ matrix?: number[][] } | undefined} */ (fit.quality.orientation);
+    if (found?.verdict !== "rotated" || !found.matrix) return null;
+    const name = unitName(fit.sensor, fit.instance);
+    const words = `${name} ${turned(found.matrix)}.`;
+    return h("figure", { class: "mounting", key: `${fit.instance}` },
+      h("attitude-scene", { role: "img", "aria-label": words,
+        scene: { airframe: vehicle?.airframe ?? "multirotor", attitude: quaternion(found.matrix), ghost: IDENTITY } }),
+      h("figcaption", {}, words, h("span", { class: "quiet small" }, " Solid: how the compass sees the vehicle. Outline: how it stands.")));
+  }).filter((figure) => figure !== null);
+}
+
+/** Where the axes of a rotation (3, 3) lead, in words; empty: nowhere else. @param {number[][]} matrix */
+function turned(matrix) {
+  const said = [0, 2].map((axis) => {
+    const column = matrix.map((row) => row[axis]);
+    const to = column.reduce((best, part, i) => (Math.abs(part) > Math.abs(column[best]) ? i : best), 0);
+    return to === axis && column[to] > 0 ? "" : `takes ${ENDS[to][column[to] > 0 ? 0 : 1]} for ${ENDS[axis][0]}`;
+  }).filter(Boolean);
+  return said.join(" and ");
+}
+
+/** The quaternion of a rotation; the largest of its parts is computed first, so that none is lost. @param {number[][]} m @returns {Quaternion} */
+function quaternion(m) {
+  const [w, x, y, z] = [1 + m[0][0] + m[1][1] + m[2][2], 1 + m[0][0] - m[1][1] - m[2][2], 1 - m[0][0] + m[1][1] - m[2][2], 1 - m[0][0] - m[1][1] + m[2][2]];
+  const [a, b, c] = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
+  const [d, e, f] = [m[0][1] + m[1][0], m[0][2] + m[2][0], m[1][2] + m[2][1]];
+  const most = Math.max(w, x, y, z);
+  const all = most === w ? [w, a, b, c] : most === x ? [a, x, d, e] : most === y ? [b, d, y, f] : [c, e, f, z];
+  const size = Math.hypot(...all);
+  return /** @type {Quaternion} */ (all.map((part) => part / size));
+}
