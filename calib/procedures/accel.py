@@ -39,7 +39,8 @@ SPEC = ProcedureSpec(
         Option("obliques", float, 4.0, "oblique poses to ask for beside the six faces", "", 3.0, 12.0),
         Option("patience", float, 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
     ),
-    needs="the vehicle held still on its six faces and in four oblique poses, in any order, 2-3 s each",
+    needs="the vehicle, propellers off, held still on its six faces and in four oblique poses, in "
+    "any order, 2-3 s each",
     ends_on="standard deviation of every offset (0.005 m/s2), and poses that agree (residual test, dof 3 or more)",
     autopilots=ACCEL,
     duration_s=60.0,

@@ -42,7 +42,8 @@ SPEC = ProcedureSpec(
         ),
         Option("patience", float, 240.0, "ends after this time in any case", "s", 20.0, 3600.0),
     ),
-    needs="the vehicle turned slowly about all axes, outdoors, away from steel and magnets; accelerometers calibrated",
+    needs="the vehicle, propellers off, turned slowly about all axes, outdoors, away from steel and "
+    "magnets; accelerometers calibrated",
     ends_on="standard deviation of the heading of every compass (0.3 deg), and a mounting that gravity confirms",
     autopilots=MAG,
     duration_s=40.0,

@@ -79,7 +79,7 @@ def test_a_campaign_of_calibrations_asks_first_and_shows_whom_it_needs(browser, 
     panel.sees("1 of 3 selected", inside=".hands")
     panel.press("All (3)")
     panel.press("Gyro")
-    panel.sees("Take the propellers off", inside=".hands")
+    panel.sees("Each needs the vehicle lying still", inside=".hands")
     panel.sees("each plan waits for your review", inside=".hands")
     panel.press("Start")
     panel.sees("Gyro of 3 vehicles", inside="h1")

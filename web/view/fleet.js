@@ -4,7 +4,7 @@ import { h } from "../core/dom.js";
 import { go, to } from "../core/route.js";
 import { ask } from "../core/service.js";
 import { ENDED } from "../core/store.js";
-import { kindName, sentence, span } from "../core/words.js";
+import { kindName, span } from "../core/words.js";
 import { sensorStates, worst } from "./tiles.js";
 
 /** @import { JobModel, VehicleModel } from "../mavcal.d.ts" */
@@ -67,7 +67,7 @@ function question(store, chosen, meant) {
   const what = task === "restore" ? "Put the last verified calibration back" : `Calibrate: ${kindName(task)}`;
   return h("div", { key: "question" },
     h("h2", {}, `${what}, ${meant.length} ${meant.length === 1 ? "vehicle" : "vehicles"}`),
-    procedure ? h("p", {}, `Take the propellers off. ${sentence(procedure.needs)}. About ${span(procedure.duration_s)} each, up to 32 at a time.`) : null,
+    procedure ? h("p", {}, `Each needs ${procedure.needs}. About ${span(procedure.duration_s)} each; up to 32 go at a time.`) : null,
     h("label", { class: "choice" },
       h("input", { type: "checkbox", checked: chosen.write, onchange: () => { chosen.write = !chosen.write; store.changed(); } }),
       "Write every plan that nothing stands against"),
