@@ -76,15 +76,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     if CHROMIUM is None:
         print("Chromium is not here: nothing is measured", file=sys.stderr)
         return 1
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
-        with service(endpoint(1, speed=1, seed=1), Path(folder) / "data") as running:
-            for number in range(2, asked.vehicles + 1):
-                connected(running.client, endpoint(number, speed=1, seed=number))
-            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS])
-            page = browser.new_page(viewport={"width": 1280, "height": 860})
-            page.set_default_timeout(600_000)
-            found = [campaign(page, running, name) for name in ("Preflight", "Gyro")]
-            browser.close()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        sync_playwright() as playwright,
+        service(endpoint(1, speed=1, seed=1), Path(folder) / "data") as running,
+    ):
+        for number in range(2, asked.vehicles + 1):
+            connected(running.client, endpoint(number, speed=1, seed=number))
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS])
+        page = browser.new_page(viewport={"width": 1280, "height": 860})
+        page.set_default_timeout(600_000)
+        found = [campaign(page, running, name) for name in ("Preflight", "Gyro")]
+        browser.close()
     section = Section(f"Campaigns of {asked.vehicles} vehicles from the page", tuple(r for m in found for r in rows(m)))
     print(shown(section))
     print(f"\n{machine()}")
@@ -103,7 +106,9 @@ def campaign(page: Page, running: RunningService, name: str) -> Measured:
         page.get_by_role("button", name="Start", exact=True).click()
     page.wait_for_selector(".title .badge.good")
     seconds = time.monotonic() - began
-    return Measured(name, seconds, page.evaluate("window.pictures") / seconds, asking.stop(), running.resident_bytes() / 1e6)
+    return Measured(
+        name, seconds, page.evaluate("window.pictures") / seconds, asking.stop(), running.resident_bytes() / 1e6
+    )
 
 
 def rows(found: Measured) -> list[Row]:

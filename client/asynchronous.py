@@ -525,7 +525,7 @@ class AsyncClient(AsyncTransport):
         apply: bool | None = None,
         reboot: bool | None = None,
     ) -> JobModel:
-        """Put the last verified calibration of many vehicles back as one job. Without `apply` their plans wait in
+        """Put the last verified calibration of many vehicles back as a job; without `apply` their plans wait in
         review.
         """
         return await self._ask(

@@ -515,7 +515,7 @@ class Client(Transport):
         apply: bool | None = None,
         reboot: bool | None = None,
     ) -> JobModel:
-        """Put the last verified calibration of many vehicles back as one job. Without `apply` their plans wait in
+        """Put the last verified calibration of many vehicles back as a job; without `apply` their plans wait in
         review.
         """
         return self._ask(

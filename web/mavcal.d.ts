@@ -2065,7 +2065,7 @@ export interface Operations {
     body: CalibrationCampaignRequest;
     answer: JobModel;
   };
-  /** Put the last verified calibration of many vehicles back as one job. Without `apply` their plans wait in review. */
+  /** Put the last verified calibration of many vehicles back as a job; without `apply` their plans wait in review. */
   start_restore_campaign: {
     method: "POST";
     path: "/api/v1/campaigns/restore";
