@@ -118,11 +118,9 @@ class SimulatedHands:
         if link.id not in self._operators:
             return False
         _, _, operator = self._operators[link.id]
-        return (
-            operator.turning
-            if job is not None and job.state == JobState.REVIEW
-            else job is None and not operator.resting
-        )
+        if job is None:
+            return not operator.resting
+        return job.state == JobState.REVIEW and operator.turning
 
     def _followed(self, link: Link, prompt: dict[str, Any]) -> None:
         self._operator(link).follow(prompt)

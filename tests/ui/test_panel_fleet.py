@@ -127,24 +127,3 @@ def test_the_title_names_page_and_state_and_focus_never_falls_to_the_body(browse
     desk.sees("Looked at for", 60, inside="main")
     assert desk.page.evaluate(inside)
     desk.close()
-
-
-def test_the_title_names_page_and_state_and_focus_never_falls_to_the_body(browser, fleet):
-    url, _, vehicles = fleet
-    desk = Panel(browser)
-    inside = "() => document.activeElement !== document.body && document.activeElement !== null"
-    desk.open(url)
-    desk.sees("ArduPilot 1", inside="main")
-    until(lambda: desk.page.title() == "Vehicles (3) · mavcal", 20, "the title of the home page")
-    desk.page.get_by_role("link", name="ArduPilot 1", exact=True).focus()
-    desk.page.keyboard.press("Enter")
-    until(lambda: desk.page.title() == "ArduPilot 1: disarmed · mavcal", 20, "the title of the vehicle")
-    until(lambda: bool(desk.page.evaluate(inside)), 10, "focus in the room")
-    desk.open(url, f"#/vehicle/{vehicles[2]}/preflight")
-    desk.page.get_by_role("button", name="Look now").focus()
-    desk.page.keyboard.press("Enter")
-    desk.sees("Looking", inside="main")
-    assert desk.page.evaluate(inside)
-    desk.sees("Looked at for", 60, inside="main")
-    assert desk.page.evaluate(inside)
-    desk.close()

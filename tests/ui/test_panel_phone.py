@@ -97,9 +97,7 @@ def test_the_picture_of_a_review_is_not_blown_up_and_what_is_not_written_is_not_
 def test_a_compass_that_is_mounted_otherwise_is_told_in_words_and_a_picture_without_a_flag(browser, place):
     url, _, job = place
     upside_down = {"verdict": "rotated", "name": "roll_180", "matrix": [[1, 0, 0], [0, -1, 0], [0, 0, -1]]}
-    blocker = (
-        "compass 1 is mounted turned by roll 180: look at it. Confirm it with the plan option confirm_mounting (--c)"
-    )
+    blocker = "compass 1 is mounted turned: look at it. Confirm it with the plan option confirm_mounting (--c)"
 
     def mounted(route: Route) -> None:
         answer = route.fetch()
