@@ -65,7 +65,7 @@ def test_vehicles_are_selected_and_preflighted_as_one_campaign(browser, fleet):
     over(panel)
     rows = panel.page.locator(".campaign tbody tr")
     expect(rows).to_have_count(2)
-    assert panel.page.locator(".campaign").get_by_text("runs").count() == 0
+    expect(panel.page.locator(".campaign .state").get_by_text("runs")).to_have_count(0)
     assert panel.page.evaluate(WIDTH) <= PHONE["width"]
     assert panel.complaints == []
     panel.close()
