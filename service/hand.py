@@ -93,10 +93,10 @@ class SimulatedHands:
                 newest[job.vehicle_id or ""] = job
         for vehicle_id, link in moved.items():
             with suppress(ControlError):  # the vehicle has gone; its link tells
-                job = newest.get(vehicle_id)
-                if job is not None:
-                    await self._serve(link, job)
-                if self._is_left(link, job):
+                present = newest.get(vehicle_id)
+                if present is not None:
+                    await self._serve(link, present)
+                if self._is_left(link, present):
                     await asyncio.to_thread(self._operator(link).rest)
 
     async def _serve(self, link: Link, job: Job) -> None:
