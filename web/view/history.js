@@ -52,16 +52,17 @@ function sensorCard(store, history, sensor) {
   };
   const rows = [...ours].reverse().slice(0, 30).map((record) => [
     h("input", { type: "checkbox", "aria-label": `Compare ${moment(record.at)}`, checked: chosen.includes(record.source_id), onchange: pick(record) }),
-    record.source === "job" ? h("a", { href: to("job", record.source_id) }, moment(record.at)) : moment(record.at),
+    moment(record.at),
     record.what === "rest" ? "Preflight" : kindName(record.what), number(record.temperature, 3),
-    (record.bias ?? []).map((value) => number(value, 3)).join(", ") || "–", (record.sd ?? []).map((value) => number(value, 2)).join(", ") || "–"]);
+    (record.bias ?? []).map((value) => number(value, 3)).join(", ") || "–", (record.sd ?? []).map((value) => number(value, 2)).join(", ") || "–",
+    record.source === "job" ? h("a", { href: to("job", record.source_id) }, "Open") : "–"]);
   return h("section", { class: "card", key },
     h("div", { class: "title" }, h("h2", {}, `${unitName(sensor.sensor, sensor.instance)}${sensor.type ? ` · ${sensor.type}` : ""}`),
       sensor.oddness?.odd ? badge("warn", "unlike others of its type") : null),
     drift(sensor),
     ours.filter((record) => record.bias).length > 1 ? curves(ours) : null,
     compared(ours.filter((record) => chosen.includes(record.source_id))),
-    rows.length ? table(["", "when", "by", ">°C", `>offset, ${sensor.drift.unit}`, ">± sd"], rows, "Calibrations", [1, 2]) : quiet("Not measured yet."));
+    rows.length ? table(["", "when", "by", ">°C", `>offset, ${sensor.drift.unit}`, ">± sd", "job"], rows, "Calibrations", [1, 2]) : quiet("Not measured yet."));
 }
 
 /** @param {FleetSensorModel} sensor */
