@@ -20,7 +20,7 @@ const MOST = 1000; // items in one answer
 const ORDER = ["hand", "in_doubt", "review", "failed", "refused", "warned", "running", "waiting", "skipped", "cancelled", "done"];
 /** @type {Record<string, [Tone, string]>} */
 const SHOWN = {
-  in_doubt: ["bad", "in doubt"], review: ["warn", "ready for your review"], failed: ["bad", "failed"], refused: ["bad", "no"],
+  in_doubt: ["bad", "in doubt"], review: ["warn", "ready for your review"], failed: ["bad", "failed"], refused: ["bad", "did not pass"],
   warned: ["warn", "warns"], running: ["busy", "runs"], waiting: ["unknown", "waits for its turn"], skipped: ["warn", "skipped"],
   cancelled: ["warn", "cancelled"], done: ["good", "done"],
 };
