@@ -23,7 +23,7 @@ pytestmark = pytest.mark.timeout(300)
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, str]]:
     """A service with a vehicle whose gyros were calibrated, and whose accelerometer waits in its review."""
     with service(tmp_path_factory.mktemp("phone")) as url, Client(url) as client:
-        vehicle = connected(client, endpoint(1, speed=20))
+        vehicle = connected(client, endpoint(1, speed=8))
         written(client, vehicle, "gyro")
         yield url, vehicle, reviewed(client, vehicle, "accel")
 
