@@ -48,7 +48,7 @@ HOLD_STILL = Prompt(
     PromptStep.HOLD_STILL,
     "Leave the vehicle alone: its sensors are read at rest.",
     answers=(FINISH,),
-    unfinished="The new values stay unproved. All were written and read back.",
+    unfinished="The new values stay unproved.",
 )
 
 
@@ -251,8 +251,7 @@ def proving(movement: Movement, unproved: int, lies: Pose | None = None) -> Prom
         rotate=movement.turn and not one,
         temperature=movement.temperature,
         answers=(FINISH,),
-        unfinished=f"{unproved} parameter{'s' if unproved > 1 else ''} stay{'' if unproved > 1 else 's'} unproved. "
-        "All were written and read back.",
+        unfinished=f"{unproved} parameter{'s' if unproved > 1 else ''} stay{'' if unproved > 1 else 's'} unproved.",
     )
 
 

@@ -304,7 +304,7 @@ def test_poses_that_prove_are_asked_for_one_at_a_time_with_what_stays_open() -> 
     assert first.text == "Hold it still nose down. Then 1 more pose."
     assert (first.pose, first.remaining) == (Pose.NOSE_DOWN, (Pose.NOSE_DOWN, Pose.RIGHT))
     assert (first.stable, first.rotate, first.hold_s is not None) == (False, False, True)
-    assert first.unfinished == "11 parameters stay unproved. All were written and read back."
+    assert first.unfinished == "11 parameters stay unproved."
     assert proving(movement, 11, Pose.NOSE_DOWN).stable
     assert not proving(movement, 11, Pose.RIGHT).stable
     turn = proving(replace(movement, faces=()), 1)

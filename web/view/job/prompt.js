@@ -46,6 +46,7 @@ function seen({ prompt }) {
   if (!prompt?.detected) return null;
   const pose = POSES[prompt.detected];
   if (taken(prompt)) return h("p", { class: "seen quiet" }, `✓ ${pose} is done. Turn it to the next one.`);
+  if (prompt.step === "prove" && prompt.detected !== prompt.pose) return h("p", { class: "seen quiet" }, `Seen: ${pose.toLowerCase()}`);
   return h("p", { class: `seen ${prompt.stable ? "good" : "quiet"}` },
     prompt.stable ? `✓ ${pose}: hold it` : `Seen: ${pose.toLowerCase()}, still moving`);
 }

@@ -156,5 +156,5 @@ export function written(store, job) {
     h("details", { class: "card", open: job.state === "applying" }, h("summary", {}, `${plan.changes.length} parameters${takenBack(job) ? ", each read back" : ""}`),
       table(["parameter", "state", ">before", ">new"], plan.changes.map((change, i) =>
         [change.name, state(change, i), number(change.old, 6), number(change.new, 6)]), "Parameters")),
-    exports(store, job));
+    running ? null : exports(store, job));
 }
