@@ -413,6 +413,8 @@ class JobSummary(Answer):
     """Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in
     part.
     """
+    broken: list[LeftOutModel]
+    """Sensors that fell out and that this kind of job does not calibrate; its own result is whole."""
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
     options: dict[str, Any]

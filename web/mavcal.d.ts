@@ -569,6 +569,8 @@ export interface JobModel {
   outcome: OutcomeModel | null;
   /** Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in part. */
   left_out: LeftOutModel[];
+  /** Sensors that fell out and that this kind of job does not calibrate; its own result is whole. */
+  broken: LeftOutModel[];
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
   /** Options of the procedure or method, and what an upload adds. */
@@ -623,6 +625,8 @@ export interface JobSummary {
   outcome: OutcomeModel | null;
   /** Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in part. */
   left_out: LeftOutModel[];
+  /** Sensors that fell out and that this kind of job does not calibrate; its own result is whole. */
+  broken: LeftOutModel[];
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
   /** Options of the procedure or method, and what an upload adds. */
@@ -1036,6 +1040,14 @@ export interface PromptModel {
   turns: number | null;
   /** A number that is asked for beside `answers`. */
   number: NumberModel | null;
+  /** The detected pose is done already: the next one is waited for. */
+  taken: boolean;
+  /** Oblique poses: those that were taken, then those that are asked for. */
+  tilts: TiltModel[];
+  /** What stays open after the answer `finish` now; empty: nothing. */
+  unfinished: string;
+  /** Null: the vehicle is heard. */
+  silence: SilenceModel | null;
 }
 
 /** What a prompt is about, for programs: those of a capture, then those of a write. */
@@ -1377,6 +1389,14 @@ export interface SigningRequest {
   key: string;
 }
 
+/** For how long the vehicle has not been heard. */
+export interface SilenceModel {
+  /** s. */
+  lasted: number;
+  /** After so long the job gives up, s. */
+  limit: number;
+}
+
 /** A slope along one axis, with the interval that holds it with 90 %. */
 export interface SlopeModel {
   /** Per year or per degC, in the unit of the drift. */
@@ -1441,6 +1461,13 @@ export interface TicketModel {
   ticket: string;
   /** How long it is good, s. */
   valid_s: number;
+}
+
+/** An oblique pose that is asked for, or that was taken. */
+export interface TiltModel {
+  /** Body direction (front, right, down) that points down; a unit vector. */
+  direction: [number, number, number];
+  taken: boolean;
 }
 
 /** How a simulated vehicle is to be held. */

@@ -112,14 +112,19 @@ def review_model(job: Job, review: Review) -> ReviewModel:
     )
 
 
+_PROMPT: Json = {"taken": False, "tilts": [], "unfinished": "", "silence": None}
+"""What prompts of before did not say; they are replayed to who asks for old events."""
+
+
 def event_model(event: EventRow) -> Json:
     """An event of a job."""
+    earlier: Json = _PROMPT if event.kind == "prompt" and event.data else {}
     return {
         "job_id": event.job_id,
         "sequence": event.sequence,
         "at": event.at,
         "kind": event.kind,
-        "data": to_json(event.data),
+        "data": {**earlier, **to_json(event.data)},
     }
 
 
@@ -272,6 +277,7 @@ def _summary(job: Job) -> Json:
         "prompt": to_json(job.prompt),
         "outcome": to_json(job.outcome),
         "left_out": to_json(job.left_out),
+        "broken": to_json(job.broken),
         "last_write": to_json(job.last_write),
         "options": dict(job.options),
     }

@@ -42,7 +42,7 @@ from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.ending import INTERRUPTED, doubt
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
-from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
+from mavcal.service.jobs.model import Accept, Attempt, Job, WriteResult, cancelled
 from mavcal.service.jobs.ownership import Alone, Ownership
 from mavcal.service.jobs.planning import (
     FROM_RECORDING,
@@ -332,7 +332,7 @@ class JobEngine:
         state = handle.job.state
         if state not in CANCELLABLE:
             raise NotCancellable(f"job {job_id} is {state}: it cannot be cancelled now")
-        handle.move(JobState.CANCELLED, prompt=None, outcome=Failure("cancelled", "The operator cancelled it.", ""))
+        handle.move(JobState.CANCELLED, prompt=None, outcome=cancelled(handle.job))
         self._tasks.cancel(job_id)
         return handle.job
 

@@ -1,6 +1,6 @@
 // What the panel knows: one copy of the service's state, kept fresh by one event stream.
 
-import { ask, follow, KeyNeeded } from "./service.js";
+import { ask, follow, KeyNeeded, Unreachable } from "./service.js";
 import { here, whenMoved } from "./route.js";
 
 /**
@@ -43,6 +43,7 @@ class Store {
     this.kept = new Map();
     this._draw = () => {};
     this._asked = false;
+    this._lostAt = Date.now();
     this._stop = () => {};
   }
 
@@ -85,11 +86,17 @@ class Store {
         this.refresh().catch((error) => this.complain(error));
       },
       lost: (error) => {
-        this.connection = { good: false, text: error instanceof KeyNeeded ? "No key" : error.message };
+        if (this.connection.good) this._lostAt = Date.now();
+        this.connection = { good: false, text: error instanceof KeyNeeded ? "No key" : this._unreached(error) };
         this.keyNeeded ||= error instanceof KeyNeeded;
         this.changed();
       },
     });
+  }
+
+  /** @param {Error} error */
+  _unreached(error) {
+    return error instanceof Unreachable ? `Service not reached since ${new Date(this._lostAt).toLocaleTimeString()}` : error.message;
   }
 
   /** Read everything again. */

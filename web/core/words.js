@@ -52,7 +52,7 @@ export const POSES = {
   nose_down: "Nose down",
   nose_up: "Nose up",
   back: "On its back",
-  oblique: "Oblique",
+  oblique: "Tilted",
 };
 
 /** What a state of a job means to a person. @type {Record<JobState, string>} */

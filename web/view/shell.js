@@ -64,8 +64,17 @@ function header(store, room) {
     h("a", { class: "brand", href: to("home"), "aria-label": "mavcal, home" }, needle(), "mavcal"),
     h("nav", { "aria-label": "Rooms" },
       way("home", "Vehicles", ["vehicle", "job", "campaign", "history"]), way("logs", "Logs", ["log"]), way("gap", "Gap"), way("setup", "Setup")),
-    h("p", { class: `connection ${store.connection.good ? "good" : "bad"}`, role: "status" },
-      h("span", { class: "lamp", "aria-hidden": "true" }), h("span", { class: "words" }, store.connection.text)));
+    connection(store));
+}
+
+/** Whether the service answers, and the vehicle that the page is about. @param {Store} store */
+function connection(store) {
+  const { room, id } = store.place;
+  const job = room === "job" ? store.full.get(id) : undefined;
+  const silent = job?.prompt?.step === "silent" || store.vehicles.get(job?.vehicle_id ?? "")?.silent;
+  const [tone, words] = !store.connection.good ? ["bad", store.connection.text] : silent ? ["warn", "Vehicle silent"] : ["good", store.connection.text];
+  return h("p", { class: `connection ${tone}`, role: "status" },
+    h("span", { class: "lamp", "aria-hidden": "true" }), h("span", { class: "words" }, words));
 }
 
 function needle() {

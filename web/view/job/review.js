@@ -5,6 +5,7 @@ import { ask, save } from "../../core/service.js";
 import { number, rough, sentence, unitName, words } from "../../core/words.js";
 import { badge, quiet, table, VERDICT_TONES } from "../parts.js";
 import { mountings } from "./mounting.js";
+import { takenBack } from "./outcome.js";
 
 /** @import { ChangeModel, JobModel, PlanModel, ReviewModel } from "../../mavcal.d.ts" */
 /** @typedef {typeof import("../../core/store.js").store} Store */
@@ -22,7 +23,7 @@ export function review(store, job) {
   return h("section", { class: "review", "aria-label": "Review" },
     found ? headline(found) : quiet("Reading the review …"),
     plan.blockers.map((text, i) => h("p", { class: "notice", role: "alert", key: `b${i}` }, `Nothing will be written: ${text.replace(/ Confirm it with the plan option .*$/, " Confirm it below, once you have looked.")}`)),
-    found ? criteria(found) : null,
+    found ? criteria(found, job.left_out.length > 0) : null,
     found?.picture ? picture(store, job) : null,
     notes(plan),
     plan.agreements.length ? h("ul", {}, plan.agreements.map((agreement) => h("li", { class: "quiet" }, sentence(agreement.text)))) : null,
@@ -40,8 +41,8 @@ function headline(found) {
       h("li", { key: `${sensor.sensor}${sensor.instance}` }, h("strong", {}, `${unitName(sensor.sensor, sensor.instance)}: `), sensor.text))) : null);
 }
 
-/** What passes is folded; what does not stands open with its remedy. @param {ReviewModel} found */
-function criteria(found) {
+/** What passes is folded; what does not stands open with its remedy. @param {ReviewModel} found @param {boolean} inPart */
+function criteria(found, inPart) {
   const passed = found.criteria.filter((criterion) => criterion.verdict === "pass");
   const others = found.criteria.filter((criterion) => criterion.verdict !== "pass");
   /** @type {(these: typeof passed) => any} */
@@ -50,7 +51,7 @@ function criteria(found) {
       h("span", {}, sentence(criterion.text)), criterion.remedy ? h("span", { class: "quiet" }, criterion.remedy) : null)));
   return h("div", {}, others.length ? list(others) : null,
     passed.length ? h("details", { class: "card" },
-      h("summary", {}, badge("good", `${passed.length} of ${found.criteria.length} criteria pass`)), list(passed)) : null);
+      h("summary", {}, badge("good", `${passed.length} of ${found.criteria.length} ${inPart ? "pass for what is written" : "criteria pass"}`)), list(passed)) : null);
 }
 
 /** The same picture as in the export: before and after. @param {Store} store @param {JobModel} job */
@@ -138,7 +139,8 @@ export function written(store, job) {
   if (!plan || !plan.changes.length) return null;
   const found = job.state === "succeeded" ? reviewOf(store, job) : undefined;
   const running = ["applying", "verifying", "waiting_for_reboot", "rolling_back"].includes(job.state);
-  const verdicts = new Map((verification?.parameters ?? []).map((p) => [p.name, p]));
+  const undone = takenBack(job);
+  const verdicts = new Map(((undone ? null : verification)?.parameters ?? []).map((p) => [p.name, p]));
   const sent = sentOf(store, job);
   /** @type {(change: ChangeModel, i: number) => any} */
   const state = (change, i) => {
@@ -147,17 +149,18 @@ export function written(store, job) {
       const tone = { proved: "good", consistent: "warn", not_observable: "warn", contradicted: "bad" }[verdict.verdict];
       return badge(/** @type {any} */ (tone), words(verdict.verdict));
     }
+    if (undone) return badge("good", "old value");
     if (job.state === "rolling_back") return badge("busy", "is taken back");
     return running ? i < sent ? badge("good", "written") : badge("busy", "waits") : null;
   };
   return h("div", { key: "written" },
     found ? headline(found) : null,
     found?.picture ? picture(store, job) : null,
-    verification?.sensors.length ? h("ul", { class: "plain criteria" }, verification.sensors.map((check) =>
+    verification?.sensors.length && !undone ? h("ul", { class: "plain criteria" }, verification.sensors.map((check) =>
       h("li", { key: check.id + check.instance }, badge(check.verdict === "right" ? "good" : check.verdict === "wrong" ? "bad" : "warn", words(check.verdict)), h("span", {}, check.text)))) : null,
-    verification?.movement ? h("p", { class: "quiet" }, `To prove the rest: ${verification.movement.text}`) : null,
-    h("details", { class: "card", open: running }, h("summary", {}, `${plan.changes.length} parameters`),
+    verification?.movement && !undone ? h("p", { class: "quiet" }, `To prove the rest: ${verification.movement.text}`) : null,
+    h("details", { class: "card", open: job.state === "applying" }, h("summary", {}, `${plan.changes.length} parameters${takenBack(job) ? ", each read back" : ""}`),
       table(["parameter", "state", ">before", ">new"], plan.changes.map((change, i) =>
         [change.name, state(change, i), number(change.old, 6), number(change.new, 6)]), "Parameters", [0, 1])),
-    exports(store, job));
+    running ? null : exports(store, job));
 }
