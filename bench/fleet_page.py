@@ -40,7 +40,7 @@ class Measured:
     name: str
     seconds: float
     pictures: float
-    """Of the page, a second."""
+    """Requests of the page in a second."""
     answer_s: float
     """The longest answer of ``GET /jobs``."""
     memory_mb: float

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.timeout(600)
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Client, list[str]]]:
-    """A service with three vehicles, of which the second carries a tag."""
+    """A service with three vehicles; the second carries a tag."""
     with service(tmp_path_factory.mktemp("fleet")) as url, Client(url) as client:
         vehicles = [connected(client, endpoint(n, speed=8, seed=n)) for n in (1, 2, 3)]
         client.change_unit(vehicles[1], tags=["north"])
