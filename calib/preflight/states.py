@@ -25,7 +25,7 @@ TILES: Final[Mapping[str, tuple[str, frozenset[str], Sensor | None]]] = {
         frozenset({"accel", "accel-six-face", "accel-one-axis", "imu-multi"}),
         Sensor.ACCEL,
     ),
-    "mag": ("compasses", frozenset({"mag", "mag-rings"}), Sensor.MAG),
+    "mag": ("compasses", frozenset({"mag", "mag-rings", "mag-fixed-yaw"}), Sensor.MAG),
     "thermal": ("temperature drift", frozenset({"thermal"}), None),
 }
 """Each tile by the procedure that it starts: what it is about, the procedures that count, and the sensor."""

@@ -106,6 +106,7 @@ export const KINDS = {
   "accel-one-axis": "Accelerometer, one pose",
   "accel-six-face": "Accelerometer on a block",
   "mag-rings": "Compass on six faces",
+  "mag-fixed-yaw": "Compass at one heading",
   "gyro-turntable": "Gyro on a turntable",
   "gyro-thread": "Gyro on a thread",
   "imu-multi": "Accelerometer and gyro together",

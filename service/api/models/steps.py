@@ -15,7 +15,7 @@ class OptionModel(BaseModel):
     """A number or a switch that may be set when a job is started."""
 
     name: str
-    default: bool | Number = Field(description="in `unit`")
+    default: bool | Number | None = Field(description="in `unit`; null: it has to be given")
     help: str
     unit: str = Field(description="empty: a switch, or a pure number")
     low: Number | None = Field(description="least value, in `unit`; null: without a limit")
