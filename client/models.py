@@ -449,8 +449,8 @@ class OptionModel(Answer):
     """A number or a switch that may be set when a job is started."""
 
     name: str
-    default: bool | Number
-    """In `unit`."""
+    default: bool | Number | None
+    """In `unit`; null: it has to be given."""
     help: str
     unit: str
     """Empty: a switch, or a pure number."""

@@ -791,8 +791,8 @@ export interface OpenModel {
 /** A number or a switch that may be set when a job is started. */
 export interface OptionModel {
   name: string;
-  /** In `unit`. */
-  default: boolean | number;
+  /** In `unit`; null: it has to be given. */
+  default: boolean | number | null;
   help: string;
   /** Empty: a switch, or a pure number. */
   unit: string;
