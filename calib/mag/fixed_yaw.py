@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 METHOD = "mag-fixed-yaw"
 
-MOVEMENT = "turn the vehicle through all directions (job mag), or fly it with turns (mag-flight)"
+MOVEMENT = "for those turn the vehicle through all directions (job mag), or fly it with turns (mag-flight)"
 
 TILT_SD = math.radians(0.3)
 """Of roll and pitch by a calibrated accelerometer. Chosen, not measured: 0.05 m/s2 across gravity."""
