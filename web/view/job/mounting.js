@@ -9,15 +9,17 @@ import { IDENTITY } from "../../scene/rotation.js";
 
 const ENDS = [["the nose", "the tail"], ["the right side", "the left side"], ["the underside", "the top"]];
 
+const TURNED = new Set(["rotated", "by_angles"]);
+
 /**
  * Each compass that is mounted otherwise than stated. @param {JobModel} job @param {VehicleModel | undefined} vehicle
  */
 export function mountings(job, vehicle) {
   return job.results.filter((fit) => fit.sensor === "mag").map((fit) => {
-    const found = /** @type {{ matrix?: number[][] } | undefined} */ (fit.quality.orientation);
-    if (found?.verdict !== "rotated" || !found.matrix) return null;
+    const found = /** @type {{ verdict?: string, name?: string, matrix?: number[][] } | undefined} */ (fit.quality.orientation);
+    if (!TURNED.has(found?.verdict ?? "") || !found?.matrix) return null;
     const name = unitName(fit.sensor, fit.instance);
-    const words = `${name} ${turned(found.matrix)}.`;
+    const words = found.verdict === "by_angles" ? `${name} is turned against what is stated: ${found.name}.` : `${name} ${turned(found.matrix)}.`;
     return h("figure", { class: "mounting", key: `${fit.instance}` },
       h("attitude-scene", { role: "img", "aria-label": words,
         scene: { airframe: vehicle?.airframe ?? "multirotor", attitude: quaternion(found.matrix), ghost: IDENTITY } }),
