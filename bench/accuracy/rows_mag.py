@@ -40,7 +40,7 @@ def stored_truth() -> Array:
 
 
 def ours(fit: Callable[[Any], FitResult]) -> Callable[[Any], Answer | None]:
-    """What a fit answers, as the tables take it."""
+    """The result of a fit as a row of the tables."""
 
     def run(samples: Any) -> Answer | None:
         found = fit(samples)

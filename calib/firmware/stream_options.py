@@ -1,4 +1,4 @@
-"""What has to be set so that an autopilot streams a thing: what a telemetry log lacks was never sent over its link.
+"""Which parameters make an autopilot stream a quantity. A telemetry log holds only what was sent over its link.
 
 ArduPilot: ``SRn_*`` of each port, ``MAVn_*`` from 4.7 on (``GCS_MAVLink_Parameters.cpp``, groups of messages of
 ``GCS_MAVLink_Copter.cpp`` and its like). PX4: ``MAV_n_MODE`` (``mavlink_main.cpp``). Both take SET_MESSAGE_INTERVAL.
@@ -27,14 +27,14 @@ MESSAGES: Final[Mapping[Logged, tuple[str, str]]] = {
     Logged.CURRENT: ("EXT_STAT", "SYS_STATUS"),
     Logged.THROTTLE: ("EXTRA2", "VFR_HUD"),
 }
-"""Stream group of ArduPilot, and the message that carries the thing."""
+"""ArduPilot's stream group, and the message that carries the quantity."""
 RENAMED_SINCE: Final = (4, 7)
-"""Firmwares of ArduPilot from which on the groups are called MAVn_*."""
+"""First ArduPilot version that names the stream groups MAVn_*, not SRn_*."""
 _PORT: Final = re.compile(r"(SR|MAV)(\d+)_(RAW_SENS|EXT_STAT|POSITION|EXTRA[123])")
 
 
 def how_to_stream(what: Logged, identity: Identity, parameters: Mapping[str, Value], rate: float = 0.0) -> str:
-    """What to do to have it streamed, at `rate` Hz or more where that is given; empty for another autopilot."""
+    """How to have it streamed, at `rate` Hz or more if given; empty for an unknown autopilot."""
     if identity.autopilot not in ("ardupilot", "px4"):
         return ""
     group, message = MESSAGES[what]

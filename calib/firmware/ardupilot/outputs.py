@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 LEAST_US: Final = 500.0
 MOST_US: Final = 2500.0
-"""Pulses of a speed controller. What lies outside was never set: 0, or what the memory held."""
+"""Range of a speed controller's pulses. An output outside it was never initialised: it reads 0, or stale memory."""
 NEUTRAL_US: Final = 1500.0
 REVERSIBLE_RANGE: Final = (1100.0, 1900.0)
 """Default ends of the outputs (``SERVOn_MIN``, ``SERVOn_MAX``)."""

@@ -28,7 +28,7 @@ EXACT = 1e-6  # rad
 DECIMALS = 2
 """Decimals of an angle that is written, in degrees: no fit is so good."""
 TOLERATED = 20.0
-"""Angle, degrees, up to which a compass may stay as it is stated and is told to be askew."""
+"""Largest angle, degrees, at which the stated mounting may stay; the plan then says how far askew the compass is."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -94,8 +94,8 @@ the same for as long."""
 _STEP = 1.8
 """Times the median: longer differences are holes, not jitter. Chosen, not measured: one lost sample makes two."""
 _SINGLE = 1.5
-"""Times their mean: of what is left, longer ones hold a lost sample that jitter has shortened. Midway between one step
-and two; the median is no measure here, as whole milliseconds of 400 Hz are steps of 2 and 3."""
+"""Times their mean: of what is left, longer ones hold a lost sample that jitter has shortened. Chosen, not measured:
+midway between one step and two. The median is no measure here: whole milliseconds of 400 Hz are steps of 2 and 3."""
 
 
 @dataclass(frozen=True, eq=False)
