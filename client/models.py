@@ -445,6 +445,28 @@ class MethodModel(Answer):
     """What it finds, of what."""
 
 
+class MountingChoiceModel(Answer):
+    """A rotation that the firmware has by number."""
+
+    number: int
+    """For the plan option `mountings`."""
+    text: str
+    matrix: list[list[Number]]
+    """Takes the sensor to the body."""
+
+
+class MountingModel(Answer):
+    """The mounting of a compass; numbers are the firmware's."""
+
+    instance: int
+    """Which compass, from 0."""
+    stated: int
+    """What the vehicle is told now."""
+    stated_text: str
+    chosen: int | None
+    """What the plan takes instead; null: as it was found."""
+
+
 class OptionModel(Answer):
     """A number or a switch that may be set when a job is started."""
 
@@ -557,6 +579,10 @@ class ReviewModel(Answer):
     criteria: list[CriterionModel]
     picture: str | None
     """Address of the picture of before and after, relative to the root of the service; null: none."""
+    mountings: list[MountingModel]
+    """Compasses whose mounting can be chosen."""
+    mounting_choices: list[MountingChoiceModel]
+    """What can be chosen."""
 
 
 class SensorRecordModel(Answer):

@@ -741,6 +741,26 @@ export interface MethodModel {
   summary: string;
 }
 
+/** A rotation that the firmware has by number. */
+export interface MountingChoiceModel {
+  /** For the plan option `mountings`. */
+  number: number;
+  text: string;
+  /** Takes the sensor to the body. */
+  matrix: number[][];
+}
+
+/** The mounting of a compass; numbers are the firmware's. */
+export interface MountingModel {
+  /** Which compass, from 0. */
+  instance: number;
+  /** What the vehicle is told now. */
+  stated: number;
+  stated_text: string;
+  /** What the plan takes instead; null: as it was found. */
+  chosen: number | null;
+}
+
 /** What would prove the parameters that are still open. */
 export interface MovementModel {
   text: string;
@@ -876,6 +896,8 @@ export interface PlanOptions {
   adjust_level?: boolean;
   /** A compass really is mounted as the job found it. */
   confirm_mounting?: boolean;
+  /** Mounting of a compass that its movement did not show, by the firmware's number. */
+  mountings?: Record<string, number>;
   /** A recording without a board id is of this vehicle; the audit keeps it. */
   confirm_other_unit?: boolean;
   /** PX4: device id that no stream says, by sensor. */
@@ -1198,6 +1220,10 @@ export interface ReviewModel {
   criteria: CriterionModel[];
   /** Address of the picture of before and after, relative to the root of the service; null: none. */
   picture: string | null;
+  /** Compasses whose mounting can be chosen. */
+  mountings: MountingModel[];
+  /** What can be chosen. */
+  mounting_choices: MountingChoiceModel[];
 }
 
 /** New samples of one sensor. */

@@ -20,6 +20,8 @@ from mavcal.service.api.models import (
     JobModel,
     JobSummary,
     LinkModel,
+    MountingChoiceModel,
+    MountingModel,
     OptionModel,
     ParameterModel,
     PlanModel,
@@ -109,6 +111,11 @@ def review_model(job: Job, review: Review) -> ReviewModel:
         ],
         criteria=[CriterionModel(**vars(criterion)) for criterion in review.criteria],
         picture=None if review.picture is None else f"api/v1/jobs/{job.id}/picture.svg",
+        mountings=[MountingModel(**vars(mounting)) for mounting in review.mountings],
+        mounting_choices=[
+            MountingChoiceModel(number=choice.number, text=choice.text, matrix=choice.matrix.tolist())
+            for choice in review.mounting_choices
+        ],
     )
 
 

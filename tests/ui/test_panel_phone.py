@@ -112,7 +112,7 @@ def test_a_compass_that_is_mounted_otherwise_is_told_in_words_and_a_picture_with
     desk.open(url, f"#/job/{job}")
     desk.sees("Compass 1 takes the top for the underside.", inside=".mounting")
     expect(desk.page.locator(".mounting attitude-scene canvas")).to_be_attached()
-    expect(desk.page.get_by_label("The compass really is mounted as found")).to_be_visible()
+    expect(desk.page.get_by_label("I have looked: the compass is mounted as said")).to_be_visible()
     desk.sees("Confirm it below, once you have looked.", inside=".review")
     assert "--" not in desk.text(".review .notice")
     desk.close()

@@ -22,13 +22,13 @@ export function review(store, job) {
   const found = reviewOf(store, job);
   return h("section", { class: "review", "aria-label": "Review" },
     found ? headline(found) : quiet("Reading the review …"),
-    plan.blockers.map((text, i) => h("p", { class: "notice", role: "alert", key: `b${i}` }, `Nothing will be written: ${text.replace(/ Confirm it with the plan option .*$/, " Confirm it below, once you have looked.")}`)),
+    plan.blockers.map((text, i) => h("p", { class: "notice", role: "alert", key: `b${i}` }, `Nothing will be written: ${onPage(text)}`)),
     found ? criteria(found, job.left_out.length > 0) : null,
     found?.picture ? picture(store, job) : null,
     notes(plan),
     plan.agreements.length ? h("ul", {}, plan.agreements.map((agreement) => h("li", { class: "quiet" }, sentence(agreement.text)))) : null,
     losses(plan),
-    choices(store, job, plan),
+    choices(store, job, plan, found),
     h("details", { class: "card" }, h("summary", {}, `${plan.changes.length} parameters: old, new, uncertainty`), changes(plan)),
     exports(store, job));
 }
@@ -71,7 +71,7 @@ function notes(plan) {
   if (!warnings.length) return null;
   return h("details", { class: "card", open: warnings.length <= 2 },
     h("summary", {}, badge("warn", warnings.length === 1 ? "1 thing to know" : `${warnings.length} things to know`)),
-    h("ul", { class: "plan-warnings" }, warnings.map((text) => h("li", { class: "warn" }, sentence(text)))));
+    h("ul", { class: "plan-warnings" }, warnings.map((text) => h("li", { class: "warn" }, sentence(onPage(text))))));
 }
 
 /** @param {PlanModel} plan */
@@ -81,8 +81,20 @@ function losses(plan) {
     h("ul", {}, plan.losses.map((loss) => h("li", {}, `${sentence(loss.text)} Cost: ${rough(loss.cost)} ${loss.unit}.`))));
 }
 
-/** Which sensors, and what else the person decides; each choice makes the plan again. @param {Store} store @param {JobModel} job @param {PlanModel} plan */
-function choices(store, job, plan) {
+/** An advice about a plan without the names that it has elsewhere. @param {string} text */
+function onPage(text) {
+  return text.replace(/ Confirm it with the plan option .*$/, " Confirm it below, once you have looked.")
+    .replaceAll(/the plan option (confirm_\w+|keep_gyro_at_boot) \(--[\w-]+\)/g, "the choice below").replaceAll(/ \(--[\w-]+\)/g, "");
+}
+
+/** What only a person can know, once they have looked. */
+const CONFIRMATIONS = { confirm_mounting: "I have looked: the compass is mounted as said", confirm_other_unit: "The log really is of this vehicle" };
+
+/**
+ * Which sensors, and what else the person decides; each choice makes the plan again.
+ * @param {Store} store @param {JobModel} job @param {PlanModel} plan @param {ReviewModel | undefined} found
+ */
+function choices(store, job, plan, found) {
   const options = /** @type {Record<string, any>} */ (job.plan_options);
   const sensors = [...new Set(job.results.map((fit) => `${fit.sensor}${fit.instance}`))];
   const wanted = /** @type {string[]} */ (options.only?.length ? options.only : sensors);
@@ -105,8 +117,9 @@ function choices(store, job, plan) {
       return box(name, unitName(sensor, instance), on, { only: on ? only.filter((other) => other !== name) : [...only, name] }, on && only.length === 1);
     }) : null,
     gyro ? box("keep", "Keep the gyro offsets at the next start (INS_GYR_CAL = 0)", options.keep_gyro_at_boot === true, { keep_gyro_at_boot: options.keep_gyro_at_boot !== true }) : null,
-    mountings(job, store.vehicles.get(job.vehicle_id ?? "")),
-    plan.blockers.some((text) => text.includes("mount")) ? box("mounting", "The compass really is mounted as found", options.confirm_mounting === true, { confirm_mounting: options.confirm_mounting !== true }) : null,
+    mountings(job, store.vehicles.get(job.vehicle_id ?? ""), found, options, again),
+    Object.entries(CONFIRMATIONS).map(([name, text]) => options[name] === true || [...plan.blockers, ...plan.warnings].some((said) => said.includes(name))
+      ? box(name, text, options[name] === true, { [name]: options[name] !== true }) : null),
     h("button", { class: "plain small", onclick: () => again({}) }, "Plan again on the present parameters"));
 }
 
