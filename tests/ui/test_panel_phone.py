@@ -40,7 +40,7 @@ def test_a_history_fits_a_phone_and_is_titled_by_the_vehicle(browser, place):
     assert box is not None
     assert box["height"] <= 60
     row.locator("summary").click()
-    expect(row).to_contain_text("offset, rad/s")
+    expect(row).to_contain_text("offset, deg/s")
     assert phone.page.evaluate(WIDTH) <= PHONE["width"]
     assert phone.complaints == []
     phone.close()

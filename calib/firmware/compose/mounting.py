@@ -150,30 +150,30 @@ def _as_chosen(
     draft: Draft, rotation: tuple[str, int], about: Subject, fit: FitResult, stated: Array, follows: str
 ) -> MountingRotation | None:
     """The rotation to the mounting that the operator chose, where nothing that was seen speaks against it."""
-    words = rotation_words(*rotation)
+    words, compass = rotation_words(*rotation), f"compass {about.instance + 1}"
     if follows:
-        draft.block(f"{about} follows {follows}: it has no mounting of its own that could be chosen")
+        draft.block(f"{compass} follows {follows}: it has no mounting of its own that could be chosen.")
         return None
     if "orientation" not in fit.quality:
         draft.block(
-            f"{about}: this calibration took the mounting for granted, so none can be chosen now. "
-            "Set its parameter, then calibrate again"
+            f"{compass}: this calibration took the mounting for granted, so none can be chosen now. "
+            "Set its parameter, then calibrate again."
         )
         return None
     if rotation[1] >= len(ROTATIONS[rotation[0]]):
-        draft.block(f"{about}: this autopilot has no mounting rotation {rotation[1]} to choose")
+        draft.block(f"{compass}: this autopilot has no mounting rotation {rotation[1]} to choose.")
         return None
     turn = MountingRotation(words, rotation_matrix(*rotation) @ stated.T, chosen=True)
     found = fit.quality["orientation"] or {"verdict": MountingVerdict.AMBIGUOUS}
     if found["verdict"] == MountingVerdict.AMBIGUOUS:
-        draft.warn(f"{about}: its movement does not show how it is mounted; nothing proves the chosen {words}")
+        draft.warn(f"{compass}: its movement does not show how it is mounted; nothing proves the chosen {words}")
     else:
         seen = np.array(found.get("matrix", np.eye(3)), dtype=np.float64)
         apart = math.degrees(angle_between(seen, turn.matrix))
         if apart > TOLERATED:
             draft.block(
-                f"{about}: the chosen mounting ({words}) is {apart:.0f} deg from the one that its movement shows. "
-                "Choose as it was found"
+                f"{compass}: the chosen mounting ({words}) is {apart:.0f} deg from the one that its movement shows. "
+                "Choose what it shows, or turn the vehicle again."
             )
             return None
     return turn if angle_between(turn.matrix, np.eye(3)) > EXACT else None
