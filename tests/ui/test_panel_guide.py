@@ -142,6 +142,31 @@ def test_an_accelerometer_in_the_hand(hand, running):
     assert hand.complaints == []
 
 
+SEEN = """() => [...document.querySelectorAll(".faces canvas")].map((canvas) => {
+  const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  return pixels.filter((value, i) => i % 4 === 3 && value > 200).length / (canvas.width * canvas.height);
+})"""
+"""Which share of each pose's picture is drawn on."""
+
+
+def test_no_pose_is_seen_from_its_edge_alone_and_the_picture_is_whole_at_a_desk(browser, running):
+    url, client = running
+    vehicle = connected(client, sim(speed=3, system_id=5, hand="off"))
+    job = client.start_job(vehicle, kind="accel").id
+    desk = Panel(browser, {"width": 1280, "height": 800})
+    desk.open(url, f"#/job/{job}")
+    desk.sees("1 of 10 poses", 90, ".prompt")
+    until(lambda: desk.page.locator(".faces canvas").count() == 10, 30, "ten pictures")
+    until(lambda: min(desk.page.evaluate(SEEN)) > 0.15, 10, f"{desk.page.evaluate(SEEN)}")
+    stage, dock = desk.page.locator(".stage").bounding_box(), desk.page.locator(".dock").bounding_box()
+    assert stage is not None
+    assert dock is not None
+    assert stage["y"] + stage["height"] <= dock["y"]
+    shot(desk, "desk-poses")
+    client.cancel_job(job)
+    desk.close()
+
+
 def test_a_compass_in_the_hand(hand, running):
     url, client = running
     vehicle = connected(client, sim(speed=2, system_id=2, seed=4, config=KEPT))

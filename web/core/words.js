@@ -17,6 +17,9 @@ export function number(value, digits = 4) {
 /** A standard deviation: two digits are enough. @param {number | null | undefined} value */
 export const rough = (value) => number(value, 2);
 
+/** A unit as it is read. @param {string} unit */
+export const unitText = (unit) => unit.replace("m/s2", "m/s²").replace("uT", "µT");
+
 /** @param {number} value @param {string} unit */
 export const withUnit = (value, unit) => (unit ? `${number(value)} ${unit}` : number(value));
 

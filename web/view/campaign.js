@@ -66,7 +66,7 @@ function head(store, job, needs) {
   const text = over ? job.outcome?.kind === "result" ? job.outcome.text : job.outcome?.cause ?? STATES[job.state]
     : `${progress?.text ?? "It begins"}${progress?.eta ? `, about ${span(progress.eta)} left` : ""}.`;
   return h("div", { class: "card" },
-    h("p", { role: "status" }, sentence(text)),
+    h("p", { role: "status" }, sentence(text.replace(/(\d+) refused/, "$1 did not pass"))),
     over ? null : bar(progress?.current ?? 0, progress?.target ?? needs.length, text),
     waits ? h("p", { class: "first-line warn" }, `${vehicles(waits)} ${waits === 1 ? "needs" : "need"} your hand now. They stand first.`) : null,
     h("div", { class: "actions" }, h("a", { class: "button", href: to("home") }, "All vehicles"), over ? null : stop(store, job)));

@@ -3,7 +3,7 @@
 import { h } from "../core/dom.js";
 import { go, to } from "../core/route.js";
 import { ask } from "../core/service.js";
-import { AUTOPILOTS, kindName, moment, number, unitName } from "../core/words.js";
+import { AUTOPILOTS, kindName, moment, number, unitName, unitText } from "../core/words.js";
 import { vehicleName } from "./home.js";
 import { badge, quiet, table, title } from "./parts.js";
 
@@ -24,7 +24,7 @@ export function historyRoom(store) {
       h("a", { class: "button", href: to("vehicle", id) }, "The vehicle"),
       h("button", { onclick: () => restore(store, id) }, "Restore the last verified calibration")) : null),
     vehicle ? null : h("p", { class: "quiet small" }, `Unit ${unit.unit}`),
-    unit.needs_recalibration ? h("p", { class: "first-line warn" }, `Calibrate it again: ${unit.reasons.map((reason) => reason.text).join("; ")}`) : null,
+    unit.needs_recalibration ? h("div", { class: "first-line warn" }, h("p", {}, "Calibrate it again:"), h("ul", {}, unit.reasons.map((reason) => h("li", { key: reason.text }, reason.text)))) : null,
     unit.sensors.length ? unit.sensors.map((sensor) => sensorCard(store, history, sensor)) : quiet("No calibration of this unit has been verified yet."));
 }
 
@@ -62,14 +62,14 @@ function sensorCard(store, history, sensor) {
     drift(sensor),
     ours.filter((record) => record.bias).length > 1 ? curves(ours) : null,
     compared(ours.filter((record) => chosen.includes(record.source_id))),
-    rows.length ? table(["", "when", "by", ">°C", `>offset, ${sensor.drift.unit}`, ">± sd", "job"], rows, "Calibrations", [1, 2]) : quiet("Not measured yet."));
+    rows.length ? table(["", "when", "by", ">°C", `>offset, ${unitText(sensor.drift.unit)}`, ">± sd", "job"], rows, "Calibrations", [1, 2]) : quiet("Not measured yet."));
 }
 
 /** @param {FleetSensorModel} sensor */
 function drift({ drift: found }) {
   const leaving = found.leaving?.middle;
   const said = [
-    leaving ? `It leaves its limit of ${number(found.limit, 2)} ${found.unit} about ${new Date(1000 * leaving).toLocaleDateString()}.` : "",
+    leaving ? `It leaves its limit of ${number(found.limit, 2)} ${unitText(found.unit)} about ${new Date(1000 * leaving).toLocaleDateString()}.` : "",
     ...found.open.map((open) => open.why),
   ].filter(Boolean);
   const once = [...new Set(said)];

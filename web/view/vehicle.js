@@ -31,7 +31,7 @@ export function vehicleRoom(store) {
 /** @param {Store} store @param {VehicleModel} vehicle */
 function calibration(store, vehicle) {
   const jobs = store.newest().filter((job) => job.vehicle_id === vehicle.id).slice(0, 8);
-  return h("div", { key: "calibration" },
+  return h("section", { key: "calibration" },
     vehicle.obstacles.length ? h("p", { class: "warn small" }, `Nothing can be written now: ${vehicle.obstacles.join("; ")}.`) : null,
     tiles(store, vehicle), more(store, vehicle),
     jobs.length ? h("section", {}, h("h2", {}, "Last calibrations"), h("ul", { class: "plain jobs" }, jobs.map((job) =>
@@ -69,7 +69,7 @@ function preflight(store, vehicle) {
         h("input", { id: "heading", type: "number", min: "0", max: "360", value: held.heading,
           oninput: (/** @type {Event} */ event) => { held.heading = /** @type {HTMLInputElement} */ (event.target).value; } })),
       h("p", { class: "quiet small" }, "With it a look tells which of two compasses is off.")),
-    report ? h("div", {},
+    report ? h("section", {},
       h("p", { class: `first-line ${VERDICT_TONES[report.verdict]}` }, `${report.summary} Looked at for ${Math.round(report.seconds)} s.`),
       h("ul", { class: "plain checks" }, report.checks.map((check) => row(check)))) : null);
 }
@@ -85,7 +85,7 @@ function row(check) {
 
 /** @param {Store} store @param {VehicleModel} vehicle */
 function about(store, vehicle) {
-  return h("section", { key: "about" },
+  return h("section", { key: "about", class: "about" },
     nameForm(store, vehicle),
     h("h2", {}, "What it says"),
     vehicle.texts.length ? h("ul", { class: "plain small" }, vehicle.texts.map((text, i) => h("li", { key: `${i}` }, text))) : quiet("It has said nothing yet."),

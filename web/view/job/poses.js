@@ -2,7 +2,8 @@
 
 import { h } from "../../core/dom.js";
 import { POSES } from "../../core/words.js";
-import { conjugate, DOWN, euler, IDENTITY, pointing, rotate } from "../../scene/rotation.js";
+import { EYE } from "../../scene/eye.js";
+import { conjugate, dot, DOWN, euler, IDENTITY, multiply, pointing, rotate, turn } from "../../scene/rotation.js";
 import { current } from "../samples.js";
 import { taken } from "./pose.js";
 
@@ -17,6 +18,8 @@ const FACES = /** @type {Pose[]} */ (["level", "left", "right", "nose_down", "no
 const SHORT = { level: "Level", left: "Left", right: "Right", nose_down: "Nose down", nose_up: "Nose up", back: "Back" };
 /** @type {Record<string, [number, number, number]>} roll, pitch, yaw in deg */
 const EULER = { level: [0, 0, 0], left: [-90, 0, 0], right: [90, 0, 0], nose_down: [0, -90, 0], nose_up: [0, 90, 0], back: [180, 0, 0] };
+const HEADINGS = [0, 0.5, -0.5, 1, -1]; // rad
+const EDGE = 0.4; // cosine between the upright axis and the line of sight below which little is seen of a flat body
 const MARKS = { done: "✓", here: "●", open: "" };
 const STATES = { done: "done", here: "now", open: "open" };
 
@@ -50,14 +53,20 @@ function face(pose, { remaining }, prompt) {
 /** @param {Known} known @param {PromptModel | null} prompt @returns {Tile[]} */
 function tilts({ tilts: asked, remaining }, prompt) {
   const next = asked.findIndex((tilt) => !tilt.taken);
-  const turn = !remaining.some((pose) => FACES.includes(pose)); // the faces come first
+  const facesDone = !remaining.some((pose) => FACES.includes(pose)); // the faces come first
   return asked.map(({ direction, taken: done }, i) => {
     const here = i === next && prompt?.detected === "oblique" && !taken(prompt);
     return {
       key: `tilt ${i}`, name: `Tilted ${i + 1}`, state: done ? "done" : here ? "here" : "open",
-      attitude: pointing(IDENTITY, /** @type {Vector} */ (direction)), down: turn && !done ? /** @type {Vector} */ (direction) : null,
+      attitude: open(pointing(IDENTITY, /** @type {Vector} */ (direction))), down: facesDone && !done ? /** @type {Vector} */ (direction) : null,
     };
   });
+}
+
+/** The same tilt with the least turn of its nose that shows more than an edge. @param {Quaternion} tilted @returns {Quaternion} */
+function open(tilted) {
+  const turned = HEADINGS.map((heading) => multiply(turn(DOWN.level, heading), tilted));
+  return turned.find((attitude) => Math.abs(dot(rotate(attitude, DOWN.level), EYE)) > EDGE) ?? tilted;
 }
 
 /** The vehicle's own attitude beside the asked one, whatever its heading; null: it is not shown. @param {Tile} tile @returns {Quaternion | null} */
