@@ -149,6 +149,14 @@ SEEN = """() => [...document.querySelectorAll(".faces canvas")].map((canvas) => 
 """Which share of each pose's picture is drawn on."""
 
 
+APART = """() => {
+  const [, left, right] = [...document.querySelectorAll(".faces canvas")].map((canvas) =>
+    canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data);
+  return left.filter((value, i) => Math.abs(value - right[i]) > 64).length / left.length;
+}"""
+"""Share of the pixels by which the pictures of the left and of the right side differ."""
+
+
 def test_no_pose_is_seen_from_its_edge_alone_and_the_picture_is_whole_at_a_desk(browser, running):
     url, client = running
     vehicle = connected(client, sim(speed=3, system_id=5, hand="off"))
@@ -158,6 +166,8 @@ def test_no_pose_is_seen_from_its_edge_alone_and_the_picture_is_whole_at_a_desk(
     desk.sees("1 of 10 poses", 90, ".prompt")
     until(lambda: desk.page.locator(".faces canvas").count() == 10, 30, "ten pictures")
     until(lambda: min(desk.page.evaluate(SEEN)) > 0.15, 10, f"{desk.page.evaluate(SEEN)}")
+    assert desk.page.evaluate(APART) > 0.05, "left and right are told apart"
+    expect(desk.page.locator(".stage .turn-arrow")).to_be_attached()
     stage, dock = desk.page.locator(".stage").bounding_box(), desk.page.locator(".dock").bounding_box()
     assert stage is not None
     assert dock is not None
@@ -182,6 +192,7 @@ def test_a_compass_in_the_hand(hand, running):
         if fits is None:
             return page.locator(".guide.compass").count() == 0
         assert fits, hand.text(".prompt")
+        assert page.locator(".stage .middle attitude-scene").count() == 1, "the vehicle turns with the sphere"
         shot(hand, "compass")
         if page.locator(".dock .why").count():
             shot(hand, "compass-finish")

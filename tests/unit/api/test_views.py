@@ -78,10 +78,9 @@ def test_the_sensors_of_a_vehicle_have_one_verdict() -> None:
 
 def review(picture: Markup | None) -> Review:
     effect = SensorEffect(Sensor.GYRO, 1, "rate at rest", "deg/s", 0.5, 0.01, None)
-    return Review(
-        "It turns less.", (effect,), (Criterion("noise", Verdict.PASS, 1.0, 2.0, "deg/s", "It is quiet.", ""),), picture,
-        (Mounting(0, 4, "yaw 180", 6),), (Choice(6, "yaw 270", np.eye(3)),),
-    )  # fmt: skip
+    criterion = Criterion("noise", Verdict.PASS, 1.0, 2.0, "deg/s", "It is quiet.", "")
+    choice = Choice(6, "yaw 270", np.eye(3))
+    return Review("It turns less.", (effect,), (criterion,), picture, (Mounting(0, 4, "yaw 180", 6),), (choice,))
 
 
 def test_a_review_speaks_of_what_was_done_or_will_be() -> None:
