@@ -21,9 +21,7 @@ _OPTIONS = (
         help="Carry the level over to a new accelerometer calibration.",
     ),
     click.option("--confirm-mounting", is_flag=True, help="Confirm that a compass is mounted as the job finds it."),
-    click.option(
-        "--mountings", metavar="SENSOR=NUMBER,...", help="Mounting of a compass, by the number."
-    ),
+    click.option("--mountings", metavar="SENSOR=NUMBER,...", help="Mounting of a compass, by the number."),
     click.option("--device-ids", metavar="SENSOR=ID,...", help="PX4: device id of a sensor, which no stream says."),
     click.option(
         "--accel-temperature", metavar="SENSOR=DEGC,...", help="PX4: temperature at which CAL_ACC in force was taken."
