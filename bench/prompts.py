@@ -18,6 +18,7 @@ ended, what to do next, or what was left out. Prompts come from a live job as th
 MODULES = {
     "gyro": "gyro", "accel": "accel", "mag": "mag", "thermal": "thermal", "level": "level",
     "accel-one-axis": "one_axis", "accel-six-face": "six_face", "mag-rings": "rings",
+    "mag-fixed-yaw": "fixed_yaw",
     "gyro-turntable": "turntable", "gyro-thread": "thread", "imu-multi": "imu",
 }  # fmt: skip
 """The module of each kind of job."""

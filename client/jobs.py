@@ -213,6 +213,23 @@ class NumberModel(Answer):
     """Greatest value, in `unit`."""
 
 
+class TiltModel(Answer):
+    """An oblique pose that is asked for, or that was taken."""
+
+    direction: list[Number]
+    """Body direction (front, right, down) that points down; a unit vector."""
+    taken: bool
+
+
+class SilenceModel(Answer):
+    """For how long the vehicle has not been heard."""
+
+    lasted: Number
+    """s."""
+    limit: Number
+    """After so long the job gives up, s."""
+
+
 class PromptModel(Answer):
     """What the operator is asked to do now."""
 
@@ -242,6 +259,14 @@ class PromptModel(Answer):
     """How many turns to make; null: until the prompt changes."""
     number: NumberModel | None
     """A number that is asked for beside `answers`."""
+    taken: bool
+    """The detected pose is done already: the next one is waited for."""
+    tilts: list[TiltModel]
+    """Oblique poses: those that were taken, then those that are asked for."""
+    unfinished: str
+    """What stays open after the answer `finish` now; empty: nothing."""
+    silence: SilenceModel | None
+    """Null: the vehicle is heard."""
 
 
 class ResultModel(Answer):
@@ -452,6 +477,8 @@ class JobModel(Answer):
     """Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in
     part.
     """
+    broken: list[LeftOutModel]
+    """Sensors that fell out and that this kind of job does not calibrate; its own result is whole."""
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
     options: dict[str, Any]

@@ -413,6 +413,8 @@ class JobSummary(Answer):
     """Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in
     part.
     """
+    broken: list[LeftOutModel]
+    """Sensors that fell out and that this kind of job does not calibrate; its own result is whole."""
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
     options: dict[str, Any]
@@ -443,12 +445,34 @@ class MethodModel(Answer):
     """What it finds, of what."""
 
 
+class MountingChoiceModel(Answer):
+    """A rotation that the firmware has by number."""
+
+    number: int
+    """For the plan option `mountings`."""
+    text: str
+    matrix: list[list[Number]]
+    """Takes the sensor to the body."""
+
+
+class MountingModel(Answer):
+    """The mounting of a compass; numbers are the firmware's."""
+
+    instance: int
+    """Which compass, from 0."""
+    stated: int
+    """What the vehicle is told now."""
+    stated_text: str
+    chosen: int | None
+    """What the plan takes instead; null: as it was found."""
+
+
 class OptionModel(Answer):
     """A number or a switch that may be set when a job is started."""
 
     name: str
-    default: bool | Number
-    """In `unit`."""
+    default: bool | Number | None
+    """In `unit`; null: it has to be given."""
     help: str
     unit: str
     """Empty: a switch, or a pure number."""
@@ -555,6 +579,10 @@ class ReviewModel(Answer):
     criteria: list[CriterionModel]
     picture: str | None
     """Address of the picture of before and after, relative to the root of the service; null: none."""
+    mountings: list[MountingModel]
+    """Compasses whose mounting can be chosen."""
+    mounting_choices: list[MountingChoiceModel]
+    """What can be chosen."""
 
 
 class SensorRecordModel(Answer):

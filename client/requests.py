@@ -24,6 +24,8 @@ class PlanOptions(Request):
     """Carry the level trim over to a new accelerometer calibration."""
     confirm_mounting: bool = False
     """A compass really is mounted as the job found it."""
+    mountings: dict[str, int] = Field(default_factory=dict)
+    """Mounting of a compass that its movement did not show, by the firmware's number."""
     confirm_other_unit: bool = False
     """A recording without a board id is of this vehicle; the audit keeps it."""
     device_ids: dict[str, int] = Field(default_factory=dict)

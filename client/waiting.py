@@ -481,10 +481,10 @@ class Client(Transport):
         kind: str,
         at_once: int | None = None,
         tag: str | None = None,
-        options: dict[str, Number | bool] | None = None,
         plan_options: PlanOptions | None = None,
         apply: bool | None = None,
         reboot: bool | None = None,
+        options: dict[str, Number | bool] | None = None,
     ) -> JobModel:
         """Calibrate many vehicles as one job, which begins a job for each. Without `apply` their plans wait in
         review.
@@ -497,8 +497,35 @@ class Client(Transport):
                 "at_once": at_once,
                 "vehicles": vehicles,
                 "tag": tag,
+                "plan_options": plan_options,
+                "apply": apply,
+                "reboot": reboot,
                 "kind": kind,
                 "options": options,
+            },
+        )
+
+    def start_restore_campaign(
+        self,
+        *,
+        vehicles: list[str] | Literal["all"],
+        at_once: int | None = None,
+        tag: str | None = None,
+        plan_options: PlanOptions | None = None,
+        apply: bool | None = None,
+        reboot: bool | None = None,
+    ) -> JobModel:
+        """Put the last verified calibration of many vehicles back as a job; without `apply` their plans wait in
+        review.
+        """
+        return self._ask(
+            "POST",
+            "/api/v1/campaigns/restore",
+            answers.JOB_MODEL,
+            body={
+                "at_once": at_once,
+                "vehicles": vehicles,
+                "tag": tag,
                 "plan_options": plan_options,
                 "apply": apply,
                 "reboot": reboot,

@@ -15,7 +15,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.service.errors import HandBusy, LinkDown, NotSimulated
 from mavcal.service.jobs.codec import to_json
 from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import CAPTURING, ENDED
+from mavcal.service.jobs.states import CAPTURING, ENDED, JobState
 from mavcal.service.link import Hand, Link
 from mavcal.service.simvehicle import ControlChannel, ControlError, Operator
 from mavcal.service.vehicle import Vehicle
@@ -91,9 +91,13 @@ class SimulatedHands:
         for job in self._jobs():
             if job.vehicle_id in moved and job.state not in ENDED:
                 newest[job.vehicle_id or ""] = job
-        for vehicle_id, job in newest.items():
+        for vehicle_id, link in moved.items():
             with suppress(ControlError):  # the vehicle has gone; its link tells
-                await self._serve(moved[vehicle_id], job)
+                present = newest.get(vehicle_id)
+                if present is not None:
+                    await self._serve(link, present)
+                if self._is_left(link, present):
+                    await asyncio.to_thread(self._operator(link).rest)
 
     async def _serve(self, link: Link, job: Job) -> None:
         prompt: dict[str, Any] | None = None if job.prompt is None else to_json(job.prompt)
@@ -108,6 +112,15 @@ class SimulatedHands:
         if now - since < MOMENT_S:
             return
         await asyncio.to_thread(self._followed, link, prompt)
+
+    def _is_left(self, link: Link, job: Job | None) -> bool:
+        """Whether nobody needs the vehicle as it is: its job has ended, or is in review and it turns still."""
+        if link.id not in self._operators:
+            return False
+        _, _, operator = self._operators[link.id]
+        if job is None:
+            return not operator.resting
+        return job.state == JobState.REVIEW and operator.turning
 
     def _followed(self, link: Link, prompt: dict[str, Any]) -> None:
         self._operator(link).follow(prompt)

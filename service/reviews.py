@@ -8,7 +8,18 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from mavcal.calib.firmware.plan import WritePlan
-from mavcal.calib.review import Criterion, SensorEffect, criteria_of, effects_of, headline_of, picture_of
+from mavcal.calib.review import (
+    Choice,
+    Criterion,
+    Mounting,
+    SensorEffect,
+    choices_of,
+    criteria_of,
+    effects_of,
+    headline_of,
+    mountings_of,
+    picture_of,
+)
 from mavcal.service.errors import PlanMissing
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
@@ -24,6 +35,8 @@ class Review:
     effects: tuple[SensorEffect, ...]
     criteria: tuple[Criterion, ...]
     picture: Markup | None
+    mountings: tuple[Mounting, ...]
+    mounting_choices: tuple[Choice, ...]
 
 
 async def review_of(job: Job, store: JobStore, *, columns: int | None = None) -> Review:
@@ -42,8 +55,15 @@ async def review_of(job: Job, store: JobStore, *, columns: int | None = None) ->
 def reviewed(job: Job, plan: WritePlan, store: JobStore, columns: int | None = None) -> Review:
     """The same; reads the store, so not for the event loop."""
     kept = store.snapshot(job.id, SnapshotPurpose.COMPOSED_ON)
-    effects = effects_of(job.results, plan, {} if kept is None else kept.body)
+    parameters = {} if kept is None else kept.body
+    effects = effects_of(job.results, plan, parameters)
+    mountings = mountings_of(job.results, plan, parameters, job.context.get("plan_options", {}))
     headline = headline_of(effects, done=job.state == JobState.SUCCEEDED)
     return Review(
-        headline, effects, criteria_of(job.results, plan, job.options), picture_of(effects, headline, columns)
+        headline,
+        effects,
+        criteria_of(job.results, plan, job.options),
+        picture_of(effects, headline, columns),
+        mountings,
+        choices_of(plan.fingerprint.autopilot) if mountings else (),
     )

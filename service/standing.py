@@ -21,5 +21,7 @@ async def states_of(service: Service, vehicle_id: str) -> tuple[SensorState, ...
     parameters = {name: parameter.value for name, parameter in vehicle.parameters.items()}
     history = await asyncio.to_thread(history_of, jobs, service.store)
     snapshot = Snapshot(Recording(()), identity, parameters, time.time(), history, complete=vehicle.listed)
-    finished = [FinishedCalibration(job.kind, job.id, job.updated_at, job.results) for job in jobs]
+    finished = [
+        FinishedCalibration(job.kind, job.id, job.updated_at, job.results, job.left_out, job.missed) for job in jobs
+    ]
     return sensor_states(finished, snapshot)

@@ -101,16 +101,16 @@ export interface CalibrationCampaignRequest {
   vehicles: string[] | "all";
   /** Only those that carry this tag; null: whatever they carry. */
   tag?: string | null;
-  /** A kind of `/procedures`, such as gyro or level. */
-  kind: string;
-  /** Options of that procedure. */
-  options?: Record<string, number | boolean>;
   /** Options of every plan; confirmations belong to one plan and are refused. */
   plan_options?: PlanOptions;
   /** Accept and write every plan that nothing stands against; needs the scope write-params. */
   apply?: boolean;
   /** With `apply`: restart a vehicle whose plan needs it; else that plan stays in review. */
   reboot?: boolean;
+  /** A kind of `/procedures`, such as gyro or level. */
+  kind: string;
+  /** Options of that procedure. */
+  options?: Record<string, number | boolean>;
 }
 
 /** One parameter to be set. */
@@ -569,6 +569,8 @@ export interface JobModel {
   outcome: OutcomeModel | null;
   /** Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in part. */
   left_out: LeftOutModel[];
+  /** Sensors that fell out and that this kind of job does not calibrate; its own result is whole. */
+  broken: LeftOutModel[];
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
   /** Options of the procedure or method, and what an upload adds. */
@@ -623,6 +625,8 @@ export interface JobSummary {
   outcome: OutcomeModel | null;
   /** Sensors that were asked for and get no new calibration, or only a part of it; not empty: the job is done in part. */
   left_out: LeftOutModel[];
+  /** Sensors that fell out and that this kind of job does not calibrate; its own result is whole. */
+  broken: LeftOutModel[];
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
   /** Options of the procedure or method, and what an upload adds. */
@@ -737,6 +741,26 @@ export interface MethodModel {
   summary: string;
 }
 
+/** A rotation that the firmware has by number. */
+export interface MountingChoiceModel {
+  /** For the plan option `mountings`. */
+  number: number;
+  text: string;
+  /** Takes the sensor to the body. */
+  matrix: number[][];
+}
+
+/** The mounting of a compass; numbers are the firmware's. */
+export interface MountingModel {
+  /** Which compass, from 0. */
+  instance: number;
+  /** What the vehicle is told now. */
+  stated: number;
+  stated_text: string;
+  /** What the plan takes instead; null: as it was found. */
+  chosen: number | null;
+}
+
 /** What would prove the parameters that are still open. */
 export interface MovementModel {
   text: string;
@@ -787,8 +811,8 @@ export interface OpenModel {
 /** A number or a switch that may be set when a job is started. */
 export interface OptionModel {
   name: string;
-  /** In `unit`. */
-  default: boolean | number;
+  /** In `unit`; null: it has to be given. */
+  default: boolean | number | null;
   help: string;
   /** Empty: a switch, or a pure number. */
   unit: string;
@@ -872,6 +896,8 @@ export interface PlanOptions {
   adjust_level?: boolean;
   /** A compass really is mounted as the job found it. */
   confirm_mounting?: boolean;
+  /** Mounting of a compass that its movement did not show, by the firmware's number. */
+  mountings?: Record<string, number>;
   /** A recording without a board id is of this vehicle; the audit keeps it. */
   confirm_other_unit?: boolean;
   /** PX4: device id that no stream says, by sensor. */
@@ -1036,6 +1062,14 @@ export interface PromptModel {
   turns: number | null;
   /** A number that is asked for beside `answers`. */
   number: NumberModel | null;
+  /** The detected pose is done already: the next one is waited for. */
+  taken: boolean;
+  /** Oblique poses: those that were taken, then those that are asked for. */
+  tilts: TiltModel[];
+  /** What stays open after the answer `finish` now; empty: nothing. */
+  unfinished: string;
+  /** Null: the vehicle is heard. */
+  silence: SilenceModel | null;
 }
 
 /** What a prompt is about, for programs: those of a capture, then those of a write. */
@@ -1145,6 +1179,22 @@ export interface RegistrationModel {
   extras: Record<string, string>;
 }
 
+/** Put the last verified calibration of many vehicles back. */
+export interface RestoreCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/vehicles`, or `all` that are heard now. */
+  vehicles: string[] | "all";
+  /** Only those that carry this tag; null: whatever they carry. */
+  tag?: string | null;
+  /** Options of every plan; confirmations belong to one plan and are refused. */
+  plan_options?: PlanOptions;
+  /** Accept and write every plan that nothing stands against; needs the scope write-params. */
+  apply?: boolean;
+  /** With `apply`: restart a vehicle whose plan needs it; else that plan stays in review. */
+  reboot?: boolean;
+}
+
 /** Put the last verified calibration back. */
 export interface RestoreRequest {
   /** These sensors alone, as gyro0 or accel1; empty: all, and what belongs to the board. */
@@ -1170,6 +1220,10 @@ export interface ReviewModel {
   criteria: CriterionModel[];
   /** Address of the picture of before and after, relative to the root of the service; null: none. */
   picture: string | null;
+  /** Compasses whose mounting can be chosen. */
+  mountings: MountingModel[];
+  /** What can be chosen. */
+  mounting_choices: MountingChoiceModel[];
 }
 
 /** New samples of one sensor. */
@@ -1361,6 +1415,14 @@ export interface SigningRequest {
   key: string;
 }
 
+/** For how long the vehicle has not been heard. */
+export interface SilenceModel {
+  /** s. */
+  lasted: number;
+  /** After so long the job gives up, s. */
+  limit: number;
+}
+
 /** A slope along one axis, with the interval that holds it with 90 %. */
 export interface SlopeModel {
   /** Per year or per degC, in the unit of the drift. */
@@ -1425,6 +1487,13 @@ export interface TicketModel {
   ticket: string;
   /** How long it is good, s. */
   valid_s: number;
+}
+
+/** An oblique pose that is asked for, or that was taken. */
+export interface TiltModel {
+  /** Body direction (front, right, down) that points down; a unit vector. */
+  direction: [number, number, number];
+  taken: boolean;
 }
 
 /** How a simulated vehicle is to be held. */
@@ -2047,6 +2116,13 @@ export interface Operations {
     method: "POST";
     path: "/api/v1/campaigns/calibrate";
     body: CalibrationCampaignRequest;
+    answer: JobModel;
+  };
+  /** Put the last verified calibration of many vehicles back as a job; without `apply` their plans wait in review. */
+  start_restore_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/restore";
+    body: RestoreCampaignRequest;
     answer: JobModel;
   };
   /** Run one method on many uploads as one job; the fits are in its items. */

@@ -59,6 +59,7 @@ export const OPERATIONS = {
   get_unit_history: ["GET", "/api/v1/fleet/{unit_id}/history"],
   start_preflight_campaign: ["POST", "/api/v1/campaigns/preflight"],
   start_calibration_campaign: ["POST", "/api/v1/campaigns/calibrate"],
+  start_restore_campaign: ["POST", "/api/v1/campaigns/restore"],
   start_fit_campaign: ["POST", "/api/v1/campaigns/fit"],
   start_gap_campaign: ["POST", "/api/v1/campaigns/gap"],
   list_items: ["GET", "/api/v1/jobs/{job_id}/items"],

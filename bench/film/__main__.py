@@ -28,9 +28,9 @@ SPEED = 3.0
 READY = {
     "home": ".tile button",
     "job": ".faces li",
-    "logs": ".charts canvas",
+    "logs": "#method",
     "gap": "iframe.report",
-    "history": "main table",
+    "history": "main table, .rows .row",
     "live": ".charts canvas",
 }
 """Text that a room shows once it is complete."""

@@ -41,6 +41,7 @@ def furnish(client: Client) -> Mapping[str, str]:
     written(client, done, "gyro")
     review = reviewed(client, done, "mag")
     capture = capturing(client, waits)
+    campaign = came(client, client.start_preflight_campaign(vehicles=[done]).id, "succeeded")
     until(lambda: client.get_gap(gap).state == "succeeded", "the diagnosis")
     return {
         "home": "",
@@ -50,6 +51,7 @@ def furnish(client: Client) -> Mapping[str, str]:
         "live": f"#/vehicle/{waits}/live",
         "capture": f"#/job/{capture}",
         "review": f"#/job/{review}",
+        "campaign": f"#/campaign/{campaign}",
         "logs": "#/logs",
         "log": f"#/log/{log}",
         "gap": "#/gap",

@@ -37,6 +37,8 @@ class ComposeOptions:
     """The sensors to plan for; empty: every one that was fitted."""
     confirm_mounting: bool = False
     """The operator has looked: a compass really is mounted otherwise than the vehicle is told."""
+    mountings: Mapping[Key, int] = field(default_factory=lambda: MappingProxyType({}))
+    """The firmware's number of the rotation by which a compass is mounted, as the operator chose it."""
     confirm_other_unit: bool = False
     """The operator knows that a recording without a board id is of this vehicle."""
     device_ids: Mapping[Key, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -152,6 +154,13 @@ def _ids(name: str, value: Any) -> dict[Key, int]:
     return ids
 
 
+def _rotations(name: str, value: Any) -> dict[Key, int]:
+    found = _by_sensor(name, value, "the number of a rotation")
+    if any(key[0] != Sensor.MAG or number < 0 or not number.is_integer() for key, number in found.items()):
+        raise InvalidInputError(f"option {name} of a plan is of compasses, by the firmware's number, not {value!r}")
+    return {key: int(number) for key, number in found.items()}
+
+
 def _temperatures(name: str, value: Any) -> dict[int, float]:
     found = _by_sensor(name, value, "a temperature in degC")
     wrong = [key_text(*key) for key in found if key[0] != Sensor.ACCEL]
@@ -169,6 +178,7 @@ PLAN_OPTIONS: Final[Mapping[str, PlanOption]] = MappingProxyType(
             PlanOption("mark_calibrated", _switch, "ArduPilot: mark the sensors as calibrated after the write."),
             PlanOption("adjust_level", _switch, "Carry the level trim over to a new accelerometer calibration."),
             PlanOption("confirm_mounting", _switch, "Confirm that a compass is mounted as the job found it."),
+            PlanOption("mountings", _rotations, "Mounting of a compass by the firmware's number, as mag0=6."),
             PlanOption(
                 "confirm_other_unit",
                 _switch,

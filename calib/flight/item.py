@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -26,6 +27,12 @@ class FlightLimit:
     fail: float
     unit: str
     source: str
+
+
+def worded_bounds(warn: float, fail: float | None, unit: str) -> str:
+    """Two limits as a person reads them: shares in percent, rates in deg/s; `fail` None: there is one."""
+    factor, unit = {"1": (100.0, "%"), "rad/s": (math.degrees(1.0), "deg/s")}.get(unit, (1.0, unit))
+    return f"{factor * warn:.3g} {unit}" if fail is None else f"{factor * warn:.3g} and {factor * fail:.3g} {unit}"
 
 
 @dataclass(frozen=True)

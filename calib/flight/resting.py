@@ -163,7 +163,7 @@ def _bias(instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
         return _none("gyro_bias_at_rest", subject, why)
     worst = max(means, key=lambda m: float(np.linalg.norm(m.mean)))
     rate = float(np.linalg.norm(worst.mean))
-    text = f"reads {np.degrees(rate):.3f} deg/s at rest ({worst.rest.phase}): {_vector(worst.mean)} rad/s"
+    text = f"reads {np.degrees(rate):.3f} deg/s at rest ({worst.rest.phase}): {_vector(np.degrees(worst.mean))} deg/s"
     sd = float(np.linalg.norm(worst.sd))
     return judged(
         "gyro_bias_at_rest",
@@ -222,9 +222,9 @@ def _apart(
     weight = np.array([1.0, 1.0, 0.5]) if sensor == "accel" else np.ones(3)
     first, second = max(common, key=lambda two: float(np.linalg.norm(weight * (two[0].mean - two[1].mean))))
     difference, sd = first.mean - second.mean, np.hypot(first.sd, second.sd)
-    unit = limit.unit
+    factor, unit = (float(np.degrees(1.0)), "deg/s") if limit.unit == "rad/s" else (1.0, limit.unit)
     halved = ", z counted half" if sensor == "accel" else ""
-    text = f"differ by {_vector(difference)} {unit} at rest ({first.rest.phase}{halved})"
+    text = f"differ by {_vector(factor * difference)} {unit} at rest ({first.rest.phase}{halved})"
     errors = [_own_error(sensor, m.mean) for m in (first, second)]
     if max(errors) > _CLEARLY * min(errors) and max(errors) > 0.25 * limit.warn:
         text += (

@@ -17,6 +17,9 @@ from mavcal.calib.gap.schema import (
 )
 
 _ENDLESS = 1e300
+NATS = "One nat a sample: a reading is 2.7 times less likely than noise alone would make it."
+_FINEST = 7
+"""Most decimals of a number beside its error."""
 _SENSORS = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
 _VERDICTS = {
     GapVerdict.EXPLAINED: "The real sensors differ from the simulated ones, and known effects explain the difference.",
@@ -107,13 +110,31 @@ def number(value: float | None) -> str:
     return f"{value:.4g}" if abs(value) < _ENDLESS else "unbounded"
 
 
+def with_error(value: float, se: float | None, unit: str) -> str:
+    """A number and its standard error with the same decimals, two digits of the error."""
+    if se is None or not 0.0 < se < _ENDLESS:
+        return f"{number(value)} +- {quantity(se, unit)}"
+    decimals = max(0, 1 - math.floor(math.log10(se)))
+    if decimals > _FINEST:
+        return f"{number(value)} +- {quantity(se, unit)}"
+    return f"{value:.{decimals}f} +- {quantity(float(f'{se:.{decimals}f}'), unit)}"
+
+
+def chance(probability: float) -> str:
+    """A probability in whole percent: no digits that nobody knows."""
+    if probability > 0.995:
+        return "over 99 %"
+    return "under 1 %" if probability < 0.005 else f"{100.0 * probability:.0f} %"
+
+
 def closed_sentence(shrink: Shrink | None) -> str:
     """How far the gap shrinks."""
     if shrink is None:
         return "How far the gap shrinks could not be measured: the recording is too short to hold parts of it back."
     if shrink.closed is None:
         return (
-            f"Nothing measurable to close: {number(shrink.before)} nats a sample before, {number(shrink.after)} after."
+            f"Nothing measurable to close: {number(shrink.before)} nats a sample before, {number(shrink.after)} after. "
+            f"{NATS}"
         )
     if shrink.known is None and shrink.ci95 is not None:
         low, high = shrink.ci95
@@ -125,7 +146,7 @@ def closed_sentence(shrink: Shrink | None) -> str:
     return (
         f"On data that were held out, adding the effects closes {100.0 * shrink.closed:.1f} % of the gap{interval}: "
         f"from {number(shrink.before)} to {number(shrink.after)} nats a sample, the floor being {number(shrink.floor)} "
-        f"({shrink.floor_source.replace('_', ' ')})."
+        f"({shrink.floor_source.replace('_', ' ')}). {NATS}"
     )
 
 

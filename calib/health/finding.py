@@ -131,6 +131,11 @@ def sensor_health(sensor: Sensor, instance: int, findings: Iterable[HealthFindin
     return SensorHealth(sensor, instance, tuple(sorted(found.findings, key=lambda f: f.check in SUPPORTING)))
 
 
+def shown_sd(sd: float) -> str:
+    """A standard deviation with two decimals, a smaller one as 0.01: never 0.00."""
+    return f"{max(sd, 0.01):.2f}"
+
+
 def judged_value(value: float, sd: float, limit: HealthLimit) -> HealthVerdict:
     """A larger `value` is worse; what two of its standard errors explain is no finding.
 

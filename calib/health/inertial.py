@@ -18,7 +18,7 @@ from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import calm, limits, motion
 from mavcal.calib.health.channels import judged_channel, why_unjudged
-from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
+from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value, shown_sd
 from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.health.support import Support, support_of
 from mavcal.calib.recording import Channel, Recording, Sensor
@@ -173,7 +173,7 @@ def _gravity(
     sd = float(np.hypot(windows.sd[0], unsure))
     off = max(force - high, low - force, 0.0)
     verdict = judged_value(off, sd, limits.FORCE)
-    text = f"reads {force:.2f} +- {sd:.2f} m/s2 {how}; gravity is {gravity:.2f}{against}"
+    text = f"reads {force:.2f} ± {shown_sd(sd)} m/s2 {how}; gravity is {gravity:.2f}{against}"
     if verdict in BAD and never_calibrated(recording, Sensor.ACCEL, channel.instance):
         text += ". It was never calibrated: its offsets are 0 and its scales 1"
     return _finding("gravity", channel, verdict, text, Compared(off, sd, limits.FORCE))
@@ -237,7 +237,7 @@ def _rate(channel: Channel, witness: _Witness, laid: Sequence[Still], rested: Se
     rate, sd = float(np.linalg.norm(windows.median)), float(np.linalg.norm(windows.sd))
     verdict = judged_value(rate, sd, limits.RATE)
     axes = ", ".join(f"{np.degrees(v):+.2f}" for v in windows.median)
-    text = f"reads {np.degrees(rate):.2f} +- {np.degrees(sd):.2f} deg/s {how}: ({axes}) deg/s"
+    text = f"reads {np.degrees(rate):.2f} ± {shown_sd(float(np.degrees(sd)))} deg/s {how}: ({axes}) deg/s"
     if how == _ACROSS:
         text += f"{_NO_JUDGE}{witness.support.tilt}"
     if verdict == HealthVerdict.OK and how == _LEVEL:
@@ -267,8 +267,9 @@ def _heading_open(channel: Channel, witness: _Witness) -> tuple[HealthVerdict, s
     if judged_value(rate, sd, limits.RATE) == HealthVerdict.OK:
         return HealthVerdict.OK, ""
     return HealthVerdict.CANNOT_SAY, (
-        f". About the vertical it turns by {np.degrees(rate):.2f} +- {np.degrees(sd):.2f} deg/s beyond the attitude, "
-        f"whose heading is not to be believed ({witness.support.heading}): ten seconds at rest would decide"
+        f". About the vertical it turns by {np.degrees(rate):.2f} ± {shown_sd(float(np.degrees(sd)))} deg/s beyond "
+        f"the attitude, whose heading is not to be believed ({witness.support.heading}): "
+        "ten seconds at rest would decide"
     )
 
 
@@ -314,15 +315,19 @@ def _of_pairs(
         return _finding("units", channel, HealthVerdict.OK, text, Compared(None, None, limit))
     other, (value, sd, verdict) = max(pairs.items(), key=lambda pair: pair[1][0])
     factor, unit = (1.0, "m/s2") if channel.sensor == Sensor.ACCEL else (float(np.degrees(1.0)), "deg/s")
-    text = f"differs from unit {other + 1} by {factor * value:.2f} +- {factor * sd:.2f} {unit}"
+    text = f"differs from unit {other + 1} by {factor * value:.2f} ± {shown_sd(factor * sd)} {unit}"
     if verdict == HealthVerdict.CANNOT_SAY:
         return _finding("units", channel, verdict, text, Compared(value, sd, limit))
     if own[instance].verdict == HealthVerdict.OK and (own[other].verdict in BAD or _clearly(own[other], own[instance])):
         return _finding(
-            "units", channel, HealthVerdict.OK, f"{text}, which is off by itself", Compared(value, sd, limit)
+            "units",
+            channel,
+            HealthVerdict.OK,
+            f"{text}; by its own check unit {other + 1} is off",
+            Compared(value, sd, limit),
         )
     if own[instance].verdict == HealthVerdict.OK and _clearly(own[instance], own[other]):
-        text = f"{text}, which is less off by itself"
+        text = f"{text}; by their own checks unit {other + 1} is the better one"
     elif len(pairs) == 1 and own[instance].verdict in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY):
         text, verdict = f"{text}; which of them is off, this comparison cannot say", HealthVerdict.SUSPICIOUS
     return _finding("units", channel, verdict, text, Compared(value, sd, limit))

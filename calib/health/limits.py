@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from mavcal.calib.flight import limits as flight
-from mavcal.calib.flight.item import FlightLimit
+from mavcal.calib.flight.item import FlightLimit, worded_bounds
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,7 @@ class HealthLimit:
     @property
     def worded(self) -> str:
         """The numbers as a person reads them: shares in percent, rates in deg/s."""
-        factor, unit = {"1": (100.0, "%"), "rad/s": (float(np.degrees(1.0)), "deg/s")}.get(self.unit, (1.0, self.unit))
-        if self.faulty is None:
-            return f"{factor * self.suspicious:.3g} {unit}"
-        return f"{factor * self.suspicious:.3g} and {factor * self.faulty:.3g} {unit}"
+        return worded_bounds(self.suspicious, self.faulty, self.unit)
 
     @classmethod
     def of(cls, limit: FlightLimit) -> HealthLimit:

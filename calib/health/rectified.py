@@ -18,7 +18,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.flight.item import JudgedItem
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import judged_channel
-from mavcal.calib.health.finding import BAD, HealthFinding, HealthVerdict, judged_value
+from mavcal.calib.health.finding import BAD, HealthFinding, HealthVerdict, judged_value, shown_sd
 from mavcal.calib.recording import Recording, Sensor
 
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ def _by_calm(finding: HealthFinding, one: Rectified, calm: float) -> HealthFindi
     """At worst suspicious: seconds that are calm enough to count may be shifted a little as well."""
     off = abs(calm - STANDARD_GRAVITY)
     verdict = judged_value(off, one.calm_sd, dataclasses.replace(limits.FORCE, faulty=None))
-    text = f"reads {calm:.2f} +- {one.calm_sd:.2f} m/s2 in calm seconds; gravity is {STANDARD_GRAVITY:.2f}"
+    text = f"reads {calm:.2f} ± {shown_sd(one.calm_sd)} m/s2 in calm seconds; gravity is {STANDARD_GRAVITY:.2f}"
     action = finding.action.partition(" Do not fly")[0] if verdict != HealthVerdict.OK else ""
     return dataclasses.replace(finding, verdict=verdict, text=text, action=action, value=off, sd=one.calm_sd)
 

@@ -14,6 +14,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.sections import N_SECTIONS, mask_bytes, visited
 from mavcal.calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, Ellipsoid, correction, correction_covariance
+from mavcal.calib.posture import tilted
 
 Array = NDArray[np.float64]
 
@@ -148,8 +149,8 @@ _CANDIDATES = _candidates()
 
 
 def _words(down: Array) -> str:
-    names = [_SIDES[i][0 if down[i] > 0.0 else 1] for i in range(3) if abs(down[i]) > 1e-6]
-    if len(names) == 1:
-        return f"point the {names[0]} down and turn a full circle about the vertical"
-    between = " and ".join([", ".join(names[:-1]), names[-1]])
-    return f"point the edge between {between} down and turn a full circle about the vertical"
+    axis = int(np.abs(down).argmax())
+    if np.count_nonzero(np.abs(down) > 1e-6) == 1:
+        side = _SIDES[axis][0 if down[axis] > 0.0 else 1]
+        return f"point the {side} down and turn a full circle about the vertical"
+    return f"hold it {tilted(down.tolist())}, and turn a full circle about the vertical"

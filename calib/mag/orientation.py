@@ -80,6 +80,11 @@ class Mounting:
     yaw: int
     matrix: Array
 
+    @property
+    def words(self) -> str:
+        """Its name in a sentence."""
+        return self.name.replace("_", " ")
+
 
 @dataclass(frozen=True, eq=False)
 class FittedRotation:
@@ -367,21 +372,21 @@ def _verdict(
     rms = math.sqrt(squares[order[0]])
     if rms > _EXPLAINS:
         return MountingVerdict.UNEXPLAINED, (
-            f"no right-angle mounting explains the compass: the best ({first.name}) leaves {rms:.2f} of the field "
+            f"no right-angle mounting explains the compass: the best ({first.words}) leaves {rms:.2f} of the field "
             "against the vertical; check the accelerometer's calibration and the mounting angle"
         )
     if squares[order[1]] < MARGIN * max(squares[order[0]], _LEAST**2) or margin < _LIKELIHOOD:
         return MountingVerdict.AMBIGUOUS, (
-            f"the mountings {first.name} and {second.name} explain the compass alike: tilt the vehicle to more sides"
+            f"the mountings {first.words} and {second.words} explain the compass alike: tilt the vehicle to more sides"
         )
     if order[0] == 0:
         return (
             MountingVerdict.AS_STATED,
-            f"the stated mounting explains the compass, the next best ({second.name}) does not",
+            f"the stated mounting explains the compass, the next best ({second.words}) does not",
         )
     stated = math.sqrt(squares[0])
     return MountingVerdict.ROTATED, (
-        f"mounting {first.name} explains the compass (rms {rms:.3f}), the stated one does not (rms {stated:.2f})"
+        f"mounting {first.words} explains the compass (rms {rms:.3f}), the stated one does not (rms {stated:.2f})"
     )
 
 

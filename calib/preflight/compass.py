@@ -129,7 +129,7 @@ def compass_direction(
     if field is None:
         notes.append("dip is not compared: where the vehicle is was not heard")
     if upright.heading is None:
-        notes.append("the true heading is not known: give --heading to check what all compasses may share")
+        notes.append("the true heading is not known: give it to check what all compasses may share")
     measures = blamed(headings, followed=followed)
     if not measures:
         why = "Nothing is left to compare with." if judgeable else "Every compass is left out."

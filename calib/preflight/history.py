@@ -22,7 +22,7 @@ from mavcal.calib.preflight.expected import GYRO_SWITCH, SHARED, ExpectedCalibra
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Sensor
 
-_CALIBRATE = "Calibrate with --apply: a calibration counts from its verification on."
+_CALIBRATE = "Calibrate here and write it: a calibration counts from its verification on."
 _NONE_KNOWN = "No verified calibration of this vehicle is known here."
 _DAY_S = 86400.0
 _UNKNOWN_TEMPERATURE = -70.0
@@ -152,11 +152,11 @@ def parameters_changed(snapshot: Snapshot) -> Check:
         reason = f"The level was saved on the vehicle since it was verified: {'; '.join(said)}."
         return Check(
             *(CheckId.PARAMETERS_CHANGED, Verdict.WARN, float(len(said)), 0.0, 0.0, "", reason),
-            "Calibrate the level here to have it verified, or put the verified one back with `mavcal restore --apply`.",
+            "Calibrate the level here to have it verified, or restore the last verified calibration.",
             (*said, *notes),
         )
     good = "Every calibration parameter is as it was verified."
-    remedy = "Put the verified values back with `mavcal restore --apply`, or calibrate again."
+    remedy = "Restore the last verified calibration, or calibrate again."
     return _counted(CheckId.PARAMETERS_CHANGED, said, "parameters", good, remedy, notes)
 
 

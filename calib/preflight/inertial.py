@@ -14,7 +14,7 @@ from mavcal.calib.preflight.check import SURE, Check, CheckId, Measure, counted,
 from mavcal.calib.preflight.rest import Mean, looked
 
 _STILL = "Put the vehicle down, let nobody touch it, and check again."
-_GYRO = "Calibrate the gyroscopes at rest: `mavcal preflight --fix gyro --apply`."
+_GYRO = "Calibrate the gyroscopes at rest."
 _ACCEL = "Calibrate the accelerometers; if one stays off by itself, it is damaged or loose."
 
 

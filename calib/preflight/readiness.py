@@ -26,6 +26,8 @@ def readiness(report: Report) -> Readiness:
     prearm = report.check(CheckId.VEHICLE_PREARM)
     if report.verdict == Verdict.PASS:
         text = report.summary
+    elif report.verdict == Verdict.FAIL and prearm.verdict == Verdict.PASS:
+        text = f"Not fit to fly, although the vehicle itself would arm: {report.summary}"
     elif prearm.verdict == Verdict.PASS:
         text = f"This vehicle would arm now. {report.summary}"
     elif prearm.verdict == Verdict.UNKNOWN:

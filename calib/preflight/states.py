@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.fit import FitResult
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Verdict
@@ -24,7 +25,7 @@ TILES: Final[Mapping[str, tuple[str, frozenset[str], Sensor | None]]] = {
         frozenset({"accel", "accel-six-face", "accel-one-axis", "imu-multi"}),
         Sensor.ACCEL,
     ),
-    "mag": ("compasses", frozenset({"mag", "mag-rings"}), Sensor.MAG),
+    "mag": ("compasses", frozenset({"mag", "mag-rings", "mag-fixed-yaw"}), Sensor.MAG),
     "thermal": ("temperature drift", frozenset({"thermal"}), None),
 }
 """Each tile by the procedure that it starts: what it is about, the procedures that count, and the sensor."""
@@ -39,6 +40,10 @@ class FinishedCalibration:
     at: float
     """When, wall-clock seconds since 1970."""
     results: tuple[FitResult, ...]
+    left_out: tuple[LeftOut, ...] = ()
+    """Sensors that got no new calibration, or only a part of it."""
+    dead: tuple[LeftOut, ...] = ()
+    """Sensors that fell out of the recording, also those that are not calibrated by this kind."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ class SensorState:
 def sensor_states(finished: Sequence[FinishedCalibration], snapshot: Snapshot) -> tuple[SensorState, ...]:
     """The four states in their order; `finished` from the oldest on, `snapshot` as the vehicle is now."""
     newest = {kind: _newest(finished, counting) for kind, (_, counting, _) in TILES.items()}
-    return tuple(_state(kind, found, snapshot) for kind, found in newest.items())
+    return tuple(_state(kind, found, snapshot, _dead(kind, found, finished)) for kind, found in newest.items())
 
 
 def summary(states: Sequence[SensorState]) -> tuple[Verdict, str]:
@@ -80,6 +85,7 @@ def summary(states: Sequence[SensorState]) -> tuple[Verdict, str]:
     return Verdict.PASS, "Needs nothing now. A preflight looks at the sensors themselves."
 
 
+_TITLES_OF: Final = {Sensor.GYRO: "gyro", Sensor.ACCEL: "accelerometer", Sensor.MAG: "compass"}
 _TITLES: Final = {"gyro": "gyro", "accel": "accelerometer", "mag": "compass", "thermal": "temperature"}
 
 
@@ -91,8 +97,25 @@ def _newest(finished: Sequence[FinishedCalibration], counting: frozenset[str]) -
     return next((one for one in reversed(finished) if one.kind in counting), None)
 
 
-def _state(kind: str, found: FinishedCalibration | None, snapshot: Snapshot) -> SensorState:
+def _dead(kind: str, found: FinishedCalibration | None, finished: Sequence[FinishedCalibration]) -> tuple[LeftOut, ...]:
+    """The sensors of this tile that fell out of its newest calibration, or of anything later."""
+    since, sensor = (-math.inf if found is None else found.at), TILES[kind][2]
+    later = (out for one in finished if one.at >= since for out in one.dead if out.sensor == sensor)
+    return tuple({out.instance: out for out in later}.values())
+
+
+def _told(out: LeftOut) -> str:
+    return f"{_TITLES_OF[out.sensor].capitalize()} {out.instance + 1} was left out: {out.reason.rstrip('.')}."
+
+
+def _state(
+    kind: str, found: FinishedCalibration | None, snapshot: Snapshot, dead: tuple[LeftOut, ...] = ()
+) -> SensorState:
     what, _, sensor = TILES[kind]
+    if dead:
+        at, job = (None, None) if found is None else (found.at, found.job)
+        text = " ".join(map(_told, dead))
+        return SensorState(kind, Verdict.FAIL, "left out", text, "Check or replace it. Then calibrate.", at, job, None)
     if found is None:
         text = f"The {what} were not calibrated here yet." if sensor else f"The {what} was not measured here yet."
         return SensorState(kind, Verdict.UNKNOWN, "not calibrated here", text, _BEGIN[kind], None, None, None)
@@ -116,6 +139,9 @@ def _judged(
         moved = [change for change in changes(snapshot) if change.sensor == sensor]
         if moved:
             return Verdict.FAIL, "changed", f"{_changed(moved)} Restore them, or calibrate again."
+    missed = [out for out in found.left_out if out.sensor == sensor]
+    if missed:
+        return Verdict.WARN, "in part", " ".join(map(_told, missed))
     age = (snapshot.now - found.at) / DAY_S
     if age > limits.CALIBRATION_AGE.value:
         return Verdict.WARN, "old", f"It is {age:.0f} days old; the limit is {limits.CALIBRATION_AGE.value:.0f}."

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from mavcal.calib.preflight.check import Measure, Verdict
 
 _VEHICLE = "the vehicle's own heading"
-_GIVE = "Check again with --heading, the true heading of the nose: it tells which of them is off."
+_GIVE = "Check again and give the true heading of the nose: it tells which of them is off."
 _DECLINED = "The declination that is set by hand explains it."
 
 
@@ -96,7 +96,7 @@ def _given(i: int, measure: Measure, found: Headings, *, together: bool) -> Meas
     return _with(measure, (_compass(i),))
 
 
-_OWN = "Wait until the vehicle's estimate has settled, or restart it, and check again; --heading tells which is off."
+_OWN = "Wait until the vehicle's estimate has settled, and check again; the true heading tells which is off."
 _SHARED = "Look at the orientation that is set for the autopilot, and whether the heading given is a true one."
 
 

@@ -8,18 +8,20 @@ would be tested; the fourth oblique pose is the first that the others must agree
 from __future__ import annotations
 
 import math
+from statistics import median
 from typing import ClassVar
 
 from mavcal.calib.firmware.storable import ACCEL
 from mavcal.calib.option import Option
+from mavcal.calib.posture import tilted
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
 from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, StillnessVerdict
 from mavcal.calib.procedures.placing import shown_down
 from mavcal.calib.procedures.pose_fit import Assessment, assess
-from mavcal.calib.procedures.poses import FACES, TEXTS, angle, any_of, in_words, recognise, remaining, suggest
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
+from mavcal.calib.procedures.poses import FACES, TEXTS, angle, any_of, recognise, remaining, tilts
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep, Tilt
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -39,7 +41,8 @@ SPEC = ProcedureSpec(
         Option("obliques", float, 4.0, "oblique poses to ask for beside the six faces", "", 3.0, 12.0),
         Option("patience", float, 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
     ),
-    needs="the vehicle held still on its six faces and in four oblique poses, in any order, 2-3 s each",
+    needs="the vehicle, propellers off, held still on its six faces and in four oblique poses, in "
+    "any order, 2-3 s each",
     ends_on="standard deviation of every offset (0.005 m/s2), and poses that agree (residual test, dof 3 or more)",
     autopilots=ACCEL,
     duration_s=60.0,
@@ -75,15 +78,19 @@ class AccelProcedure(TickedProcedure):
         self._here: Array | None = None
         self._note = ""
         self._last_taken = 0.0
+        self._measured = 0.0
+        self._took: list[float] = []
         self._assessment: Assessment | None = None
         self._left_of: tuple[int, tuple[int, ...]] | None = None
         self._still_left: tuple[Pose, ...] = ()
+        self._tilts: tuple[Tilt, ...] = ()
 
     def _on_start(self, present: set[Instance]) -> None:
         self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._ask(None, stable=False)
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
+        self._measured += end - start if frame else 0.0
         verdict = self._watch.update(frame)
         direction = self._direction()
         if verdict.still and direction is None:
@@ -111,7 +118,7 @@ class AccelProcedure(TickedProcedure):
         self._here = None
 
     def _keep(self, frame: TickChannels, seconds: float, direction: Array) -> None:
-        if any(angle(direction, p.direction) < SAME_POSE for p in self._poses):
+        if self._is_taken(direction):
             self._note = "This pose is done. "
             return
         self._hold = self._hold or Hold(direction)
@@ -123,11 +130,16 @@ class AccelProcedure(TickedProcedure):
         if self._hold.complete(0.8 * self._target):
             self._take_pose(self._hold, direction)
 
+    def _is_taken(self, direction: Array) -> bool:
+        return self._here is not None or any(angle(direction, p.direction) < SAME_POSE for p in self._poses)
+
     def _take_pose(self, hold: Hold, direction: Array) -> None:
         self._counter += 1
         self._poses.append(taken(hold, self._counter, recognise(direction), direction, self.present(Sensor.ACCEL)))
         self._hold, self._here, self._note = None, direction, ""
         self._last_taken = self.time
+        self._took.append(self._measured)
+        self._measured = 0.0
         if not self._left():
             self._evaluate()
 
@@ -176,21 +188,27 @@ class AccelProcedure(TickedProcedure):
         key = (self._wanted, tuple(p.number for p in self._poses))
         if key != self._left_of:
             self._left_of = key
-            self._still_left = remaining([p.direction for p in self._poses], self._wanted)
+            directions = [p.direction for p in self._poses]
+            self._still_left = remaining(directions, self._wanted)
+            self._tilts = tilts(directions, self._wanted)
         return self._still_left
 
     def _ask(self, direction: Array | None, *, stable: bool) -> None:
         left = self._left()
         detected = recognise(direction) if direction is not None and stable else None
         towards = None
+        taken = stable and self._hold is None and direction is not None and self._is_taken(direction)
         faces = [p for p in left if p in FACES]
         if stable and self._hold is not None:
-            text = f"{self._note}Hold it {TEXTS[detected] if detected else 'still'}."
+            pose = "still"
+            if detected is not None and direction is not None:
+                pose = tilted(direction.tolist()) if detected == Pose.OBLIQUE else TEXTS[detected]
+            text = f"{self._note}Hold it {pose}."
         elif faces:
             text = f"{self._note}Hold the vehicle still {any_of(faces)}."
         else:
-            towards = suggest([p.direction for p in self._poses])
-            text = f"{self._note}Hold the vehicle still, tilted: {in_words(towards)} pointing down."
+            towards = next((tilt.direction for tilt in self._tilts if not tilt.taken), None)
+            text = f"{self._note}Hold the vehicle still, {tilted(towards) if towards else 'tilted'}."
         self._say(
             Prompt(
                 PromptStep.POSE,
@@ -201,6 +219,8 @@ class AccelProcedure(TickedProcedure):
                 direction=towards,
                 detected=detected,
                 stable=stable,
+                taken=taken,
+                tilts=self._tilts,
             )
         )
 
@@ -212,7 +232,7 @@ class AccelProcedure(TickedProcedure):
             self._give_up(f"no new pose within {self.options['patience']:.0f} s ({moving}); {cause}", remedy)
             return
         done, total = len(self._poses), len(self._poses) + len(self._left())
-        per_pose = (self.time - self._began) / done if done else SHORTEST + 3.0
+        per_pose = median(self._took) if self._took else SHORTEST + 3.0  # of measuring alone: no pause is in it
         detail = {
             "hold_s": self._hold.seconds if self._hold else 0.0,
             "offset_sd": self._assessment.offset_sd if self._assessment else None,

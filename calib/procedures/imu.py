@@ -47,7 +47,8 @@ SPEC = ProcedureSpec(
         Option("obliques", float, 6.0, "oblique poses to ask for beside the six faces", "", 4.0, 18.0),
         Option("patience", float, 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
     ),
-    needs="the vehicle at rest, then held still on its six faces and in six oblique poses, turned briskly in between",
+    needs="the vehicle, propellers off, at rest, then held still on its six faces and in six oblique "
+    "poses, turned in between",
     ends_on="standard deviation of every accelerometer offset (0.005 m/s2) and gyro scale (2 %), poses that agree",
     autopilots=INERTIAL,
     duration_s=75.0,

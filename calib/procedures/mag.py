@@ -42,7 +42,8 @@ SPEC = ProcedureSpec(
         ),
         Option("patience", float, 240.0, "ends after this time in any case", "s", 20.0, 3600.0),
     ),
-    needs="the vehicle turned slowly about all axes, outdoors, away from steel and magnets; accelerometers calibrated",
+    needs="the vehicle, propellers off, turned slowly about all axes, outdoors, away from steel and "
+    "magnets; accelerometers calibrated",
     ends_on="standard deviation of the heading of every compass (0.3 deg), and a mounting that gravity confirms",
     autopilots=MAG,
     duration_s=40.0,
@@ -293,13 +294,28 @@ class MagProcedure(TickedProcedure):
 
     def _ask(self) -> None:
         usable = any(t.predicted <= max(USABLE, self._target) for t in self._tracks.values())
-        answers = ("finish",) if usable else ()
-        self._say(Prompt(PromptStep.ROTATE, self._text, rotate=True, direction=self._direction, answers=answers))
+        worst = max((self._known(t) for t in self._tracks.values()), default=math.inf)
+        short = f"The heading is known to {worst:.1f} deg, not to {self._target:g} deg." if worst > self._target else ""
+        self._say(
+            Prompt(
+                PromptStep.ROTATE,
+                self._text,
+                rotate=True,
+                direction=self._direction,
+                answers=("finish",) if usable else (),
+                unfinished=short if usable else "",
+            )
+        )
+
+    @staticmethod
+    def _known(track: MagTrack) -> float:
+        """How well the heading of a compass is known, or will be once it is fitted, deg."""
+        return min(track.heading_sd, track.predicted) if track.fit is None else track.heading_sd
 
     def _tell(self) -> None:
         if not self._tracks:
             return
-        known = {i: min(t.heading_sd, t.predicted) if t.fit is None else t.heading_sd for i, t in self._tracks.items()}
+        known = {i: self._known(t) for i, t in self._tracks.items()}
         worst = max(known.values(), default=math.inf)
         finite = math.isfinite(worst)
         # Information grows with the samples while the vehicle is turned.

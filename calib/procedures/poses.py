@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from mavcal.calib.procedures.protocol import Pose
+from mavcal.calib.procedures.protocol import Pose, Tilt
 from mavcal.calib.recording import Array
 
 FACES = (Pose.LEVEL, Pose.LEFT, Pose.RIGHT, Pose.NOSE_DOWN, Pose.NOSE_UP, Pose.BACK)
@@ -30,7 +30,7 @@ TEXTS = {
     Pose.NOSE_DOWN: "nose down",
     Pose.NOSE_UP: "nose up",
     Pose.BACK: "on its back",
-    Pose.OBLIQUE: "tilted between two or three faces",
+    Pose.OBLIQUE: "tilted",
 }
 
 FACE_WITHIN = math.radians(22.0)
@@ -118,17 +118,16 @@ def suggest(taken: Sequence[Array]) -> tuple[float, float, float]:
     return float(best[0]), float(best[1]), float(best[2])
 
 
+def tilts(taken: Iterable[Array], obliques: int) -> tuple[Tilt, ...]:
+    """The oblique poses of `taken`, then those that are missing of `obliques`, each as it would tell most."""
+    kept = distinct_obliques(taken)
+    asked: list[tuple[float, float, float]] = []
+    while len(kept) + len(asked) < obliques:
+        asked.append(suggest([*kept, *(np.array(one) for one in asked)]))
+    done = tuple(Tilt((float(x), float(y), float(z)), taken=True) for x, y, z in kept)
+    return done + tuple(Tilt(one, taken=False) for one in asked)
+
+
 def _crosses(directions: Array) -> Array:
     x, y, z = directions.T
     return np.column_stack([x * y, x * z, y * z])
-
-
-def in_words(direction: Sequence[float]) -> str:
-    """The sides of the vehicle that point down, in words.
-
-    >>> in_words((0.7, -0.7, 0.0))
-    'the nose and the left side'
-    """
-    names = (("the nose", "the tail"), ("the right side", "the left side"), ("the belly", "the top"))
-    parts = [names[i][0 if x > 0 else 1] for i, x in enumerate(direction) if abs(x) > 0.35]
-    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)

@@ -66,6 +66,23 @@ class PromptStep(StrEnum):
 
 
 @dataclass(frozen=True)
+class Tilt:
+    """An oblique pose that is asked for, or that was taken."""
+
+    direction: tuple[float, float, float]
+    """The body direction (FRD) that points down, a unit vector."""
+    taken: bool
+
+
+@dataclass(frozen=True)
+class Silence:
+    """For how long the vehicle has not been heard, and after how long the job gives up, s."""
+
+    lasted: float
+    limit: float
+
+
+@dataclass(frozen=True)
 class Prompt:
     """What the operator is asked to do now; a panel draws it, a voice says it."""
 
@@ -91,6 +108,14 @@ class Prompt:
     """How many turns to make, then stop. None: go on until the prompt changes."""
     number: Number | None = None
     """A number that is asked for beside `answers`."""
+    taken: bool = False
+    """The detected pose is done already: the next one is waited for."""
+    tilts: tuple[Tilt, ...] = ()
+    """The oblique poses, those that were taken first, then in the order in which they are asked for."""
+    unfinished: str = ""
+    """What stays open if it is ended now by the answer ``finish``, as a sentence; empty: nothing does."""
+    silence: Silence | None = None
+    """The vehicle is not heard; the rest of the prompt is as before."""
 
     def accepts(self, value: str) -> bool:
         """Whether `value` is an answer to this prompt."""
@@ -126,7 +151,7 @@ class Done:
     results: tuple[FitResult, ...]
     because: str
     left_out: tuple[LeftOut, ...] = ()
-    """Sensors that this kind of job calibrates and that could not take part."""
+    """Sensors that should have taken part and could not, also those that only help."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.procedures.accel import AccelProcedure
 from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.fixed_yaw import MagFixedYawProcedure
 from mavcal.calib.procedures.gyro import GyroProcedure
 from mavcal.calib.procedures.imu import ImuProcedure
 from mavcal.calib.procedures.level import LevelProcedure
@@ -32,6 +33,7 @@ _CLASSES: tuple[type[TickedProcedure], ...] = (
     AccelOneAxisProcedure,
     AccelSixFaceProcedure,
     MagRingsProcedure,
+    MagFixedYawProcedure,
     GyroTurntableProcedure,
     GyroThreadProcedure,
     ImuProcedure,

@@ -58,7 +58,8 @@ SPEC = ProcedureSpec(
         ),
         Option("patience", float, 240.0, "gives up after this time without a new ring", "s", 20.0, 3600.0),
     ),
-    needs="the vehicle stood square on each of its six faces and turned once around there, away from steel and magnets",
+    needs="the vehicle, propellers off, stood square on each of its six faces and turned once around "
+    "there, away from steel and magnets",
     ends_on="standard deviation of the heading of every compass (0.5 deg), the tilt of faces included; rings agree",
     autopilots=MAG,
     duration_s=90.0,

@@ -46,7 +46,8 @@ SPEC = ProcedureSpec(
         ),
         Option("patience", float, 180.0, "gives up after this time without a new face", "s", 20.0, 3600.0),
     ),
-    needs="the vehicle put down on its six faces, square on a fixture or a block, in any order, 3 s each",
+    needs="the vehicle, propellers off, put down on its six faces, square on a fixture or a block, "
+    "in any order, 3 s each",
     ends_on="standard deviation of every offset (0.01 m/s2), the fixture's tilt included, and faces that agree",
     autopilots=ACCEL,
     duration_s=40.0,

@@ -42,6 +42,8 @@ def _section(spec: ProcedureSpec) -> str:
 
 def _option(option: Option) -> str:
     unit = f" {option.unit}" if option.unit else ""
+    if option.default is None:
+        return f"| `{option.name}` | has to be given | {option.low:g} ... {option.high:g}{unit} | {option.help} |"
     if isinstance(option.default, bool):
         return f"| `{option.name}` | {str(option.default).lower()} | | {option.help} |"
     return f"| `{option.name}` | {option.default:g}{unit} | {option.low:g} ... {option.high:g} | {option.help} |"

@@ -47,7 +47,8 @@ SPEC = ProcedureSpec(
         Option("uncertainty", float, 0.2, "standard deviation of the scale to reach", "%", 0.01, 5.0),
         Option("patience", float, 300.0, "gives up after this time without new turns", "s", 20.0, 3600.0),
     ),
-    needs="the vehicle hung on a thread, or on a swivel chair, turned by whole turns one way and as many back, twice",
+    needs="the vehicle, propellers off, hung on a thread, or on a swivel chair, turned by whole "
+    "turns one way and as many back, twice",
     ends_on="standard deviation of the scale about the thread (0.2 %), and turns that agree",
     autopilots=GYRO,
     duration_s=180.0,

@@ -150,7 +150,7 @@ class TickedProcedure(ABC):
     def _fell_out(self, instance: Instance, reason: str) -> None:
         """An instance takes no part any more; `reason` is a sentence that names it."""
         self._warn(f"{reason}; it is left out")
-        self._left_out.setdefault(instance, reason)
+        self._left_out.setdefault(instance, f"it {reason.removeprefix(label(*instance)).strip()}")
 
     def _finish(self, outcome: Done | GaveUp) -> None:
         if self.outcome is not None:
@@ -162,8 +162,8 @@ class TickedProcedure(ABC):
 
     def _missed_by(self, done: Done) -> tuple[LeftOut, ...]:
         fitted = {(fit.sensor, fit.instance) for fit in done.results}
-        asked = [i for i in sorted(self._left_out) if i[0] in self.spec.calibrated and i not in fitted]
-        return tuple(LeftOut(*instance, self._left_out[instance]) for instance in asked)
+        missed = [i for i in sorted(self._left_out) if i[0] in self.spec.sensors and i not in fitted]
+        return tuple(LeftOut(*instance, self._left_out[instance]) for instance in missed)
 
     def _give_up(self, cause: str, remedy: str) -> None:
         self._finish(GaveUp(cause, remedy))

@@ -48,7 +48,8 @@ SPEC = ProcedureSpec(
         Option("z", bool, default=True, help="turn about the top-bottom axis (level or upside down)"),
         Option("patience", float, 300.0, "gives up after this time without a new turn", "s", 20.0, 3600.0),
     ),
-    needs="a turntable of known, steady rate; the vehicle fixed on it with each axis vertical, turned both ways",
+    needs="a turntable of known, steady rate; the vehicle, propellers off, fixed on it with each "
+    "axis vertical, turned both ways",
     ends_on="standard deviation of the scale of every axis that is turned (0.1 %), and turns that agree",
     autopilots=GYRO,
     duration_s=120.0,

@@ -5,6 +5,19 @@ from __future__ import annotations
 from mavcal.calib.review.criteria import Criterion, criteria_of
 from mavcal.calib.review.effect import ErrorCurve, SensorEffect, effects_of
 from mavcal.calib.review.headline import headline_of
+from mavcal.calib.review.mountings import Choice, Mounting, choices_of, mountings_of
 from mavcal.calib.review.picture import picture_of
 
-__all__ = ["Criterion", "ErrorCurve", "SensorEffect", "criteria_of", "effects_of", "headline_of", "picture_of"]
+__all__ = [
+    "Choice",
+    "Criterion",
+    "ErrorCurve",
+    "Mounting",
+    "SensorEffect",
+    "choices_of",
+    "criteria_of",
+    "effects_of",
+    "headline_of",
+    "mountings_of",
+    "picture_of",
+]

@@ -19,6 +19,7 @@ COVERED: Final = 0.4
 """Share of the sphere below which a compass has seen few directions."""
 CHANCE: Final = 1e-4
 """Chance of residuals so large below which the model is doubted."""
+MATRIX_ENTRIES: Final = 9
 
 
 @dataclass(frozen=True)
@@ -77,10 +78,18 @@ def _judged(of: str, number: tuple[float, float, str], text: str, remedy: str, *
 def _status(fit: FitResult, name: str, key: str) -> Criterion:
     if fit.status == FitStatus.OK:
         return Criterion(f"{key}-fit", Verdict.PASS, None, None, "", f"{name}: every parameter is determined", "")
-    missing = ", ".join(fit.undetermined) or fit.message
+    missing = _missing(fit)
     remedy = next(iter(fit.movements.values()), "Repeat it with more movement.")
     verdict = Verdict.WARN if fit.status == FitStatus.PARTIAL else Verdict.FAIL
-    return Criterion(f"{key}-fit", verdict, None, None, "", f"{name}: not determined: {missing}", remedy)
+    return Criterion(f"{key}-fit", verdict, None, None, "", f"{name}: {missing}", remedy)
+
+
+def _missing(fit: FitResult) -> str:
+    """What a fit leaves open, in words."""
+    matrix = [name for name in fit.undetermined if name.startswith("matrix")]
+    if fit.quality.get("soft_iron_kept") and len(matrix) == len(fit.undetermined) == MATRIX_ENTRIES:
+        return "soft iron and scale stay as they are, nothing was measured of them"
+    return f"not determined: {', '.join(fit.undetermined) or fit.message}"
 
 
 def _uncertainty(fit: FitResult, options: Mapping[str, Any]) -> tuple[float, float, str] | None:

@@ -20,12 +20,14 @@ from mavcal.service.api.models import (
     ItemModel,
     JobModel,
     PreflightCampaignRequest,
+    RestoreCampaignRequest,
 )
 from mavcal.service.api.security import ActorDep, Scope, require
 from mavcal.service.api.views import item_model, job_model
 from mavcal.service.campaigns import outcome as table
-from mavcal.service.campaigns.begin import CalibrationOrder
+from mavcal.service.campaigns.begin import CalibrationOrder, RestoreOrder
 from mavcal.service.campaigns.selection import Selection
+from mavcal.service.campaigns.vehicles import newest_of_item
 from mavcal.service.core import Service
 from mavcal.service.errors import JobUnknown
 from mavcal.service.jobs.items import Item, ItemOutcome, item_from_row
@@ -61,6 +63,18 @@ async def calibrate(
     order = CalibrationOrder(body.kind, body.options, given, body.apply, body.reboot, actor)
     vehicles, chosen = await _vehicles(service, body.vehicles, body.tag)
     return _begun(await service.campaigns.calibrate(vehicles, chosen, order, at_once=body.at_once), request, response)
+
+
+@router.post("/campaigns/restore", operation_id="start_restore_campaign", status_code=202, dependencies=[OPERATE])
+async def restore(
+    body: RestoreCampaignRequest, request: Request, response: Response, service: ServiceDep, actor: ActorDep
+) -> JobModel:
+    """Put the last verified calibration of many vehicles back as a job; without `apply` their plans wait in review."""
+    if body.apply:
+        await require(Scope.WRITE_PARAMS)(request)
+    order = RestoreOrder(body.plan_options.given(), body.apply, body.reboot, actor)
+    vehicles, chosen = await _vehicles(service, body.vehicles, body.tag)
+    return _begun(await service.campaigns.restore(vehicles, chosen, order, at_once=body.at_once), request, response)
 
 
 @router.post("/campaigns/fit", operation_id="start_fit_campaign", status_code=202, dependencies=[OPERATE])
@@ -101,7 +115,7 @@ async def items(
         page = page[:limit]
         asked = [*(("outcome", o.value) for o in outcome or ()), ("after", page[-1].number), ("limit", limit)]
         response.headers["Link"] = f'<items?{urlencode(asked)}>; rel="next"'
-    return [item_model(item, found.id, _job_of(item, service)) for item in page]
+    return [item_model(item, found.id, _job_of(item, found.id, service)) for item in page]
 
 
 @router.get(
@@ -135,8 +149,10 @@ async def _page(
     return [item_from_row(row) for row in await service.store.do(ask)]
 
 
-def _job_of(item: Item, service: Service) -> Job | None:
-    """The job of an item; None: it has none, or it was forgotten."""
+def _job_of(item: Item, campaign_id: str, service: Service) -> Job | None:
+    """The job of an item, also while that runs; None: it has none, or it was forgotten."""
+    if item.outcome is ItemOutcome.RUNNING:
+        return newest_of_item(service.jobs.list(), campaign_id, item)
     with suppress(JobUnknown):
         return None if item.job_id is None else service.jobs.get(item.job_id)
     return None

@@ -58,6 +58,7 @@ HEADERS = {
         *("open_link", "watch_vehicle", "start_job", "upload_recording", "plan_recording"),
         *("fit_recording", "start_fit", "diagnose_gap", "restore_calibration", "add_signing_key"),
         *("start_preflight_campaign", "start_calibration_campaign", "start_fit_campaign", "start_gap_campaign"),
+        "start_restore_campaign",
     ),
     "Link": ("list_jobs", "list_fleet", "list_items"),
 }
@@ -107,7 +108,7 @@ def document(app: FastAPI) -> Json:
             for status in statuses(path, method, operation):
                 if status == 422 or str(status) not in operation["responses"]:
                     operation["responses"][str(status)] = _answer(status)
-                    schemas[f"Problem{status}"] = _problem(status)
+                    schemas[f"Problem{status}"] = _problem(status, schemas["Problem"])
     return made
 
 
@@ -188,11 +189,19 @@ def _answer(status: int) -> Json:
     return {"description": HTTPStatus(status).phrase, "content": {"application/problem+json": {"schema": schema}}}
 
 
-def _problem(status: int) -> Json:
-    """A problem with this status, and the codes that come with it."""
+def _problem(status: int, general: Json) -> Json:
+    """A problem with this status, and the codes that come with it.
+
+    It repeats the fields of `general`: generators of clients cannot merge a number with one value of it.
+    """
     chosen = sorted(code for code, known in codes().items() if status in known)
-    own = {"status": {"const": status}, "code": {"enum": chosen}}
+    own = {
+        "status": {**general["properties"]["status"], "const": status},
+        "code": {"type": "string", "title": f"Problem{status}Code", "enum": chosen},
+    }
     return {
+        **general,
+        "title": f"Problem{status}",
         "description": f"{HTTPStatus(status).phrase}.",
-        "allOf": [{"$ref": REF.format(model="Problem")}, {"type": "object", "properties": own}],
+        "properties": {**general["properties"], **own},
     }

@@ -20,6 +20,8 @@ from mavcal.service.api.models import (
     JobModel,
     JobSummary,
     LinkModel,
+    MountingChoiceModel,
+    MountingModel,
     OptionModel,
     ParameterModel,
     PlanModel,
@@ -109,17 +111,27 @@ def review_model(job: Job, review: Review) -> ReviewModel:
         ],
         criteria=[CriterionModel(**vars(criterion)) for criterion in review.criteria],
         picture=None if review.picture is None else f"api/v1/jobs/{job.id}/picture.svg",
+        mountings=[MountingModel(**vars(mounting)) for mounting in review.mountings],
+        mounting_choices=[
+            MountingChoiceModel(number=choice.number, text=choice.text, matrix=choice.matrix.tolist())
+            for choice in review.mounting_choices
+        ],
     )
+
+
+_PROMPT: Json = {"taken": False, "tilts": [], "unfinished": "", "silence": None}
+"""What prompts of before did not say; they are replayed to who asks for old events."""
 
 
 def event_model(event: EventRow) -> Json:
     """An event of a job."""
+    earlier: Json = _PROMPT if event.kind == "prompt" and event.data else {}
     return {
         "job_id": event.job_id,
         "sequence": event.sequence,
         "at": event.at,
         "kind": event.kind,
-        "data": to_json(event.data),
+        "data": {**earlier, **to_json(event.data)},
     }
 
 
@@ -217,8 +229,9 @@ def item_model(item: Item, campaign_id: str, job: Job | None) -> ItemModel:
     found = result.get("preflight")
     href = f"api/v1/jobs/{campaign_id}/documents"
     return ItemModel.model_validate(
-        {name: getattr(item, name) for name in ("number", "subject", "name", "outcome", "code", "text", "job_id")}
+        {name: getattr(item, name) for name in ("number", "subject", "name", "outcome", "code", "text")}
         | {
+            "job_id": item.job_id if job is None else job.id,
             "job_state": None if job is None else job.state,
             "began_at": item.began_at,
             "ended_at": item.ended_at,
@@ -271,6 +284,7 @@ def _summary(job: Job) -> Json:
         "prompt": to_json(job.prompt),
         "outcome": to_json(job.outcome),
         "left_out": to_json(job.left_out),
+        "broken": to_json(job.broken),
         "last_write": to_json(job.last_write),
         "options": dict(job.options),
     }

@@ -11,7 +11,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.service.campaigns.selection import Selectable, Selection, selected
 from mavcal.service.campaigns.uploads import UploadFits, UploadGaps
-from mavcal.service.campaigns.vehicles import VEHICLES_AT_ONCE, CalibrationWork, Patience, PreflightWork
+from mavcal.service.campaigns.vehicles import VEHICLES_AT_ONCE, CalibrationWork, Patience, PreflightWork, RestoreWork
 from mavcal.service.errors import Forbidden
 from mavcal.service.jobs.admission import require_finite
 from mavcal.service.jobs.campaigns import CampaignTask, ItemWork
@@ -28,6 +28,7 @@ def works(engine: JobEngine, source: VehicleSource, computations: Computations) 
     return {
         CampaignTask.PREFLIGHT: PreflightWork(engine, patience, vehicles),
         CampaignTask.CALIBRATE: CalibrationWork(engine, patience, vehicles),
+        CampaignTask.RESTORE: RestoreWork(engine, patience, vehicles),
         CampaignTask.FIT: UploadFits(computations, asyncio.Semaphore(computations.at_once)),
         CampaignTask.GAP: UploadGaps(computations, asyncio.Semaphore(1)),
     }
@@ -44,6 +45,16 @@ class CalibrationOrder:
     """Accept every plan that nothing stands against."""
     reboot: bool = False
     """Restart a vehicle whose plan needs it; otherwise such a plan stays in review."""
+    actor: str = "operator"
+
+
+@dataclass(frozen=True)
+class RestoreOrder:
+    """What a campaign that puts calibrations back is to do; fields as those of a calibration."""
+
+    plan_options: Mapping[str, Any]
+    apply: bool = False
+    reboot: bool = False
     actor: str = "operator"
 
 
@@ -86,21 +97,37 @@ class CampaignDesk:
         CampaignsBusy
         """
         spec = specification(order.kind)
+        writing = self._writing(order)
+        require_sensors_of(spec, order.plan_options)
+        options = {"kind": spec.kind, "options": dict(validate_options(order.kind, order.options)), **writing}
+        return await self._begin(CampaignTask.CALIBRATE, options, selected(vehicles, selection), at_once, attended)
+
+    async def restore(
+        self,
+        vehicles: Iterable[Selectable],
+        selection: Selection,
+        order: RestoreOrder,
+        *,
+        at_once: int | None = None,
+        attended: bool = False,
+    ) -> Job:
+        """The last verified calibration of each vehicle put back. Raises as :meth:`calibrate`."""
+        options = self._writing(order)
+        return await self._begin(CampaignTask.RESTORE, options, selected(vehicles, selection), at_once, attended)
+
+    def _writing(self, order: CalibrationOrder | RestoreOrder) -> dict[str, Any]:
+        """What a campaign keeps of its plans. Raises InvalidInputError, Forbidden."""
         if order.apply and self.read_only:
             raise Forbidden("this service runs with --read-only and never writes: begin the campaign without apply")
         given = confirmed(order.plan_options)
         if given:
             raise InvalidInputError(f"{given[0]} confirms one plan that a person has seen: accept that plan by itself")
-        require_sensors_of(spec, order.plan_options)
-        options = {
-            "kind": spec.kind,
-            "options": dict(validate_options(order.kind, order.options)),
+        return {
             "plan_options": checked_plan_options(order.plan_options),
             "apply": order.apply,
             "reboot": order.reboot,
             "actor": order.actor,
         }
-        return await self._begin(CampaignTask.CALIBRATE, options, selected(vehicles, selection), at_once, attended)
 
     async def fit(
         self,

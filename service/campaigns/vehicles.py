@@ -1,10 +1,10 @@
-"""Campaigns through vehicles: a preflight of each, or a calibration of each as a job of its own."""
+"""Campaigns through vehicles: a preflight of each, or a calibration or a restore of each as a job of its own."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +14,7 @@ from mavcal.service.errors import ServiceError, VehicleUnknown
 from mavcal.service.jobs.campaigns import Errand
 from mavcal.service.jobs.codec import to_json
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.items import ItemEnd, ItemOutcome
+from mavcal.service.jobs.items import Item, ItemEnd, ItemOutcome
 from mavcal.service.jobs.model import Accept, Failure, Job, Unwritten
 from mavcal.service.jobs.port import VehicleSource
 from mavcal.service.jobs.preflight import Preflight
@@ -123,9 +123,7 @@ class CalibrationWork:
         return await self.engine.submit(errand.item.subject, kind, options, plan_options, begun_by=begun_by)
 
     def _begun(self, errand: Errand) -> Job | None:
-        """The newest job that was begun for an item; None: there is none."""
-        ours = _begun_by(errand)[BEGUN_BY]
-        return next((job for job in reversed(self.engine.list()) if job.context.get(BEGUN_BY) == ours), None)
+        return newest_of_item(self.engine.list(), errand.campaign.id, errand.item)
 
     async def _settled(self, job_id: str, errand: Errand) -> Job:
         """The job, once it has ended, or waits in review, or has been in doubt for long."""
@@ -158,6 +156,23 @@ class CalibrationWork:
         except ServiceError as error:
             return of_job(self.engine.get(job.id), f"Not written: {error}")
         return of_job(await self._settled(job.id, errand))
+
+
+@dataclass
+class RestoreWork(CalibrationWork):
+    """The last verified calibration of each vehicle put back; options `plan_options`, `apply`, `reboot`, `actor`."""
+
+    async def _begin(self, errand: Errand) -> Job:
+        if errand.again:
+            await self.patience.back(errand.item.subject)
+        plan_options = errand.options.get("plan_options", {})
+        return await self.engine.restore(errand.item.subject, plan_options, begun_by=_begun_by(errand))
+
+
+def newest_of_item(jobs: Sequence[Job], campaign_id: str, item: Item) -> Job | None:
+    """The newest of `jobs` (oldest first) that was begun for an item; None: there is none."""
+    ours = {"id": campaign_id, "item": item.number}
+    return next((job for job in reversed(jobs) if job.context.get(BEGUN_BY) == ours), None)
 
 
 def _begun_by(errand: Errand) -> dict[str, Any]:

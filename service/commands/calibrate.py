@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 KINDS = (
     *("gyro", "accel", "mag", "thermal", "level"),
-    *("accel-one-axis", "accel-six-face", "mag-rings", "gyro-turntable", "gyro-thread", "imu-multi"),
+    *("accel-one-axis", "accel-six-face", "mag-rings", "mag-fixed-yaw", "gyro-turntable", "gyro-thread", "imu-multi"),
 )
 """Those of ``calib.procedures.registry``, stated here so that help does without numpy (a test compares them)."""
 HANDS_FREE = ("gyro", "level")

@@ -165,17 +165,17 @@ def _show(report: GapReport, verified: Verified | None) -> None:
 
 
 def _show_effect(effect: Any) -> None:
-    from mavcal.calib.gap_report.words import effect_phrase, number, quantity
+    from mavcal.calib.gap_report.words import chance, effect_phrase, with_error
 
-    click.echo(f"{effect_phrase(effect)}, probability {number(effect.evidence.probability)}")
+    click.echo(f"{effect_phrase(effect)}, probability {chance(effect.evidence.probability)}")
     for parameter in effect.params:
-        click.echo(f"  {parameter.name:16} {number(parameter.value)} +- {quantity(parameter.se, parameter.unit)}")
+        click.echo(f"  {parameter.name:16} {with_error(parameter.value, parameter.se, parameter.unit)}")
     for rival in effect.confusable_with:
         click.echo(f"  could be {rival.id}; told apart by: {rival.fix}")
 
 
 def _show_verified(verified: Verified) -> None:
-    from mavcal.calib.gap_report.words import number
+    from mavcal.calib.gap_report.words import NATS, number
 
     low, high = verified.remaining.ci95
     click.echo(
@@ -188,6 +188,7 @@ def _show_verified(verified: Verified) -> None:
         click.echo(f"  {left.id} of instance {on}: {100 * left.share:.2g} % of its evidence is left{same}")
     for effect in verified.added:
         click.echo(f"  {effect.id} is in the simulator and not in the vehicle, or was hidden before")
+    click.echo(NATS.replace("a sample", "a number"))
     for warning in verified.warnings:
         click.echo(f"! {warning}")
 

@@ -21,6 +21,7 @@ _OPTIONS = (
         help="Carry the level over to a new accelerometer calibration.",
     ),
     click.option("--confirm-mounting", is_flag=True, help="Confirm that a compass is mounted as the job finds it."),
+    click.option("--mountings", metavar="SENSOR=NUMBER,...", help="Mounting of a compass, by the number."),
     click.option("--device-ids", metavar="SENSOR=ID,...", help="PX4: device id of a sensor, which no stream says."),
     click.option(
         "--accel-temperature", metavar="SENSOR=DEGC,...", help="PX4: temperature at which CAL_ACC in force was taken."
@@ -28,7 +29,7 @@ _OPTIONS = (
 )
 NAMES = (
     *("only", "keep_gyro_at_boot", "mark_calibrated", "adjust_level"),
-    *("confirm_mounting", "device_ids", "accel_temperature"),
+    *("confirm_mounting", "mountings", "device_ids", "accel_temperature"),
 )
 """Those that a live job can have."""
 OF_RECORDINGS = ("confirm_other_unit",)
@@ -58,7 +59,7 @@ def given(options: dict[str, Any]) -> dict[str, Any]:
     found = {n: v for n, v in said.items() if v is not None and (v is not False or n in _TWO_WAYS)}
     if "only" in found:
         found["only"] = [part for part in found["only"].split(",") if part]
-    for name in ("device_ids", "accel_temperature"):
+    for name in ("mountings", "device_ids", "accel_temperature"):
         if name in found:
             found[name] = _pairs(name, found[name])
     return found

@@ -256,6 +256,9 @@ def show_left_out(job: Job | JobModel, screen: Screen) -> None:
 
     for out in job.left_out:
         screen.line(f"left out: {label(Sensor(out.sensor), out.instance)}: {out.reason}", bold=True)
+    for out in job.broken:
+        found = f"{label(Sensor(out.sensor), out.instance)}: {out.reason}"
+        screen.line(f"fell out, though this job needs only its help: {found}", bold=True)
 
 
 def show_readiness(found: Readiness, screen: Screen) -> None:

@@ -27,13 +27,26 @@ def command() -> None:
     """Simulated vehicles, and synthetic recordings."""
 
 
-@command.command(
-    context_settings={"ignore_unknown_options": True, "help_option_names": []},
-    add_help_option=False,
-)
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+class _OfVehicle(click.Command):
+    """Takes the options of the simulated vehicle, and lists them as other commands list theirs."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Those of the vehicle, then --help."""
+        from mavcal.service.simvehicle import options
+
+        own = self.get_help_option(ctx)
+        shown = None if own is None else own.get_help_record(ctx)
+        with formatter.section("Options"):
+            formatter.write_dl([*options(), *([] if shown is None else [shown])])
+
+
+@command.command(cls=_OfVehicle, options_metavar="[OPTIONS]", context_settings={"ignore_unknown_options": True})
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED, metavar="")
 def vehicle(arguments: tuple[str, ...]) -> int:
-    """A simulated ArduPilot or PX4 that speaks MAVLink; `mavcal simulate vehicle --help` lists its options."""
+    """A simulated ArduPilot or PX4 that speaks MAVLink, until it is stopped.
+
+    It prints one line of JSON with its address. Without an address it sends to 127.0.0.1:14550.
+    """
     from mavcal.service.simvehicle import run
 
     return run(arguments)

@@ -51,11 +51,14 @@ class CampaignTask(StrEnum):
 
     PREFLIGHT = "preflight"
     CALIBRATE = "calibrate"
+    RESTORE = "restore"
     FIT = "fit"
     GAP = "gap"
 
 
-NOUNS: Mapping[CampaignTask, str] = {CampaignTask.PREFLIGHT: "vehicle", CampaignTask.CALIBRATE: "vehicle"}
+NOUNS: Mapping[CampaignTask, str] = dict.fromkeys(
+    (CampaignTask.PREFLIGHT, CampaignTask.CALIBRATE, CampaignTask.RESTORE), "vehicle"
+)
 """What an item is called; that of other tasks is a log."""
 
 

@@ -250,4 +250,4 @@ def _asks(prompt: Prompt) -> bool:
     if prompt.rotate or prompt.number is not None:
         return True
     moves = bool(prompt.remaining) or prompt.pose is not None or prompt.axis is not None
-    return moves and not prompt.stable
+    return moves and (not prompt.stable or prompt.taken)

@@ -42,7 +42,7 @@ from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.ending import INTERRUPTED, doubt
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
-from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
+from mavcal.service.jobs.model import Accept, Attempt, Job, WriteResult, cancelled
 from mavcal.service.jobs.ownership import Alone, Ownership
 from mavcal.service.jobs.planning import (
     FROM_RECORDING,
@@ -237,8 +237,16 @@ class JobEngine:
             found = await self._preflights.run(vehicle, self._history, heading=heading)
             return await self._record.keep_preflight(found)
 
-    async def restore(self, vehicle_id: str, plan_options: Mapping[str, Any] | None = None) -> Job:
+    async def restore(
+        self,
+        vehicle_id: str,
+        plan_options: Mapping[str, Any] | None = None,
+        *,
+        begun_by: Mapping[str, Any] | None = None,
+    ) -> Job:
         """A job that plans to put the last verified calibration back, mapped by device id; then in review or failed.
+
+        `begun_by` goes to its context: the campaign that began it.
 
         Raises
         ------
@@ -247,7 +255,7 @@ class JobEngine:
         InvalidInputError, VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, PhysicalJobRunning
             As for :meth:`adopt`.
         """
-        context = {"plan_options": checked_plan_options(plan_options or {})}
+        context = {"plan_options": checked_plan_options(plan_options or {}), **(begun_by or {})}
         vehicle = self._vehicles.vehicle(vehicle_id)
         require_ready(vehicle)
         await require_restorable(vehicle, self._history)
@@ -324,7 +332,7 @@ class JobEngine:
         state = handle.job.state
         if state not in CANCELLABLE:
             raise NotCancellable(f"job {job_id} is {state}: it cannot be cancelled now")
-        handle.move(JobState.CANCELLED, prompt=None, outcome=Failure("cancelled", "The operator cancelled it.", ""))
+        handle.move(JobState.CANCELLED, prompt=None, outcome=cancelled(handle.job))
         self._tasks.cancel(job_id)
         return handle.job
 

@@ -18,7 +18,7 @@ from mavcal.service.errors import DiskFull
 from mavcal.service.jobs.codec import row_from_job, to_json
 from mavcal.service.jobs.journal import JournalStep, WriteRecord, fold
 from mavcal.service.jobs.model import Job, advance
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.states import ENDED, JobState
 from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import EventRow, JournalRow, Json
 
@@ -116,8 +116,11 @@ class JobHandle:
             self.change("warning", {"text": text}, warnings=(*self.job.warnings, text))
 
     def prompt(self, prompt: Prompt | None) -> None:
-        """Ask the operator something else, or nothing more; not durable, a restarted job asks again."""
-        if prompt != self.job.prompt:
+        """Ask the operator something else, or nothing more; not durable, a restarted job asks again.
+
+        A job that has ended asks nothing: what still watches its vehicle is ended a moment later.
+        """
+        if prompt != self.job.prompt and self.job.state not in ENDED:
             self.job = dataclasses.replace(self.job, prompt=prompt)
             self._tell("prompt", {} if prompt is None else to_json(prompt))
 

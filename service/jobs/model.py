@@ -13,6 +13,7 @@ from typing import Any
 from mavcal.calib.firmware.plan import Fingerprint, LeftOut, Value, Verification, WritePlan
 from mavcal.calib.fit import FitResult
 from mavcal.calib.procedures.protocol import Progress, Prompt
+from mavcal.calib.procedures.registry import specification
 from mavcal.service.errors import IllegalTransition
 from mavcal.service.jobs.proof import ProofLevel, Unproved
 from mavcal.service.jobs.states import JobState, may_follow
@@ -154,7 +155,8 @@ class Job:
     last_write: Attempt | None = None
     warnings: tuple[str, ...] = ()
     missed: tuple[LeftOut, ...] = ()
-    """Sensors that could not take part in the capture; what the plan leaves out is in the plan."""
+    """Sensors that could not take part in the capture, also those that only help; what the plan leaves out is in the
+    plan."""
     context: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     """What a re-fit needs besides the segment: instances, answers with their times; what else was found (JSON-able)."""
 
@@ -162,8 +164,23 @@ class Job:
     def left_out(self) -> tuple[LeftOut, ...]:
         """Every sensor that was asked for and gets no new calibration, or only a part of it; each once."""
         planned = () if self.plan is None else self.plan.left_out
-        once = {(out.sensor, out.instance): out for out in (*planned, *self.missed)}
+        once = {(out.sensor, out.instance): out for out in (*planned, *self._missed(asked=True))}
         return tuple(once[key] for key in sorted(once))
+
+    @property
+    def broken(self) -> tuple[LeftOut, ...]:
+        """Sensors that fell out though this kind of job only needs their help: the result is whole without them."""
+        return tuple(sorted(self._missed(asked=False), key=lambda out: (out.sensor, out.instance)))
+
+    def _missed(self, *, asked: bool) -> tuple[LeftOut, ...]:
+        calibrated = specification(self.kind).calibrated if self.missed else frozenset()
+        return tuple(out for out in self.missed if (out.sensor in calibrated) == asked)
+
+
+def cancelled(job: Job) -> Failure:
+    """The outcome of a job that the operator cancelled, which is possible before its write alone."""
+    kept = " Nothing was written: the parameters of the vehicle are as they were." if job.vehicle_id else ""
+    return Failure("cancelled", f"The operator cancelled it.{kept}", "")
 
 
 def advance(job: Job, to: JobState, at: float, **changes: Any) -> Job:

@@ -22,7 +22,7 @@ async def ask_for_streams(
     """
     known = handle.written().intervals
     measured = ", and measuring what the link carries" if measure_s > 0 else ""
-    async with waiting(handle, f"asking for {len(rates)} messages{measured}", measure_s + ASKING_S):
+    async with waiting(handle, f"starting the sensor streams{measured}", measure_s + ASKING_S):
         before = await vehicle.intervals([message for message in rates if message not in known])
         if before:
             await handle.record(JournalStep.STREAMS, intervals={str(k): v for k, v in before.items()})

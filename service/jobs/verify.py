@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Self
 
+import numpy as np
+
 from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.plan import Movement, Value, Verification, WritePlan
 from mavcal.calib.firmware.proof.verify import verify
@@ -17,6 +19,7 @@ from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.firmware.stream.auxiliary import ATTITUDE
 from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
 from mavcal.calib.preflight.restore import sensors_at_rest
+from mavcal.calib.procedures.poses import TEXTS, WEIGHTLESS, down, recognise
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.recording import Recording, Sensor, join
 from mavcal.calib.wire import Frame, iter_tlog
@@ -37,7 +40,16 @@ STEP_S = 2.0
 """A movement is judged again after so much more of the vehicle's time."""
 POLL_S = 0.02
 ATTITUDE_HZ = 10.0
-HOLD_STILL = Prompt(PromptStep.HOLD_STILL, "Leave the vehicle alone: its sensors are read at rest.", answers=(FINISH,))
+PROVING_S = 4.0
+"""What a prompt says of how long a pose is held, s: two looks."""
+RESTS_WITHIN = 0.6
+"""Standard deviation of an accelerometer's axis over a second below which a hand holds the vehicle still, m/s2."""
+HOLD_STILL = Prompt(
+    PromptStep.HOLD_STILL,
+    "Leave the vehicle alone: its sensors are read at rest.",
+    answers=(FINISH,),
+    unfinished="The new values stay unproved.",
+)
 
 
 @dataclass
@@ -143,7 +155,7 @@ class StreamProof:
                 verification = await self._verify(before, after, values)
             begun = _end(after)
             while self._worth_waiting(verification, _end(after) - begun):
-                self._ask(verification, _end(after) - begun)
+                self._ask(verification, _end(after) - begun, after)
                 after = await guard.run(partial(window.extend, STEP_S))
                 verification = await self._verify(before, after, values)
         self.handle.prompt(None)
@@ -171,11 +183,11 @@ class StreamProof:
             finished |= self.handle.answers.get_nowait() == FINISH
         return finished
 
-    def _ask(self, verification: Verification, waited: float) -> None:
+    def _ask(self, verification: Verification, waited: float, after: Recording) -> None:
         assert verification.movement is not None
-        self.handle.prompt(proving(verification.movement))
-        proved = sum(p.verdict == "proved" for p in verification.parameters)
-        text = f"{proved} of {len(verification.parameters)} parameters proved by the stream"
+        proved, whole = sum(p.verdict == "proved" for p in verification.parameters), len(verification.parameters)
+        self.handle.prompt(proving(verification.movement, whole - proved, pose_at_rest(after)))
+        text = f"{proved} of {whole} parameters proved by the stream"
         self.handle.progress(Progress(waited, self.prove_s, "s", text, eta=self.prove_s - waited))
 
     async def _verify(self, before: Recording | None, after: Recording, values: Mapping[str, Value]) -> Verification:
@@ -215,16 +227,44 @@ class StreamProof:
         return Assembler(self.vehicle.identity).feed(iter_tlog(data))
 
 
-def proving(movement: Movement) -> Prompt:
-    """The prompt for a movement that proves the rest."""
+def proving(movement: Movement, unproved: int, lies: Pose | None = None) -> Prompt:
+    """The prompt for the first step of a movement that proves the rest: one pose at a time.
+
+    `unproved` parameters are open; the vehicle rests in the pose `lies`, None: it moves.
+    """
+    faces = tuple(Pose(face) for face in movement.faces)
+    text, one = movement.text, len(faces) > 0
+    if faces:
+        more = len(faces) - 1
+        text = f"Hold it still {TEXTS[faces[0]]}."
+        text += f" Then {more} more pose{'s' if more > 1 else ''}." if more else ""
+    elif movement.turn:
+        text = "Turn the vehicle slowly through all directions."
     return Prompt(
         PromptStep.PROVE,
-        movement.text,
-        remaining=tuple(Pose(face) for face in movement.faces),
-        rotate=movement.turn,
+        text,
+        pose=faces[0] if one else None,
+        remaining=faces,
+        hold_s=PROVING_S if one else None,
+        detected=lies if one else None,
+        stable=one and lies == faces[0],
+        rotate=movement.turn and not one,
         temperature=movement.temperature,
         answers=(FINISH,),
+        unfinished=f"{unproved} parameter{'s' if unproved > 1 else ''} stay{'' if unproved > 1 else 's'} unproved.",
     )
+
+
+def pose_at_rest(recording: Recording) -> Pose | None:
+    """The pose in which the vehicle has rested in the last second; None: it moved, or no accelerometer shows it."""
+    for channel in recording.channels:
+        if channel.sensor != Sensor.ACCEL or not len(channel):
+            continue
+        lately = channel.between(float(channel.t[-1]) - 1.0, np.inf).values
+        if len(lately) > 1 and np.linalg.norm(lately.mean(axis=0)) > WEIGHTLESS:
+            steady = float(lately.std(axis=0).max()) < RESTS_WITHIN
+            return recognise(down(lately.mean(axis=0))) if steady else None
+    return None
 
 
 def _end(recording: Recording) -> float:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from mavcal.calib.procedures.protocol import Prompt, PromptStep
+from mavcal.calib.procedures.protocol import Prompt, PromptStep, Silence
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded, CaptureLost, CaptureMoved
 from mavcal.service.jobs.digest import LiveDigest
 from mavcal.service.jobs.handle import JobHandle
@@ -33,20 +35,39 @@ class LinkWatch:
     def look(self) -> None:
         """Compare with the last look."""
         silent = self._vehicle.condition().silent
-        if silent and self._since is None:
-            self._since, self._before = self._clock(), self._handle.job.prompt
-            self._handle.prompt(Prompt(PromptStep.SILENT, self._text()))
+        if silent:
+            asked = self._handle.job.prompt
+            if self._since is None:
+                self._since = self._clock()
+            if asked is None or asked.step is not PromptStep.SILENT:
+                self._before = asked
+            self._handle.prompt(self._prompt(self._clock() - self._since))
         elif not silent and self._since is not None:
             away, self._since = self._clock() - self._since, None
             self._handle.warn(f"the vehicle was silent for about {away + HEARTBEATS_S:.0f} s and is heard again")
             if self._handle.job.prompt is not None and self._handle.job.prompt.step is PromptStep.SILENT:
                 self._handle.prompt(self._before)
 
-    def _text(self) -> str:
-        return (
-            f"The vehicle has been silent for {HEARTBEATS_S:.0f} s: check its power and the link. "
-            f"The job gives up after {self._settings.gap_limit_s:.0f} s."
+    def _prompt(self, away: float) -> Prompt:
+        """The prompt from before, so that nothing of it looks done; its words say that nobody is heard."""
+        text = f"The vehicle is silent: check its power and the link. {self._limit()}"
+        lasted = Silence(float(math.floor(away + HEARTBEATS_S)), self._settings.gap_limit_s + HEARTBEATS_S)
+        before = self._before or Prompt(PromptStep.SILENT, text)
+        return dataclasses.replace(
+            before,
+            step=PromptStep.SILENT,
+            text=text,
+            silence=lasted,
+            detected=None,
+            stable=False,
+            taken=False,
+            answers=(),
+            number=None,
+            unfinished="",
         )
+
+    def _limit(self) -> str:
+        return f"The job gives up after {self._settings.gap_limit_s + HEARTBEATS_S:.0f} s of silence."
 
     async def run(self) -> None:
         """Look again and again, until cancelled."""

@@ -28,8 +28,16 @@ __all__ = [
     "SimulatedVehicleError",
     "StartError",
     "free_udp_port",
+    "options",
     "run",
 ]
+
+
+def options() -> list[tuple[str, str]]:
+    """What :func:`run` takes: each option with its values, and what it is for."""
+    from mavcal.service.simvehicle.__main__ import described
+
+    return described()
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -20,21 +20,34 @@ from mavcal.service.simvehicle.server import SimServer, make_vehicle
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(prog="python -m mavcal.service.simvehicle", description=__doc__)
-    p.add_argument("--autopilot", choices=[str(a) for a in SimAutopilot], default=None)
+    p.add_argument("--autopilot", choices=[str(a) for a in SimAutopilot], help="which firmware it is")
     p.add_argument("--udpout", metavar="HOST:PORT", action="append", default=[], help="send to a ground station")
     p.add_argument("--udpin", metavar="HOST:PORT", action="append", default=[], help="listen for ground stations")
     p.add_argument("--tcp", metavar="HOST:PORT", action="append", default=[], help="serve one TCP client at a time")
     p.add_argument("--serial", action="store_true", help="a serial port: a pseudo-terminal, whose name is said")
-    p.add_argument("--seed", type=int, default=None)
-    p.add_argument("--speed", type=float, default=1.0, help="vehicle seconds per wall second")
-    p.add_argument("--system-id", type=int, default=None)
+    p.add_argument("--seed", type=int, metavar="NUMBER", help="of its errors and its noise")
+    p.add_argument("--speed", type=float, default=1.0, metavar="FACTOR", help="vehicle seconds per wall second")
+    p.add_argument("--system-id", type=int, metavar="NUMBER", help="its MAVLink system, 1 to 255")
     p.add_argument("--control", type=int, default=0, metavar="PORT", help="control channel (0: any free port)")
     p.add_argument("--config", default=None, metavar="JSON|FILE", help="an object of configuration entries")
     p.add_argument("--params", default=None, metavar="FILE", help="parameter table: name,value,type a line")
-    p.add_argument("--script", choices=list(SCRIPTS), default=None)
+    p.add_argument("--script", choices=list(SCRIPTS), help="movements that it makes by itself")
     p.add_argument("--sitl", action="store_true", help="PX4: behave as the simulator build (no reboot, no TC_* module)")
     p.add_argument("--follow-stdin", action="store_true", help="exit when stdin ends")
     return p
+
+
+def described() -> list[tuple[str, str]]:
+    """Each option with its values, and what it is for."""
+    found = []
+    for action in parser()._actions:
+        if action.dest == "help":
+            continue
+        values = f"[{'|'.join(action.choices)}]" if action.choices else action.metavar or ""
+        said = f"{(action.help or '')[:1].upper()}{(action.help or '')[1:]}"
+        repeated = "; repeated" if isinstance(action.default, list) else ""
+        found.append((f"{action.option_strings[0]} {values}".strip(), f"{said}{repeated}."))
+    return found
 
 
 def _config(args: argparse.Namespace) -> VehicleConfig:

@@ -78,7 +78,7 @@ class Operator:
             self._once("warm_up", "warm_up", **self._warm_up)
         elif prompt["pose"] is not None or prompt["remaining"]:
             self._hold(prompt)
-        elif prompt["step"] in {"hold_still", "confirm"} and self._turning:
+        elif prompt["step"] in {"hold_still", "confirm"} and self.turning:
             self._once("still", "still")
 
     def turn_to(self, attitude: Sequence[float]) -> None:
@@ -114,7 +114,13 @@ class Operator:
             self._once(("oblique", tuple(direction)), "hold", pose=_attitude(direction))
 
     @property
-    def _turning(self) -> bool:
+    def resting(self) -> bool:
+        """Whether it was put down, or was never moved."""
+        return self._doing in (None, "rest")
+
+    @property
+    def turning(self) -> bool:
+        """Whether it tumbles or turns, until it is told otherwise."""
         return self._doing == "tumble" or (isinstance(self._doing, tuple) and self._doing[0] == "turn")
 
     def _turn(self, axis: Sequence[float], turns: float | None) -> None:

@@ -110,7 +110,9 @@ def test_the_version_and_nothing_at_all(cli):
 def test_a_simulated_vehicle_explains_itself():
     done = run("simulate", "vehicle", "--help")
     assert done.returncode == 0
-    assert "--autopilot" in done.stdout
+    assert done.stdout.startswith("Usage: mavcal simulate vehicle [OPTIONS]")
+    assert "--autopilot [ardupilot|px4]" in done.stdout
+    assert "--help " in done.stdout
 
 
 # --- wrong use: exit code 2, one sentence on stderr, one object on stdout

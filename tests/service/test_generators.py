@@ -5,6 +5,7 @@ Both need npm, and the packages from the network or its cache; without them the 
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 from pathlib import Path
@@ -14,6 +15,8 @@ import pytest
 from tests.patience import scaled
 
 ROOT = Path(__file__).resolve().parents[2]
+FOREIGN = ROOT / ".venv" / "foreign" / "bin"
+"""A generator of Python clients with what it needs, apart from what we need."""
 TYPES = ROOT / "web" / "mavcal.d.ts"
 TYPESCRIPT, GENERATOR = "typescript@5", "openapi-typescript@7"
 MODERN = [
@@ -104,3 +107,23 @@ def test_a_generator_of_another_language_reads_the_document_without_a_warning(np
     made = (npm.folder / "made.ts").read_text()
     assert "apply_plan: {" in made
     assert npm.compile("whole.ts", made).returncode == 0
+
+
+def test_a_generator_of_python_makes_every_operation_and_every_problem(tmp_path: Path) -> None:
+    """Its warnings name what it drops; the answers of errors have their types, and mypy accepts what it made."""
+    if not (FOREIGN / "openapi-python-client").is_file():
+        pytest.skip("there is no openapi-python-client: .ci/run brings it into .venv/foreign")
+    document, made = ROOT / "docs" / "openapi.json", tmp_path / "made"
+
+    def run(*words: str) -> str:
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=scaled(240.0))
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout + done.stderr
+
+    options = ("--path", str(document), "--meta", "none", "--output-path", str(made))
+    said = run(str(FOREIGN / "openapi-python-client"), "generate", *options)
+    assert "warning" not in said.lower(), said
+    operations = [o for m in json.loads(document.read_text())["paths"].values() for o in m.values()]
+    assert {operation["operationId"] for operation in operations} <= {p.stem for p in (made / "api").rglob("*.py")}
+    assert "Problem401" in (made / "api" / "jobs" / "get_job.py").read_text()
+    run(str(FOREIGN / "python"), "-m", "mypy", "--no-incremental", "made")

@@ -84,3 +84,26 @@ async def test_a_hand_that_nobody_knows_is_no_endpoint(tmp_path):
     async with served(tmp_path) as api:
         refused = await api.post("/links", {"url": "sim:px4?hand=foot"}, 422)
         assert "auto, mouse, off" in refused["detail"]
+
+
+async def test_after_a_job_that_turned_it_the_vehicle_comes_to_rest(tmp_path):
+    async with served(tmp_path) as api:
+        await api.post("/links", {"url": "sim:ardupilot?seed=3&speed=8"}, 201)
+        vehicle = await api.vehicle()
+        control = ControlChannel(api.service.vehicles.get(vehicle["id"]).link.sim_control or "")
+        job = await api.post(f"/vehicles/{vehicle['id']}/jobs", {"kind": "mag"}, 202)
+
+        async def still(*, wanted: bool) -> None:
+            async with asyncio.timeout(scaled(60)):
+                while True:
+                    before = (await asyncio.to_thread(control.call, "state"))["euler_deg"]
+                    await asyncio.sleep(0.3)
+                    after = (await asyncio.to_thread(control.call, "state"))["euler_deg"]
+                    rests = max(abs(a - b) for a, b in zip(before, after, strict=True)) < 0.5
+                    if rests == wanted and (not wanted or max(map(abs, after[:2])) < 1.0):
+                        return
+
+        await still(wanted=False)
+        await api.delete(f"/jobs/{job['id']}", 200)
+        await still(wanted=True)
+        control.close()

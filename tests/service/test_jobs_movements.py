@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.calib.fit import FitResult
@@ -173,3 +174,22 @@ async def test_without_a_compass_the_turns_are_asked_for(tmp_path: Path) -> None
             scale = np.linalg.inv(np.array(sim.truth()["gyros"][0]["matrix"]))[2, 2]
             assert abs(fit.model.matrix[2, 2] - scale) < 4.5 * fit.sd[11]
             assert again(bench, job) == [list(fit.values)]
+
+
+async def test_a_compass_at_one_heading_is_written(tmp_path: Path, sim: SimulatedVehicle) -> None:
+    """A vehicle that cannot be turned: where it stands, the corrected compass reads the field of the place."""
+    operator = Operator(sim)
+    operator.rest()
+    async with session(tmp_path, sim.url) as bench:
+        body_from_ned = Rotation.from_quat(sim.call("state")["quaternion"], scalar_first=True).inv()
+        heading = float(np.degrees(body_from_ned.inv().as_euler("ZYX")[0])) % 360.0
+        job = await captured(bench, "mag-fixed-yaw", operator, heading=heading, heading_sd=0.5)
+        (fit,) = job.results
+        truth = sim.truth()["mags"][0]
+        field = body_from_ned.apply(sim.truth()["field_ned_ut"])
+        read = np.array(truth["offset"]) + np.array(truth["matrix"]) @ field
+        assert np.linalg.norm(fit.model.apply(read) - field) < 2.0
+        assert again(bench, job) == [list(fit.values)]
+        await bench.writable()
+        job = await bench.until((await bench.accepted(job)).id, *ENDED)
+        assert job.state == JobState.SUCCEEDED, job.outcome

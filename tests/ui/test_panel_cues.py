@@ -131,6 +131,7 @@ def test_who_cancels_is_not_congratulated(desk, tmp_path):
         desk.sees("1 of 10 poses", 90, ".prompt")
         before = len(heard(desk, "tone", DONE))
         desk.press("Cancel")
+        desk.press("Stop it")
         desk.wait_for_state("Cancelled", 30)
         desk.page.wait_for_timeout(500)
         assert len(heard(desk, "tone", DONE)) == before

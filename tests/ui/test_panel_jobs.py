@@ -143,6 +143,7 @@ def test_a_compass_shows_what_is_covered_and_where_to_turn_next(desk, tmp_path):
         )
         until(lambda: desk.page.evaluate(covered) > 20, 90, "the covered directions grow")
         desk.press("Cancel")
+        desk.press("Stop it")
         desk.wait_for_state("Cancelled", 30)
 
 
@@ -155,7 +156,7 @@ def test_a_reload_and_a_second_browser_find_the_job_where_it_was(browser, desk, 
         assert first_shown(desk) == 0  # nothing is done before the first prompt
         desk.sees("1 of 10 poses", 90, ".prompt")
         desk.sees("Level is done. Turn it to the next one.", inside=".prompt")
-        assert desk.page.locator(".faces .done").all_inner_texts() == ["Level\n✓ done"]
+        assert desk.page.locator(".faces .done").all_inner_texts() == ["Level\n✓"]
         assert desk.page.locator(".hold-ring.held").count() == 0
         place = desk.place
         desk.page.reload()
@@ -166,6 +167,7 @@ def test_a_reload_and_a_second_browser_find_the_job_where_it_was(browser, desk, 
         other.sees("1 of 10 poses", 30, ".prompt")
         assert prompt_and_button_in_sight(other)
         other.press("Cancel")
+        other.press("Stop it")
         desk.wait_for_state("Cancelled", 30)
         other.close()
 

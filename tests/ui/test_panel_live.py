@@ -135,7 +135,7 @@ def test_the_poses_of_an_accelerometer_are_reached_by_hand(desk, tmp_path):
         desk.calibrate("Accelerometer").click()
         desk.sees("1 of 10 poses", 60, ".now")
         desk.page.locator("attitude-scene[turnable]").focus()
-        for pose, done in (("Right side down", 2), ("On its back", 3)):  # a quarter of a roll each
+        for pose, done in (("Right", 2), ("Back", 3)):  # a quarter of a roll each
             for _ in range(6):
                 desk.page.keyboard.press("ArrowRight")
             desk.sees(f"{done} of 10 poses", 60, ".now")

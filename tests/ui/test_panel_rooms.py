@@ -56,7 +56,7 @@ def test_links_are_opened_refused_and_closed_and_text_stays_text(desk, tmp_path)
         desk.press("Connect")
         desk.sees("<img src=x", inside=".notice")
         assert desk.page.locator("#panel img").count() == 0
-        assert desk.page.title() == "mavcal"
+        assert desk.page.title() == "Setup · mavcal"
         desk.page.fill("#url", "serial:/dev/ttyNONE9:57600")
         desk.press("Connect")
         desk.sees("ttyNONE9", inside=".jobs")
@@ -133,6 +133,7 @@ def test_without_the_libraries_the_panel_draws_by_itself(browser, tmp_path):
             return !!pen && c.width > 0 && pen.getImageData(0, 0, c.width, c.height).data.some(v => v > 0); }"""
         until(lambda: bool(panel.page.evaluate(painted)), 30, "the vehicle is drawn without three.js")
         panel.press("Cancel")
+        panel.press("Stop it")
         panel.wait_for_state("Cancelled", 30)
     panel.close()
 

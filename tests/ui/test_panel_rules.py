@@ -64,12 +64,13 @@ READY = {
     "about": "#name",
     "live": ".charts figure",
     "capture": ".faces li",
+    "campaign": ".campaign tbody tr",
     "review": ".before-after img",
     "logs": ".jobs li",
-    "log": ".charts figure",
+    "log": "#method",
     "gap": ".drop",
     "diagnosis": "iframe.report",
-    "history": "main table",
+    "history": "main table, .rows .row",
     "setup": "#url",
 }
 """Text that a room shows once it is complete."""

@@ -27,6 +27,7 @@ LAYERS = (
         "geometry",
         "attitude",
         "tilt",
+        "posture",
         "c_array",
         "conventions",
         "option",

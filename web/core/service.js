@@ -85,7 +85,7 @@ export async function ask(name, asked) {
     const body = given.body === undefined ? undefined : file ? given.body : JSON.stringify(given.body);
     response = await fetch(address(name, given), { method: OPERATIONS[name][0], headers, body });
   } catch {
-    throw new Unreachable("The service does not answer. Its jobs go on; this page tries again by itself.");
+    throw new Unreachable("The service does not answer.");
   }
   const answer = await decoded(response);
   if (response.status === 401) throw new KeyNeeded(answer?.detail ?? "An API key is needed.");
@@ -158,7 +158,7 @@ export function follow(name, asked, events, to) {
     source.onopen = () => to.opened?.();
     source.onerror = () => {
       source?.close(); // not by itself: a ticket opens one stream
-      to.lost?.(new Unreachable("The connection is lost. Trying again …"));
+      to.lost?.(new Unreachable("The service does not answer."));
       again();
     };
     for (const event of events) source.addEventListener(event, (message) => to.told(event, JSON.parse(message.data)));

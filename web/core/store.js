@@ -1,6 +1,6 @@
 // What the panel knows: one copy of the service's state, kept fresh by one event stream.
 
-import { ask, follow, KeyNeeded } from "./service.js";
+import { ask, follow, KeyNeeded, Unreachable } from "./service.js";
 import { here, whenMoved } from "./route.js";
 
 /**
@@ -25,6 +25,8 @@ class Store {
     this.vehicles = new Map();
     /** @type {Map<string, string>} Names that people gave, by vehicle. */
     this.names = new Map();
+    /** @type {Map<string, string[]>} Tags that people gave, by vehicle. */
+    this.tags = new Map();
     /** @type {Map<string, LinkModel>} */
     this.links = new Map();
     /** @type {Map<string, JobSummary>} */
@@ -41,6 +43,7 @@ class Store {
     this.kept = new Map();
     this._draw = () => {};
     this._asked = false;
+    this._lostAt = Date.now();
     this._stop = () => {};
   }
 
@@ -83,11 +86,17 @@ class Store {
         this.refresh().catch((error) => this.complain(error));
       },
       lost: (error) => {
-        this.connection = { good: false, text: error instanceof KeyNeeded ? "No key" : error.message };
+        if (this.connection.good) this._lostAt = Date.now();
+        this.connection = { good: false, text: error instanceof KeyNeeded ? "No key" : this._unreached(error) };
         this.keyNeeded ||= error instanceof KeyNeeded;
         this.changed();
       },
     });
+  }
+
+  /** @param {Error} error */
+  _unreached(error) {
+    return error instanceof Unreachable ? `Service not reached since ${new Date(this._lostAt).toLocaleTimeString()}` : error.message;
   }
 
   /** Read everything again. */
@@ -95,7 +104,9 @@ class Store {
     if (!this.procedures.length) this.procedures = await ask("list_procedures");
     const jobs = await ask("list_jobs", { query: { order: "newest", limit: NEWEST } });
     this.jobs = byId(jobs);
-    this.names = new Map((await ask("list_fleet", { query: { limit: 1000 } })).map((unit) => [unit.unit, unit.name]));
+    const units = await ask("list_fleet", { query: { limit: 1000 } });
+    this.names = new Map(units.map((unit) => [unit.unit, unit.name]));
+    this.tags = new Map(units.map((unit) => [unit.unit, unit.tags]));
     await this._look();
     await Promise.all([...this.full.keys()].map((id) => this.load(id)));
     this.ready = true;

@@ -17,6 +17,9 @@ export function number(value, digits = 4) {
 /** A standard deviation: two digits are enough. @param {number | null | undefined} value */
 export const rough = (value) => number(value, 2);
 
+/** A unit as it is read. @param {string} unit */
+export const unitText = (unit) => unit.replace("m/s2", "m/s²").replace("uT", "µT");
+
 /** @param {number} value @param {string} unit */
 export const withUnit = (value, unit) => (unit ? `${number(value)} ${unit}` : number(value));
 
@@ -52,7 +55,7 @@ export const POSES = {
   nose_down: "Nose down",
   nose_up: "Nose up",
   back: "On its back",
-  oblique: "Oblique",
+  oblique: "Tilted",
 };
 
 /** What a state of a job means to a person. @type {Record<JobState, string>} */
@@ -106,6 +109,7 @@ export const KINDS = {
   "accel-one-axis": "Accelerometer, one pose",
   "accel-six-face": "Accelerometer on a block",
   "mag-rings": "Compass on six faces",
+  "mag-fixed-yaw": "Compass at one heading",
   "gyro-turntable": "Gyro on a turntable",
   "gyro-thread": "Gyro on a thread",
   "imu-multi": "Accelerometer and gyro together",

@@ -19,6 +19,8 @@ export class AttitudeScene extends HTMLElement {
   constructor() {
     super();
     this._airframe = "multirotor";
+    this._sides = false;
+    this._told = "";
     /** @type {Quaternion} */
     this._attitude = IDENTITY;
     /** @type {Quaternion | null} */
@@ -62,9 +64,13 @@ export class AttitudeScene extends HTMLElement {
     this._renderer = undefined;
   }
 
-  /** What is shown; null: not known yet. @param {{ airframe: string, attitude: Quaternion | null, ghost: Quaternion | null }} scene */
-  set scene({ airframe, attitude, ghost }) {
+  /** What is shown; null: not known yet. @param {{ airframe: string, attitude: Quaternion | null, ghost: Quaternion | null, sides?: boolean }} scene */
+  set scene({ airframe, attitude, ghost, sides }) {
+    const told = JSON.stringify([airframe, attitude, ghost, sides]);
+    if (told === this._told) return; // a picture that stays as it is costs nothing
+    this._told = told;
     this._airframe = airframe;
+    this._sides = sides ?? false;
     this._wanted = attitude;
     this._ghost = ghost;
     if (!this._seen && attitude) this._attitude = attitude;
@@ -94,7 +100,7 @@ export class AttitudeScene extends HTMLElement {
     this._frame = 0;
     const wanted = this._held ?? this._wanted;
     if (wanted) this._attitude = this._held ?? blend(this._attitude, wanted, FOLLOW);
-    this._renderer?.draw({ airframe: this._airframe, attitude: this._attitude, ghost: this._ghost }, colorsOf(this));
+    this._renderer?.draw({ airframe: this._airframe, attitude: this._attitude, ghost: this._ghost, sides: this._sides }, colorsOf(this));
     if (wanted && angle(this._attitude, wanted) > NEAR) this._soon();
   }
 }

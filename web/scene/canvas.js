@@ -6,8 +6,8 @@ import { cross, dot, rotate, unit } from "./rotation.js";
 
 /**
  * @import { Quaternion, Vector } from "./rotation.js"
- * @typedef {{ airframe: string, attitude: Quaternion, ghost: Quaternion | null }} Scene
- * @typedef {{ hull: string, trim: string, nose: string, ghost: string, ground: string }} Colors
+ * @typedef {{ airframe: string, attitude: Quaternion, ghost: Quaternion | null, sides?: boolean }} Scene
+ * @typedef {{ hull: string, trim: string, nose: string, ghost: string, ground: string, surface: string, bad: string, good: string }} Colors
  */
 
 const SUN = unit([-0.4, 0.5, -1]);
@@ -27,13 +27,14 @@ export class CanvasRenderer {
     if (this.canvas.width !== Math.round(width * ratio)) this.canvas.width = Math.round(width * ratio);
     if (this.canvas.height !== Math.round(height * ratio)) this.canvas.height = Math.round(height * ratio);
     const pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
-    const scale = (Math.min(width, height) * ratio) / 3;
+    const scale = (Math.min(width, height) * ratio) / (scene.sides ? 2.5 : 3); // the small ones are larger
     pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     pen.setTransform(scale, 0, 0, -scale, this.canvas.width / 2, this.canvas.height / 2);
-    ground(pen, colors.ground);
+    if (!scene.sides) ground(pen, colors.ground);
     if (scene.ghost) body(pen, scene.airframe, scene.ghost, colors, true);
     body(pen, scene.airframe, scene.attitude, colors, false);
+    if (scene.sides) sides(pen, scene.attitude, scale, colors);
   }
 
   dispose() {
@@ -55,6 +56,25 @@ function ground(pen, color) {
     }
     pen.stroke();
   }
+}
+
+/** L and R beside the body: a small picture of one side looks like that of the other. @param {CanvasRenderingContext2D} pen @param {Quaternion} attitude @param {number} scale pixels per unit @param {Colors} colors */
+function sides(pen, attitude, scale, colors) {
+  pen.save();
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  pen.lineJoin = "round";
+  pen.font = `bold ${0.5}px sans-serif`;
+  pen.lineWidth = 0.16;
+  for (const [letter, right] of /** @type {const} */ ([["L", -1.12], ["R", 1.12]])) {
+    const [x, y] = seen(rotate(attitude, [0, right, 0]));
+    pen.setTransform(scale, 0, 0, scale, pen.canvas.width / 2 + scale * x, pen.canvas.height / 2 - scale * y);
+    pen.strokeStyle = colors.surface;
+    pen.strokeText(letter, 0, 0);
+    pen.fillStyle = letter === "L" ? colors.bad : colors.good;
+    pen.fillText(letter, 0, 0);
+  }
+  pen.restore();
 }
 
 /** @param {CanvasRenderingContext2D} pen @param {string} name @param {Quaternion} attitude @param {Colors} colors @param {boolean} ghost */

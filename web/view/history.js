@@ -3,7 +3,8 @@
 import { h } from "../core/dom.js";
 import { go, to } from "../core/route.js";
 import { ask } from "../core/service.js";
-import { kindName, moment, number, unitName } from "../core/words.js";
+import { AUTOPILOTS, kindName, moment, number, unitName, unitText } from "../core/words.js";
+import { vehicleName } from "./home.js";
 import { badge, quiet, table, title } from "./parts.js";
 
 /** @import { FleetSensorModel, SensorRecordModel, UnitHistoryModel } from "../mavcal.d.ts" */
@@ -17,12 +18,13 @@ export function historyRoom(store) {
   const history = store.answer(`history ${id}`, () => ask("get_unit_history", { parameters: { unit_id: id } }), 30000);
   if (!history) return h("div", {}, title("History"), quiet("Reading the history …"));
   const { unit } = history;
-  const here = store.vehicles.has(id);
+  const vehicle = store.vehicles.get(id);
   return h("div", {},
-    title(`History of ${unit.name || unit.unit}`, here ? h("div", { class: "actions" },
+    title(`History of ${unit.name || (vehicle ? vehicleName(vehicle) : AUTOPILOTS[unit.autopilot] ?? "a vehicle")}`, vehicle ? h("div", { class: "actions" },
       h("a", { class: "button", href: to("vehicle", id) }, "The vehicle"),
       h("button", { onclick: () => restore(store, id) }, "Restore the last verified calibration")) : null),
-    unit.needs_recalibration ? h("p", { class: "first-line warn" }, `Calibrate it again: ${unit.reasons.map((reason) => reason.text).join("; ")}`) : null,
+    vehicle ? null : h("p", { class: "quiet small" }, `Unit ${unit.unit}`),
+    unit.needs_recalibration ? h("div", { class: "first-line warn" }, h("p", {}, "Calibrate it again:"), h("ul", {}, unit.reasons.map((reason) => h("li", { key: reason.text }, reason.text)))) : null,
     unit.sensors.length ? unit.sensors.map((sensor) => sensorCard(store, history, sensor)) : quiet("No calibration of this unit has been verified yet."));
 }
 
@@ -50,23 +52,24 @@ function sensorCard(store, history, sensor) {
   };
   const rows = [...ours].reverse().slice(0, 30).map((record) => [
     h("input", { type: "checkbox", "aria-label": `Compare ${moment(record.at)}`, checked: chosen.includes(record.source_id), onchange: pick(record) }),
-    record.source === "job" ? h("a", { href: to("job", record.source_id) }, moment(record.at)) : moment(record.at),
+    moment(record.at),
     record.what === "rest" ? "Preflight" : kindName(record.what), number(record.temperature, 3),
-    (record.bias ?? []).map((value) => number(value, 3)).join(", ") || "–", (record.sd ?? []).map((value) => number(value, 2)).join(", ") || "–"]);
+    (record.bias ?? []).map((value) => number(value, 3)).join(", ") || "–", (record.sd ?? []).map((value) => number(value, 2)).join(", ") || "–",
+    record.source === "job" ? h("a", { href: to("job", record.source_id) }, "Open") : "–"]);
   return h("section", { class: "card", key },
     h("div", { class: "title" }, h("h2", {}, `${unitName(sensor.sensor, sensor.instance)}${sensor.type ? ` · ${sensor.type}` : ""}`),
       sensor.oddness?.odd ? badge("warn", "unlike others of its type") : null),
     drift(sensor),
     ours.filter((record) => record.bias).length > 1 ? curves(ours) : null,
     compared(ours.filter((record) => chosen.includes(record.source_id))),
-    rows.length ? table(["", "when", "by", ">°C", `>offset, ${sensor.drift.unit}`, ">± sd"], rows, "Calibrations") : quiet("Not measured yet."));
+    rows.length ? table(["", "when", "by", ">°C", `>offset, ${unitText(sensor.drift.unit)}`, ">± sd", "job"], rows, "Calibrations", [1, 2]) : quiet("Not measured yet."));
 }
 
 /** @param {FleetSensorModel} sensor */
 function drift({ drift: found }) {
   const leaving = found.leaving?.middle;
   const said = [
-    leaving ? `It leaves its limit of ${number(found.limit, 2)} ${found.unit} about ${new Date(1000 * leaving).toLocaleDateString()}.` : "",
+    leaving ? `It leaves its limit of ${number(found.limit, 2)} ${unitText(found.unit)} about ${new Date(1000 * leaving).toLocaleDateString()}.` : "",
     ...found.open.map((open) => open.why),
   ].filter(Boolean);
   const once = [...new Set(said)];
@@ -99,5 +102,5 @@ function compared(two) {
     const sd = Math.hypot(a.sd?.[i] ?? 0, b.sd?.[i] ?? 0);
     return [axis, number(from), number(till), number(till - from, 3), sd ? `${number(Math.abs(till - from) / sd, 2)} sd` : "–"];
   });
-  return table(["axis", `>${moment(a.at)}`, `>${moment(b.at)}`, `>change, ${a.unit}`, ">that is"], rows, "Two calibrations compared");
+  return table(["axis", `>${moment(a.at)}`, `>${moment(b.at)}`, `>change, ${a.unit}`, ">that is"], rows, "Two calibrations compared", [0, 3, 4]);
 }

@@ -5,7 +5,8 @@ import { to } from "../core/route.js";
 import { ask } from "../core/service.js";
 import { store } from "../core/store.js";
 import { AUTOPILOTS, kindName, LANDED, STATES } from "../core/words.js";
-import { badge, VERDICT_TONES } from "./parts.js";
+import { choose, goingOn, hands } from "./fleet.js";
+import { badge, quiet, VERDICT_TONES } from "./parts.js";
 import { sensorStates, tiles, worst } from "./tiles.js";
 
 /** @import { VehicleModel } from "../mavcal.d.ts" */
@@ -19,6 +20,8 @@ export function home(store) {
   if (!vehicles.length) return nobody(store);
   return h("div", {},
     h("h1", { class: "hidden" }, "Vehicles"),
+    goingOn(store),
+    hands(store, vehicles),
     vehicles.length > CARDS ? list(store, vehicles) : h("div", { class: "cards" }, vehicles.map((vehicle) => card(store, vehicle))));
 }
 
@@ -57,7 +60,8 @@ export function firstLine(store, vehicle) {
 function card(store, vehicle) {
   return h("article", { class: "card vehicle-card", key: vehicle.id, "aria-label": vehicleName(vehicle) },
     h("div", { class: "title" },
-      h("h2", {}, h("a", { href: to("vehicle", vehicle.id) }, vehicleName(vehicle))),
+      h("h2", {}, store.vehicles.size > 1 ? choose(store, vehicle, vehicleName(vehicle)) : null,
+        h("a", { href: to("vehicle", vehicle.id) }, vehicleName(vehicle))),
       h("p", { class: "badges" }, badge(...condition(vehicle)), badge(...linkQuality(vehicle)))),
     h("p", { class: "quiet small" }, `${AUTOPILOTS[vehicle.autopilot]} ${vehicle.firmware} · ${LANDED[vehicle.landed]}`),
     firstLine(store, vehicle),
@@ -78,7 +82,8 @@ function list(store, vehicles) {
 function row(store, vehicle, columns) {
   const sensors = sensorStates(store, vehicle)?.sensors ?? [];
   return h("tr", { key: vehicle.id },
-    h("th", { scope: "row" }, h("a", { href: to("vehicle", vehicle.id) }, vehicleName(vehicle))),
+    h("th", { scope: "row" }, h("span", { class: "pick" }, choose(store, vehicle, vehicleName(vehicle)),
+      h("a", { href: to("vehicle", vehicle.id) }, vehicleName(vehicle)))),
     h("td", { class: "state" }, badge(...condition(vehicle)), badge(...linkQuality(vehicle))),
     sensors.length ? sensors.map((state) => h("td", { class: "sensor" }, h("span", { class: "name quiet" }, kindName(state.kind)),
       badge(VERDICT_TONES[state.verdict], state.label))) : Array.from({ length: columns }, () => h("td", { class: "sensor" }, "…")),
@@ -87,9 +92,10 @@ function row(store, vehicle, columns) {
 
 /** @param {Store} store */
 function nobody(store) {
+  if (!store.ready) return h("section", { class: "card empty" }, h("h1", {}, "Looking for vehicles …"), quiet("Nothing has answered yet."));
   const links = [...store.links.values()];
   return h("section", { class: "card empty" },
-    h("h1", {}, store.ready ? "No vehicle has been heard yet" : "Looking for vehicles …"),
+    h("h1", {}, "No vehicle has been heard yet"),
     links.length
       ? h("ul", { class: "plain" }, links.map((link) => h("li", {}, `${link.url}: ${link.state}${link.reason ? `, ${link.reason}` : ""}`)))
       : h("p", {}, "Connect one in Setup, or look around with a simulated vehicle that follows the prompts by itself."),

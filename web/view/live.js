@@ -2,7 +2,7 @@
 // While this room is open the vehicle is asked to send its samples.
 
 import { h } from "../core/dom.js";
-import { number, unitName } from "../core/words.js";
+import { number, unitName, unitText } from "../core/words.js";
 import { badge, quiet, table } from "./parts.js";
 import { current, wish } from "./samples.js";
 import { handSwitch, picture } from "./stage.js";
@@ -79,8 +79,8 @@ function lengths(traces, field) {
     const last = trace.axes.map((axis) => axis[axis.length - 1] ?? NaN);
     const length = Math.hypot(...last);
     const should = trace.sensor === "accel" ? G : field;
-    const text = should === null ? "position not known" : `${number(should, 3)} ${trace.unit}`;
-    return [unitName(trace.sensor, trace.instance), `${number(length, 3)} ${trace.unit}`, text,
+    const text = should === null ? "position not known" : `${number(should, 3)} ${unitText(trace.unit)}`;
+    return [unitName(trace.sensor, trace.instance), `${number(length, 3)} ${unitText(trace.unit)}`, text,
       should === null ? "–" : `${(100 * (length / should - 1)).toFixed(1)} %`];
   });
   return rows.length ? table(["length of the vector", ">now", ">should be, at rest", ">off by"], rows, "Lengths of the vectors") : null;

@@ -4,7 +4,7 @@ import { h } from "../core/dom.js";
 import { go, to } from "../core/route.js";
 import { ask } from "../core/service.js";
 import { number, sentence, size, words } from "../core/words.js";
-import { badge, quiet, table, title } from "./parts.js";
+import { badge, isNarrow, quiet, table, title } from "./parts.js";
 import { vehicleName } from "./home.js";
 
 /** @import { RecordingModel } from "../mavcal.d.ts" */
@@ -32,31 +32,43 @@ function health(found) {
   const tones = { ok: "good", suspicious: "warn", faulty: "bad" };
   const sensors = /** @type {any[]} */ (found.sensors);
   const bad = (/** @type {any} */ sensor) => sensor.findings.filter((/** @type {any} */ f) => f.verdict === "faulty" || f.verdict === "suspicious");
+  const row = (/** @type {any} */ sensor) =>
+    h("li", { key: sensor.name }, badge(/** @type {any} */ (tones)[sensor.verdict] ?? "unknown", words(sensor.verdict)),
+      h("div", {}, h("strong", {}, sentence(sensor.name)),
+        (bad(sensor).length ? bad(sensor) : sensor.findings.slice(0, 1)).map((/** @type {any} */ f, /** @type {number} */ i) => h("p", { key: `${i}` }, sentence(f.text)))));
   return h("section", { class: "card" }, h("h2", {}, "Is something wrong with a sensor?"),
     h("p", {}, h("strong", {}, found.summary), found.action ? ` ${found.action}` : ""),
-    h("ul", { class: "plain checks" }, sensors.map((sensor) =>
-      h("li", { key: sensor.name }, badge(/** @type {any} */ (tones)[sensor.verdict] ?? "unknown", words(sensor.verdict)),
-        h("div", {}, h("strong", {}, sentence(sensor.name)),
-          (bad(sensor).length ? bad(sensor) : sensor.findings.slice(0, 1)).map((/** @type {any} */ f, /** @type {number} */ i) => h("p", { key: `${i}` }, sentence(f.text))))))),
+    h("ul", { class: "plain checks" }, sensors.filter((sensor) => sensor.verdict !== "ok").map(row)),
+    folded(sensors.filter((sensor) => sensor.verdict === "ok").map(row), "sensor is sound", "sensors are sound"),
     found.lacks.length ? h("details", {}, h("summary", {}, "What the log lacks to say more"),
       h("ul", { class: "small" }, found.lacks.map((/** @type {string} */ line) => h("li", { key: line }, sentence(line))))) : null);
 }
+
+/** What needs no look. @param {any[]} rows @param {string} one @param {string} many */
+const folded = (rows, one, many) => rows.length
+  ? h("details", {}, h("summary", {}, `${rows.length} ${rows.length === 1 ? one : many}`), h("ul", { class: "plain checks" }, rows)) : null;
 
 /** The sanity of the inertial sensors. @param {Record<string, any> | null} flight */
 function sanity(flight) {
   if (!flight) return null;
   const tones = { pass: "good", warn: "warn", fail: "bad" };
   const items = /** @type {any[]} */ (flight.items);
-  return h("section", { class: "card" }, h("h2", {}, "At rest and in flight"), items.length ? h("ul", { class: "plain checks" }, items.map((item, i) =>
+  const row = (/** @type {any} */ item, /** @type {number} */ i) =>
     h("li", { key: `${i}` }, badge(/** @type {any} */ (tones)[item.verdict] ?? "unknown", words(item.verdict)),
-      h("div", {}, h("strong", {}, `${sentence(words(item.name))}, ${item.subject}`), h("p", {}, sentence(item.text)))))) : quiet("Nothing does."));
+      h("div", {}, h("strong", {}, `${sentence(words(item.name))}, ${item.subject}`), h("p", {}, sentence(item.text))));
+  const found = items.filter((item) => item.verdict === "warn" || item.verdict === "fail");
+  return h("section", { class: "card" }, h("h2", {}, "At rest and in flight"),
+    items.length ? null : quiet("The log shows neither rest nor flight."),
+    items.length && !found.length ? quiet("Nothing stands out.") : h("ul", { class: "plain checks" }, found.map(row)),
+    folded(items.filter((item) => item.verdict === "pass").map(row), "check passes", "checks pass"),
+    folded(items.filter((item) => item.verdict === "not_testable").map(row), "check is not possible", "checks are not possible"));
 }
 
 /** The sensors over the log. @param {Store} store @param {string} id */
 function plots(store, id) {
   const series = store.answer(`series ${id}`, () => ask("list_series", { parameters: { recording_id: id } }), 1e9);
   if (!series) return quiet("Drawing its sensors …");
-  return h("details", { class: "card", open: true }, h("summary", {}, "Its sensors over time"),
+  return h("details", { class: "card", open: !isNarrow() }, h("summary", {}, "Its sensors over time"),
     h("div", { class: "charts" }, series.map((one) => h("figure", { key: `${one.sensor}${one.instance}` },
       h("figcaption", {}, `${sentence(words(one.sensor))} ${one.instance + 1}`, h("span", { class: "quiet small" }, ` ${one.source}`)),
       h("line-chart", { role: "img", "aria-label": `${words(one.sensor)} ${one.instance + 1} over time`, chart: {
@@ -100,5 +112,5 @@ function fits(store, recording, found) {
 /** @param {Record<string, any>} found */
 function channels(found) {
   const rows = /** @type {any[]} */ (found.channels ?? []).map((c) => [`${words(c.sensor)} ${c.instance + 1}`, c.source, number(c.rate, 4), c.samples, c.n_gaps]);
-  return rows.length ? h("details", { class: "card" }, h("summary", {}, `${rows.length} channels`), table(["sensor", "source", ">Hz", ">samples", ">gaps"], rows, "Channels")) : null;
+  return rows.length ? h("details", { class: "card" }, h("summary", {}, `${rows.length} channels`), table(["sensor", "source", ">Hz", ">samples", ">gaps"], rows, "Channels", [0, 2])) : null;
 }

@@ -12,7 +12,7 @@ import { badge, bar, quiet, title } from "./parts.js";
 /** @param {Store} store */
 export function logsRoom(store) {
   const recordings = store.answer("recordings", () => ask("list_recordings"), 10000) ?? [];
-  const jobs = store.newest().filter((job) => job.vehicle_id === null || job.kind === "recording").slice(0, 12);
+  const jobs = store.newest().filter((job) => job.kind !== "campaign" && (job.vehicle_id === null || job.kind === "recording")).slice(0, 12);
   return h("div", {},
     title("Logs"),
     dropZone(store, (recording) => go("log", recording.id)),

@@ -16,14 +16,37 @@ export function badge(tone, text) {
 /** @type {Record<string, Tone>} */
 export const VERDICT_TONES = { pass: "good", warn: "warn", fail: "bad", unknown: "unknown" };
 
-/** A table whose headings that begin with ">" stand over numbers. @param {string[]} head @param {any[][]} rows @param {string} label */
-export function table(head, rows, label) {
+const NARROW = 640; // pixels: a table of many columns is rows of one line, and charts wait until they are asked for
+
+/** Whether this is a phone, held upright. */
+export const isNarrow = () => window.innerWidth <= NARROW;
+
+/**
+ * A table whose headings that begin with ">" stand over numbers. On a phone each row is one line of the columns `line`,
+ * and the others are folded below it.
+ * @param {string[]} head @param {any[][]} rows @param {string} label @param {number[]} [line]
+ */
+export function table(head, rows, label, line) {
+  if (line && isNarrow()) return folded(head, rows, label, line);
   const numeric = head.map((text) => text.startsWith(">"));
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": label },
     h("table", {},
       h("thead", {}, h("tr", {}, head.map((text, i) =>
         h("th", { scope: "col", class: numeric[i] ? "number" : "" }, text.replace(">", ""))))),
       h("tbody", {}, rows.map((row) => h("tr", {}, row.map((cell, i) => h("td", { class: numeric[i] ? "number" : "" }, cell)))))));
+}
+
+/** @param {string[]} head @param {any[][]} rows @param {string} label @param {number[]} line */
+function folded(head, rows, label, line) {
+  const others = head.map((_, i) => i).filter((i) => head[i] && !line.includes(i));
+  const columns = `repeat(${line.length - 1}, auto) minmax(0, 1fr)`.replace("repeat(0, auto) ", "");
+  return h("div", { class: "rows", role: "group", "aria-label": label }, rows.map((row, k) => {
+    const before = row[head.indexOf("")]; // a box to tick stands beside what can be opened
+    return h("div", { class: "row", key: `${k}` }, before ?? null, h("details", {},
+      h("summary", {}, h("span", { class: "line", style: { "grid-template-columns": columns } }, line.map((i) =>
+        h("span", { class: head[i].startsWith(">") ? "number" : "" }, row[i])))),
+      h("dl", { class: "small" }, others.map((i) => [h("dt", {}, head[i].replace(">", "")), h("dd", {}, row[i] === "" ? "–" : row[i])]))));
+  }));
 }
 
 /** A bar that fills. @param {number} current @param {number} target @param {string} text */

@@ -3,7 +3,8 @@
 import { h } from "../core/dom.js";
 import { to } from "../core/route.js";
 import { useKey } from "../core/service.js";
-import { home } from "./home.js";
+import { kindName, STATES } from "../core/words.js";
+import { condition, home, vehicleName } from "./home.js";
 import { vehicleRoom } from "./vehicle.js";
 import { jobRoom } from "./job/room.js";
 import { logsRoom } from "./logs.js";
@@ -11,6 +12,8 @@ import { logRoom } from "./log.js";
 import { gapRoom } from "./gap.js";
 import { historyRoom } from "./history.js";
 import { setupRoom } from "./setup.js";
+import { campaignRoom } from "./campaign.js";
+import { campaignName } from "./fleet.js";
 import { widgetRoom } from "./widget.js";
 
 /** @import { View } from "../core/dom.js" */
@@ -18,19 +21,38 @@ import { widgetRoom } from "./widget.js";
 
 /** @type {Record<string, (store: Store) => View>} */
 const ROOMS = {
-  home, vehicle: vehicleRoom, job: jobRoom, logs: logsRoom, log: logRoom, gap: gapRoom, history: historyRoom, setup: setupRoom, widget: widgetRoom,
+  home, vehicle: vehicleRoom, job: jobRoom, campaign: campaignRoom, logs: logsRoom, log: logRoom, gap: gapRoom, history: historyRoom, setup: setupRoom, widget: widgetRoom,
 };
 
 /** @param {Store} store @returns {View[]} */
 export function shell(store) {
   const room = ROOMS[store.place.room] ? store.place.room : "home";
   return [
-    h("a", { class: "skip", href: "#content" }, "Skip to content"),
+    h("a", { class: "skip", href: "#content", onclick: (/** @type {Event} */ event) => {
+      event.preventDefault(); // the address names a room, not a place in the page
+      document.getElementById("content")?.focus();
+    } }, "Skip to content"),
     header(store, room),
     banner(store),
     room === "job" ? null : notice(store),
     store.keyNeeded ? keyForm(store) : h("main", { id: "content", class: `room ${room}`, key: room, tabindex: "-1" }, ROOMS[room](store)),
   ].filter((view) => view !== null);
+}
+
+/** The page and its state, for whoever has many windows or does not see them. @param {Store} store */
+export function pageTitle(store) {
+  const { room, id } = store.place;
+  const job = store.full.get(id);
+  const vehicle = store.vehicles.get(id);
+  /** @type {Record<string, string>} */
+  const titles = {
+    home: `Vehicles (${store.vehicles.size})`, logs: "Logs", log: "Log", gap: "Gap", setup: "Setup",
+    vehicle: vehicle ? `${vehicleName(vehicle)}: ${condition(vehicle)[1]}` : "Vehicle",
+    history: vehicle ? `History of ${vehicleName(vehicle)}` : "History",
+    job: job ? `${kindName(job.kind)}: ${STATES[job.state]}` : "Job",
+    campaign: job ? `${campaignName(job)} of many: ${STATES[job.state]}` : "Campaign",
+  };
+  return [titles[room], store.connection.good ? "" : "not connected", "mavcal"].filter(Boolean).join(" · ");
 }
 
 /** @param {Store} store @param {string} room */
@@ -41,9 +63,18 @@ function header(store, room) {
   return h("header", { class: "top" },
     h("a", { class: "brand", href: to("home"), "aria-label": "mavcal, home" }, needle(), "mavcal"),
     h("nav", { "aria-label": "Rooms" },
-      way("home", "Vehicles", ["vehicle", "job", "history"]), way("logs", "Logs", ["log"]), way("gap", "Gap"), way("setup", "Setup")),
-    h("p", { class: `connection ${store.connection.good ? "good" : "bad"}`, role: "status" },
-      h("span", { class: "lamp", "aria-hidden": "true" }), h("span", { class: "words" }, store.connection.text)));
+      way("home", "Vehicles", ["vehicle", "job", "campaign", "history"]), way("logs", "Logs", ["log"]), way("gap", "Gap"), way("setup", "Setup")),
+    connection(store));
+}
+
+/** Whether the service answers, and the vehicle that the page is about. @param {Store} store */
+function connection(store) {
+  const { room, id } = store.place;
+  const job = room === "job" ? store.full.get(id) : undefined;
+  const silent = job?.prompt?.step === "silent" || store.vehicles.get(job?.vehicle_id ?? "")?.silent;
+  const [tone, words] = !store.connection.good ? ["bad", store.connection.text] : silent ? ["warn", "Vehicle silent"] : ["good", store.connection.text];
+  return h("p", { class: `connection ${tone}`, role: "status" },
+    h("span", { class: "lamp", "aria-hidden": "true" }), h("span", { class: "words" }, words));
 }
 
 function needle() {

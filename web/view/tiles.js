@@ -6,7 +6,7 @@ import { ask } from "../core/service.js";
 import { kindName, sentence, span } from "../core/words.js";
 import { badge, VERDICT_TONES } from "./parts.js";
 
-/** @import { SensorStateModel, VehicleModel, VehicleSensorsModel } from "../mavcal.d.ts" */
+/** @import { ProcedureModel, SensorStateModel, VehicleModel, VehicleSensorsModel } from "../mavcal.d.ts" */
 /** @typedef {typeof import("../core/store.js").store} Store */
 
 const MAX_AGE_MS = 15000;
@@ -61,10 +61,13 @@ function tile(store, vehicle, state) {
     procedure ? h("p", { class: "quiet small" }, `Needs ${procedure.needs}.`) : null);
 }
 
-/** Start a calibration and go to it. @param {Store} store @param {string} vehicle @param {string} kind */
-export function start(store, vehicle, kind) {
+/**
+ * Start a calibration and go to it.
+ * @param {Store} store @param {string} vehicle @param {string} kind @param {Record<string, number>} [options]
+ */
+export function start(store, vehicle, kind, options = {}) {
   return store.act(async () => {
-    const job = await ask("start_job", { parameters: { vehicle_id: vehicle }, body: { kind } });
+    const job = await ask("start_job", { parameters: { vehicle_id: vehicle }, body: { kind, options } });
     store.jobs.set(job.id, job);
     store.full.set(job.id, job);
     go("job", job.id);
@@ -80,5 +83,26 @@ export function more(store, vehicle) {
     h("ul", { class: "plain methods" }, store.procedures.filter((known) => !shown.has(known.kind)).map((known) =>
       h("li", { key: known.kind },
         h("div", {}, h("strong", {}, kindName(known.kind)), h("p", { class: "quiet small" }, `${sentence(known.needs)}. About ${span(known.duration_s)}.`)),
-        h("button", { disabled: busy || vehicle.silent, onclick: () => start(store, vehicle.id, known.kind) }, "Start")))));
+        starter(store, vehicle, known, busy || vehicle.silent)))));
+}
+
+/**
+ * What starts a method: a button, with a field for each option that has to be given.
+ * @param {Store} store @param {VehicleModel} vehicle @param {ProcedureModel} method @param {boolean} waits
+ */
+function starter(store, vehicle, method, waits) {
+  const asked = method.options.filter((option) => option.default === null);
+  if (!asked.length) return h("button", { disabled: waits, onclick: () => start(store, vehicle.id, method.kind) }, "Start");
+  const id = (/** @type {string} */ name) => `${method.kind} ${name}`.replaceAll(/[^a-z]/g, "-");
+  return h("form", { class: "row-form", onsubmit: (/** @type {Event} */ event) => {
+    event.preventDefault();
+    const fields = /** @type {HTMLFormElement} */ (event.target).elements;
+    const given = asked.map((option) => [option.name, Number(/** @type {HTMLInputElement} */ (fields.namedItem(option.name)).value)]);
+    start(store, vehicle.id, method.kind, Object.fromEntries(given));
+  } },
+  asked.map((option) => h("div", { key: option.name },
+    h("label", { for: id(option.name) }, `${sentence(option.help)}, ${option.unit}`),
+    h("input", { id: id(option.name), name: option.name, type: "number", step: "any", required: true,
+      min: `${option.low ?? ""}`, max: `${option.high ?? ""}` }))),
+  h("button", { type: "submit", disabled: waits }, "Start"));
 }

@@ -31,7 +31,7 @@ export function vehicleRoom(store) {
 /** @param {Store} store @param {VehicleModel} vehicle */
 function calibration(store, vehicle) {
   const jobs = store.newest().filter((job) => job.vehicle_id === vehicle.id).slice(0, 8);
-  return h("div", { key: "calibration" },
+  return h("section", { key: "calibration" },
     vehicle.obstacles.length ? h("p", { class: "warn small" }, `Nothing can be written now: ${vehicle.obstacles.join("; ")}.`) : null,
     tiles(store, vehicle), more(store, vehicle),
     jobs.length ? h("section", {}, h("h2", {}, "Last calibrations"), h("ul", { class: "plain jobs" }, jobs.map((job) =>
@@ -41,26 +41,36 @@ function calibration(store, vehicle) {
 
 /** @param {Store} store @param {VehicleModel} vehicle */
 function preflight(store, vehicle) {
-  const held = store.keep(`preflight ${vehicle.id}`, () => ({ running: false, report: /** @type {PreflightModel | undefined} */ (undefined) }));
+  const held = store.keep(`preflight ${vehicle.id}`, () => ({ began: 0, heading: "", report: /** @type {PreflightModel | undefined} */ (undefined) }));
   /** @type {(fix: ("gyro" | "level")[]) => Promise<any>} */
   const look = (fix) => store.act(async () => {
-    held.running = true;
+    held.began = Date.now();
+    const clock = setInterval(() => store.changed(), 1000); // its seconds are counted
     store.changed();
     try {
-      held.report = await ask("run_preflight", { parameters: { vehicle_id: vehicle.id }, body: { fix } });
+      held.report = await ask("run_preflight", { parameters: { vehicle_id: vehicle.id }, body: { fix, heading: held.heading === "" ? null : Number(held.heading) } });
       store.forget(`sensors ${vehicle.id}`);
     } finally {
-      held.running = false;
+      clearInterval(clock);
+      held.began = 0;
     }
   });
-  const report = held.report;
+  const { began, report } = held;
+  const job = store.running(vehicle.id);
+  const waits = began > 0 || vehicle.silent || job !== undefined;
   return h("section", { key: "preflight" },
-    h("p", {}, "Put the vehicle down, leave it still, and look. Nothing is written by a look."),
+    h("p", {}, "Put the vehicle down, leave it still, and look. It takes 10 to 30 s. Nothing is written by a look."),
+    job ? h("p", { class: "first-line busy" }, `${kindName(job.kind)} goes on: look when it has ended.`) : null,
     h("div", { class: "actions" },
-      h("button", { class: "primary", disabled: held.running || vehicle.silent, onclick: () => look([]) }, held.running ? "Looking for ten seconds …" : "Look now"),
-      h("button", { disabled: held.running || vehicle.silent, onclick: () => look(["gyro"]) }, "Calibrate the gyro, then look")),
-    report ? h("div", {},
-      h("p", { class: `first-line ${VERDICT_TONES[report.verdict]}` }, report.summary),
+      h("button", { class: "primary", disabled: waits, onclick: () => look([]) }, began ? `Looking … ${Math.round((Date.now() - began) / 1000)} s` : "Look now"),
+      h("button", { disabled: waits, onclick: () => look(["gyro"]) }, "Calibrate the gyro, then look")),
+    h("details", {}, h("summary", { class: "small" }, "The true heading is known"),
+      h("div", { class: "row-form" }, h("label", { for: "heading" }, "Heading of the nose from true north, deg"),
+        h("input", { id: "heading", type: "number", min: "0", max: "360", value: held.heading,
+          oninput: (/** @type {Event} */ event) => { held.heading = /** @type {HTMLInputElement} */ (event.target).value; } })),
+      h("p", { class: "quiet small" }, "With it a look tells which of two compasses is off.")),
+    report ? h("section", {},
+      h("p", { class: `first-line ${VERDICT_TONES[report.verdict]}` }, `${report.summary} Looked at for ${Math.round(report.seconds)} s.`),
       h("ul", { class: "plain checks" }, report.checks.map((check) => row(check)))) : null);
 }
 
@@ -75,7 +85,7 @@ function row(check) {
 
 /** @param {Store} store @param {VehicleModel} vehicle */
 function about(store, vehicle) {
-  return h("section", { key: "about" },
+  return h("section", { key: "about", class: "about" },
     nameForm(store, vehicle),
     h("h2", {}, "What it says"),
     vehicle.texts.length ? h("ul", { class: "plain small" }, vehicle.texts.map((text, i) => h("li", { key: `${i}` }, text))) : quiet("It has said nothing yet."),

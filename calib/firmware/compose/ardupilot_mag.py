@@ -68,7 +68,7 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
         return
     old = body_from_raw(ardupilot.calibration_in_force, roles, draft.parameters, about)
     internal = int(draft.parameters.get(roles[Role.EXTERNAL], 0)) == 0
-    turn = mounting_turn(draft, about, fit, follows="AHRS_ORIENTATION" if internal else "")
+    turn = mounting_turn(draft, "ardupilot", about, fit, old, follows="AHRS_ORIENTATION" if internal else "")
     new = old if turn is None else _set_rotation(draft, about, roles, turn, turn.matrix @ old)
     if new is None:
         return
@@ -126,7 +126,7 @@ def _set_rotation(
         name,
         number,
         Rank.ROTATION,
-        f"{about} is mounted turned by {turn.name}; offsets and matrix are for this mounting",
+        f"{about} is mounted {turn.words}; offsets and matrix are for this mounting",
         kind=ParameterKind.INT8,
         about=about,
     )

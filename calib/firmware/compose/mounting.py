@@ -8,6 +8,7 @@ from the ``nearest`` right-angle one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -17,10 +18,11 @@ from numpy.typing import NDArray
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.names import ROTATION_EULER, Role
 from mavcal.calib.firmware.options import how, to_confirm
-from mavcal.calib.firmware.rotations import euler_matrix, nearest_rotation, rotation_words
+from mavcal.calib.firmware.rotations import ROTATIONS, euler_matrix, nearest_rotation, rotation_matrix, rotation_words
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.free_rotation import Euler, euler_angles
+from mavcal.calib.mag.free_rotation import Euler, angle_between, euler_angles
 from mavcal.calib.mag.orientation import ASKEW, MountingVerdict
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
@@ -39,6 +41,13 @@ class MountingRotation:
     matrix: Array
     covariance: Array | None = None
     """(3, 3) in rad^2 of small turns of the body; None: by right angles, and exact."""
+    chosen: bool = False
+    """The operator stated the mounting; `name` is then that of the mounting itself, not of what is missing."""
+
+    @property
+    def words(self) -> str:
+        """What it is, after "mounted"."""
+        return f"as chosen ({self.name})" if self.chosen else f"turned by {self.name}"
 
     @property
     def tolerance(self) -> float:
@@ -91,8 +100,8 @@ def ask_for_mounting(
     """
     name, old, new = change
     stated = rotation_words(autopilot, old)
-    found = f"compass {about.instance + 1} is mounted turned by {turn.name}"
-    if stated != "none":
+    found = f"compass {about.instance + 1} is mounted {turn.words}"
+    if stated != "none" and not turn.chosen:
         found += f" against what {name} says ({stated})"
     step = f"{name} changes from {old} ({stated}) to {new} ({angles or rotation_words(autopilot, new)})"
     if draft.options.confirm_mounting:
@@ -101,11 +110,17 @@ def ask_for_mounting(
         draft.block(f"{found}: {step}. Look at it. {to_confirm('confirm_mounting')}")
 
 
-def mounting_turn(draft: Draft, about: Subject, fit: FitResult, *, follows: str) -> MountingRotation | None:
+def mounting_turn(
+    draft: Draft, autopilot: str, about: Subject, fit: FitResult, stated: Array, *, follows: str
+) -> MountingRotation | None:
     """The rotation to put right; None: the mounting stays as stated, or nothing was found out about it.
 
-    `follows`: the parameter of the board that an internal compass follows; empty: the compass has its own.
+    `stated` (3, 3) takes the sensor to the body. `follows`: the parameter of the board that an internal compass
+    follows; empty: the compass has its own.
     """
+    chosen = draft.options.mountings.get((Sensor.MAG, about.instance))
+    if chosen is not None:
+        return _as_chosen(draft, (autopilot, chosen), about, fit, stated, follows)
     found = fit.quality.get("orientation")
     if not found:
         return None
@@ -129,6 +144,39 @@ def mounting_turn(draft: Draft, about: Subject, fit: FitResult, *, follows: str)
             return _if_wanted(draft, about, turn, float(found["askew_deg"]), follows)
         return turn
     return None
+
+
+def _as_chosen(
+    draft: Draft, rotation: tuple[str, int], about: Subject, fit: FitResult, stated: Array, follows: str
+) -> MountingRotation | None:
+    """The rotation to the mounting that the operator chose, where nothing that was seen speaks against it."""
+    words, compass = rotation_words(*rotation), f"compass {about.instance + 1}"
+    if follows:
+        draft.block(f"{compass} follows {follows}: it has no mounting of its own that could be chosen.")
+        return None
+    if "orientation" not in fit.quality:
+        draft.block(
+            f"{compass}: this calibration took the mounting for granted, so none can be chosen now. "
+            "Set its parameter, then calibrate again."
+        )
+        return None
+    if rotation[1] >= len(ROTATIONS[rotation[0]]):
+        draft.block(f"{compass}: this autopilot has no mounting rotation {rotation[1]} to choose.")
+        return None
+    turn = MountingRotation(words, rotation_matrix(*rotation) @ stated.T, chosen=True)
+    found = fit.quality["orientation"] or {"verdict": MountingVerdict.AMBIGUOUS}
+    if found["verdict"] == MountingVerdict.AMBIGUOUS:
+        draft.warn(f"{compass}: its movement does not show how it is mounted; nothing proves the chosen {words}")
+    else:
+        seen = np.array(found.get("matrix", np.eye(3)), dtype=np.float64)
+        apart = math.degrees(angle_between(seen, turn.matrix))
+        if apart > TOLERATED:
+            draft.block(
+                f"{compass}: the chosen mounting ({words}) is {apart:.0f} deg from the one that its movement shows. "
+                "Choose what it shows, or turn the vehicle again."
+            )
+            return None
+    return turn if angle_between(turn.matrix, np.eye(3)) > EXACT else None
 
 
 def _if_wanted(

@@ -67,8 +67,9 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     if not _mounted_as_taken(draft, about, roles):
         return
     internal = int(draft.get(roles[Role.ROTATION], -1)) < 0
-    turn = mounting_turn(draft, about, fit, follows="SENS_BOARD_ROT" if internal else "")
     before = neutral_model(draft.parameters, about).matrix
+    stated = px4.level_adjustment(draft.parameters).T @ before
+    turn = mounting_turn(draft, "px4", about, fit, stated, follows="SENS_BOARD_ROT" if internal else "")
     after = before if turn is None else _set_rotation(draft, about, roles, turn, before)
     if after is None:
         return
@@ -202,7 +203,7 @@ def _set_number(draft: Draft, about: Subject, name: str, number: int, turn: Moun
         name,
         number,
         Rank.ROTATION,
-        f"{about} is mounted turned by {turn.name}",
+        f"{about} is mounted {turn.words}",
         kind=ParameterKind.INT32,
         about=about,
     )

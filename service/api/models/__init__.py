@@ -10,6 +10,7 @@ from mavcal.service.api.models.campaigns import (
     GapCampaignRequest,
     ItemModel,
     PreflightCampaignRequest,
+    RestoreCampaignRequest,
 )
 from mavcal.service.api.models.events import (
     AnswerData,
@@ -122,7 +123,13 @@ from mavcal.service.api.models.recordings import (
     RecordingModel,
     SeriesModel,
 )
-from mavcal.service.api.models.reviews import CriterionModel, ReviewModel, SensorEffectModel
+from mavcal.service.api.models.reviews import (
+    CriterionModel,
+    MountingChoiceModel,
+    MountingModel,
+    ReviewModel,
+    SensorEffectModel,
+)
 from mavcal.service.api.models.sensors import SensorStateModel, VehicleSensorsModel
 from mavcal.service.api.models.signing import SigningKeyModel, SigningKeyRequest, SigningRequest
 from mavcal.service.api.models.steps import (
@@ -191,6 +198,8 @@ __all__ = [
     "LossModel",
     "Message",
     "MethodModel",
+    "MountingChoiceModel",
+    "MountingModel",
     "MovementModel",
     "Nothing",
     "NumberModel",
@@ -221,6 +230,7 @@ __all__ = [
     "RecordingJobRequest",
     "RecordingModel",
     "RegistrationModel",
+    "RestoreCampaignRequest",
     "RestoreRequest",
     "ResultModel",
     "ReviewModel",

@@ -39,11 +39,9 @@ class PreflightCampaignRequest(_VehicleCampaign):
     """Check many vehicles."""
 
 
-class CalibrationCampaignRequest(_VehicleCampaign):
-    """Calibrate many vehicles."""
+class RestoreCampaignRequest(_VehicleCampaign):
+    """Put the last verified calibration of many vehicles back."""
 
-    kind: str = Field(description="a kind of `/procedures`, such as gyro or level", examples=["gyro"])
-    options: dict[str, float | bool] = Field(default_factory=dict, description="options of that procedure")
     plan_options: PlanOptions = Field(
         default_factory=PlanOptions,
         description="options of every plan; confirmations belong to one plan and are refused",
@@ -55,6 +53,13 @@ class CalibrationCampaignRequest(_VehicleCampaign):
     reboot: bool = Field(
         default=False, description="with `apply`: restart a vehicle whose plan needs it; else that plan stays in review"
     )
+
+
+class CalibrationCampaignRequest(RestoreCampaignRequest):
+    """Calibrate many vehicles."""
+
+    kind: str = Field(description="a kind of `/procedures`, such as gyro or level", examples=["gyro"])
+    options: dict[str, float | bool] = Field(default_factory=dict, description="options of that procedure")
 
 
 class FitCampaignRequest(_Campaign):

@@ -142,6 +142,9 @@ class JobSummary(BaseModel):
         description="sensors that were asked for and get no new calibration, or only a part of it; not empty: the job "
         "is done in part"
     )
+    broken: list[LeftOutModel] = Field(
+        description="sensors that fell out and that this kind of job does not calibrate; its own result is whole"
+    )
     last_write: WriteModel | None = Field(description="null: nothing was accepted yet")
     options: Json = Field(description="options of the procedure or method, and what an upload adds")
 

@@ -17,6 +17,9 @@ class PlanOptions(Request):
     mark_calibrated: bool = Field(default=True, description="ArduPilot: mark the sensors as calibrated")
     adjust_level: bool = Field(default=True, description="carry the level trim over to a new accelerometer calibration")
     confirm_mounting: bool = Field(default=False, description="a compass really is mounted as the job found it")
+    mountings: dict[str, int] = Field(
+        default={}, description="mounting of a compass that its movement did not show, by the firmware's number"
+    )
     confirm_other_unit: bool = Field(
         default=False, description="a recording without a board id is of this vehicle; the audit keeps it"
     )

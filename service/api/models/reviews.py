@@ -35,6 +35,23 @@ class CriterionModel(BaseModel):
     remedy: str = Field(description="what helps; empty: nothing has to be done")
 
 
+class MountingModel(BaseModel):
+    """The mounting of a compass; numbers are the firmware's."""
+
+    instance: int = Field(description="which compass, from 0")
+    stated: int = Field(description="what the vehicle is told now")
+    stated_text: str
+    chosen: int | None = Field(description="what the plan takes instead; null: as it was found")
+
+
+class MountingChoiceModel(BaseModel):
+    """A rotation that the firmware has by number."""
+
+    number: int = Field(description="for the plan option `mountings`")
+    text: str
+    matrix: list[list[Number]] = Field(description="takes the sensor to the body")
+
+
 class ReviewModel(BaseModel):
     """What a plan does, and what speaks for and against it."""
 
@@ -44,3 +61,5 @@ class ReviewModel(BaseModel):
     picture: str | None = Field(
         description="address of the picture of before and after, relative to the root of the service; null: none"
     )
+    mountings: list[MountingModel] = Field(description="compasses whose mounting can be chosen")
+    mounting_choices: list[MountingChoiceModel] = Field(description="what can be chosen")

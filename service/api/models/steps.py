@@ -15,7 +15,7 @@ class OptionModel(BaseModel):
     """A number or a switch that may be set when a job is started."""
 
     name: str
-    default: bool | Number = Field(description="in `unit`")
+    default: bool | Number | None = Field(description="in `unit`; null: it has to be given")
     help: str
     unit: str = Field(description="empty: a switch, or a pure number")
     low: Number | None = Field(description="least value, in `unit`; null: without a limit")
@@ -52,6 +52,20 @@ class NumberModel(BaseModel):
     high: Number = Field(description="greatest value, in `unit`")
 
 
+class TiltModel(BaseModel):
+    """An oblique pose that is asked for, or that was taken."""
+
+    direction: Vector = Field(description="body direction (front, right, down) that points down; a unit vector")
+    taken: bool
+
+
+class SilenceModel(BaseModel):
+    """For how long the vehicle has not been heard."""
+
+    lasted: Number = Field(description="s")
+    limit: Number = Field(description="after so long the job gives up, s")
+
+
 class PromptModel(BaseModel):
     """What the operator is asked to do now."""
 
@@ -74,6 +88,10 @@ class PromptModel(BaseModel):
     )
     turns: Number | None = Field(description="how many turns to make; null: until the prompt changes")
     number: NumberModel | None = Field(description="a number that is asked for beside `answers`")
+    taken: bool = Field(description="the detected pose is done already: the next one is waited for")
+    tilts: list[TiltModel] = Field(description="oblique poses: those that were taken, then those that are asked for")
+    unfinished: str = Field(description="what stays open after the answer `finish` now; empty: nothing")
+    silence: SilenceModel | None = Field(description="null: the vehicle is heard")
 
 
 class ProgressModel(BaseModel):

@@ -14,7 +14,7 @@ from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.states import SensorState
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.recording import Channel, Sensor, Stage
-from mavcal.calib.review import Criterion, SensorEffect
+from mavcal.calib.review import Choice, Criterion, Mounting, SensorEffect
 from mavcal.service.api import live
 from mavcal.service.api.views import (
     event_model,
@@ -78,9 +78,9 @@ def test_the_sensors_of_a_vehicle_have_one_verdict() -> None:
 
 def review(picture: Markup | None) -> Review:
     effect = SensorEffect(Sensor.GYRO, 1, "rate at rest", "deg/s", 0.5, 0.01, None)
-    return Review(
-        "It turns less.", (effect,), (Criterion("noise", Verdict.PASS, 1.0, 2.0, "deg/s", "It is quiet.", ""),), picture
-    )
+    criterion = Criterion("noise", Verdict.PASS, 1.0, 2.0, "deg/s", "It is quiet.", "")
+    choice = Choice(6, "yaw 270", np.eye(3))
+    return Review("It turns less.", (effect,), (criterion,), picture, (Mounting(0, 4, "yaw 180", 6),), (choice,))
 
 
 def test_a_review_speaks_of_what_was_done_or_will_be() -> None:
@@ -88,6 +88,8 @@ def test_a_review_speaks_of_what_was_done_or_will_be() -> None:
     done = review_model(samples.done(), review(None))
     assert "will be" not in done.sensors[0].text
     assert waits.sensors[0].text != done.sensors[0].text
+    assert waits.mountings[0].model_dump() == {"instance": 0, "stated": 4, "stated_text": "yaw 180", "chosen": 6}
+    assert waits.mounting_choices[0].matrix == np.eye(3).tolist()
     assert (waits.picture, done.picture) == ("api/v1/jobs/j1/picture.svg", None)
     assert (waits.sensors[0].before, waits.sensors[0].after, waits.sensors[0].instance) == (0.5, 0.01, 1)
 

@@ -43,9 +43,9 @@ def test_the_verdict_comes_first_and_the_reference_is_named(said):
 def test_an_effect_is_told_with_its_parameters_and_its_rivals(said):
     rival = Rival("accel_rotation", 0.9, 3.0, "turn it on its side")
     lines = said(report(replace(BIAS, confusable_with=(rival,))))
-    [first] = [number for number, line in enumerate(lines) if "(accel_bias), probability 0.99" in line]
+    [first] = [number for number, line in enumerate(lines) if "(accel_bias), probability 99 %" in line]
     shown = [" ".join(line.split()) for line in lines[first + 1 : first + 5]]
-    assert shown[0] == "bias.x 0.3 +- 0.003001 m/s2"
+    assert shown[0] == "bias.x 0.3000 +- 0.003 m/s2"
     assert shown[3] == "could be accel_rotation; told apart by: turn it on its side"
 
 
@@ -98,10 +98,11 @@ def test_a_remedy_is_told_with_what_is_left_and_what_came_in(said):
     )
     lines = said(report(BIAS), verified)
     begin = lines.index("with the remedy: 0.25 nats a number are left (0.2 to 0.3), of 4; partly_explained")
-    assert lines[begin + 1 : begin + 5] == [
+    assert lines[begin + 1 : begin + 6] == [
         "  accel_bias of instance 1, 2: 3.1 % of its evidence is left",
         "  accel_bias of instance 1, 2: 3.1 % of its evidence is left; the new flight has it within its errors",
         "  gyro_bias is in the simulator and not in the vehicle, or was hidden before",
+        "One nat a number: a reading is 2.7 times less likely than noise alone would make it.",
         "! It is short.",
     ]
 

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -12,8 +11,8 @@ from click.testing import CliRunner
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.health.report import health
 from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage
-from mavcal.service.commands import inspect
 from mavcal.service.commands.inspect import command
+from mavcal.service.commands.inspect_told import told
 
 T = np.arange(500) / 50.0
 ACCEL = Channel(Sensor.ACCEL, 0, T, np.tile([0.0, 0.0, -9.8], (500, 1)), "m/s2", Stage.RAW, "IMU")
@@ -72,10 +71,10 @@ def test_a_page_is_written_of_a_flight_and_not_of_a_bench(inspected, tmp_path):
 
 
 def test_a_channel_is_told_with_rate_mean_and_length(inspected):
-    lines = inspected({"b.csv": BENCH}, "b.csv")
+    lines = inspected({"b.csv": BENCH}, "b.csv", "--all")
     [channel] = [line.split() for line in lines if line.startswith("  accel[0]")]
     assert channel[1:4] == ["IMU", "raw", "500"]
-    assert " ".join(channel[4:]) == "50.00 Hz mean 0 0 -9.8, length 9.8 +- 0 m/s2"
+    assert " ".join(channel[4:]) == "50.00 Hz mean 0 0 -9.8, length 9.8 m/s2"
     assert "  0 parameters, 0 changes, 0 events" in lines
 
 
@@ -94,32 +93,68 @@ def finding(verdict, text):
     return {"verdict": verdict, "text": text}
 
 
-def test_a_sensor_is_told_with_what_speaks_against_it_or_the_first_thing_found(capsys):
-    good = {"verdict": "ok", "name": "gyro 1", "findings": [finding("ok", "It is quiet."), finding("ok", "It moves.")]}
+BARE = {
+    "source": "a.bin",
+    "duration": 20.0,
+    "identity": {"autopilot": "px4", "uid": ""},
+    "health": None,
+    "channels": [],
+    "armed": [],
+    "parameters": {"count": 0, "changes": []},
+    "events": [],
+    "warnings": [],
+    "flight": None,
+    "next": [],
+}
+
+
+def health_of(*sensors, action="", lacks=()):
+    return {"summary": "All in all.", "action": action, "sensors": sensors, "lacks": lacks}
+
+
+GOOD = {"verdict": "ok", "name": "gyro 1", "findings": [finding("ok", "It is quiet."), finding("ok", "It moves.")]}
+
+
+def test_a_sensor_is_told_with_what_speaks_against_it_or_the_first_thing_found():
     bad = {
         "verdict": "cannot_say",
         "name": "accel 2",
         "findings": [finding("ok", "fine"), finding("suspicious", "It clips."), finding("faulty", "It is dead.")],
     }
-    inspect._show_health({"summary": "All in all.", "action": "", "sensors": [good, bad], "lacks": ["a compass"]})
-    lines = capsys.readouterr().out.splitlines()
-    assert [" ".join(line.split()) for line in lines] == [
+    document = {**BARE, "health": health_of(GOOD, bad, lacks=["a compass"])}
+    lines = [" ".join(line.split()) for line in told(document, whole=True)]
+    assert lines[1:7] == [
         "All in all.",
-        "ok gyro 1 It is quiet.",
-        "cannot say accel 2 It clips.",
+        "ok gyro 1: It is quiet.",
+        "cannot say accel 2: It clips.",
         "It is dead.",
         "not logged: a compass",
         "",
     ]
-    assert lines[2].index("It clips.") == lines[3].index("It is dead.")
+    short = [" ".join(line.split()) for line in told(document)]
+    assert short[2:5] == ["cannot say accel 2: It clips.", "It is dead.", "ok gyro 1"]
 
 
-def test_the_next_action_follows_the_summary(capsys):
-    inspect._show_health({"summary": "All in all.", "action": "Look at it.", "sensors": [], "lacks": []})
-    assert capsys.readouterr().out.splitlines()[1] == "Next: Look at it."
+def test_the_next_action_follows_the_summary():
+    assert told({**BARE, "health": health_of(action="Look at it.")})[2] == "Next: Look at it."
 
 
-def test_a_flight_is_told_with_its_rests_limits_and_next_steps(capsys):
+def test_a_long_log_is_told_in_forty_lines_of_eighty_columns_and_says_what_is_left():
+    text = "reads 9.31 ± 0.02 m/s2 along the vertical in flight; gravity is 9.81, and it was never calibrated here"
+    bad = {"verdict": "faulty", "name": "accel 2", "findings": [finding("faulty", text)] * 9}
+    channel = {"sensor": "accel", "instance": 0, "source": "IMU", "stage": "raw", "samples": 5, "rate": 400.0}
+    channel |= {"mean": [0.0, 0.0, -9.8], "norm": None, "unit": "m/s2"}
+    document = {**BARE, "health": health_of(*[bad] * 5, GOOD), "channels": [channel] * 30, "warnings": [text] * 20}
+    short, whole = told(document), told(document, whole=True)
+    assert len(short) <= 40
+    assert len(whole) > 100
+    assert max(len(line) for line in [*short, *whole]) <= 80
+    assert "more lines" in short[-1]
+    assert "--all" in short[-1]
+    assert not any(line.endswith("-") for line in whole)
+
+
+def test_a_flight_is_told_with_its_rests_limits_and_next_steps():
     limit = {"warn": 0.5, "fail": 1.0, "unit": "deg/s"}
     item = {"verdict": "warn", "name": "bias", "subject": "gyro 1", "text": "It drifts.", "limit": limit}
     flight = {
@@ -127,16 +162,16 @@ def test_a_flight_is_told_with_its_rests_limits_and_next_steps(capsys):
         "motors_known_by": "throttle",
         "rests": [{"start": 0.0, "end": 4.0}, {"start": 10.0, "end": 16.0}],
         "flown": [{"start": 4.0, "end": 10.0}],
-        "items": [item, {**item, "limit": None}],
+        "items": [item, {**item, "limit": None}, {**item, "limit": {"warn": 0.02, "fail": 0.1, "unit": "1"}}],
     }
-    step = SimpleNamespace(command="mavcal fit gyro-rest", method="gyro-rest", reason="It rests.")
-    steps = [{**vars(step), "worthwhile": worth} for worth in (True, False)]
-    inspect._show_flight(flight, steps)
-    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
-    assert lines == [
+    step = {"command": "mavcal fit gyro-rest", "method": "gyro-rest", "reason": "It rests."}
+    steps = [{**step, "worthwhile": worth} for worth in (True, False)]
+    lines = [" ".join(line.split()) for line in told({**BARE, "flight": flight, "next": steps}, whole=True)]
+    assert lines[2:] == [
         "inertial sensors: warn; 2 rests of 10 s, motors on for 6 s (known by throttle)",
-        "warn bias gyro 1 It drifts. [warn 0.5, fail 1 deg/s]",
-        "warn bias gyro 1 It drifts.",
+        "warn bias, gyro 1: It drifts. [warn, fail: 0.5 and 1 deg/s]",
+        "warn bias, gyro 1: It drifts.",
+        "warn bias, gyro 1: It drifts. [warn, fail: 2 and 10 %]",
         "next: mavcal fit gyro-rest: It rests.",
         "not: gyro-rest: It rests.",
     ]

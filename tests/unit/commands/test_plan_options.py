@@ -41,12 +41,14 @@ def test_a_switch_is_only_ever_switched_on_unless_it_goes_both_ways():
 
 def test_sensors_and_numbers_by_sensor_are_read():
     found = said(
-        "--only", "gyro0,,accel1", "--device-ids", "gyro0=1310988, mag1=7", "--accel-temperature", "accel0=31.5"
-    )
+        "--only", "gyro0,,accel1", "--device-ids", "gyro0=1310988, mag1=7", "--accel-temperature", "accel0=31.5",
+        "--mountings", "mag0=6",
+    )  # fmt: skip
     assert found == {
         "only": ["gyro0", "accel1"],
         "device_ids": {"gyro0": 1310988.0, "mag1": 7.0},
         "accel_temperature": {"accel0": 31.5},
+        "mountings": {"mag0": 6.0},
     }
     options = compose_options(found)  # as a job takes them
     assert options.only == ((Sensor.GYRO, 0), (Sensor.ACCEL, 1))

@@ -30,7 +30,7 @@ EMPTY = WritePlan(FINGERPRINT, "0" * 64, ())
 TO_CONFIRM = f"The compass is mounted otherwise. {to_confirm('confirm_mounting')}"
 ASKING = replace(PLAN, blockers=(TO_CONFIRM,))
 BLOCKED = replace(PLAN, blockers=("The offset is too large.",))
-LEFT = (LeftOut(Sensor.MAG, 1, "it does not stream"),)
+LEFT = (LeftOut(Sensor.GYRO, 1, "it does not stream"),)
 FULL, HALF = Result("It is written.", ProofLevel.FULL), Result("It is written.", ProofLevel.PARTIAL)
 
 
@@ -95,11 +95,12 @@ def test_the_end_of_a_write_says_what_is_not_proved(screen):
 
 def test_the_end_of_a_write_names_the_job_that_can_be_taken_back_and_what_is_left_out(screen):
     plan = replace(PLAN, left_out=(LeftOut(Sensor.GYRO, 1, "it is frozen"),))
-    missed = (LeftOut(Sensor.MAG, 2, "it does not stream"),)
+    missed = (LeftOut(Sensor.GYRO, 2, "it does not stream"), LeftOut(Sensor.MAG, 2, "it is frozen"))
     show_end(succeeded(plan=plan, missed=missed, outcome=FULL, accept=Accept(plan.sha256)), screen, written=True)
-    assert screen.lines[2:5] == [
+    assert screen.lines[2:6] == [
         "left out: gyro 2: it is frozen",
-        "left out: compass 3: it does not stream",
+        "left out: gyro 3: it does not stream",
+        "fell out, though this job needs only its help: compass 3: it is frozen",
         "this was job j: `mavcal revert j` takes it back",
     ]
 

@@ -22,6 +22,7 @@ from mavcal.calib.gap.schema import (
     Unknown,
 )
 from mavcal.calib.gap_report.words import (
+    chance,
     closed_sentence,
     effect_phrase,
     held_out,
@@ -33,6 +34,7 @@ from mavcal.calib.gap_report.words import (
     sensor_name,
     sim_patch,
     verdict_sentence,
+    with_error,
 )
 from tests.unit.gap.export.making import effect, report
 
@@ -196,7 +198,8 @@ def test_the_one_line_summary_keeps_silent_where_the_blocks_disagree():
 def test_what_cannot_shrink_is_said():
     assert closed_sentence(None).endswith("too short to hold parts of it back.")
     assert closed_sentence(replace(SHRINK, closed=None)) == (
-        "Nothing measurable to close: 2 nats a sample before, 0.5 after."
+        "Nothing measurable to close: 2 nats a sample before, 0.5 after. "
+        "One nat a sample: a reading is 2.7 times less likely than noise alone would make it."
     )
 
 
@@ -212,3 +215,23 @@ def test_what_cannot_shrink_is_said():
 )
 def test_a_regime_is_where_it_lies(kind, limits, unit, said):
     assert regime(LocatedGap("accel.x", 1, Regime(kind, limits, unit), 1.0, 1.0, "m/s2", 1e-9)) == said
+
+
+@pytest.mark.parametrize(
+    ("value", "se", "said"),
+    [
+        (-6.00021, 0.009162, "-6.0002 +- 0.0092 uT"),
+        (0.0080031, 5.378e-05, "0.008003 +- 5.4e-05 uT"),
+        (350.2, 12.0, "350 +- 12 uT"),
+        (1.5, None, "1.5 +- not known uT"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_error_leaves_it(value, se, said):
+    assert with_error(value, se, "uT") == said
+
+
+@pytest.mark.parametrize(
+    ("probability", "said"), [(0.9082, "91 %"), (0.9999, "over 99 %"), (0.0001, "under 1 %"), (0.5, "50 %")]
+)
+def test_a_probability_is_told_in_percent(probability, said):
+    assert chance(probability) == said

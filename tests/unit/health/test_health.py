@@ -46,7 +46,7 @@ def test_which_of_two_units_is_off_is_told_by_what_each_shows_alone():
     fault = next(f for f in FAULTS if f.name.startswith("gyroscope 3"))
     report = health(injected(flight(1), fault, 1))
     assert of(report, Sensor.GYRO, 0).verdict == HealthVerdict.OK
-    assert "off by itself" in " ".join(f.text for f in of(report, Sensor.GYRO, 0).findings)
+    assert "by its own check unit" in " ".join(f.text for f in of(report, Sensor.GYRO, 0).findings)
     assert of(report, Sensor.GYRO, 1).actions == ("Calibrate the gyroscope: ten seconds at rest.",)
 
 

@@ -63,7 +63,7 @@ def test_gravity_while_motionless_is_judged_by_its_length(down, verdict):
     made = of(found(*pair(accel=(0.0, 0.0, down))), "gravity")
     assert made.verdict == verdict
     assert "while motionless; gravity is 9.81" in made.text
-    assert made.text.startswith(f"reads {G - down:.2f} +- 0.02 m/s2")
+    assert made.text.startswith(f"reads {G - down:.2f} ± 0.02 m/s2")
     assert made.value == pytest.approx(max(9.78 - (G - down), (G - down) - 9.83, 0.0), abs=0.005)
 
 
@@ -87,7 +87,7 @@ def test_a_rate_at_rest_is_judged_by_its_length_in_deg_s(deg, verdict):
     axis = np.radians(deg) * np.array([0.6, -0.8, 0.0])
     made = of(found(*pair(gyro=axis)), "offset", Sensor.GYRO)
     assert made.verdict == verdict
-    assert f"reads {deg:.2f} +- 0.00 deg/s at rest" in made.text
+    assert f"reads {deg:.2f} ± 0.01 deg/s at rest" in made.text
     assert f"({0.6 * deg:+.2f}, {-0.8 * deg:+.2f}, " in made.text
 
 
@@ -159,7 +159,7 @@ def test_two_units_that_differ_and_read_right_are_both_suspicious():
     for instance in (0, 1):
         units = of(made, "units", Sensor.ACCEL, instance)
         assert units.verdict == SUSPICIOUS
-        assert units.text.startswith(f"differs from unit {2 - instance} by 0.70 +- 0.00 m/s2")
+        assert units.text.startswith(f"differs from unit {2 - instance} by 0.70 ± 0.01 m/s2")
         assert units.text.endswith("which of them is off, this comparison cannot say")
 
 
@@ -167,7 +167,7 @@ def test_the_unit_that_is_off_by_itself_takes_the_blame():
     made = found(*pair(), *pair(accel=(0.0, 0.0, 1.0), instance=1))
     good, bad = of(made, "units", Sensor.ACCEL, 0), of(made, "units", Sensor.ACCEL, 1)
     assert (good.verdict, bad.verdict) == (OK, FAULTY)
-    assert good.text.endswith("which is off by itself")
+    assert good.text.endswith("by its own check unit 2 is off")
     assert "which" not in bad.text
 
 
@@ -178,7 +178,7 @@ def test_of_two_good_gyroscopes_the_clearly_worse_one_takes_the_blame():
     assert of(made, "units", Sensor.GYRO, 0).verdict == OK
     apart = found(*pair(gyro=0.65 * shift), *pair(gyro=-shift, instance=1))
     text = of(apart, "units", Sensor.GYRO, 0).text
-    assert text.startswith("differs from unit 2 by 1.57 +- 0.00 deg/s")
+    assert text.startswith("differs from unit 2 by 1.57 ± 0.01 deg/s")
     assert text.endswith("this comparison cannot say")
     assert of(apart, "units", Sensor.GYRO, 1).verdict == SUSPICIOUS
 
@@ -215,4 +215,4 @@ def test_a_stillness_does_not_need_more_than_a_hundred_samples_a_second():
 def test_a_gyroscope_far_off_does_not_hide_that_nothing_moved():
     made = of(found(*pair(gyro=np.radians([0.0, 0.0, 100.0]))), "offset", Sensor.GYRO)
     assert made.verdict == FAULTY
-    assert "reads 100.00 +- 0.00 deg/s at rest" in made.text
+    assert "reads 100.00 ± 0.01 deg/s at rest" in made.text

@@ -31,7 +31,7 @@ from mavcal.service.jobs import adoption
 from mavcal.service.jobs import engine as engine_module
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.model import Accept, Failure, Result
+from mavcal.service.jobs.model import Accept, Failure, Result, cancelled
 from mavcal.service.jobs.planning import FROM_RECORDING, Planned
 from mavcal.service.jobs.states import WRITING, JobState
 from mavcal.service.store.rows import SnapshotPurpose
@@ -123,7 +123,7 @@ async def test_a_cancelled_job_asks_for_nothing_and_has_no_task(vehicle: FakeVeh
         engine.book.handle("j1").prompt(Prompt(PromptStep.TURN, "Turn it."))
         job = await engine.cancel("j1")
         assert (job.state, job.prompt) == (JobState.CANCELLED, None)
-        assert job.outcome == Failure("cancelled", "The operator cancelled it.", "")
+        assert job.outcome == cancelled(bare(JobState.QUEUED))
         await until(lambda: engine._tasks.running == {})
 
 

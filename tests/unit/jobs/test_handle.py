@@ -8,7 +8,7 @@ from typing import cast
 
 import pytest
 
-from mavcal.calib.procedures.protocol import Progress
+from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
 from mavcal.service.errors import DiskFull
 from mavcal.service.jobs import handle as handle_module
 from mavcal.service.jobs.account import as_heard
@@ -64,6 +64,12 @@ async def test_progress_is_announced_as_soon_as_it_may_be_and_not_before() -> No
     told = [event.data["current"] for event in store.events("j1") if event.kind == "progress"]
     store.close()
     assert told == [0, 2, 4]
+
+
+def test_a_job_that_has_ended_asks_nothing(handle: JobHandle) -> None:
+    handle.move_anyway(JobState.CANCELLED, prompt=None)
+    handle.prompt(Prompt(PromptStep.SILENT, "The vehicle is silent."))
+    assert handle.job.prompt is None
 
 
 def test_a_warning_is_kept_once_and_a_prompt_replaces_another(handle: JobHandle) -> None:

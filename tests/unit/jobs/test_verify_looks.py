@@ -25,13 +25,22 @@ from mavcal.calib.firmware.plan import (
     Value,
     Verification,
 )
-from mavcal.calib.procedures.protocol import Progress, Prompt
+from mavcal.calib.procedures.protocol import Pose, Progress, Prompt
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.service.errors import CaptureEnded, WriteFailed
 from mavcal.service.jobs import verify as verify_module
 from mavcal.service.jobs.guard import WriteGuard
 from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.verify import ATTITUDE_HZ, FINISH, HOLD_STILL, STEP_S, StreamProof, Window, proving
+from mavcal.service.jobs.verify import (
+    ATTITUDE_HZ,
+    FINISH,
+    HOLD_STILL,
+    STEP_S,
+    StreamProof,
+    Window,
+    pose_at_rest,
+    proving,
+)
 from mavcal.service.store.rows import SegmentPurpose
 
 from .conftest import QUICK, Bench, MakeBench
@@ -171,7 +180,7 @@ async def test_movements_are_asked_for_until_all_is_proved(looks: MakeLooks) -> 
     one = looks(OPEN, OPEN, PROVED, prove_s=10.0)
     assert await one.judged() is PROVED
     assert OPEN.movement is not None
-    assert one.asked == [proving(OPEN.movement), proving(OPEN.movement), None]
+    assert one.asked == [proving(OPEN.movement, 1), proving(OPEN.movement, 1), None]
     text = "1 of 2 parameters proved by the stream"
     assert one.seen == [Progress(0.0, 10.0, "s", text, eta=10.0), Progress(2.0, 10.0, "s", text, eta=8.0)]
 
@@ -287,3 +296,25 @@ async def test_the_parameters_a_check_knows_are_those_of_the_plan_and_then_those
     assert windows[0][0] is None
     kept = [[c.sensor for c in window.channels] for window in (windows[0][1], *windows[1])]
     assert kept == [[Sensor.GYRO, Sensor.ACCEL]] * 3  # the plan rests on no compass
+
+
+def test_poses_that_prove_are_asked_for_one_at_a_time_with_what_stays_open() -> None:
+    movement = Movement("Hold it still nose down, then on its right side", faces=("nose_down", "right"), turn=True)
+    first = proving(movement, 11)
+    assert first.text == "Hold it still nose down. Then 1 more pose."
+    assert (first.pose, first.remaining) == (Pose.NOSE_DOWN, (Pose.NOSE_DOWN, Pose.RIGHT))
+    assert (first.stable, first.rotate, first.hold_s is not None) == (False, False, True)
+    assert first.unfinished == "11 parameters stay unproved."
+    assert proving(movement, 11, Pose.NOSE_DOWN).stable
+    assert not proving(movement, 11, Pose.RIGHT).stable
+    turn = proving(replace(movement, faces=()), 1)
+    assert (turn.text, turn.rotate, turn.pose) == ("Turn the vehicle slowly through all directions.", True, None)
+
+
+def test_the_pose_in_which_it_rests_is_seen_in_the_last_second() -> None:
+    t, still = np.linspace(0.0, 3.0, 31), np.tile([9.8, 0.0, 0.0], (31, 1))
+    rest = Recording((Channel(Sensor.ACCEL, 0, t, still, "m/s2", Stage.RAW, ""),))
+    assert pose_at_rest(rest) == Pose.NOSE_UP
+    shaken = still + 3.0 * (np.arange(31) % 2)[:, None]
+    assert pose_at_rest(Recording((replace(rest.channels[0], values=shaken),))) is None
+    assert pose_at_rest(Recording(())) is None

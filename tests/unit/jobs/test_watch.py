@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from mavcal.calib.procedures.protocol import Prompt, PromptStep
+from mavcal.calib.procedures.protocol import Pose, Prompt, PromptStep, Silence
 from mavcal.service.errors import CaptureEnded, CaptureLost, CaptureMoved
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.model import Job
@@ -117,7 +117,7 @@ def test_a_silent_vehicle_is_said_in_the_prompt_and_its_return_too() -> None:
     store, vehicle, clock = SqliteStore(None), FakeVehicle({}), ManualClock()
     handle = JobHandle(Job("one", vehicle.id, "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
     handle.change("state", {})
-    asked = Prompt(PromptStep.HOLD_STILL, "Do not touch it.")
+    asked = Prompt(PromptStep.POSE, "Hold it.", remaining=(Pose.LEFT, Pose.BACK), detected=Pose.LEFT, stable=True)
     handle.prompt(asked)
     watch = LinkWatch(handle, vehicle, JobSettings(gap_limit_s=60.0), clock)
     watch.look()
@@ -127,17 +127,22 @@ def test_a_silent_vehicle_is_said_in_the_prompt_and_its_return_too() -> None:
     watch.look()
     assert handle.job.prompt is not None
     assert handle.job.prompt.text == (
-        "The vehicle has been silent for 3 s: check its power and the link. The job gives up after 60 s."
+        "The vehicle is silent: check its power and the link. The job gives up after 63 s of silence."
     )
+    assert handle.job.prompt.silence == Silence(3.0, 63.0)
+    assert handle.job.prompt.remaining == asked.remaining  # a pose that is open stays open
     clock.advance(20.0)
+    watch.look()
+    assert handle.job.prompt.silence == Silence(23.0, 63.0)
     vehicle.change_state(silent=False)
     watch.look()
     assert handle.job.prompt == asked
     assert handle.job.warnings == ("the vehicle was silent for about 23 s and is heard again",)
     assert [e.data.get("step") for e in store.events("one") if e.kind == "prompt"] == [
-        "hold_still",
+        "pose",
         "silent",
-        "hold_still",
+        "silent",
+        "pose",
     ]
     store.close()
 

@@ -29,7 +29,7 @@ def test_a_gyroscope_at_rest_reads_zero(deg_s, verdict):
     assert found.verdict is verdict
     if verdict is Verdict.FAIL:
         assert "gyroscope 2" in found.reason
-        assert "--fix gyro" in found.remedy
+        assert "gyroscopes at rest" in found.remedy
 
 
 def test_the_turn_of_the_earth_is_no_certainty():

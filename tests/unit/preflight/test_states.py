@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from bench.preflight.vehicle import DAY_S, NOW, healthy
+from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.fit import FitResult
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.snapshot import Snapshot
@@ -78,3 +79,25 @@ def test_one_that_turns_serves_both_sensors(make_fit):  # noqa: F811
     states = by_kind(sensor_states([both], snapshot()))
     assert states["accel"].at == states["gyro"].at == both.at
     assert states["mag"].at is None
+
+
+def test_a_sensor_that_fell_out_makes_its_tile_red_whatever_the_job_was(make_fit):  # noqa: F811
+    dead = (LeftOut(Sensor.GYRO, 0, "it is frozen: it repeats one value"),)
+    fit = make_fit(Sensor.GYRO, 1, offset=[0.01] * 3)
+    part = dataclasses.replace(finished(fit, "gyro", 3.0), left_out=dead, dead=dead)
+    gyro = by_kind(sensor_states([part], snapshot()))["gyro"]
+    assert (gyro.verdict, gyro.label) == (Verdict.FAIL, "left out")
+    assert gyro.text == "Gyro 1 was left out: it is frozen: it repeats one value."
+    whole = finished(fit, "gyro", 2.0)
+    assert by_kind(sensor_states([part, whole], snapshot()))["gyro"].verdict == Verdict.PASS, "it was mended"
+    accel = finished(make_fit(Sensor.ACCEL, 0, offset=[0.1] * 3), "accel", 1.0)
+    later = dataclasses.replace(accel, dead=dead)
+    states = by_kind(sensor_states([part, whole, later], snapshot()))
+    assert (states["gyro"].verdict, states["accel"].verdict) == (Verdict.FAIL, Verdict.PASS)
+
+
+def test_a_sensor_that_was_measured_and_not_written_warns(make_fit):  # noqa: F811
+    out = (LeftOut(Sensor.GYRO, 1, "it has no row"),)
+    part = dataclasses.replace(finished(make_fit(Sensor.GYRO, 0, offset=[0.01] * 3), "gyro", 3.0), left_out=out)
+    gyro = by_kind(sensor_states([part], snapshot()))["gyro"]
+    assert (gyro.verdict, gyro.advice) == (Verdict.WARN, "Gyro 2 was left out: it has no row.")

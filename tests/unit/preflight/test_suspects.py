@@ -32,7 +32,7 @@ def test_of_two_compasses_nothing_tells_unless_a_heading_is_given() -> None:
         there = {i: reading(LEVEL, turned=30.0 * (i == bent)) for i in range(2)}
         both = compass_direction(there, upright(LEVEL), FIELD, None)
         assert both.suspects == ("compass 1", "compass 2")
-        assert "--heading" in both.remedy
+        assert "the true heading" in both.remedy
         given = compass_direction(there, upright(LEVEL, heading=0.0), FIELD, None)
         assert given.suspects == (f"compass {bent + 1}",)
 

@@ -83,6 +83,9 @@ def test_a_vehicle_that_would_arm_with_warnings_is_told_so():
     warned = readiness(Report((check(CheckId.VIBRATION, WARN, "shakes"), good)))
     assert warned.text == "This vehicle would arm now. 1 of 2 checks pass; vibration deserves a look."
     assert warned.against == ("vibration: shakes",)
+    failed = readiness(Report((check(CheckId.ACCEL_FORCE, FAIL, "off"), good)))
+    assert failed.text.startswith("Not fit to fly, although the vehicle itself would arm: ")
+    assert "accel_force failed" in failed.text
 
 
 def test_what_stands_against_arming_is_told_with_failures_first():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mavcal.calib import posture
 from mavcal.calib.procedures import poses
 from mavcal.calib.procedures.protocol import Pose
 
@@ -29,7 +30,7 @@ def test_a_pose_is_recognised_from_the_specific_force(roll, pitch, pose):
 
 
 def test_level_at_rest_points_the_belly_down():
-    assert poses.in_words(poses.down(np.array([0.0, 0.0, -9.8]))) == "the belly"
+    assert posture.tilted(poses.down(np.array([0.0, 0.0, -9.8])).tolist()) == "level"
 
 
 def test_remaining_counts_faces_once_and_oblique_poses_only_where_they_differ():
@@ -56,3 +57,13 @@ def test_the_opposite_of_a_taken_pose_is_not_suggested():
 def test_an_order_is_only_spoken_of_while_there_is_a_choice():
     assert poses.any_of([Pose.NOSE_UP, Pose.BACK]) == "nose up, on its back, in any order"
     assert poses.any_of([Pose.BACK]) == "on its back"
+
+
+def test_every_tilt_is_drawn_before_it_is_asked_for_and_kept_as_it_was_taken():
+    faces = [np.array(poses.DOWN[f]) for f in poses.FACES]
+    asked = poses.tilts([], 4)
+    assert [tilt.taken for tilt in asked] == [False] * 4
+    assert poses.tilts(faces, 4) == asked, "faces, however held, change no picture"
+    after = poses.tilts([*faces, np.array(asked[0].direction)], 4)
+    assert [tilt.taken for tilt in after] == [True, False, False, False]
+    np.testing.assert_allclose([tilt.direction for tilt in after], [tilt.direction for tilt in asked], atol=1e-12)

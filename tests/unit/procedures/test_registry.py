@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib import report
+from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, ProcedureError
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done
@@ -18,7 +19,14 @@ from mavcal.calib.procedures.table import markdown
 from mavcal.calib.recording import Event, Identity, Recording, Sensor
 from mavcal.service.commands.calibrate import KINDS
 
-CONTEXT = ProcedureContext(identity=Identity(autopilot="other"), parameters={"X": 1.0})
+CONTEXT = ProcedureContext(
+    identity=Identity(autopilot="other"), parameters={"X": 1.0}, earth_field=EarthField([20.5, 1.2, 44.0], norm_sd=0.15)
+)
+
+
+def least(kind):
+    """What has to be given."""
+    return {o.name: o.low for o in PROCEDURES[kind].options if o.default is None}
 
 
 def test_the_kinds_are_those_of_the_jobs():
@@ -28,8 +36,8 @@ def test_the_kinds_are_those_of_the_jobs():
 
 @pytest.mark.parametrize("kind", PROCEDURES)
 def test_defaults_are_filled_in_and_lie_within_their_limits(kind):
-    options = validate_options(kind, {})
-    assert options == {o.name: o.default for o in PROCEDURES[kind].options}
+    options = validate_options(kind, least(kind))
+    assert options == {o.name: o.default for o in PROCEDURES[kind].options} | least(kind)
     assert validate_options(kind, dict(options)) == options
 
 
@@ -62,7 +70,7 @@ def test_every_specification_speaks_of_both_autopilots():
 
 @pytest.mark.parametrize("kind", PROCEDURES)
 def test_an_empty_recording_ends_with_a_cause_and_a_remedy(kind):
-    outcome = replay(kind, {}, CONTEXT, Recording(()))
+    outcome = replay(kind, least(kind), CONTEXT, Recording(()))
     assert "no" in outcome.cause
     assert outcome.remedy
 
@@ -79,9 +87,9 @@ def test_a_restart_of_the_vehicle_ends_every_procedure(kind, bench):
             for a, b in zip(recording.channels, again.channels, strict=True)
         )
     )
-    assert "restarted" in replay(kind, {}, CONTEXT, both).cause
+    assert "restarted" in replay(kind, least(kind), CONTEXT, both).cause
     armed = Recording(again.channels, events=(Event(6.0, "armed", "armed"),))
-    assert "armed" in replay(kind, {}, CONTEXT, armed).cause
+    assert "armed" in replay(kind, least(kind), CONTEXT, armed).cause
 
 
 def test_replayed_and_live_give_the_same_digits(bench, chunks):
@@ -138,7 +146,7 @@ def nasty(name, recording, rng):
 @pytest.mark.parametrize("spoilt", ["zeros", "constant", "noise", "spikes", "holes", "nothing", "huge", "tiny"])
 def test_whatever_arrives_ends_in_a_result_or_in_one_sentence(kind, spoilt, bench):
     recording = bench(mags=bench().mags).hold(12.0).tumble(12.0, 50.0).record()
-    outcome = replay(kind, {}, CONTEXT, nasty(spoilt, recording, np.random.default_rng(4)))
+    outcome = replay(kind, least(kind), CONTEXT, nasty(spoilt, recording, np.random.default_rng(4)))
     if isinstance(outcome, Done):
         assert all(np.isfinite(f.values).all() for f in outcome.results)
     else:
@@ -150,7 +158,7 @@ def test_whatever_arrives_ends_in_a_result_or_in_one_sentence(kind, spoilt, benc
 def test_one_sample_of_everything_is_too_little(kind, bench):
     recording = bench().hold(1.0).record()
     one = recording.with_channels(c.take(slice(0, 1)) for c in recording.channels)
-    assert replay(kind, {}, CONTEXT, one).cause
+    assert replay(kind, least(kind), CONTEXT, one).cause
 
 
 @pytest.mark.parametrize("kind", PROCEDURES)
@@ -159,4 +167,4 @@ def test_time_stamps_that_stand_still_do_no_harm(kind, bench):
     stopped = recording.with_channels(
         dataclasses.replace(c, t=np.where(c.t > 103.0, 103.0, c.t)) for c in recording.channels
     )
-    assert replay(kind, {}, CONTEXT, stopped)
+    assert replay(kind, least(kind), CONTEXT, stopped)

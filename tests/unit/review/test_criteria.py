@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from mavcal.calib.firmware.compose.plan import compose
-from mavcal.calib.fit import FitStatus
+from mavcal.calib.fit import FitStatus, parameter_names
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.recording import Sensor
 from mavcal.calib.review import criteria_of
@@ -34,6 +34,17 @@ def test_what_is_not_determined_is_named_with_its_movement(ardupilot_parameters,
     (found,) = [c for c in criteria_of([fit], plan, {}) if c.id == "accel0-fit"]
     assert (found.verdict, found.remedy) == (Verdict.WARN, "hold it nose up")
     assert "matrix_zz" in found.text
+
+
+def test_soft_iron_that_nothing_was_measured_of_is_one_sentence(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    whole = make_fit(Sensor.MAG, 0, offset=[1.0, 2.0, 3.0])
+    matrix = tuple(name for name in parameter_names() if name.startswith("matrix"))
+    fit = dataclasses.replace(
+        whole, status=FitStatus.PARTIAL, undetermined=matrix, quality={**whole.quality, "soft_iron_kept": True}
+    )
+    plan = compose([whole], ardupilot_parameters, ardupilot_fingerprint)
+    (found,) = [c for c in criteria_of([fit], plan, {}) if c.id == "mag0-fit"]
+    assert found.text == "compass 1: soft iron and scale stay as they are, nothing was measured of them"
 
 
 def test_a_compass_near_steel_and_with_few_directions_is_told(ardupilot_parameters, ardupilot_fingerprint, make_fit):

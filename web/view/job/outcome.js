@@ -1,26 +1,54 @@
-// How a job ended, or what is in doubt: cause and remedy, never more than was read.
+// How a job ended, what it left out, or what is in doubt: cause and remedy, never more than was read.
 
 import { h } from "../../core/dom.js";
-import { number, sentence } from "../../core/words.js";
+import { number, sentence, STATES, tone, unitName } from "../../core/words.js";
 import { table } from "../parts.js";
 
-/** @import { JobModel } from "../../mavcal.d.ts" */
+/** @import { JobModel, LeftOutModel } from "../../mavcal.d.ts" */
+/** @import { Tone } from "../parts.js" */
 
 const PROOF = { full: ["good", "Proved on the vehicle"], partial: ["warn", "Proved in part"], none: ["warn", "Written and read back, not proved"] };
+
+/** Whether the old values are back because somebody asked for it. @param {JobModel} job */
+export const takenBack = (job) => job.state === "reverted" && job.outcome?.kind === "result";
+
+/** The job's badge: its tone and its words. @param {JobModel} job @returns {[Tone, string]} */
+export function stateOf(job) {
+  if (job.prompt?.step === "silent") return ["warn", "Vehicle silent"];
+  if (job.state === "succeeded" && job.left_out.length) return ["bad", "Done in part"];
+  return [takenBack(job) ? "good" : tone(job.state), STATES[job.state]];
+}
+
+/** What could not be calibrated, and why: the first thing to be read of a result. @param {JobModel} job */
+export function leftOut(job) {
+  const sensors = [...job.left_out, ...job.broken];
+  if (!sensors.length) return null;
+  const names = sensors.map(({ sensor, instance }) => unitName(sensor, instance));
+  return h("section", { class: "outcome bad left-out", role: "alert", key: "left out" },
+    h("h2", {}, `${names.join(" and ")} ${names.length > 1 ? "are" : "is"} left out`),
+    sensors.map((out) => h("p", { key: `${out.sensor}${out.instance}` }, `${why(out, sensors.length > 1)}${job.broken.includes(out)
+      ? " This calibration does without it." : " It keeps its old calibration."}`)),
+    h("p", { class: "remedy" }, h("strong", {}, "What helps: "), "Check the sensor, then calibrate again."));
+}
+
+/** @param {LeftOutModel} out @param {boolean} named */
+const why = (out, named) => sentence(`${named ? `${unitName(out.sensor, out.instance)}: ` : ""}${out.reason.replace(/\.?$/, ".")}`);
 
 /** @param {JobModel} job */
 export function outcome(job) {
   const { outcome: told } = job;
   if (!told) return null;
   if (told.kind === "result") {
-    const checked = job.verification !== null;
+    const checked = job.verification !== null && !takenBack(job);
     const [tone, words] = PROOF[told.proof];
-    return h("section", { class: `outcome ${checked ? tone : "good"}`, role: "status" },
-      h("h2", {}, checked ? words : job.state === "reverted" ? "The old values are back" : "Done"),
+    const plain = takenBack(job) ? "The old values are back and read" : job.left_out.length ? "Done in part" : "Done";
+    return h("section", { class: `outcome ${checked ? tone : job.left_out.length ? "warn" : "good"}`, role: "status" },
+      h("h2", {}, checked ? words : plain),
       h("p", {}, sentence(told.text)),
       checked && told.proof !== "full" && told.proof_reason && !told.text.includes(told.proof_reason) ? h("p", {}, sentence(told.proof_reason)) : null);
   }
-  return h("section", { class: `outcome ${told.kind === "write_failed" ? "warn" : "bad"}`, role: "status" },
+  const mild = told.kind === "write_failed" || job.state === "cancelled";
+  return h("section", { class: `outcome ${mild ? "warn" : "bad"}`, role: "status" },
     h("h2", {}, told.kind === "write_failed" ? "Nothing was written" : job.state === "cancelled" ? "Cancelled" : "It did not work"),
     h("p", {}, sentence(told.cause)),
     told.remedy ? h("p", { class: "remedy" }, h("strong", {}, "What helps: "), sentence(told.remedy)) : null);

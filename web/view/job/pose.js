@@ -7,6 +7,7 @@
  * @param {PromptModel} prompt
  */
 export function taken(prompt) {
+  if (prompt.taken) return true;
   const { detected, pose, remaining } = prompt;
   const free = pose === null || pose === "oblique"; // else it is this one pose, or none
   return free && detected !== null && detected !== "oblique" && remaining.length > 0 && !remaining.includes(detected);

@@ -26,20 +26,27 @@ export function promptPart(store, job) {
   const prompt = job.prompt;
   const text = prompt?.text || WITHOUT_PROMPT[job.state] || STATES[job.state];
   const progress = job.progress;
-  return h("section", { class: `prompt ${prompt && held(prompt) ? "stable" : ""}`, "aria-live": "assertive", "aria-label": "What to do now" },
+  const silent = prompt?.step === "silent";
+  const left = progress?.eta === null || silent ? "" : `about ${span(progress?.eta)} left`;
+  return h("section", { class: `prompt ${silent ? "silent" : prompt && held(prompt) ? "stable" : ""}`, "aria-live": "assertive", "aria-label": "What to do now" },
     h("p", { class: "say" }, sentence(text)),
     seen(job),
     prompt?.number ? numberForm(store, job, prompt.number) : null,
     progress ? h("div", { class: "advance", "aria-live": "off" },
       bar(progress.current, progress.target, progress.text),
-      h("p", { class: "quiet small" }, [progress.text, progress.eta === null ? "" : `about ${span(progress.eta)} left`].filter(Boolean).join(" · "))) : null);
+      h("p", { class: "quiet small" }, [progress.text, left].filter(Boolean).join(" · "))) : null);
 }
 
 /** What the vehicle itself shows. @param {JobModel} job */
 function seen({ prompt }) {
+  if (prompt?.silence) {
+    const { lasted, limit } = prompt.silence;
+    return h("p", { class: "seen warn", "aria-live": "off" }, `Silent for ${span(lasted)}, gives up in ${span(Math.max(0, limit - lasted))}.`);
+  }
   if (!prompt?.detected) return null;
   const pose = POSES[prompt.detected];
   if (taken(prompt)) return h("p", { class: "seen quiet" }, `✓ ${pose} is done. Turn it to the next one.`);
+  if (prompt.step === "prove" && prompt.detected !== prompt.pose) return h("p", { class: "seen quiet" }, `Seen: ${pose.toLowerCase()}`);
   return h("p", { class: `seen ${prompt.stable ? "good" : "quiet"}` },
     prompt.stable ? `✓ ${pose}: hold it` : `Seen: ${pose.toLowerCase()}, still moving`);
 }

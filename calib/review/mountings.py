@@ -1,0 +1,66 @@
+"""How each compass of a plan is mounted: what the vehicle is told, and what a person may choose instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.firmware import calibration_names
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.options import compose_options
+from mavcal.calib.firmware.plan import Value, WritePlan
+from mavcal.calib.firmware.rotations import ROTATIONS, rotation_matrix, rotation_words
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """One of the firmware's rotations: its number, its words, and sensor to body (3, 3)."""
+
+    number: int
+    text: str
+    matrix: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """The mounting of one external compass; numbers are the firmware's."""
+
+    instance: int
+    stated: int
+    stated_text: str
+    chosen: int | None
+
+
+def mountings_of(
+    fits: Sequence[FitResult], plan: WritePlan, parameters: Mapping[str, Value], options: Mapping[str, Any]
+) -> tuple[Mounting, ...]:
+    """The compasses whose mounting can be chosen: those with a rotation of their own that the calibration looked at."""
+    chosen, autopilot = compose_options(options).mountings, plan.fingerprint.autopilot
+    found = []
+    for fit in fits:
+        if fit.sensor != Sensor.MAG or "orientation" not in fit.quality:
+            continue
+        names = calibration_names(autopilot, parameters, fit.sensor, fit.instance)
+        number = int(parameters.get(names[Role.ROTATION], -1))
+        external = number >= 0 and (Role.EXTERNAL not in names or int(parameters.get(names[Role.EXTERNAL], 0)) != 0)
+        if external:
+            words = rotation_words(autopilot, number)
+            found.append(Mounting(fit.instance, number, words, chosen.get((fit.sensor, fit.instance))))
+    return tuple(found)
+
+
+def choices_of(autopilot: str) -> tuple[Choice, ...]:
+    """Every rotation that the firmware has by number; of two that are the same, the first."""
+    found: dict[bytes, Choice] = {}
+    for number in range(len(ROTATIONS[autopilot])):
+        matrix = rotation_matrix(autopilot, number)
+        found.setdefault(
+            (np.round(matrix, 6) + 0.0).tobytes(), Choice(number, rotation_words(autopilot, number), matrix)
+        )
+    return tuple(found.values())
