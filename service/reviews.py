@@ -9,10 +9,10 @@ from markupsafe import Markup
 
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.review import (
-    Choice,
     Criterion,
-    Mounting,
+    MountingChoice,
     SensorEffect,
+    StatedMounting,
     choices_of,
     criteria_of,
     effects_of,
@@ -35,8 +35,8 @@ class Review:
     effects: tuple[SensorEffect, ...]
     criteria: tuple[Criterion, ...]
     picture: Markup | None
-    mountings: tuple[Mounting, ...]
-    mounting_choices: tuple[Choice, ...]
+    mountings: tuple[StatedMounting, ...]
+    mounting_choices: tuple[MountingChoice, ...]
 
 
 async def review_of(job: Job, store: JobStore, *, columns: int | None = None) -> Review:

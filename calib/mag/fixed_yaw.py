@@ -13,13 +13,13 @@ from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.heading import heading_sd_deg
+from mavcal.calib.mag.orientation import rotation_matrix
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ _WORST_HEADING_DEG = 10.0  # of the heading, anywhere: an offset that is known w
 
 
 @dataclass(frozen=True)
-class Standing:
+class KnownAttitude:
     """How the vehicle stands, rad: tilt by its accelerometer, heading of the nose from true north, and its sd."""
 
     roll: float
@@ -52,7 +52,7 @@ class Standing:
 
     def body_from_ned(self) -> Array:
         """Rotation (3, 3)."""
-        return np.asarray(Rotation.from_euler("ZYX", [self.heading, self.pitch, self.roll]).as_matrix().T)
+        return rotation_matrix(*np.degrees([self.roll, self.pitch, self.heading])).T
 
 
 def fit_fixed_yaw(
@@ -60,7 +60,7 @@ def fit_fixed_yaw(
     reading_covariance: Array,
     count: int,
     in_force: TriadModel,
-    standing: Standing,
+    standing: KnownAttitude,
     **facts: Unpack[MagFacts],
 ) -> FitResult:
     """The offset of a compass that reads `reading` where it stands.
@@ -143,7 +143,7 @@ def _was_fitted(matrix: Array) -> bool:
     return float(np.abs(gram / np.trace(gram) - np.eye(3) / 3.0).max()) > 1e-6
 
 
-def _field_covariance(context: MagContext, standing: Standing) -> Array:
+def _field_covariance(context: MagContext, standing: KnownAttitude) -> Array:
     """Covariance (3, 3) of the field in the vehicle: strength, dip, heading and tilt."""
     field = context.field
     assert field is not None

@@ -9,7 +9,7 @@ import numpy as np
 
 from mavcal.calib.firmware.storable import MAG
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.mag.fixed_yaw import Standing, fit_fixed_yaw
+from mavcal.calib.mag.fixed_yaw import KnownAttitude, fit_fixed_yaw
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
@@ -94,7 +94,7 @@ class MagFixedYawProcedure(TickedProcedure):
         results = tuple(annotated(f, self.context, self.warnings) for f in known)
         self._finish(Done(results, f"the heading is known to {good:.1f} deg as it stands; soft iron is kept"))
 
-    def _standing(self) -> Standing | None:
+    def _standing(self) -> KnownAttitude | None:
         """How the vehicle stands; None: the job has ended, since its accelerometer does not tell."""
         accel = self._pool.channel((Sensor.ACCEL, self._accel))
         model = in_force(self.context, Sensor.ACCEL, self._accel)
@@ -113,9 +113,9 @@ class MagFixedYawProcedure(TickedProcedure):
             return None
         roll, pitch = roll_pitch(force)
         heading, sd = (math.radians(float(self.options[name])) for name in ("heading", "heading_sd"))
-        return Standing(roll, pitch, heading, sd)
+        return KnownAttitude(roll, pitch, heading, sd)
 
-    def _fit(self, instance: int, standing: Standing) -> FitResult | None:
+    def _fit(self, instance: int, standing: KnownAttitude) -> FitResult | None:
         model = in_force(self.context, Sensor.MAG, instance)
         if model is None:
             self._leave_out((Sensor.MAG, instance), "its present calibration could not be read")

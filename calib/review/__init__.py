@@ -5,15 +5,15 @@ from __future__ import annotations
 from mavcal.calib.review.criteria import Criterion, criteria_of
 from mavcal.calib.review.effect import ErrorCurve, SensorEffect, effects_of
 from mavcal.calib.review.headline import headline_of
-from mavcal.calib.review.mountings import Choice, Mounting, choices_of, mountings_of
+from mavcal.calib.review.mountings import MountingChoice, StatedMounting, choices_of, mountings_of
 from mavcal.calib.review.picture import picture_of
 
 __all__ = [
-    "Choice",
     "Criterion",
     "ErrorCurve",
-    "Mounting",
+    "MountingChoice",
     "SensorEffect",
+    "StatedMounting",
     "choices_of",
     "criteria_of",
     "effects_of",

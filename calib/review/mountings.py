@@ -19,7 +19,7 @@ from mavcal.calib.recording import Sensor
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class MountingChoice:
     """One of the firmware's rotations: its number, its words, and sensor to body (3, 3)."""
 
     number: int
@@ -28,7 +28,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Mounting:
+class StatedMounting:
     """The mounting of one external compass; numbers are the firmware's."""
 
     instance: int
@@ -39,7 +39,7 @@ class Mounting:
 
 def mountings_of(
     fits: Sequence[FitResult], plan: WritePlan, parameters: Mapping[str, Value], options: Mapping[str, Any]
-) -> tuple[Mounting, ...]:
+) -> tuple[StatedMounting, ...]:
     """The compasses whose mounting can be chosen: those with a rotation of their own that the calibration looked at."""
     chosen, autopilot = compose_options(options).mountings, plan.fingerprint.autopilot
     found = []
@@ -51,16 +51,16 @@ def mountings_of(
         external = number >= 0 and (Role.EXTERNAL not in names or int(parameters.get(names[Role.EXTERNAL], 0)) != 0)
         if external:
             words = rotation_words(autopilot, number)
-            found.append(Mounting(fit.instance, number, words, chosen.get((fit.sensor, fit.instance))))
+            found.append(StatedMounting(fit.instance, number, words, chosen.get((fit.sensor, fit.instance))))
     return tuple(found)
 
 
-def choices_of(autopilot: str) -> tuple[Choice, ...]:
+def choices_of(autopilot: str) -> tuple[MountingChoice, ...]:
     """Every rotation that the firmware has by number; of two that are the same, the first."""
-    found: dict[bytes, Choice] = {}
+    found: dict[bytes, MountingChoice] = {}
     for number in range(len(ROTATIONS[autopilot])):
         matrix = rotation_matrix(autopilot, number)
         found.setdefault(
-            (np.round(matrix, 6) + 0.0).tobytes(), Choice(number, rotation_words(autopilot, number), matrix)
+            (np.round(matrix, 6) + 0.0).tobytes(), MountingChoice(number, rotation_words(autopilot, number), matrix)
         )
     return tuple(found.values())

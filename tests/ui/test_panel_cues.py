@@ -117,6 +117,7 @@ def test_nothing_sounds_or_moves_unasked_and_a_button_of_the_job_asks(desk, tmp_
             "sound": True,
         }
         desk.press("Discard")
+        desk.press("Discard it")
         desk.wait_for_state("Cancelled", 30)
         desk.press("Try again")
         desk.wait_for_state("Ready for your review", 120)

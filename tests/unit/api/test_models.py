@@ -48,17 +48,25 @@ def without(text_of: str, added: str) -> str:
     return text(json.loads(text_of, object_pairs_hook=cut))
 
 
+def assert_without_what_was_added(prompt: dict[str, Any] | None) -> None:
+    """Take off the prompt what it says since, which is nothing in these jobs."""
+    added = {"taken": False, "tilts": [], "unfinished": "", "silence": None}
+    assert prompt is None or {name: prompt.pop(name) for name in added} == added
+
+
 @pytest.mark.parametrize("name", ["job", "bare", "done"])
 def test_a_job_is_told_as_before_to_the_byte(name: str) -> None:
     job = getattr(samples, name)()
     told = json.loads(without(job_model(job).model_dump_json(), "parameters"))
     assert told.pop("readiness") is None  # added since
-    assert told.pop("left_out") == []
+    assert told.pop("left_out") == told.pop("broken") == []
+    assert_without_what_was_added(told["prompt"])
     assert told["plan"] is None or told["plan"].pop("left_out") == []
     assert text(told) == text(json.loads(BEFORE[name]))
     told = json.loads(job_summary(job).model_dump_json())
     assert told.pop("options") == json.loads(BEFORE[name])["options"]
-    assert told.pop("left_out") == []
+    assert told.pop("left_out") == told.pop("broken") == []
+    assert_without_what_was_added(told["prompt"])
     assert text(told) == BEFORE[f"{name}_summary"]
 
 

@@ -75,10 +75,10 @@ def test_a_search_leaves_the_time_that_its_effects_need_afterwards() -> None:
     watch = Watch()
     pace = GapPace(watch, 100.0)
     pace.begin(GapStage.SELECTION)
-    pace.keep_back(5, 1.0)
-    watch.now = 49.0
-    assert not pace.ends()
+    pace.keep_back(4, 1.0)
     watch.now = 51.0
+    assert not pace.ends()
+    watch.now = 53.0
     assert pace.ends()
     pace.begin(GapStage.HELD_OUT)
     watch.now = 79.0

@@ -92,7 +92,7 @@ def test_a_kind_of_job_plans_only_for_what_it_calibrates() -> None:
 
 @pytest.mark.parametrize("kind", PROCEDURES)
 def test_what_a_job_calibrates_is_what_its_fits_are_of(kind: str) -> None:
-    mag = {"mag", "mag-rings"}
+    mag = {"mag", "mag-rings", "mag-fixed-yaw"}
     gyro = {"gyro", "gyro-thread", "gyro-turntable", "thermal", "imu-multi"}
     accel = {"accel", "accel-one-axis", "accel-six-face", "level", "thermal", "imu-multi"}
     expected = {Sensor.MAG: mag, Sensor.GYRO: gyro, Sensor.ACCEL: accel}

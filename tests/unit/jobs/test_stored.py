@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,13 @@ def test_a_stored_job_is_written_again_to_the_byte(path: Path) -> None:
     row = JobRow(**json.loads(path.read_text(encoding="utf-8")))
     again = row_from_job(job_from_row(row))
     assert json.dumps(vars(again), allow_nan=False) == json.dumps(vars(row))
+
+
+def test_a_prompt_of_before_it_said_what_stays_open_is_read() -> None:
+    row = stored("every-field")
+    added = ("taken", "tilts", "unfinished", "silence")
+    body = {**row.body, "prompt": {key: value for key, value in row.body["prompt"].items() if key not in added}}
+    assert row_from_job(job_from_row(replace(row, body=body))) == row
 
 
 def test_a_job_that_was_written_has_its_plan_and_its_proof() -> None:

@@ -21,12 +21,12 @@ def test_every_face_that_a_movement_can_name_is_a_pose() -> None:
 
 
 def test_a_movement_becomes_a_prompt_that_a_panel_can_draw() -> None:
-    prompt = proving(Movement("Hold it", faces=("left", "nose_down"), temperature=25.0))
+    prompt = proving(Movement("Hold it", faces=("left", "nose_down"), temperature=25.0), 1)
     assert prompt.remaining == (Pose.LEFT, Pose.NOSE_DOWN)
     assert not prompt.rotate
     assert prompt.temperature == 25.0
     assert prompt.answers == ("finish",)
-    turning = proving(Movement("Turn it", turn=True))
+    turning = proving(Movement("Turn it", turn=True), 1)
     assert turning.rotate
     assert turning.remaining == ()
 

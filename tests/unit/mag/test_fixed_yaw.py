@@ -13,7 +13,7 @@ from mavcal.calib.mag.fixed_yaw import (
     KEPT_SD,
     NEVER_FITTED_SD,
     TILT_SD,
-    Standing,
+    KnownAttitude,
     declination_sd,
     fit_fixed_yaw,
 )
@@ -22,7 +22,7 @@ from mavcal.calib.triad import TriadModel
 FIELD = EarthField([20.5, 1.2, 44.0], norm_sd=0.15)
 TURNED = Rotation.from_euler("ZYX", [90.0, 0.0, 180.0], degrees=True).as_matrix()
 FITTED = np.array([[1.04, 0.02, -0.01], [0.02, 0.97, 0.015], [-0.01, 0.015, 1.01]])
-STANDING = Standing(math.radians(4.0), math.radians(-3.0), math.radians(211.0), math.radians(1.5))
+STANDING = KnownAttitude(math.radians(4.0), math.radians(-3.0), math.radians(211.0), math.radians(1.5))
 
 
 def reading(offset, matrix, standing=STANDING, field=FIELD):
@@ -55,7 +55,7 @@ def test_its_interval_holds_the_truth_where_everything_errs_as_stated(fitted):
         true = assumed + (KEPT_SD if fitted else NEVER_FITTED_SD) * rng.normal(size=(3, 3))
         turned = STANDING.heading + math.hypot(STANDING.heading_sd, declination_sd(FIELD.horizontal)) * rng.normal()
         tilt = TILT_SD * rng.normal(size=2)
-        at = Standing(STANDING.roll + tilt[0], STANDING.pitch + tilt[1], turned, 0.0)
+        at = KnownAttitude(STANDING.roll + tilt[0], STANDING.pitch + tilt[1], turned, 0.0)
         dip = FIELD.inclination + math.radians(0.2) * rng.normal()
         norm = FIELD.norm + FIELD.norm_sd * rng.normal()
         field = EarthField.from_elements(norm, dip, FIELD.declination)
