@@ -187,8 +187,8 @@ class StreamProof:
         assert verification.movement is not None
         proved, whole = sum(p.verdict == "proved" for p in verification.parameters), len(verification.parameters)
         self.handle.prompt(proving(verification.movement, whole - proved, pose_at_rest(after)))
-        text = f"{proved} of {whole} parameters proved by the stream"
-        self.handle.progress(Progress(waited, self.prove_s, "s", text, eta=self.prove_s - waited))
+        text = f"{proved} of {whole} parameters proved by the stream; waits {self.prove_s - waited:.0f} s at most"
+        self.handle.progress(Progress(proved, whole, "parameters", text))  # when the last is proved nobody knows
 
     async def _verify(self, before: Recording | None, after: Recording, values: Mapping[str, Value]) -> Verification:
         kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.COMPOSED_ON)

@@ -181,8 +181,8 @@ async def test_movements_are_asked_for_until_all_is_proved(looks: MakeLooks) -> 
     assert await one.judged() is PROVED
     assert OPEN.movement is not None
     assert one.asked == [proving(OPEN.movement, 1), proving(OPEN.movement, 1), None]
-    text = "1 of 2 parameters proved by the stream"
-    assert one.seen == [Progress(0.0, 10.0, "s", text, eta=10.0), Progress(2.0, 10.0, "s", text, eta=8.0)]
+    text = "1 of 2 parameters proved by the stream; waits {} s at most"
+    assert one.seen == [Progress(1, 2, "parameters", text.format(left)) for left in (10, 8)]
 
 
 @pytest.mark.parametrize(("prove_s", "ends"), [(0.0, [103.0]), (2.0, [103.0, 105.0]), (3.0, [103.0, 105.0, 107.0])])
