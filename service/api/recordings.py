@@ -30,6 +30,8 @@ from mavcal.service.api.views import job_model, job_summary, recording_model
 router = APIRouter(tags=["recordings"])
 READ = Depends(require(Scope.READ))
 OPERATE = Depends(require(Scope.OPERATE))
+BYTES = {"type": "string", "format": "binary"}
+"""Schema of a file as it is: generators of clients leave an operation out whose body has none."""
 
 
 @router.post(
@@ -37,7 +39,7 @@ OPERATE = Depends(require(Scope.OPERATE))
     operation_id="upload_recording",
     status_code=201,
     dependencies=[OPERATE],
-    openapi_extra={"requestBody": {"required": True, "content": {"application/octet-stream": {}}}},
+    openapi_extra={"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": BYTES}}}},
 )
 async def upload(
     request: Request,
