@@ -76,14 +76,14 @@ def test_a_search_leaves_the_time_that_its_effects_need_afterwards() -> None:
     pace = GapPace(watch, 100.0)
     pace.begin(GapStage.SELECTION)
     pace.keep_back(4, 1.0)
-    watch.now = 51.0
+    watch.now = 44.0
     assert not pace.ends()
-    watch.now = 53.0
+    watch.now = 46.0
     assert pace.ends()
     pace.begin(GapStage.HELD_OUT)
-    watch.now = 79.0
+    watch.now = 72.0
     assert not pace.ends()
-    watch.now = 81.0
+    watch.now = 74.0
     assert pace.ends()
 
 
