@@ -45,7 +45,7 @@ _MAY_TAKE = {
 }
 """Part of the limit after which nothing more is begun in a stage; infinite: it is never left out. Source: decision
 36."""
-_REPORTED_FROM = 0.93
+_REPORTED_FROM = 0.9
 """Part of the limit that the search and held-out blocks may fill; the rest is for the report. Source: decision 36,
 flights of minutes."""
 DEFAULT_LIMIT_S = 60.0

@@ -76,14 +76,14 @@ def test_a_search_leaves_the_time_that_its_effects_need_afterwards() -> None:
     pace = GapPace(watch, 100.0)
     pace.begin(GapStage.SELECTION)
     pace.keep_back(4, 1.0)
-    watch.now = 44.0
+    watch.now = 41.0
     assert not pace.ends()
-    watch.now = 46.0
+    watch.now = 43.0
     assert pace.ends()
     pace.begin(GapStage.HELD_OUT)
-    watch.now = 72.0
+    watch.now = 69.0
     assert not pace.ends()
-    watch.now = 74.0
+    watch.now = 71.0
     assert pace.ends()
 
 
