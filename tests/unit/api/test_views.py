@@ -14,7 +14,7 @@ from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.states import SensorState
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.recording import Channel, Sensor, Stage
-from mavcal.calib.review import Choice, Criterion, Mounting, SensorEffect
+from mavcal.calib.review import Criterion, MountingChoice, SensorEffect, StatedMounting
 from mavcal.service.api import live
 from mavcal.service.api.views import (
     event_model,
@@ -79,8 +79,8 @@ def test_the_sensors_of_a_vehicle_have_one_verdict() -> None:
 def review(picture: Markup | None) -> Review:
     effect = SensorEffect(Sensor.GYRO, 1, "rate at rest", "deg/s", 0.5, 0.01, None)
     criterion = Criterion("noise", Verdict.PASS, 1.0, 2.0, "deg/s", "It is quiet.", "")
-    choice = Choice(6, "yaw 270", np.eye(3))
-    return Review("It turns less.", (effect,), (criterion,), picture, (Mounting(0, 4, "yaw 180", 6),), (choice,))
+    choice = MountingChoice(6, "yaw 270", np.eye(3))
+    return Review("It turns less.", (effect,), (criterion,), picture, (StatedMounting(0, 4, "yaw 180", 6),), (choice,))
 
 
 def test_a_review_speaks_of_what_was_done_or_will_be() -> None:
