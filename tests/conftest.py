@@ -5,20 +5,31 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
 import mavcal.service  # noqa: F401  before numpy is loaded: it keeps numpy to one thread
-from tests import processes
+from tests import examples, processes, sliced
 from tests.patience import scaled
 from tests.postgres import NoServer, Server
-
-# Wall-clock deadlines judge the machine, not the code; failures print the seed that repeats them.
-settings.register_profile("mavcal", deadline=None, print_blob=True)
-settings.load_profile("mavcal")
 
 processes.mark()
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    sliced.add_options(parser)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    examples.configure(config)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Before marks are looked at: properties count as long tests; of them all one part, if that was asked for."""
+    if examples.is_long(config):
+        examples.choose_properties(items)
+    sliced.choose(config, items)
 
 
 @pytest.fixture(scope="session")

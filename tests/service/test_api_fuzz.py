@@ -10,6 +10,8 @@ from typing import Any
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.examples import examples
+
 from .api_bench import Api, api, kept_document
 
 # Streams do not end; links open sockets and files of this machine: both have tests of their own.
@@ -69,7 +71,7 @@ def test_no_request_makes_the_service_fail(tmp_path: Path) -> None:
         async with api(tmp_path / "data") as a:
             loop = asyncio.get_running_loop()
 
-            @settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
+            @settings(max_examples=examples(15), deadline=None, suppress_health_check=list(HealthCheck))
             @given(st.lists(REQUEST, min_size=10, max_size=25))
             def asked(requests: list[Any]) -> None:
                 asyncio.run_coroutine_threadsafe(_ask(a, requests), loop).result()

@@ -10,11 +10,12 @@ from hypothesis.extra.numpy import arrays
 
 from mavcal.calib.c_array import c_array, homogeneous
 from mavcal.calib.errors import InvalidInputError
+from tests.examples import examples
 
 FINITE = st.floats(-1e6, 1e6)
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(arrays(np.float64, (3, 3), elements=FINITE), arrays(np.float64, 3, elements=FINITE))
 def test_a_correction_as_one_matrix_does_the_same(matrix: np.ndarray, offset: np.ndarray) -> None:
     measured = np.array([1.0, -2.0, 3.0])
@@ -23,7 +24,7 @@ def test_a_correction_as_one_matrix_does_the_same(matrix: np.ndarray, offset: np
     assert whole[3] == 1.0
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(1, 4)), elements=st.floats(-1e300, 1e300)))
 def test_every_digit_comes_back(values: np.ndarray) -> None:
     text = c_array("mag_0", values)

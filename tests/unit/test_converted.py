@@ -25,6 +25,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
+from tests.examples import examples
 
 UNITS = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
 RAW = np.random.default_rng(1).normal(scale=10.0, size=(20, 3))
@@ -44,7 +45,7 @@ def models(draw):
     return TriadModel(np.array(draw(st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3))), np.eye(3) + entries)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(model=models(), radius=st.floats(20.0, 70.0))
 def test_matlab_s_magnetometer_corrects_by_rows(model, radius):
     fit = fit_of(model, quality=MappingProxyType({"radius": radius}))
@@ -55,14 +56,14 @@ def test_matlab_s_magnetometer_corrects_by_rows(model, radius):
     assert values["expmfs"] == pytest.approx(radius)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(model=models(), sensor=st.sampled_from([Sensor.ACCEL, Sensor.GYRO]))
 def test_matlab_s_other_sensors_are_an_affine_map_by_rows(model, sensor):
     values = converted(fit_of(model, sensor), Convention.MATLAB).values
     np.testing.assert_allclose(RAW @ np.array(values["A"]) + np.array(values["b"]), model.apply(RAW), atol=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(model=models(), sensor=st.sampled_from(list(UNITS)))
 def test_imu_tk_and_kalibr_correct_as_the_fit_does(model, sensor):
     fit = fit_of(model, sensor)
@@ -75,7 +76,7 @@ def test_imu_tk_and_kalibr_correct_as_the_fit_does(model, sensor):
     np.testing.assert_allclose(np.linalg.solve(M @ turn, (RAW - b).T).T, model.apply(RAW), atol=1e-7)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(model=models(), instance=st.integers(0, 2), sensor=st.sampled_from(list(UNITS)))
 def test_what_the_autopilots_keep_of_a_model_is_what_they_keep_of_that_again(model, instance, sensor):
     for write, read in ((ardupilot_from_model, model_from_ardupilot), (px4_from_model, model_from_px4)):

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import wire
 from mavcal.calib.errors import InvalidInputError
+from tests.examples import examples
 
 KEY = bytes(range(32))
 NOW = 500_000_000_000
@@ -144,7 +145,7 @@ def test_intact_frames_among_garbage_come_back(gaps: list[bytes]) -> None:
     assert [f.sequence for f in frames if f.known] == list(range(len(gaps)))
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(cut=st.integers(1, 40), data=st.binary(max_size=20))
 def test_truncated_signed_and_damaged_frames_never_raise(cut: int, data: bytes) -> None:
     signed = encoded(imu(), 1, signing=wire.Signing(KEY, 1, NOW))

@@ -12,6 +12,7 @@ from mavcal.calib.fit import FitStatus
 from mavcal.calib.recording import Channel, Sensor, Stage
 from mavcal.calib.stats.stillness import PoseMean, Still, find_still, pose_means
 from mavcal.calib.triad import TriadModel
+from tests.examples import examples
 
 G = 9.80665
 TRUTH = TriadModel(
@@ -128,7 +129,7 @@ def test_the_upper_triangular_form_is_the_same_sensor():
     assert upper.sd[6] == pytest.approx(0.0, abs=1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(seed=st.integers(0, 10_000), scale=st.floats(1e-2, 1e3), order=st.permutations(list(range(12))))
 def test_order_and_unit_do_not_matter(seed, scale, order):
     rng = np.random.default_rng(seed)
@@ -143,7 +144,7 @@ def test_order_and_unit_do_not_matter(seed, scale, order):
     assert fit_poses([poses[i] for i in order]).values == pytest.approx(fit.values, abs=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-0.5, 0.5)] * 3))
 def test_a_shifted_sensor_has_a_shifted_offset(seed, shift):
     rng = np.random.default_rng(seed)

@@ -14,6 +14,7 @@ from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus, parameter_names
 from mavcal.calib.recording import Channel, Sensor, Stage
+from tests.examples import examples
 
 G = 9.80665
 FIELD = np.array([20.0, 0.0, 45.0])
@@ -79,7 +80,7 @@ def test_the_stated_uncertainty_holds():
     assert np.mean(np.square(z), axis=0) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / 150))
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(
     yaw=st.floats(-179.0, 179.0), pitch=st.floats(-80.0, 80.0), roll=st.floats(-179.0, 179.0), scale=st.floats(0.1, 1e4)
 )

@@ -18,6 +18,7 @@ from mavcal.service import errors
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.problems import codes, explanations, install_problem_handlers, problem
 from mavcal.service.errors import AuthError, JobUnknown, ServiceError, StoreError, VehicleArmed
+from tests.examples import examples
 
 
 def request(path="/api/v1/jobs/j", root="", **more):
@@ -148,7 +149,7 @@ def test_an_address_is_relative_to_the_one_that_was_asked_for(path, root, expect
 SEGMENTS = st.lists(st.text("abc.-", min_size=1).filter(lambda s: s not in {".", ".."}), min_size=1, max_size=6)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(SEGMENTS, SEGMENTS, st.lists(st.sampled_from(["mavcal", "x"]), max_size=2))
 def test_a_browser_finds_the_target_behind_any_prefix(asked, target, prefix):
     """Resolved as RFC 3986 says, the reference leads from the address of the request to the target of the service."""

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.variants import Variant, VariantNumber, VariantProcess, value_in
+from tests.examples import examples
 
 pytestmark = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 
@@ -101,7 +102,7 @@ def test_a_variant_that_fails_is_an_error(capfd: pytest.CaptureFixture[str]) -> 
     assert "ZeroDivisionError" in capfd.readouterr().err
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(steps=st.lists(st.tuples(st.sampled_from(["a", "b"]), st.floats(-2.0, 2.0), st.floats(-20.0, 40.0)), max_size=4))
 def test_any_row_of_steps_answers_as_separate_runs(steps: list[tuple[str, float, float]]) -> None:
     def program(table: Table) -> list[bool]:

@@ -24,6 +24,7 @@ from mavcal.calib.firmware.slots import (
     px4_thermal_slot,
 )
 from mavcal.calib.recording import Sensor
+from tests.examples import examples
 
 ROWS = range(names.PX4_SLOTS)
 HELD = st.lists(st.integers(0, 2**24), min_size=names.PX4_SLOTS, max_size=names.PX4_SLOTS)
@@ -36,7 +37,7 @@ def px4(sensor: Sensor, ids: list[int], thermal: Mapping[int, int] | None = None
     return found | {names.px4_thermal_names(sensor, row)[Role.THERMAL_ID]: i for row, i in (thermal or {}).items()}
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(SENSORS, HELD)
 def test_every_row_is_of_one_stream_and_filled_rows_come_first(sensor: Sensor, ids: list[int]) -> None:
     parameters = px4(sensor, ids)
@@ -63,7 +64,7 @@ def test_a_device_id_goes_before_the_order() -> None:
     assert px4_sensor_ids(parameters, {second: 9}) == {first: 5, second: 9, (Sensor.GYRO, 2): 7}
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(SENSORS, HELD, st.dictionaries(st.sampled_from(ROWS), st.integers(1, 9), max_size=4))
 def test_told_ids_never_share_a_row_and_take_none_of_another_one(
     sensor: Sensor, ids: list[int], told: dict[int, int]
@@ -83,7 +84,7 @@ def test_told_ids_never_share_a_row_and_take_none_of_another_one(
         assert px4_rows(parameters, sensor)[px4_instance(parameters, sensor, rows[i])] == rows[i]
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     st.sampled_from([Sensor.GYRO, Sensor.ACCEL]),
     st.lists(st.integers(1, 99), min_size=names.PX4_SLOTS, max_size=names.PX4_SLOTS, unique=True),

@@ -21,6 +21,7 @@ from mavcal.calib.gap.likelihood import (
     random_walk,
     transform,
 )
+from tests.examples import examples
 
 
 def largest_prime(n):
@@ -32,7 +33,7 @@ def largest_prime(n):
     return largest
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(n=st.integers(1, 5000))
 def test_a_fast_length_is_the_largest_without_a_prime_above_31(n):
     length = fast_length(n)
@@ -40,7 +41,7 @@ def test_a_fast_length_is_the_largest_without_a_prime_above_31(n):
     assert all(largest_prime(other) > 31 for other in range(length + 1, n + 1))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(n=st.integers(2, 300), seed=st.integers(0, 99))
 def test_the_transform_keeps_the_energy_and_puts_the_mean_into_the_first_bin(n, seed):
     series = np.random.default_rng(seed).normal(size=(3, n))
@@ -74,7 +75,7 @@ def test_noise_of_one_over_f_halves_with_each_octave():
     np.testing.assert_allclose(ratio, 4.0, rtol=0.04)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(n=st.integers(1, 20_000))
 def test_merged_bins_hold_every_frequency_once(n):
     bins = bins_of(n)

@@ -36,6 +36,7 @@ from mavcal.calib.gap_report.words import (
     verdict_sentence,
     with_error,
 )
+from tests.examples import examples
 from tests.unit.gap.export.making import effect, report
 
 BIAS = effect("accel_bias", bias=(0.3, 0.0, -0.1))
@@ -151,7 +152,7 @@ def test_a_number_that_is_none_is_said_in_words(value, said):
     assert quantity(value, "uT") == f"{said} uT"
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.floats(-1e200, 1e200))
 def test_a_number_is_told_to_four_digits(value):
     assert float(number(value)) == pytest.approx(value, rel=1e-3, abs=1e-300)

@@ -15,6 +15,7 @@ from mavcal.calib.gyro.turntable import steady_spans
 from mavcal.calib.logs import read
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Segment, Sensor, Stage
+from tests.examples import examples
 
 M = np.array([[1.03, 0.01, -0.02], [0.005, 0.98, 0.015], [-0.01, 0.02, 1.04]])
 B = np.array([0.0132, -0.0084, 0.0057])
@@ -129,7 +130,7 @@ def test_what_cannot_be_told_is_refused():
         fit_turntable(full, W, latitude=91.0)
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(factor=st.floats(0.6, 1.6), shift=st.floats(-0.05, 0.05), later=st.floats(0.0, 1e6))
 def test_scaling_and_shifting_the_data_moves_the_answer_accordingly(factor, shift, later):
     gyro, segments = turned(np.random.default_rng(10), turning=3.0, resting=1.0)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mavcal.calib.health.motion import WINDOW_S, difference, rate_error, vertical_force
 from mavcal.calib.recording import Sensor
+from tests.examples import examples
 from tests.unit.health.made import flight
 
 
@@ -16,7 +17,7 @@ def channels(recording, sensor):
     return recording.find(sensor)[0], recording.find(Sensor.ATTITUDE)[0]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(offset=st.tuples(*[st.floats(-0.5, 0.5)] * 3), seed=st.integers(0, 50))
 def test_the_offset_of_a_gyroscope_is_told_within_its_uncertainty(offset, seed):
     gyro, attitude = channels(flight(seed, units=1), Sensor.GYRO)

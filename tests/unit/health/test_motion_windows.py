@@ -21,6 +21,7 @@ from mavcal.calib.health.motion import (
     vertical_force,
 )
 from mavcal.calib.recording import Channel, Sensor, Stage
+from tests.examples import examples
 
 G = 9.80665
 
@@ -66,7 +67,7 @@ def test_usable_samples_are_finite_and_their_time_goes_on():
     assert usable(clean) is clean
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(angles=st.tuples(st.floats(-3.0, 3.0), st.floats(-1.5, 1.5), st.floats(-3.0, 3.0)), extra=st.floats(-2.0, 2.0))
 def test_the_vertical_force_is_gravity_and_what_lifts_in_every_attitude(angles, extra):
     t = np.arange(0.0, 45.0, 0.1)
@@ -86,7 +87,7 @@ def test_a_force_across_gravity_is_no_vertical_force():
     np.testing.assert_allclose(windows.values, G, atol=1e-9)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(
     rate=st.tuples(*[st.floats(-0.5, 0.5)] * 3),
     offset=st.tuples(*[st.floats(-0.3, 0.3)] * 3),

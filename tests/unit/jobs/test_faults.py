@@ -20,6 +20,7 @@ from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.states import ENDED, WRITING, JobState
 from mavcal.service.jobs.write import Writing
 from mavcal.service.store import SqliteStore
+from tests.examples import examples
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 from .conftest import NEW, OLD, QUICK, FakeCheck, float32
@@ -111,7 +112,7 @@ class Engine(JobEngine):
         return [i for i in busy if i not in self._tasks.running or self._tasks.running[i].done()]
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(120), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     where=st.one_of(
         st.tuples(st.just("reach"), st.sampled_from(WRITE_POINTS)),

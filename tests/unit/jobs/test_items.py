@@ -28,12 +28,13 @@ from mavcal.service.jobs.items import (
     row_from_item,
 )
 from mavcal.service.store.rows import ItemRow, JobDocument
+from tests.examples import examples
 
 TEXT = st.text(max_size=20)
 TIMES = st.none() | st.floats(0.0, 1e10)
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(
     st.builds(
         Item,

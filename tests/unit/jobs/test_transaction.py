@@ -17,6 +17,7 @@ from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep, Saved
 from mavcal.service.jobs.model import Failure, Result, Unwritten
 from mavcal.service.jobs.port import ParameterReading
 from mavcal.service.jobs.states import JobState
+from tests.examples import examples
 
 from .conftest import IMPATIENT, NEW, OLD, QUICK, Bench, Killed, MakeBench, float32, until
 
@@ -478,7 +479,7 @@ async def _resumed(bench: Bench) -> Bench:
     return again
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     first=st.sampled_from(CRASHES),
     first_at=st.integers(1, 4),

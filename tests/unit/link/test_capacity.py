@@ -20,6 +20,7 @@ from mavcal.service.link.capacity import (
     unlimited,
 )
 from mavcal.service.link.endpoint import FORMS
+from tests.examples import examples
 
 ASKED = {27: 50.0, 116: 50.0, 105: 50.0, 245: 1.0}
 SIZES = {key: frame_bytes(key) for key in ASKED}
@@ -157,7 +158,7 @@ def test_a_radio_that_carries_not_even_the_state_still_brings_every_sample_strea
 SIZED = st.dictionaries(st.sampled_from([24, 26, 27, 29, 105, 116, 245]), st.floats(0.5, 400.0), min_size=1)
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(SIZED, st.floats(200.0, 1e5))
 def test_rates_fit_or_are_the_slowest_and_no_stream_is_favoured(asked: dict[int, float], capacity: float) -> None:
     planned = plan_rates(asked, capacity)
@@ -171,7 +172,7 @@ def test_rates_fit_or_are_the_slowest_and_no_stream_is_favoured(asked: dict[int,
         assert fits or all(rate <= 2.0 for rate in asked.values())
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(SIZED, st.floats(200.0, 1e5), st.floats(1.0, 3.0))
 def test_a_faster_link_never_slows_a_stream(asked: dict[int, float], capacity: float, factor: float) -> None:
     slow, fast = plan_rates(asked, capacity), plan_rates(asked, factor * capacity)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from mavcal.service.errors import EndpointError
 from mavcal.service.link import Endpoint, EndpointKind, parse_endpoint
 from mavcal.service.link.endpoint import FORMS, Hand
+from tests.examples import examples
 
 
 @pytest.mark.parametrize(
@@ -81,7 +82,7 @@ HOSTS = st.ip_addresses().map(str) | st.text("az09-.", min_size=1, max_size=12)
 KEYS = st.text("Az09._ &=%+-", min_size=1, max_size=12)
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.sampled_from(["udpin", "udpout", "tcp", "tcpin"]), HOSTS, st.integers(1, 65535), st.none() | KEYS)
 def test_an_endpoint_of_the_network_is_the_same_after_writing_and_reading(
     kind: str, host: str, port: int, key: str | None
@@ -91,14 +92,14 @@ def test_an_endpoint_of_the_network_is_the_same_after_writing_and_reading(
     assert parse_endpoint(str(endpoint)) == endpoint
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.text("az09_./:-", max_size=30), st.integers(1200, 12_000_000))
 def test_a_device_is_the_same_after_writing_and_reading(name: str, baud: int) -> None:
     endpoint = Endpoint(EndpointKind.SERIAL, path=f"/dev/{name}x", baud=baud)
     assert parse_endpoint(str(endpoint)) == endpoint
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.text(max_size=40))
 def test_whatever_is_no_endpoint_is_refused_with_the_forms(text: str) -> None:
     with pytest.raises(EndpointError) as refused:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcal.service.link.loss import SequenceCounter
+from tests.examples import examples
 
 
 def steady(
@@ -103,7 +104,7 @@ def test_a_rate_counts_all_frames_that_were_taken_together(longest: float) -> No
     assert max(rates) == pytest.approx(rate, rel=0.01)
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.lists(st.booleans(), min_size=2, max_size=600), st.integers(0, 255))
 def test_received_and_lost_together_are_what_was_sent_between_the_first_and_the_last(
     arrived: list[bool], start: int
@@ -120,7 +121,7 @@ def test_received_and_lost_together_are_what_was_sent_between_the_first_and_the_
         assert (counter.duplicated, counter.out_of_order, counter.lost_inferred) == (0, 0, 0)
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(st.lists(st.integers(0, 4), min_size=20, max_size=200), st.randoms(use_true_random=False))
 def test_frames_that_swap_with_near_ones_are_late_and_none_is_lost(shifts: list[int], draw: random.Random) -> None:
     order = sorted(range(len(shifts)), key=lambda n: n + shifts[n] + draw.random() / 2)

@@ -13,6 +13,7 @@ from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware import undo
 from mavcal.calib.logs.dataflash import read_dataflash, read_dataflash_text
 from mavcal.calib.recording import Oddity, OddSamples, Recording, Rounding, Sensor, Stage
+from tests.examples import examples
 
 FLIGHT = made.flight(2.0, seed=1)
 HEAD = made.head()
@@ -398,7 +399,7 @@ class TestBadInput:
         with pytest.raises(ValueError, match="leave mapping out"):
             logs.read(path, mapping={"accel_x": "1"})
 
-    @settings(max_examples=80)
+    @settings(max_examples=examples(80))
     @given(st.data())
     def test_mutations_give_a_recording_or_one_clear_refusal(self, data):
         content = bytearray(SMALL)
@@ -423,7 +424,7 @@ class TestBadInput:
         with contextlib.suppress(UnreadableError):  # anything else is not
             read_dataflash(damaged)
 
-    @settings(max_examples=60)
+    @settings(max_examples=examples(60))
     @given(st.data())
     def test_definitions_may_say_anything(self, data):
         name = data.draw(

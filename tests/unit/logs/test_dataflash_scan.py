@@ -9,6 +9,7 @@ from bench import dataflash as made
 from mavcal.calib.logs.dataflash import DataFlash, scan
 from mavcal.calib.logs.dataflash.formats import define, read_fmt
 from mavcal.calib.logs.dataflash.scan import BLOCK
+from tests.examples import examples
 
 FLIGHT = made.flight(2.0, seed=1)
 TALL = made.Message(90, "TALL", "QZZZ", "TimeUS,A,B,C")
@@ -140,7 +141,7 @@ class TestScan:
         lost = sum(row.tobytes() not in kept for row in imu_rows(data)[undamaged])
         assert lost <= 0.001 * undamaged.sum()
 
-    @settings(max_examples=60)
+    @settings(max_examples=examples(60))
     @given(st.data())
     def test_no_bytes_can_break_it(self, data):
         content = bytearray(FLIGHT[: 89 * 9 + 4000])

@@ -23,6 +23,7 @@ from mavcal.calib.recording import (
     Sensor,
     Stage,
 )
+from tests.examples import examples
 
 T = np.arange(0.0, 20.0, 0.02)
 NOISE = np.random.default_rng(1).normal(size=(len(T), 3))
@@ -41,7 +42,7 @@ def held(start, end, *, t=T):
     return channel(t, values)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(factor=st.floats(-5.0, 5.0), shift=st.floats(-100.0, 100.0))
 def test_ranges_and_means_move_with_the_values(factor, shift):
     plain, moved = summarise(channel()), summarise(channel(values=factor * NOISE + shift))
@@ -82,7 +83,7 @@ def test_a_single_sample_or_a_time_that_stands_still_has_no_rate():
         assert (found.rate, found.n_gaps, found.longest_constant) == (None, 0, 0.0)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(start=st.integers(0, 400), rows=st.integers(2, 300))
 def test_the_longest_run_of_equal_samples_is_found_with_its_time(start, rows):
     found = constant_run(held(start, start + rows))

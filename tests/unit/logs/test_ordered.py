@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mavcal.calib.logs.dataflash.clock import ordered
 from mavcal.calib.logs.ordered import in_order
 from mavcal.calib.recording import Channel, Sensor, Stage
+from tests.examples import examples
 
 
 def channel(t):
@@ -28,7 +29,7 @@ def longest(t):
     return 0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(t=st.lists(st.integers(0, 6).map(float), max_size=9))
 def test_as_many_samples_as_possible_are_kept_in_their_order(t):
     kept, lost = in_order(channel(t), 100.0)
@@ -80,7 +81,7 @@ def test_nothing_is_in_order():
     assert (len(kept), lost) == (0, 2)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(t=st.lists(st.integers(0, 30).map(float) | st.just(np.nan), max_size=25))
 def test_times_of_a_log_that_are_believed_never_go_back(t):
     times = np.array(t, dtype=float)

@@ -15,6 +15,7 @@ from mavcal.calib.errors import InvalidInputError, UnreadableError
 from mavcal.calib.logs.columns import text_columns
 from mavcal.calib.logs.tables import NO_TIME, read_table, write_table
 from mavcal.calib.recording import Channel, Recording, Rounding, Segment, Sensor, Stage
+from tests.examples import examples
 
 G = 9.80665
 MAG_BY_NUMBER = {"mag_x": "0", "mag_y": "1", "mag_z": "2"}
@@ -138,7 +139,7 @@ def test_a_body_of_forward_left_up(table):
     assert recording.channel(Sensor.MAG).values[0] == pytest.approx([20.0, -5.0, 40.0])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(
     angles=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
     world=st.sampled_from(["ned", "enu"]),
@@ -318,7 +319,7 @@ def test_pickled_arrays_are_not_loaded(tmp_path):
         logs.read(path)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     st.one_of(
         st.text(max_size=300),

@@ -16,6 +16,7 @@ from mavcal.calib.firmware import calibration_changes, undo
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.wire import RawMessage, encode, tlog_record
+from tests.examples import examples
 
 
 def record(message: Any, system: int = 1, component: int = 1) -> bytes:
@@ -94,7 +95,7 @@ class TestReading:
         assert [e.kind for e in recording.events] == ["damage", "disarmed"]
 
     @given(st.binary(max_size=300), st.integers(0, 49))
-    @settings(max_examples=50, deadline=None)
+    @settings(max_examples=examples(50), deadline=None)
     def test_garbage_never_costs_more_than_what_it_covers(self, garbage: bytes, at: int) -> None:
         size = len(STREAM) // 50
         recording = read_tlog(heartbeat() + STREAM[: at * size] + garbage + STREAM[at * size :])

@@ -15,6 +15,7 @@ from mavcal.calib.fit import FitStatus
 from mavcal.calib.logs.ulog import read_ulog
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Sensor, Stage
+from tests.examples import examples
 from tests.unit.logs.ulog_file import ACCEL_ID, GYRO_ID, MAG_ID, MAGIC, PARAMETERS, UlogFile, driver, message, sample
 
 COMBINED = (
@@ -259,7 +260,7 @@ WHOLE = flight().bytes
 
 
 @given(st.data())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_damage_gives_a_recording_or_the_typed_error(tmp_path_factory, data):
     content = bytearray(WHOLE)
     for _ in range(data.draw(st.integers(1, 12))):

@@ -13,11 +13,12 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.accumulator import EllipsoidAccumulator
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from tests.examples import examples
 
 FIELD = EarthField.from_elements(49.1, math.radians(66.0), norm_sd=0.15)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(cuts=st.lists(st.integers(0, 1500), max_size=6))
 def test_chunking_does_not_matter(cuts: list[int]) -> None:
     rng = np.random.default_rng(1)

@@ -16,6 +16,7 @@ from mavcal.calib.mag.distance import bisquare, score_rows
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
 from mavcal.calib.mag.shape import Ellipsoid, correction, six_numbers
 from mavcal.calib.mag.shape_fit import estimate_variance
+from tests.examples import examples
 
 FIELD = EarthField.from_elements(49.0, math.radians(66.0), norm_sd=0.15)
 
@@ -139,7 +140,7 @@ def test_example_of_magcal(rng: np.random.Generator) -> None:
     assert fit.native["expmfs"] == pytest.approx(31.0723, abs=5e-5)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1e4), st.floats(-1e3, 1e3))
 def test_answers_turn_scale_and_shift_with_the_samples(seed: int, scale: float, shift: float) -> None:
     rng = np.random.default_rng(seed)

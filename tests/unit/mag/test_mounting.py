@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.attitude import drift_sd_deg_per_min, tilt_sd_deg
 from mavcal.calib.mag.mounting import mounting_of, rotation_covariance
 from mavcal.calib.triad import TriadModel
+from tests.examples import examples
 
 DRAWS = 400
 G = 9.80665
@@ -29,7 +30,7 @@ def drawn(model: TriadModel, covariance: np.ndarray, rng: np.random.Generator) -
     return [TriadModel(model.offset + c[:3], model.matrix + c[3:].reshape(3, 3)) for c in changes]
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.floats(0.0, 179.0), st.integers(0, 1000), st.lists(st.floats(0.7, 1.4), min_size=3, max_size=3))
 def test_the_angle_is_that_of_the_rotation_whatever_the_scales(angle: float, seed: int, scales: list[float]) -> None:
     axis = np.random.default_rng(seed).normal(size=3)

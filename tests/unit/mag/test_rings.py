@@ -18,6 +18,7 @@ from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.ring_centres import CENTRES, Ring, centre_of, fit_circle
 from mavcal.calib.mag.rings import fit_rings
 from mavcal.calib.mag.rings_algebra import by_dominant, columns_of, published
+from tests.examples import examples
 
 WAYS = np.vstack([np.eye(3), -np.eye(3)])
 STRENGTH, DIP = 49.0, np.radians(66.0)
@@ -245,7 +246,7 @@ def test_native_forms_are_the_model() -> None:
     assert "mag_0[4][4]" in fit.native["c_array"]
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(
     shift=st.tuples(*[st.floats(-100.0, 100.0)] * 3),
     scale=st.floats(0.05, 50.0),

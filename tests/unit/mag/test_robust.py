@@ -14,6 +14,7 @@ from mavcal.calib.mag.moments import Moments
 from mavcal.calib.mag.robust import OUTLIER, distances_from, find_start, robust_sd
 from mavcal.calib.mag.samples import Cloud
 from mavcal.calib.mag.shape import Ellipsoid, MagModel
+from tests.examples import examples
 
 
 def start(samples: Any, **more: Any) -> tuple[Any, Cloud]:
@@ -26,7 +27,7 @@ def in_ut(ellipsoid: Ellipsoid, cloud: Cloud) -> tuple[Any, Any]:
     return cloud.scale * ellipsoid.offset + cloud.centre, cloud.scale * ellipsoid.shape
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.integers(0, 1000), st.floats(0.0, 0.25), st.floats(5.0, 1e4))
 def test_the_noise_of_the_majority_is_found_whatever_the_outliers_are(seed: int, share: float, far: float) -> None:
     rng = np.random.default_rng(seed)
@@ -36,7 +37,7 @@ def test_the_noise_of_the_majority_is_found_whatever_the_outliers_are(seed: int,
     assert robust_sd(residuals, 1e-9) == pytest.approx(0.3, rel=0.12 if far > 4.0 else 0.3)
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.integers(0, 1000), st.sampled_from([150.0, 300.0, 500.0, 1000.0, 3000.0]), st.integers(1, 3))
 def test_a_few_wild_samples_do_not_bend_the_start_through_themselves(seed: int, size: float, count: int) -> None:
     """A glitch of the bus: its sample hangs the first least squares on itself and then passes as clean."""

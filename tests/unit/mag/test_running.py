@@ -16,11 +16,12 @@ from mavcal.calib.mag.moments import Moments
 from mavcal.calib.mag.running import RunningEllipsoid, quadric, quadric_derivatives, squared_gradient
 from mavcal.calib.mag.samples import Cloud
 from mavcal.calib.mag.shape import correction, six_numbers
+from tests.examples import examples
 
 ABOUT = ([10.0, 0.0, 10.0], 50.0)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(cuts=st.lists(st.integers(0, 900), max_size=6), forgetting=st.sampled_from([1.0, 0.99]))
 def test_cuts_and_joins_do_not_matter(cuts: list[int], forgetting: float) -> None:
     rng = np.random.default_rng(1)

@@ -18,6 +18,7 @@ from mavcal.calib.mag.samples import (
     real_array,
 )
 from mavcal.calib.mag.sections import CENTRES, N_SECTIONS, mask_bytes, sections, visited
+from tests.examples import examples
 
 RNG = np.random.default_rng(3)
 ROUND = RNG.normal(size=(500, 3))
@@ -95,7 +96,7 @@ def test_a_reading_that_was_sent_twice_counts_once() -> None:
     assert not_repeated(samples[:1]).tolist() == [True]
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.integers(0, 1000), st.floats(-1e4, 1e4), st.floats(1e-2, 1e3))
 def test_a_cloud_is_looked_at_in_its_own_units(seed: int, middle: float, width: float) -> None:
     samples = middle + width * np.random.default_rng(seed).normal(size=(200, 3))
@@ -128,7 +129,7 @@ def test_a_cloud_of_one_point_has_a_scale_all_the_same() -> None:
     assert Cloud.of(np.ones((4, 3))).scale > 0.0
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.integers(0, 10_000), st.floats(0.05, 1.0))
 def test_a_cloud_with_thickness_is_none_however_it_lies(seed: int, thickness: float) -> None:
     turn = Rotation.random(random_state=seed).as_matrix()
@@ -166,7 +167,7 @@ def test_sections_are_about_equal() -> None:
     assert counts.max() < 650
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.sets(st.integers(0, N_SECTIONS - 1)))
 def test_a_mask_has_a_bit_for_every_section(seen: set[int]) -> None:
     flags = np.zeros(N_SECTIONS, dtype=bool)

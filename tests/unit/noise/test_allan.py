@@ -16,6 +16,7 @@ from mavcal.calib.noise.allan import FLICKER, fit_noise, octaves, overlapping_de
 from mavcal.calib.noise.allan_fit import fit_allan
 from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
 from mavcal.calib.report import to_json
+from tests.examples import examples
 
 RATE = 50.0
 
@@ -105,7 +106,7 @@ def test_another_route_agrees():
     assert np.abs(fit.values[2] - rough[2]) < 3.0 * np.nan_to_num(fit.sd[2], nan=fit.upper[2])
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(scale=st.floats(1e-5, 1e5), shift=st.floats(-1e3, 1e3), factor=st.floats(0.1, 100.0))
 def test_another_unit_another_offset_and_another_clock(scale, shift, factor):
     y = coloured(np.random.default_rng(7), 4096, 0.01, 0.004)

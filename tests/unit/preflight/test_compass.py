@@ -15,6 +15,7 @@ from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Check, Verdict
 from mavcal.calib.preflight.compass import Upright, compass_direction, compass_field, disturbed
 from mavcal.calib.preflight.rest import Mean
+from tests.examples import examples
 
 FIELD = EarthField.from_elements(48.0, math.radians(64.0), math.radians(5.0), norm_sd=0.2, model="WMM-2025")
 LEVEL = Rotation.identity()
@@ -50,7 +51,7 @@ def attitude(yaw: float, pitch: float, roll: float) -> Rotation:
     return Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True)
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(ANGLES, st.floats(-50.0, 50.0), st.floats(-80.0, 80.0))
 def test_compasses_that_read_the_field_agree_in_every_attitude(yaw: float, pitch: float, roll: float) -> None:
     body = attitude(yaw, pitch, roll)
@@ -61,7 +62,7 @@ def test_compasses_that_read_the_field_agree_in_every_attitude(yaw: float, pitch
     assert compass_field(compasses, (), FIELD).verdict is Verdict.PASS
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(ANGLES, st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(-170.0, 170.0))
 def test_a_compass_that_is_turned_is_off_by_that_angle(yaw: float, pitch: float, roll: float, turned: float) -> None:
     body = attitude(yaw, pitch, roll)

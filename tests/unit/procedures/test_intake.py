@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mavcal.calib.procedures.intake import TICK, Intake
 from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
+from tests.examples import examples
 
 
 def channel(t, sensor=Sensor.ACCEL, instance=0, source="A", stage=Stage.RAW, values=None):
@@ -39,7 +40,7 @@ RECORDING = Recording(
 )
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 @given(st.lists(st.floats(5.0, 9.0), max_size=40))
 def test_ticks_do_not_depend_on_the_chunks(cuts):
     edges = [-np.inf, *sorted(cuts), np.inf]

@@ -14,6 +14,7 @@ from mavcal.calib.fit import FitResult, FitStatus, parameter_names
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.scoring import RecoveryScore, joint_p_value, score
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
+from tests.examples import examples
 
 OFFSETS = ("offset_x", "offset_y", "offset_z")
 
@@ -32,7 +33,7 @@ def spd(seed, size):
     return half @ half.T + 0.1 * np.eye(size)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(seed=st.integers(0, 200))
 def test_errors_are_weighed_by_their_whole_covariance(seed):
     covariance = spd(seed, 3)
@@ -42,7 +43,7 @@ def test_errors_are_weighed_by_their_whole_covariance(seed):
     np.testing.assert_allclose(made.standardised, errors / np.sqrt(np.diag(covariance)))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(units=st.lists(st.floats(-6.0, 6.0), min_size=3, max_size=3))
 def test_units_of_the_parameters_do_not_matter(units):
     covariance, errors = spd(1, 3), np.array([1.0, -2.0, 0.5])

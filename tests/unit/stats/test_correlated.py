@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
 from mavcal.calib.stats.correlated import _random_walk, coloured_covariance, long_run_variance
+from tests.examples import examples
 
 
 def test_white_noise_keeps_its_variance():
@@ -142,7 +143,7 @@ def test_block_means_of_a_random_walk_scatter_like_its_kernel():
 
 
 @given(seed=st.integers(0, 1000), scale=st.floats(1e-6, 1e6), shift=st.floats(-100.0, 100.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 def test_the_long_run_variance_has_the_square_of_the_unit(seed, scale, shift):
     x = lfilter([1.0], [1.0, -0.7], np.random.default_rng(seed).normal(size=300))
     assert long_run_variance(scale * (x + shift)) == pytest.approx(scale**2 * long_run_variance(x), rel=1e-6)

@@ -23,6 +23,7 @@ from mavcal.calib.stats.norm_fit import (
 )
 from mavcal.calib.stats.quantisation import QuantisedMean
 from mavcal.calib.stats.stillness import PoseMean
+from tests.examples import examples
 
 G = 9.80665
 OFFSET = np.array([0.3, -0.2, 0.5])
@@ -90,7 +91,7 @@ def test_errors_are_those_of_the_covariance():
 
 
 @given(scale=st.floats(1e-3, 1e5))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 def test_a_sensor_of_unknown_unit_is_the_same_in_radii(scale):
     one = NormProblem.of(poses_of(everywhere(), noise=0.01), in_si=False, gravity=G, cross_sd=None)
     other = NormProblem.of(poses_of(everywhere(), noise=0.01, scale=scale), in_si=False, gravity=G, cross_sd=None)

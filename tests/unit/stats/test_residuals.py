@@ -11,6 +11,7 @@ from scipy.stats import chi2, norm
 from scipy.stats import t as t_distribution
 
 from mavcal.calib.stats.residuals import first_correlation, residual_statistics, student_variance
+from tests.examples import examples
 
 
 def test_white_noise_of_the_right_size_passes():
@@ -79,7 +80,7 @@ def test_a_chance_of_one_in_a_thousand_is_the_limit_of_white(sign, correlation, 
 
 
 @given(seed=st.integers(0, 500), scale=st.floats(1e-3, 1e3))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_the_unit_of_residuals_does_not_matter(seed, scale):
     x = np.random.default_rng(seed).normal(size=(40, 2))
     one, other = residual_statistics(x, 70, 1.3), residual_statistics(x * scale, 70, 1.3 * scale)

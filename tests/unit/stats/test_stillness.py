@@ -13,6 +13,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.still_limits import HELD, RESTING
 from mavcal.calib.stats.stillness import Still, StillnessDetector, find_still, pose_means
+from tests.examples import examples
 
 G = 9.80665
 
@@ -51,7 +52,7 @@ def test_noisy_and_quiet_sensors_rest_alike(noise):
     assert still.accel == pytest.approx([0.0, 0.0, -G], abs=0.03)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=30))
 def test_spans_do_not_depend_on_the_chunks(sizes):
     force = np.concatenate([level(300), level(100) + np.array([3.0, 0.0, 1.0]), level(300)])

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcal.calib.stats.windows import finite_rows, occupied_starts, row_of, window_statistics, without_spikes
+from tests.examples import examples
 
 
 def test_lone_spikes_are_found_and_movements_are_not():
@@ -44,7 +45,7 @@ def irregular(seed: int, n: int = 400) -> tuple[np.ndarray, np.ndarray]:
 
 
 @given(seed=st.integers(0, 1000), length=st.floats(0.4, 2.0))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_every_window_has_the_mean_and_line_that_numpy_fits(seed, length):
     t, x = irregular(seed)
     starts = np.arange(t[0], t[-1] - length, length / 3.0)
@@ -132,7 +133,7 @@ def test_fewer_than_nine_rows_show_no_spike():
 
 
 @given(scale=st.floats(1e-6, 1e6), shift=st.floats(-10.0, 10.0))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_spikes_are_the_same_in_every_unit(scale, shift):
     values = np.random.default_rng(9).normal(size=(300, 2)) * [1.0, 0.1]
     values[[40, 200], 1] += [12.0, -30.0]

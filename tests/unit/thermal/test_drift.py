@@ -12,6 +12,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
 from mavcal.calib.stats.correlated import ColouredCovariance
 from mavcal.calib.thermal.drift import DriftBlocks, DriftCurve, DriftData, powers_about, repeated_rows
+from tests.examples import examples
 
 ALL, NONE = np.ones(3, dtype=bool), np.zeros(3, dtype=bool)
 
@@ -27,7 +28,7 @@ def warming(n=600, seed=0, noise=0.01):
 
 
 @given(seed=st.integers(0, 1000), degree=st.integers(1, 4), n=st.integers(10, 900))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_blocks_sum_to_the_least_squares_of_all_samples(seed, degree, n):
     rng = np.random.default_rng(seed)
     x, y = np.sort(rng.uniform(-1.0, 1.0, n)), rng.normal((0.0, 10.0, -1e4), size=(n, 3))

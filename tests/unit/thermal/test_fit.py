@@ -12,6 +12,7 @@ from mavcal.calib.fit import FitStatus
 from mavcal.calib.recording import Channel, Sensor, Stage
 from mavcal.calib.thermal.drift import DriftBlocks
 from mavcal.calib.thermal.fit import fit_linear, fit_polynomial
+from tests.examples import examples
 
 T_S2 = np.array([25.0, 35.0, 45.0, 55.0, 65.0, 55.0, 45.0])
 Y_S2 = np.array([400.0, 411.0, 419.0, 431.0, 440.0, 429.0, 420.0])
@@ -103,7 +104,7 @@ def test_rows_pasted_again_count_as_weights_and_not_as_information():
     assert once.quality["repeated_rows"] == 0
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(seed=st.integers(0, 1000), scale=st.floats(1e-3, 1e3), shift=st.floats(-100.0, 100.0), degree=st.integers(1, 4))
 def test_another_unit_and_another_offset(seed, scale, shift, degree):
     rng = np.random.default_rng(seed)

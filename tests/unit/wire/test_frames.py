@@ -14,6 +14,7 @@ from mavcal.calib import wire
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.wire import frames
 from mavcal.calib.wire.frames import MAGIC_V1, MAGIC_V2, SIGNED, cut, next_magic
+from tests.examples import examples
 
 KEY = bytes(range(32))
 UNKNOWN = 10_000
@@ -73,7 +74,7 @@ def test_a_payload_of_zeros_keeps_its_first_byte():
     assert frame.payload == b"\x00"
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(at=st.integers(1, 20), bit=st.integers(0, 7))
 def test_any_bit_that_flips_in_a_frame_is_noticed(at, bit):
     data = bytearray(encoded())

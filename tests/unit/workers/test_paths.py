@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcal.service.workers.paths import BELOW, moved
+from tests.examples import examples
 
 OURS, THEIRS = Path("/instance/uploads"), Path("/worker/mnt")
 NAMES = st.text("abc01.-", min_size=1, max_size=8).filter(lambda name: name not in {".", ".."})
@@ -14,7 +15,7 @@ PLAIN = st.none() | st.booleans() | st.floats(allow_nan=False) | NAMES
 ORDERS = st.dictionaries(NAMES, PLAIN | PATHS | st.lists(PATHS, max_size=2) | st.dictionaries(NAMES, PATHS, max_size=2))
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(ORDERS)
 def test_an_order_that_goes_to_a_worker_and_back_is_the_same(order):
     sent = moved(order, OURS, None)

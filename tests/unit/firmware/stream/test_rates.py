@@ -15,6 +15,7 @@ from mavcal.calib.firmware.stream.clock import WRAP_S, VehicleClock
 from mavcal.calib.firmware.stream.rates import Assembler, live_streams, requested_streams
 from mavcal.calib.recording import Channel, Event, Identity, Recording, Rounding, Sensor, Stage, join
 from mavcal.calib.wire import Frame, FrameParser, RawMessage, encode
+from tests.examples import examples
 
 ARDUPILOT = Identity(autopilot="ardupilot", system=1, component=1)
 PX4 = Identity(autopilot="px4", system=1, component=1)
@@ -221,7 +222,7 @@ class TestClock:
         assert [(e.kind, e.text) for e in recording.events] == [("gap", "RAW_IMU paused for 3.5 s")]
 
     @given(st.lists(st.floats(0, 1e6), max_size=60), st.integers(1, 7))
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=examples(60), deadline=None)
     def test_batches_do_not_matter(self, stamps: list[float], size: int) -> None:
         whole, pieces = VehicleClock(), VehicleClock()
         raw = np.array(stamps)
@@ -331,7 +332,7 @@ class TestOthers:
 
 
 @given(st.data())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_chunks_of_any_size_join_to_the_same_recording(data: st.DataObject) -> None:
     rows: list[Row] = []
     for k in range(40):

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.recording import Sensor
+from tests.examples import examples
 
 from .conftest import make
 from .recovery import amplitudes, noisy
@@ -73,7 +74,7 @@ def test_a_vehicle_at_rest_says_what_is_missing_and_a_tumbling_one_misses_nothin
     assert effect.missing(make(sensor, "tumble")) is None
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3), st.sampled_from(["accel", "gyro"]))
 def test_a_turned_mission_turns_the_columns(rotvec, name):
     turn, sensor = Rotation.from_rotvec(rotvec), Sensor(name)

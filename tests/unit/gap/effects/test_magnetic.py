@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.effects import by_id, forward_models
 from mavcal.calib.recording import Sensor
+from tests.examples import examples
 
 from .conftest import EARTH, make
 from .recovery import amplitudes, noisy
@@ -55,7 +56,7 @@ def test_field_gradient():
     _recovered("mag_field_gradient", change, truth)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3))
 def test_a_turned_sensor_sees_the_same_place_turned(rotvec):
     turn = Rotation.from_rotvec(rotvec)

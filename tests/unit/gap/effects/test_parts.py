@@ -24,6 +24,7 @@ from mavcal.calib.gap.effects.parts import (
     spread,
 )
 from mavcal.calib.recording import Sensor
+from tests.examples import examples
 
 from .conftest import make
 
@@ -37,7 +38,7 @@ def test_a_ramp_through_one_pole_is_exact_however_long_a_sample_is():
     np.testing.assert_allclose(lagged(2.0 * t + 7.0, dt, tau), expected, atol=1e-12)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(tau=st.floats(0.05, 20.0), dt=st.floats(0.01, 2.0), seed=st.integers(0, 99))
 def test_a_pole_follows_straight_lines_as_an_integrated_equation_does(tau, dt, seed):
     x = np.random.default_rng(seed).normal(size=6)
@@ -75,7 +76,7 @@ def test_columns_of_signals_lie_on_one_axis_each_in_the_order_of_their_names():
     assert [p.name for p in per_axis("bias", "m/s2")] == [f"bias.{axis}" for axis in AXES]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(turn=angles, vector=angles)
 def test_a_cross_product_is_the_first_order_of_a_turn(turn, vector):
     small = 1e-6 * np.array(turn)
@@ -84,7 +85,7 @@ def test_a_cross_product_is_the_first_order_of_a_turn(turn, vector):
     np.testing.assert_allclose(made[0], exact, atol=1e-10)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(euler=angles, size=st.floats(0.1, 10.0))
 def test_quaternions_take_north_east_down_to_the_body_whatever_their_length(euler, size):
     turned = Rotation.from_euler("ZYX", euler)

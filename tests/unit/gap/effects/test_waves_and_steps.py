@@ -26,11 +26,12 @@ from mavcal.calib.gap.effects.timing import cutoffs, delays, drifts, shifted, sl
 from mavcal.calib.gap.effects.tone import bins, wave
 from mavcal.calib.gap.likelihood import frequencies, random_walk
 from mavcal.calib.recording import Sensor
+from tests.examples import examples
 
 from .conftest import make
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(moment=st.floats(0.5, 9.0))
 def test_a_step_rises_within_the_sample_before_its_moment(moment):
     trace = make(Sensor.GYRO, seconds=10.0, fs=50.0)
@@ -105,7 +106,7 @@ def test_noise_is_stated_by_its_allan_coefficients():
     )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(samples=st.floats(-8.0, 8.0))
 def test_a_slow_wave_is_moved_by_any_part_of_a_sample(samples):
     trace = make(Sensor.GYRO, seconds=10.0)
@@ -147,7 +148,7 @@ def test_the_slope_is_that_of_the_liveliest_axis_where_two_samples_follow_each_o
     assert slope(every_second) == 0.0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(t_ref=st.floats(20.0, 40.0), slopes=st.tuples(*[st.floats(0.5, 2.0)] * 3))
 def test_the_temperature_at_which_slopes_vanish_is_found(t_ref, slopes):
     warm = 30.0 + 8.0 * np.sin(np.arange(400) * 0.03)
@@ -195,7 +196,7 @@ def test_an_end_of_the_range_takes_what_lies_beyond_and_a_dead_band_what_lies_wi
     np.testing.assert_allclose(dead_column(blurred, 0.6)[0], [[0.0, 0.0, -0.5], [0.0, 0.0, 0.0]])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(entries=st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6))
 def test_soft_iron_is_a_symmetric_matrix(entries):
     trace = make(Sensor.MAG, seconds=1.0)

@@ -18,6 +18,7 @@ from mavcal.calib.gap.schema import EffectEstimate, as_json
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate import from_sitl
 from mavcal.calib.simulate.document import stated_in
+from tests.examples import examples
 
 from .making import effect, report
 
@@ -221,7 +222,7 @@ def test_the_file_reads_back_as_the_sensors(tmp_path: object) -> None:
     np.testing.assert_allclose(np.diag(errors.matrix) - 1.0, [0.02, -0.01, 0.03], rtol=1e-5)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6), st.lists(st.floats(-20, 20), min_size=3, max_size=3))
 def test_any_soft_and_hard_iron_comes_back(iron: list[float], hard: list[float]) -> None:
     names = ("xx", "yy", "zz", "xy", "xz", "yz")

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcal.calib.gap.model.normal_equations import eigh, solved
+from tests.examples import examples
 
 
 def system(seed, rows=40, columns=4, scale=None):
@@ -17,7 +18,7 @@ def system(seed, rows=40, columns=4, scale=None):
     return X, y
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(seed=st.integers(0, 500), columns=st.integers(1, 6))
 def test_a_full_system_is_least_squares_with_its_covariance(seed, columns):
     X, y = system(seed, columns=columns)
@@ -27,7 +28,7 @@ def test_a_full_system_is_least_squares_with_its_covariance(seed, columns):
     assert rank == columns
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(seed=st.integers(0, 500), units=st.lists(st.floats(-6.0, 6.0), min_size=4, max_size=4))
 def test_units_of_the_parameters_do_not_matter(seed, units):
     X, y = system(seed)

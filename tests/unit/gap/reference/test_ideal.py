@@ -17,6 +17,7 @@ from mavcal.calib.gap.reference.ideal import Ideal, continuous, recorded, trace_
 from mavcal.calib.gap.reference.sample_age import slopes_squared
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.recording import Channel, Identity, ParameterTimeline, Recording, Sensor, Stage
+from tests.examples import examples
 
 T = np.arange(0.0, 10.0, 0.02)
 SIM = ReferenceInfo(ReferenceKind.SIM)
@@ -31,7 +32,7 @@ def channel(t=T, values=None, sensor=Sensor.GYRO, instance=0, *, stage=Stage.RAW
     return Channel(sensor, instance, np.asarray(t), np.asarray(made, dtype=float), unit, stage, source)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(signs=st.lists(st.sampled_from([-1.0, 1.0]), min_size=30, max_size=30))
 def test_attitudes_without_jumps_of_sign_are_the_same_attitudes(signs):
     q = Rotation.from_rotvec(np.arange(30)[:, None] * [0.1, -0.2, 0.15]).as_quat(scalar_first=True)

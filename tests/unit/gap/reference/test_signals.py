@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.reference.signals import LONGEST_HOLE_S, Signal, grid_of, linear, low_passed, slow
 from mavcal.calib.recording import Channel, Sensor, Stage
+from tests.examples import examples
 
 T = np.arange(0.0, 10.0, 0.1)
 
@@ -24,7 +25,7 @@ def cubic(t):
     return np.column_stack([1.0 + t - 0.3 * t**2 + 0.02 * t**3, 2.0 - t**2])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(wanted=st.lists(st.floats(0.0, 9.9), min_size=1, max_size=20))
 def test_a_cubic_is_exact_between_its_samples(wanted):
     t = np.array(sorted(wanted))
@@ -87,7 +88,7 @@ def test_what_changes_slowly_is_taken_of_the_first_channel_that_has_two_samples(
     np.testing.assert_allclose(linear(T, cubic(T), T[:5]), cubic(T[:5]))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(
     step=st.floats(0.002, 0.5),
     start=st.floats(-100.0, 100.0),

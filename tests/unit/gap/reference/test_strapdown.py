@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.strapdown import STEPS, WARM, Increments
+from tests.examples import examples
 
 T = np.arange(0.0, 10.001, 0.01)
 NODES = np.arange(0.0, 9.01, 0.5)
@@ -21,7 +22,7 @@ def signal(values, t=T):
     return Signal(t, np.broadcast_to(np.asarray(values, dtype=float), (len(t), 3)).copy())
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(rate=triples, force=triples)
 def test_a_steady_rate_and_force_are_turned_as_a_rigid_body_turns(rate, force):
     """Velocity in the axes of the start is the integral of exp(w s) f over half a second, by a fine sum."""

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, ncx2
 
 from mavcal.calib.gap.search.power import noncentrality
+from tests.examples import examples
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(df=st.integers(1, 12), exponent=st.floats(-8.0, -1.0))
 def test_a_test_at_that_size_fires_half_of_the_time(df, exponent):
     level = 10.0**exponent

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate
 from mavcal.calib.gap.telling.agreement import agreements, distance
+from tests.examples import examples
 from tests.unit.gap.export.making import effect
 
 
@@ -20,7 +21,7 @@ def told(
     return replace(effect("accel_bias", instances), id=id_, params=params)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(st.floats(-5.0, 5.0), st.floats(0.001, 1.0), st.floats(0.001, 1.0))
 def test_one_number_agrees_within_two_of_both_errors(difference: float, first: float, second: float) -> None:
     one, other = told(0.0, se=first), told(difference, se=second)
@@ -76,7 +77,7 @@ def test_of_several_steps_each_has_a_counterpart_of_its_own() -> None:
     assert [f.holds for f in twice] == [True, False]
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(st.lists(st.floats(-9.0, 9.0), max_size=6), st.lists(st.floats(-9.0, 9.0), max_size=6))
 def test_every_effect_has_a_row_and_no_counterpart_is_used_twice(mine: list[float], theirs: list[float]) -> None:
     others = [told(value) for value in theirs]

@@ -16,6 +16,7 @@ from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.exchange import Alternative, Place
 from mavcal.calib.gap.worth import attribution
 from mavcal.calib.gap.worth.attribution import TEMPERATURE, Attribution
+from tests.examples import examples
 
 OWN = 100.0
 """Penalised evidence of the effect itself."""
@@ -71,7 +72,7 @@ def test_beside_a_temperature_that_rises_with_time_both_are_named_with_what_deci
     assert judged(other(GROWING, 1.0), own="accel_bias")[0] == ()
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(st.lists(st.floats(-20.0, 200.0), max_size=5))
 def test_probabilities_are_those_of_the_flattened_evidence(behind):
     """By hand: each stands for exp(-evidence behind / (2 temperature))."""
