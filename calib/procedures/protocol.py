@@ -113,7 +113,7 @@ class Prompt:
     tilts: tuple[Tilt, ...] = ()
     """The oblique poses, those that were taken first, then in the order in which they are asked for."""
     unfinished: str = ""
-    """What stays open if it is ended now by the answer ``finish``, as a sentence; empty: nothing does."""
+    """A sentence that says what the answer ``finish`` would leave undetermined now; empty: nothing."""
     silence: Silence | None = None
     """The vehicle is not heard; the rest of the prompt is as before."""
 

@@ -85,7 +85,7 @@ def _status(fit: FitResult, name: str, key: str) -> Criterion:
 
 
 def _missing(fit: FitResult) -> str:
-    """What a fit leaves open, in words."""
+    """The parameters that a fit does not determine, as part of a sentence."""
     matrix = [name for name in fit.undetermined if name.startswith("matrix")]
     if fit.quality.get("soft_iron_kept") and len(matrix) == len(fit.undetermined) == MATRIX_ENTRIES:
         return "soft iron and scale stay as they are, nothing was measured of them"

@@ -1,4 +1,4 @@
-"""How each compass of a plan is mounted: what the vehicle is told, and what a person may choose instead."""
+"""The stated mounting of each compass of a plan, and the rotations that an operator may choose instead."""
 
 from __future__ import annotations
 

@@ -15,13 +15,7 @@ from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.calib.report import to_json
-from mavcal.service.errors import (
-    AnswerRefused,
-    Forbidden,
-    IllegalTransition,
-    NotCancellable,
-    NotRevertible,
-)
+from mavcal.service.errors import AnswerRefused, Forbidden, IllegalTransition, NotCancellable, NotRevertible
 from mavcal.service.jobs.acceptance import Acceptance
 from mavcal.service.jobs.admission import (
     WAY,
@@ -453,8 +447,6 @@ class JobEngine:
         handle.move(JobState.ROLLING_BACK, prompt=None)
         self._tasks.spawn(handle, self._writes.transaction(handle).revert)
         return handle.job
-
-    # --- inside
 
     def _made(self, vehicle: JobVehicle, kind: str, options: Mapping[str, Any], context: Mapping[str, Any]) -> Job:
         """A new job of a vehicle, whose fits are to come."""

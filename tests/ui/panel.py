@@ -130,3 +130,10 @@ def until(happens: Callable[[], bool], seconds: float, what: str) -> None:
     while not happens():
         assert not limit.over, what
         time.sleep(0.1)
+
+
+def shot(panel: Panel, name: str) -> None:
+    """A picture of the whole page for a person, where ``PANEL_SHOTS`` names a folder."""
+    if folder := os.environ.get("PANEL_SHOTS"):
+        panel.page.wait_for_timeout(3000)  # a picture in the page is drawn once its library is there
+        panel.page.screenshot(path=f"{folder}/{name}.png", full_page=True)

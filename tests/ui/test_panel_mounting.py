@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
 from playwright.sync_api import expect
 
 from bench.film.rooms import connected, reviewed
 from mavcal.client import Client
 
-from .panel import Panel, service, sim, until
+from .panel import Panel, service, shot, sim, until
 
 PHONE = {"width": 390, "height": 844}
 DESK = {"width": 1280, "height": 800}
@@ -24,13 +22,6 @@ TURNED = {
 """The second compass is turned by yaw 270, and the vehicle is not told."""
 
 pytestmark = [pytest.mark.timeout(300), pytest.mark.long]
-
-
-def shot(panel: Panel, name: str) -> None:
-    """A picture for who looks, where a folder is named."""
-    if folder := os.environ.get("PANEL_SHOTS"):
-        panel.page.wait_for_timeout(3000)  # a picture is drawn once its library is there
-        panel.page.screenshot(path=f"{folder}/{name}.png", full_page=True)
 
 
 @pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])

@@ -46,7 +46,7 @@ class MountingRotation:
 
     @property
     def words(self) -> str:
-        """What it is, after "mounted"."""
+        """The mounting as part of a sentence that begins "mounted"."""
         return f"as chosen ({self.name})" if self.chosen else f"turned by {self.name}"
 
     @property
