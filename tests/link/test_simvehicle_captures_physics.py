@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from mavcal.service.simvehicle.config import load_config
-from mavcal.service.simvehicle.replay import heard, read_frames
 from mavcal.service.simvehicle.rotation import matrices_from_quaternions, quaternion_from_euler
 from mavcal.service.simvehicle.server import make_vehicle
 from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
 from mavcal.service.simvehicle.wire import Packer, split_datagram
+from tests.link.replay import heard, read_frames
 
 pytestmark = pytest.mark.shared
 

@@ -34,9 +34,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.parameters import load_table
-from mavcal.service.simvehicle.replay import Heard, ReplayedFrame, heard, read_frames, replay
 from mavcal.service.simvehicle.server import make_vehicle
 from mavcal.service.simvehicle.vehicle import FlightController
+from tests.link.replay import Heard, ReplayedFrame, heard, read_frames, replay
 
 pytestmark = pytest.mark.shared
 
