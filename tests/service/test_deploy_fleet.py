@@ -1,74 +1,27 @@
-"""The files of `deploy/` for a fleet: as their readers read them, with settings that exist."""
+"""The files of `deploy/` for a fleet: settings that exist, and an instance and a worker run as their units say."""
 
 from __future__ import annotations
 
-import os
 import re
+import shlex
 import shutil
 import subprocess
+import sys
+import time
 from pathlib import Path
-from typing import Any
 
+import httpx
 import pytest
-import yaml
 
 from mavcal.service.settings import Settings, settings_table
+from tests.patience import patience
 
-from .deployed import DEPLOY, ROOT
+from .deployed import DEPLOY, ROOT, UNIT, clean_environment, environment_of, seconds_of, started, unit
+from .test_api_recordings import sphere_csv
 
-COMPOSE = DEPLOY / "compose.yaml"
+WORKER = DEPLOY / "mavcal-worker.service"
+DROP_IN = DEPLOY / "mavcal-fleet.conf"
 KNOWN = set(re.findall(r"MAVCAL_\w+", settings_table()))
-
-
-@pytest.fixture
-def compose() -> dict[str, Any]:
-    return dict(yaml.safe_load(COMPOSE.read_text()))
-
-
-def test_compose_has_a_database_two_instances_and_a_worker(compose: dict[str, Any]) -> None:
-    services = compose["services"]
-    assert set(services) == {"database", "a", "b", "worker"}
-    ours = [services[name] for name in ("a", "b", "worker")]
-    assert len({each["environment"]["MAVCAL_DATABASE_URL"] for each in ours}) == 1
-    assert len({each["environment"]["MAVCAL_UPLOADS_DIR"] for each in ours}) == 1
-    assert len({each["environment"]["MAVCAL_DATA_DIR"] for each in ours}) == 3  # one process owns each
-    assert {each["build"]["args"]["EXTRA"] for each in ours} == {"[fleet]"}
-    assert all(each["depends_on"]["database"]["condition"] == "service_healthy" for each in ours)
-    published = [port for each in services.values() for port in each.get("ports", ())]
-    assert all(port.startswith("127.0.0.1:") for port in published)
-    assert "ports" not in services["database"]
-
-
-def test_compose_names_settings_that_exist_and_holds_no_secret(compose: dict[str, Any]) -> None:
-    for each in compose["services"].values():
-        names = {name for name in each.get("environment", {}) if name.startswith("MAVCAL_")}
-        assert names <= KNOWN, names - KNOWN
-    assert "${POSTGRES_PASSWORD:?" in COMPOSE.read_text()
-
-
-def compose_command(folder: Path) -> list[str]:
-    """What reads a compose file here, with the file; the older program does not know `name`. Skips if there is none."""
-    if shutil.which("docker") and subprocess.run(["docker", "compose", "version"], capture_output=True).returncode == 0:
-        return ["docker", "compose", "-f", str(COMPOSE)]
-    if shutil.which("docker-compose"):
-        copy = folder / "compose.yaml"
-        copy.write_text(re.sub(r"^name:.*\n", "", COMPOSE.read_text(), flags=re.MULTILINE))
-        return ["docker-compose", "--project-directory", str(DEPLOY), "-f", str(copy)]
-    pytest.skip("no docker compose is here: the file was read as YAML alone")
-
-
-def test_compose_itself_takes_the_file_and_demands_the_secrets(tmp_path: Path) -> None:
-    command = [*compose_command(tmp_path), "config"]
-    given = {"PATH": os.environ["PATH"], "POSTGRES_PASSWORD": "p", "MAVCAL_API_KEYS": "[]"}
-    done = subprocess.run(command, capture_output=True, text=True, env=given, check=True)
-    made = yaml.safe_load(done.stdout)["services"]
-    assert made["a"]["environment"]["MAVCAL_DATABASE_URL"] == "postgresql://mavcal:p@database/mavcal"
-    assert made["worker"]["command"] in ("worker", ["worker"])
-    for missing in ("POSTGRES_PASSWORD", "MAVCAL_API_KEYS"):
-        without = {name: value for name, value in given.items() if name != missing}
-        refused = subprocess.run(command, capture_output=True, text=True, env=without, check=False)
-        assert refused.returncode != 0
-        assert missing in refused.stderr
 
 
 def test_settings_of_the_fleet_are_settings() -> None:
@@ -86,22 +39,59 @@ def test_settings_of_the_fleet_are_settings() -> None:
 
 
 def test_units_are_such(tmp_path: Path) -> None:
-    unit = (DEPLOY / "mavcal-worker.service").read_text()
-    assert re.search(r"^ExecStart=/opt/mavcal/bin/mavcal worker$", unit, re.MULTILINE)
+    text = WORKER.read_text()
     for name in ("DynamicUser=yes", "ProtectSystem=strict", "NoNewPrivileges=yes", "DevicePolicy=closed"):
-        assert f"\n{name}\n" in unit
-    for file in ("mavcal-worker.service", "mavcal-fleet.conf"):
-        for line in (DEPLOY / file).read_text().splitlines():
-            assert not line or line[0] in "#[" or re.match(r"[A-Z]\w+=", line), line
+        assert f"\n{name}\n" in text
     if shutil.which("systemd-analyze") is None:
         pytest.skip("systemd-analyze is not here: the unit was read, but not verified")
     copy = tmp_path / "mavcal-worker.service"
-    copy.write_text(re.sub(r"^(ExecStart=)\S+", r"\1/bin/true", unit, flags=re.MULTILINE))
+    copy.write_text(re.sub(r"^(ExecStart=)\S+", r"\1/bin/true", text, flags=re.MULTILINE))
     done = subprocess.run(["systemd-analyze", "verify", str(copy)], capture_output=True, text=True, check=False)
     assert "mavcal-worker" not in done.stderr, done.stderr
 
 
-def test_the_page_names_the_files_that_there_are() -> None:
-    page = (ROOT / "docs" / "fleet-postgres.md").read_text()
-    for name in re.findall(r"deploy/([\w.-]+\w)", page):
-        assert (DEPLOY / name).exists(), name
+def command(path: Path) -> list[str]:
+    """The unit's ExecStart, by this interpreter."""
+    program, *arguments = shlex.split(unit(path)["ExecStart"][0])
+    assert program == "/opt/mavcal/bin/mavcal"
+    return [sys.executable, "-m", "mavcal", *arguments]
+
+
+def environment(path: Path, database: str, folder: Path) -> dict[str, str]:
+    """The unit's Environment and fleet.env, with this database and folders below `folder`."""
+    given = dict(line.split("=", 1) for line in unit(path)["Environment"]) | environment_of(DEPLOY / "fleet.env")
+    data = folder / Path(given["MAVCAL_DATA_DIR"]).name
+    data.mkdir(mode=0o700)
+    ours = {
+        "MAVCAL_DATABASE_URL": database,
+        "MAVCAL_UPLOADS_DIR": str(folder / "uploads"),
+        "MAVCAL_DATA_DIR": str(data),
+        "MAVCAL_PORT": "0",
+    }
+    assert {"/etc/mavcal/fleet.env"} == set(unit(DROP_IN)["EnvironmentFile"]) | set(unit(WORKER)["EnvironmentFile"])
+    return clean_environment() | given | ours
+
+
+@pytest.mark.long
+def test_an_instance_and_a_worker_run_as_their_units_say(tmp_path: Path, database_url: str) -> None:
+    instance, worker = (environment(path, database_url, tmp_path) for path in (UNIT, WORKER))
+    limit = patience(90.0)
+    with (
+        started(command(UNIT), instance, tmp_path) as running,
+        subprocess.Popen(command(WORKER), env=worker, cwd=ROOT) as working,
+        httpx.Client(base_url=f"{running.url}/api/v1", timeout=60.0) as client,
+    ):
+        try:
+            table = client.post("/recordings", params={"name": "sphere.csv"}, content=sphere_csv()).json()
+            job = client.post("/fits", json={"method": "mag-ellipsoid", "recording": table["id"]}).json()
+            while job["state"] != "succeeded":  # nobody but the worker computes: without it the fit stays queued
+                assert job["state"] not in {"failed", "cancelled"}, job
+                assert working.poll() is None
+                assert not limit.over, running.log.read_text()
+                time.sleep(0.1)
+                job = client.get(f"/jobs/{job['id']}").json()
+            working.terminate()
+            assert working.wait(seconds_of(unit(WORKER)["TimeoutStopSec"][0])) == 0
+            assert running.ended(seconds_of(unit(UNIT)["TimeoutStopSec"][0])) == 0, running.log.read_text()
+        finally:
+            working.kill()
