@@ -7,6 +7,7 @@ import pytest
 from bench.hostile import main
 
 
+@pytest.mark.long
 @pytest.mark.timeout(120)
 def test_hostile_datagrams_neither_silence_the_vehicle_nor_make_it_writable(
     capsys: pytest.CaptureFixture[str],

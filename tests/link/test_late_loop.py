@@ -51,6 +51,7 @@ async def vehicle(sim: SimulatedVehicle, told: list[VehicleEventKind], tmp_path:
     registry.close()
 
 
+@pytest.mark.long
 async def test_a_healthy_vehicle_is_written_to_although_the_loop_is_late(
     sim: SimulatedVehicle, vehicle: Vehicle, told: list[VehicleEventKind]
 ) -> None:
@@ -98,6 +99,7 @@ async def test_what_came_and_went_while_the_loop_was_late_stops_a_write(
         await guard.run(asyncio.Event().wait)
 
 
+@pytest.mark.long
 async def test_a_restart_while_the_loop_was_late_stops_a_write(sim: SimulatedVehicle, vehicle: Vehicle) -> None:
     async with asyncio.timeout(scaled(30)):
         while (vehicle.state.boot_time or 0.0) < 12.0:  # noqa: ASYNC110 - up for longer than the loop is late

@@ -211,6 +211,7 @@ def column_means(messages: list[Heard]) -> np.ndarray:
     return np.mean([[getattr(h.received.message, n) for n in names] for h in messages], axis=0)
 
 
+@pytest.mark.long
 def test_streams_at_rest_have_the_same_rates_and_values(captures: Path, sitl_table: Path) -> None:
     frames = list(read_frames(captures / "rest.tlog"))
     said = replay(sitl_vehicle(sitl_table), frames, STATION, boot_offset=6.05)

@@ -196,6 +196,7 @@ def run(
     return frames, said, vehicle
 
 
+@pytest.mark.long
 def test_lists_begin_with_the_hash_and_a_second_list_restarts_without(captures: Path, tables: dict[int, Path]) -> None:
     frames, said, _ = run(captures, tables, "params")
     requests = heard(frames, STATION, REQUESTS)
@@ -219,6 +220,7 @@ def test_lists_begin_with_the_hash_and_a_second_list_restarts_without(captures: 
     assert sim_version.flight_sw_version == real_version.flight_sw_version
 
 
+@pytest.mark.long
 def test_writes_are_echoed_refused_and_repeated_alike(captures: Path, tables: dict[int, Path]) -> None:
     """Bytewise int32, wrong types, unlisted names, out of range, sets and commands while armed."""
     frames, said, vehicle = run(captures, tables, "set")
@@ -241,6 +243,7 @@ def test_not_a_number_is_accepted_and_wrecks_the_next_save(captures: Path, table
     assert vehicle.parameters.frozen
 
 
+@pytest.mark.long
 def test_a_reboot_is_refused_and_a_shutdown_restarts(captures: Path, tables: dict[int, Path]) -> None:
     frames, said, vehicle = run(captures, tables, "reboot", 902)
     real = heard(frames, 1, {VALUE, ACK, 0, 30, 26})
@@ -262,6 +265,7 @@ def test_a_reboot_is_refused_and_a_shutdown_restarts(captures: Path, tables: dic
     assert vehicle.in_force()["CAL_ACC0_YOFF"] == pytest.approx(0.07)
 
 
+@pytest.mark.long
 def test_a_gyro_calibration_speaks_in_texts_and_writes_by_itself(captures: Path, tables: dict[int, Path]) -> None:
     frames, said, _ = run(captures, tables, "gyro_cal", step=0.02)
     real = heard(frames, 1, {VALUE, ACK, TEXT, 0})
@@ -288,6 +292,7 @@ def test_a_gyro_calibration_speaks_in_texts_and_writes_by_itself(captures: Path,
     assert states(said) == states(real)
 
 
+@pytest.mark.long
 def test_a_false_gyro_offset_is_only_overwritten_while_the_accelerometer_is_quiet(
     captures: Path, tables: dict[int, Path]
 ) -> None:
@@ -308,6 +313,7 @@ def test_a_false_gyro_offset_is_only_overwritten_while_the_accelerometer_is_quie
     assert vehicle.in_force()["CAL_GYRO0_XOFF"] == pytest.approx(0.0, abs=3e-3)
 
 
+@pytest.mark.long
 def test_streams_at_rest_have_the_same_rates_and_values(captures: Path, tables: dict[int, Path]) -> None:
     frames, said, _ = run(captures, tables, "rest", step=0.1)
     assert acknowledged(said) == acknowledged(heard(frames, 1, {ACK}))
@@ -335,6 +341,7 @@ def test_streams_at_rest_have_the_same_rates_and_values(captures: Path, tables: 
     assert means[1][9] == means[0][9]
 
 
+@pytest.mark.long
 def test_small_changes_read_back_but_never_reach_the_stream(captures: Path, tables: dict[int, Path]) -> None:
     """Offsets, scales and field offsets below and above the thresholds, judged on the streams of both."""
     frames = load(captures, "cal_applied")

@@ -201,6 +201,7 @@ async def test_two_vehicles_with_one_system_id_are_never_written_to(ground: Grou
         await ground.until(lambda: VehicleEventKind.CONFLICT in ground.kinds())
 
 
+@pytest.mark.long
 async def test_a_vehicle_that_falls_silent_is_told_and_comes_back(ground: Ground) -> None:
     with simulated(speed=1.0) as sim:
         vehicle = await ground.vehicle(sim.url)

@@ -54,6 +54,7 @@ async def reading(folder: Path, count: int) -> list[int]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("task", "cause"),
     [("crash", "signal 11"), ("swallow_all", "more than 512 MiB of memory"), ("spin", "more than 1 s of processor")],
@@ -96,6 +97,7 @@ async def test_the_reader_ends_when_the_client_goes_away(hanging):
         assert a.service.recordings.all() == ()
 
 
+@pytest.mark.long
 async def test_two_slow_uploads_do_not_starve_a_live_calibration(hanging):
     from mavcal.service.simvehicle import SimulatedVehicle
 

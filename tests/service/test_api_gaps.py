@@ -30,6 +30,7 @@ async def ended(a: Api, gap_id: str) -> Any:
     return found
 
 
+@pytest.mark.long
 async def test_a_gap_is_diagnosed_and_its_page_served(tmp_path):
     table = write_table(tmp_path / "real.csv", seconds=10.0)
     async with api(tmp_path / "data") as a:
@@ -52,6 +53,7 @@ async def test_a_gap_is_diagnosed_and_its_page_served(tmp_path):
         assert (await a.get(f"/gaps/{started['id']}"))["report"] == found["report"]
 
 
+@pytest.mark.long
 async def test_what_cannot_be_compared_is_an_answer_with_its_reason(tmp_path):
     (tmp_path / "still.csv").write_text(
         "t,accel_x,accel_y,accel_z\n" + "".join(f"{i / 50},0,0,-9.8\n" for i in range(99))
@@ -66,6 +68,7 @@ async def test_what_cannot_be_compared_is_an_answer_with_its_reason(tmp_path):
         assert "ref_" in (await a.client.get(f"/{found['page']}")).text
 
 
+@pytest.mark.long
 async def test_two_files_that_are_one_fail_with_the_reason(tmp_path):
     (tmp_path / "still.csv").write_text(
         "t,accel_x,accel_y,accel_z\n" + "".join(f"{i / 50},0,0,-9.8\n" for i in range(99))
@@ -104,6 +107,7 @@ async def test_an_unknown_id_is_not_found(tmp_path, gap_id):
         await a.get(f"/gaps/{gap_id}/report.html", 404)
 
 
+@pytest.mark.long
 async def test_a_diagnosis_is_a_job_like_others(tmp_path):
     table = write_table(tmp_path / "real.csv", seconds=10.0)
     async with served(tmp_path / "data") as a:
@@ -127,6 +131,7 @@ async def test_a_diagnosis_is_a_job_like_others(tmp_path):
         assert events == ["queued", "fitting"]
 
 
+@pytest.mark.long
 async def test_too_many_are_refused_and_a_stopped_service_begins_them_again(tmp_path):
     table = write_table(tmp_path / "real.csv", seconds=10.0)
     async with api(tmp_path / "data") as a:

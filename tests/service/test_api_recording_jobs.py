@@ -95,6 +95,7 @@ async def test_a_log_is_fitted_planned_written_proved_and_taken_back(tmp_path, s
         assert stored(sim) == before
 
 
+@pytest.mark.long
 async def test_a_log_of_other_sensors_is_refused_with_the_reason(tmp_path, sim):
     async with served(tmp_path, connect=(sim.url,)) as a:
         vehicle = await a.vehicle()
@@ -114,6 +115,7 @@ async def test_a_log_of_other_sensors_is_refused_with_the_reason(tmp_path, sim):
         sim.call("fault", kind="foreign_write", name="INS_GYR2_ID", value=held)
 
 
+@pytest.mark.long
 async def test_what_is_of_no_vehicle_is_never_planned(tmp_path, sim):
     async with served(tmp_path, connect=(sim.url,)) as a:
         vehicle = await a.vehicle()
@@ -128,6 +130,7 @@ async def test_what_is_of_no_vehicle_is_never_planned(tmp_path, sim):
         assert len(await a.get("/jobs")) == 1
 
 
+@pytest.mark.long
 async def test_a_log_without_a_board_id_is_written_only_as_confirmed_and_the_audit_says_so(tmp_path, sim):
     async with served(tmp_path, connect=(sim.url,)) as a:
         vehicle = await a.vehicle()
@@ -152,6 +155,7 @@ async def test_a_log_without_a_board_id_is_written_only_as_confirmed_and_the_aud
         assert row.detail["confirmed"] == ["confirm_other_unit"]
 
 
+@pytest.mark.long
 async def test_a_plan_is_decided_over_http_from_the_start_and_again(tmp_path, sim):
     async with served(tmp_path, connect=(sim.url,)) as a:
         vehicle = await a.vehicle()
@@ -174,6 +178,7 @@ async def test_a_plan_is_decided_over_http_from_the_start_and_again(tmp_path, si
         await a.post(f"/jobs/{job['id']}/plan", {"plan_options": {"keep_gyros": True}}, 422)
 
 
+@pytest.mark.long
 async def test_a_sensor_that_the_vehicle_does_not_have_ends_the_job_at_once_with_the_list(tmp_path, sim):
     async with served(tmp_path, connect=(sim.url,)) as a:
         vehicle = await a.vehicle()
@@ -189,6 +194,7 @@ def without_version(content: bytes) -> bytes:
     return b"".join(struct.pack(">Q", at) + frame.raw for at, frame in kept)
 
 
+@pytest.mark.long
 async def test_a_job_of_a_recording_is_answered_at_once_and_can_be_cancelled(tmp_path, sim, monkeypatch):
     monkeypatch.setattr("mavcal.service.computations.FIT", "tests.service.child_tasks:hang_on_path")
     async with served(tmp_path, connect=(sim.url,)) as a:

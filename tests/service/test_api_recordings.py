@@ -128,6 +128,7 @@ UNREADABLE = (
 )
 
 
+@pytest.mark.long
 async def test_a_reading_option_that_makes_no_sense_is_422_and_nothing_stays(tmp_path):
     async with api(tmp_path) as a:
         for reading in UNREADABLE:
@@ -155,6 +156,7 @@ GARBAGE = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", ["csv", "tlog", "npz"])
 async def test_what_is_no_recording_is_422_and_nothing_stays(tmp_path, ending):
     async with api(tmp_path) as a:
@@ -229,6 +231,7 @@ FITS: tuple[Any, ...] = (
 )
 
 
+@pytest.mark.long
 async def test_a_fit_that_cannot_be_made_is_a_problem_with_words(tmp_path):
     async with api(tmp_path) as a:
         row = await upload(a, sphere_csv(60))

@@ -57,6 +57,7 @@ def check(folder: Path, data: Path, executor: str) -> dict[str, Any]:
     return dict(told)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("executor", ["threads:2", "processes:2", f"{__name__}:of_the_test"])
 def test_a_folder_is_fitted_on_any_executor_with_the_same_digits(tmp_path: Path, executor: str) -> None:
     folder, data = logs(tmp_path / "logs"), tmp_path / "data"
@@ -72,6 +73,7 @@ def test_a_folder_is_fitted_on_any_executor_with_the_same_digits(tmp_path: Path,
     assert "rest0.csv" not in text
 
 
+@pytest.mark.long
 def test_a_folder_is_fitted_by_dask(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (mavcal[dask])")
     os.environ.setdefault("DASK_DISTRIBUTED__ADMIN__TICK__LIMIT", "1h")  # it warns of every busy machine
@@ -80,6 +82,7 @@ def test_a_folder_is_fitted_by_dask(tmp_path: Path) -> None:
         check(logs(tmp_path / "logs"), tmp_path / "data", f"dask:{cluster.scheduler_address}")
 
 
+@pytest.mark.long
 def test_gaps_of_a_folder(tmp_path: Path) -> None:
     folder, data = tmp_path / "logs", tmp_path / "data"
     folder.mkdir()

@@ -58,6 +58,7 @@ def test_a_bias_is_named_told_drawn_and_exported(cli: Cli, tmp_path: Path) -> No
     assert "out.html" in err
 
 
+@pytest.mark.long
 def test_the_text_says_what_was_found(cli: Cli, tmp_path: Path) -> None:
     write_table(tmp_path / "real.csv")
     write_table(tmp_path / "half.csv", (0.15, -0.1, 0.075), seed=9)
@@ -71,6 +72,7 @@ def test_the_text_says_what_was_found(cli: Cli, tmp_path: Path) -> None:
     assert left == pytest.approx(25.0, abs=5.0)  # half of the offset is left, a quarter of its nats
 
 
+@pytest.mark.long
 def test_the_remedied_simulator_leaves_nothing(cli: Cli, tmp_path: Path) -> None:
     write_table(tmp_path / "real.csv")
     write_table(tmp_path / "again.csv", seed=9)
@@ -114,6 +116,7 @@ def test_a_sound_recording_that_nothing_can_be_compared_with_is_not_wrong_use(
     assert gone["need"] in text
 
 
+@pytest.mark.long
 def test_mappings_are_of_the_real_table_and_the_simulators_has_its_own(cli: Cli, tmp_path: Path) -> None:
     table = write_table(tmp_path / "real.csv").read_text().splitlines()
     (tmp_path / "real.csv").write_text("\n".join([table[0].replace("t,accel_x", "t,ax"), *table[1:]]))
@@ -147,6 +150,7 @@ def test_wrong_use_is_told_before_anything_is_computed(
     assert word in err
 
 
+@pytest.mark.long
 def test_the_new_recording_is_named_where_it_cannot_be_diagnosed(cli: Cli, tmp_path: Path) -> None:
     write_table(tmp_path / "real.csv")
     write_table(tmp_path / "short.csv", seconds=2.0)

@@ -33,6 +33,7 @@ def turned(autopilot: str, **config: object) -> SimulatedVehicle:
     return sim
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_a_compass_at_odd_angles_is_shown_written_proved_and_taken_back(autopilot: str, tmp_path: Path) -> None:
     name, number = NUMBER[autopilot]

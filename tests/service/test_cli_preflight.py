@@ -89,6 +89,7 @@ def test_a_change_that_needs_a_restart_is_left_out(tmp_path: Path) -> None:
         assert found["text"] in {LEFT_OUT, LEFT_OUT_BOTH}  # a second rest may read gyro 1 a little differently
 
 
+@pytest.mark.long
 def test_the_table_names_what_helps(tmp_path: Path) -> None:
     with SimulatedVehicle("ardupilot", seed=8, speed=4.0, config={"calibration": "fresh", "imu_count": 1}) as sim:
         done = preflight(sim.url, tmp_path)
@@ -129,6 +130,7 @@ def test_the_recipe_for_ten_vehicles(tmp_path: Path) -> None:
     assert failed == {sim.url: ["accel_force"] if sim is sims[3] else [] for sim in sims}
 
 
+@pytest.mark.long
 def test_who_waits_for_a_vehicle_that_has_just_started_is_told(tmp_path: Path) -> None:
     config = {"calibration": "fresh", "agreement_s": 10.0}
     with SimulatedVehicle("ardupilot", seed=8, config=config) as sim:

@@ -131,6 +131,7 @@ def test_recover_takes_back_what_was_killed_in_mid_write(ardupilot: SimulatedVeh
     assert "nothing is in doubt" in said
 
 
+@pytest.mark.long
 def test_the_next_calibration_recovers_first_and_then_goes_on(px4: SimulatedVehicle, mavcal: Command) -> None:
     mavcal.killed(At.ECHO_KEPT, 4, "calibrate", "gyro", "--apply")
     assert stored(px4)["SENS_IMU_AUTOCAL"] == 0
@@ -144,6 +145,7 @@ def test_the_next_calibration_recovers_first_and_then_goes_on(px4: SimulatedVehi
     assert stored(px4)["SENS_IMU_AUTOCAL"] == 1
 
 
+@pytest.mark.long
 def test_a_capture_that_was_killed_does_not_stand_in_the_way(ardupilot: SimulatedVehicle, mavcal: Command) -> None:
     mavcal.killed(At.CAPTURE_RUNNING, 1, "calibrate", "gyro")
     code, job, said = mavcal.ran("calibrate", "gyro")
@@ -167,6 +169,7 @@ def test_what_cannot_be_resolved_is_1_and_listed(ardupilot: SimulatedVehicle, ma
     assert mavcal.ran("recover")[0] == 0
 
 
+@pytest.mark.long
 def test_stopped_at_the_restart_prompt(restarting: SimulatedVehicle, mavcal: Command) -> None:
     first = mavcal.begun("calibrate", "gyro", "--apply")
     first.until("Restart the vehicle")
@@ -182,6 +185,7 @@ def test_stopped_at_the_restart_prompt(restarting: SimulatedVehicle, mavcal: Com
     assert stored(restarting)["SENS_IMU_AUTOCAL"] == 1
 
 
+@pytest.mark.long
 def test_a_restart_that_nobody_saw_is_not_asked_for_again(restarting: SimulatedVehicle, mavcal: Command) -> None:
     """Stopped at the prompt, restarted meanwhile: only the verification is left to do."""
     first = mavcal.begun("calibrate", "gyro", "--apply")
@@ -198,6 +202,7 @@ def test_a_restart_that_nobody_saw_is_not_asked_for_again(restarting: SimulatedV
     assert stored(restarting)["SENS_IMU_AUTOCAL"] == 1
 
 
+@pytest.mark.long
 def test_stopped_in_the_capture_leaves_nothing(ardupilot: SimulatedVehicle, mavcal: Command) -> None:
     before = stored(ardupilot)
     ardupilot.call("speed", value=1.0)

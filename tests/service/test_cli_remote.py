@@ -59,6 +59,7 @@ def asks(running: RunningService, job_id: str, text: str) -> None:
         assert not limit.over, prompt
 
 
+@pytest.mark.long
 def test_a_job_is_followed_accepted_and_taken_back(running: RunningService, sim: SimulatedVehicle) -> None:
     before = stored(sim)
     job_id = begun(running, "gyro")
@@ -114,6 +115,7 @@ def test_what_the_prompt_offers_is_an_answer(running: RunningService, sim: Simul
     sim.call("still")
 
 
+@pytest.mark.long
 def test_a_service_and_its_folder_list_the_same_a_page_at_a_time(running: RunningService) -> None:
     ids = [running.client.cancel_job(begun(running, "accel")).id for _ in range(3)][::-1]
     places = (("--url", running.url), ("--data-dir", str(running.data_dir)))
@@ -141,6 +143,7 @@ def test_who_is_not_there_and_what_is_no_address_is_said(tmp_path: Path) -> None
         assert mavcal(command, "j1", "--connect", "sim:px4", "--url", "http://127.0.0.1:1")[0] == 2
 
 
+@pytest.mark.long
 def test_a_key_lets_in_and_none_does_not(tmp_path: Path) -> None:
     keys = json.dumps([{"name": "me", "sha256": digest("secret"), "scopes": ["read"]}])
     environment = clean_environment() | {"MAVCAL_API_KEYS": keys, "MAVCAL_DATA_DIR": str(tmp_path / "data")}

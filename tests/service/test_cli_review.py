@@ -55,6 +55,7 @@ def terminal() -> Iterator[tuple[int, int]]:
     os.close(command)
 
 
+@pytest.mark.long
 def test_a_mounting_is_told_in_words_and_confirmed_on_the_terminal(sim, mavcal, terminal):
     person, stdin = terminal
     run = mavcal.begun("calibrate", "mag", "--apply", stdin=stdin)

@@ -27,6 +27,7 @@ def sim() -> Iterator[SimulatedVehicle]:
         yield vehicle
 
 
+@pytest.mark.long
 def test_a_compass_without_a_row_is_left_out_by_name(sim: SimulatedVehicle, tmp_path: Path) -> None:
     where = ("--connect", sim.url, "--data-dir", str(tmp_path))
     before = stored(sim)

@@ -285,6 +285,7 @@ def test_the_image_refuses_to_serve_strangers(container: dict[str, str]) -> None
     assert "api_keys" in done.stderr
 
 
+@pytest.mark.long
 def test_the_image_serves_whom_its_keys_name_and_tells_its_health(container: dict[str, str], tmp_path: Path) -> None:
     keys = json.dumps([{"name": "panel", "sha256": digest("key"), "scopes": ["read"]}])
     program, *check = only("HEALTHCHECK", 2).command

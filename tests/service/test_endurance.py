@@ -7,6 +7,7 @@ import pytest
 from bench.endurance import growth, run
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_three_busy_hours_leave_no_descriptor_thread_child_link_or_vehicle() -> None:
     section = run(3, seed=7)  # memory needs more hours to be judged

@@ -17,6 +17,7 @@ FACTORY = {"CAL_GYRO0_ID": 0, "CAL_GYRO0_PRIO": -1, "IMU_GYRO_CAL_EN": 1}
 HELD = {"CAL_GYRO0_PRIO": -1, "IMU_GYRO_CAL_EN": 1}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("parameters", [FACTORY, HELD], ids=["no row", "no priority"])
 async def test_the_gyro_job_begins_again_when_px4_fills_the_row_late(
     tmp_path: Path, parameters: dict[str, int]

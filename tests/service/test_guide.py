@@ -56,6 +56,7 @@ def test_the_guide_is_one_program_a_language() -> None:
     assert all(ADDRESS in text for _, text in blocks())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("language", "text"), blocks(), ids=list(LANGUAGES))
 def test_a_program_of_the_guide_calibrates_and_takes_it_back(
     language: str, text: str, running: RunningService, sim: SimulatedVehicle, tmp_path: Path

@@ -36,6 +36,7 @@ async def test_a_simulated_vehicle_follows_the_prompts_and_the_stream_shows_it(t
         assert picture.startswith("<svg")
 
 
+@pytest.mark.long
 async def test_a_hand_that_is_off_leaves_the_vehicle_where_it_is(tmp_path):
     async with served(tmp_path) as api:
         await api.post("/links", {"url": "sim:px4?seed=3&speed=10&hand=off"}, 201)
@@ -86,6 +87,7 @@ async def test_a_hand_that_nobody_knows_is_no_endpoint(tmp_path):
         assert "auto, mouse, off" in refused["detail"]
 
 
+@pytest.mark.long
 async def test_after_a_job_that_turned_it_the_vehicle_comes_to_rest(tmp_path):
     async with served(tmp_path) as api:
         await api.post("/links", {"url": "sim:ardupilot?seed=3&speed=8"}, 201)

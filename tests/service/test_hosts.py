@@ -98,6 +98,7 @@ async def slowest_answer(a: Api) -> float:
     return max(took)
 
 
+@pytest.mark.long
 async def test_the_front_page_answers_within_a_second_while_files_are_read(tmp_path):
     """A machine that stands still for a second spoils one round of three; a service that does spoils them all."""
     async with served(tmp_path) as a:

@@ -4,6 +4,7 @@ import asyncio
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.calib.report import to_json
@@ -24,6 +25,7 @@ async def followed(bench: Session, job_id: str, operator: Operator, *states: Job
             await asyncio.sleep(0.05)
 
 
+@pytest.mark.long
 async def test_accelerometers_are_calibrated_and_every_parameter_is_proved(tmp_path: Path) -> None:
     with SimulatedVehicle("ardupilot", speed=SPEED, seed=21, config={"thermal": False}) as sim:
         operator = Operator(sim)

@@ -110,6 +110,7 @@ async def test_accelerometer_on_six_faces_is_written_and_checked(tmp_path: Path,
         assert ProofVerdict.CONTRADICTED not in {p.verdict for p in job.verification.parameters}
 
 
+@pytest.mark.long
 async def test_compasses_by_six_rings(tmp_path: Path, sim: SimulatedVehicle) -> None:
     async with session(tmp_path, sim.url) as bench:
         job = await captured(bench, "mag-rings", Operator(sim, turntable_dps=60.0), fixture_sd=0.0)
@@ -122,6 +123,7 @@ async def test_compasses_by_six_rings(tmp_path: Path, sim: SimulatedVehicle) -> 
         assert {"COMPASS_OFS_X", "CAL_MAG0_XOFF"} & {c.name for c in job.plan.changes}
 
 
+@pytest.mark.long
 async def test_gyro_on_a_turntable_whose_rate_is_answered(tmp_path: Path, sim: SimulatedVehicle) -> None:
     async with session(tmp_path, sim.url) as bench:
         truth = sim.truth()["gyros"][0]
@@ -135,6 +137,7 @@ async def test_gyro_on_a_turntable_whose_rate_is_answered(tmp_path: Path, sim: S
         assert loss.cost == pytest.approx(np.linalg.norm(np.linalg.inv(fit.model.matrix) - np.eye(3), 2), rel=0.01)
 
 
+@pytest.mark.long
 async def test_gyro_on_a_thread_counted_by_the_compass(tmp_path: Path, sim: SimulatedVehicle) -> None:
     async with session(tmp_path, sim.url) as bench:
         truth = sim.truth()["gyros"][0]
@@ -163,6 +166,7 @@ async def test_accelerometer_and_gyro_from_poses_and_movements(tmp_path: Path, s
         assert {"scale and misalignment", "cross terms"} <= {loss.what for loss in job.plan.losses}
 
 
+@pytest.mark.long
 async def test_without_a_compass_the_turns_are_asked_for(tmp_path: Path) -> None:
     config = {**BARE, "mag_count": 0, "parameters": QUIET["px4"]}
     with SimulatedVehicle("px4", speed=SPEED, seed=46, config=config) as sim:
@@ -176,6 +180,7 @@ async def test_without_a_compass_the_turns_are_asked_for(tmp_path: Path) -> None
             assert again(bench, job) == [list(fit.values)]
 
 
+@pytest.mark.long
 async def test_a_compass_at_one_heading_is_written(tmp_path: Path, sim: SimulatedVehicle) -> None:
     """A vehicle that cannot be turned: where it stands, the corrected compass reads the field of the place."""
     operator = Operator(sim)

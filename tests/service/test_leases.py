@@ -147,6 +147,7 @@ def test_a_lease_cannot_be_taken_in_the_middle_of_a_transaction_of_its_owner(
     assert seen == [1]
 
 
+@pytest.mark.long
 def test_one_machine_imports_nothing_of_all_this() -> None:
     code = (
         "import sys; import mavcal.service.app, mavcal.service.core, mavcal.service.commands.serve; "

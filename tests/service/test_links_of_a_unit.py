@@ -76,6 +76,7 @@ async def ended(a: Api, job: Json) -> Json:
     return await a.until(job["id"], "succeeded", "reverted", seconds=90)
 
 
+@pytest.mark.long
 async def test_three_links_are_one_vehicle_with_one_claim(tmp_path: Path, sim: SimulatedVehicle) -> None:
     async with connected(tmp_path, *sim.urls) as (a, vehicle):
         links = await a.get("/links")
@@ -111,6 +112,7 @@ async def test_a_write_goes_on_when_its_link_dies_or_is_closed(tmp_path: Path, s
         await a.delete(f"/links/{vehicle['link']}", 204)
 
 
+@pytest.mark.long
 async def test_the_only_link_of_a_write_is_not_closed(tmp_path: Path, sim: SimulatedVehicle) -> None:
     async with connected(tmp_path, sim.urls[1]) as (a, vehicle):
         job = await reviewed(a, vehicle)
@@ -124,6 +126,7 @@ async def test_the_only_link_of_a_write_is_not_closed(tmp_path: Path, sim: Simul
         await a.delete(f"/links/{vehicle['link']}", 204)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unique_id", [True, False])
 async def test_a_stranded_write_is_taken_up_on_whatever_link_the_vehicle_is_heard(
     tmp_path: Path, *, unique_id: bool

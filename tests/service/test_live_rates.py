@@ -94,6 +94,7 @@ async def hz(vehicle: Vehicle, message_id: int) -> float:
     return (len(stamps) - 1) / (stamps[-1] - stamps[0])
 
 
+@pytest.mark.long
 @both
 async def test_rates_rise_while_two_watch_and_are_back_when_the_last_one_was_killed(tmp_path, autopilot):
     async with flying(tmp_path, autopilot) as (api, vehicle):
@@ -136,6 +137,7 @@ async def test_a_client_that_takes_nothing_any_more_is_no_watcher(tmp_path):
         writer.close()
 
 
+@pytest.mark.long
 @both
 async def test_a_job_begins_meanwhile_goes_its_way_and_leaves_the_rates_as_they_were_before_both(tmp_path, autopilot):
     async with flying(tmp_path, autopilot, "&speed=10") as (api, vehicle):
@@ -160,6 +162,7 @@ async def test_a_job_begins_meanwhile_goes_its_way_and_leaves_the_rates_as_they_
         await until_restored(vehicle, before)
 
 
+@pytest.mark.long
 async def test_a_preflight_has_its_own_rates_and_gives_them_back(tmp_path):
     async with flying(tmp_path, "px4") as (api, vehicle):
         before = await intervals(vehicle)
@@ -174,6 +177,7 @@ async def test_a_preflight_has_its_own_rates_and_gives_them_back(tmp_path):
         await until_restored(vehicle, before)
 
 
+@pytest.mark.long
 @both
 async def test_an_armed_vehicle_has_its_own_rates_at_once(tmp_path, autopilot):
     async with flying(tmp_path, autopilot) as (api, vehicle):
@@ -191,6 +195,7 @@ async def test_an_armed_vehicle_has_its_own_rates_at_once(tmp_path, autopilot):
         await until_restored(vehicle, before)
 
 
+@pytest.mark.long
 async def test_the_end_of_the_service_puts_the_rates_back(tmp_path):
     async with served(tmp_path) as api:
         await api.post("/links", {"url": SIM.format("ardupilot")}, 201)

@@ -153,6 +153,7 @@ async def test_a_slow_link_is_waited_for_and_no_sensor_is_blamed(tmp_path: Path)
             assert not any("ook at the compass" in said for said in told)
 
 
+@pytest.mark.long
 async def test_a_vehicle_that_has_just_started_is_asked_again_before_it_is_called_unfit(tmp_path: Path) -> None:
     just_started = {"calibration": "fresh", "agreement_s": 10.0}
     with SimulatedVehicle("ardupilot", seed=5, speed=2.0, config=just_started) as sim:
@@ -162,6 +163,7 @@ async def test_a_vehicle_that_has_just_started_is_asked_again_before_it_is_calle
             assert any("ran its checks again" in note for note in found.notes)
 
 
+@pytest.mark.long
 async def test_units_that_never_agree_are_told_in_the_vehicles_words(tmp_path: Path) -> None:
     never = {"calibration": "fresh", "agreement_s": 1000.0}
     with SimulatedVehicle("ardupilot", seed=5, speed=2.0, config=never) as sim:
@@ -171,6 +173,7 @@ async def test_units_that_never_agree_are_told_in_the_vehicles_words(tmp_path: P
             assert "Accels inconsistent" in report.check(CheckId.VEHICLE_PREARM).reason
 
 
+@pytest.mark.long
 async def test_a_swapped_board_is_known_by_its_unique_id(tmp_path: Path) -> None:
     with vehicle("ardupilot") as sim:
         async with looked_at(tmp_path, sim) as life:
@@ -181,6 +184,7 @@ async def test_a_swapped_board_is_known_by_its_unique_id(tmp_path: Path) -> None
             assert failed(report) == [CheckId.SENSOR_IDS], to_json(report)
 
 
+@pytest.mark.long
 async def test_it_is_refused_where_it_cannot_be_made(tmp_path: Path) -> None:
     with vehicle("ardupilot") as sim:
         async with looked_at(tmp_path, sim) as life:
@@ -202,6 +206,7 @@ async def test_it_is_refused_where_it_cannot_be_made(tmp_path: Path) -> None:
                 await life.engine.preflight(life.vehicle.id)
 
 
+@pytest.mark.long
 async def test_message_rates_are_as_before(tmp_path: Path) -> None:
     with vehicle("ardupilot") as sim:
         async with looked_at(tmp_path, sim) as life:

@@ -68,6 +68,7 @@ async def test_it_is_never_for_another_unit(tmp_path: Path) -> None:
         assert stored(other) == before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 async def test_a_verdict_within_ten_seconds_on_a_link_that_loses_every_third_message(
     autopilot: str, tmp_path: Path

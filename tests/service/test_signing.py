@@ -50,6 +50,7 @@ async def opened(a: Api, url: str, key: str | None = None) -> dict[str, Any]:
     return dict(await a.post("/links", {"url": url if key is None else f"{url}?signing={key}"}, 201))
 
 
+@pytest.mark.long
 async def test_two_links_are_signed_with_two_keys_and_neither_key_opens_the_other(tmp_path: Path) -> None:
     with vehicle(BOAT) as boat, vehicle(PLANE, system=2) as plane:
         async with api(tmp_path) as a:
@@ -173,6 +174,7 @@ def mavcal(*words: str, given: str = "") -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, input=given, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.long
 def test_the_command_line_keeps_lists_and_removes_keys_with_a_trace(tmp_path: Path) -> None:
     where = ("--data-dir", str(tmp_path), "--json")
     added = mavcal("config", "signing", "add", "boat", *where, given=f"{BOAT}\n")

@@ -35,6 +35,7 @@ async def test_the_start_and_the_restart_of_a_vehicle_have_phases_of_their_own()
     assert any(text.startswith("waiting until the vehicle has saved") for text in run.told)
 
 
+@pytest.mark.long
 async def test_a_gyro_job_on_a_slow_and_lossy_wire_succeeds() -> None:
     run = await timed(WIRES[1], "ardupilot", speed=4.0)
     assert run.state == JobState.SUCCEEDED, run.outcome

@@ -68,6 +68,7 @@ def test_the_wheel_brings_one_name_and_the_panel(wheel: Path) -> None:
     assert {"mavcal/calib/gap_report/templates/report.html", "mavcal/service/templates/export.html"} <= set(names)
 
 
+@pytest.mark.long
 def test_strangers_of_the_old_names_change_nothing(fresh: Path) -> None:
     done = run(fresh, "--version")
     assert done.returncode == 0, done.stderr

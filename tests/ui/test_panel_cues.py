@@ -94,6 +94,7 @@ def test_each_sign_comes_when_what_it_means_happens(desk, tmp_path):
         )
 
 
+@pytest.mark.long
 def test_a_failure_sounds_and_is_spoken(desk, tmp_path):
     with service(tmp_path, "--connect", sim(speed=20, hand="off")) as url:
         opened(desk, url, ALL)
@@ -103,6 +104,7 @@ def test_a_failure_sounds_and_is_spoken(desk, tmp_path):
         assert heard(desk, "speech")[-1]["what"] == "It did not work. Look at the screen."
 
 
+@pytest.mark.long
 def test_nothing_sounds_or_moves_unasked_and_a_button_of_the_job_asks(desk, tmp_path):
     with service(tmp_path, "--connect", sim(speed=2, config=KEPT)) as url:
         opened(desk, url, None)
@@ -125,6 +127,7 @@ def test_nothing_sounds_or_moves_unasked_and_a_button_of_the_job_asks(desk, tmp_
         assert heard(desk, "speech") == heard(desk, "vibration") == []
 
 
+@pytest.mark.long
 def test_who_cancels_is_not_congratulated(desk, tmp_path):
     with service(tmp_path, "--connect", sim(speed=3, hand="off")) as url:
         opened(desk, url, ALL)

@@ -29,6 +29,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Clien
         yield url, client
 
 
+@pytest.mark.long
 def test_propellers_are_named_before_and_a_look_waits_for_the_job_that_runs(phone, place):
     url, client = place
     vehicle = connected(client, sim(speed=3, system_id=1, hand="off"))
@@ -70,6 +71,7 @@ def test_a_compass_at_one_known_heading_is_started_with_that_heading(phone, plac
     assert client.list_jobs(vehicle_id=vehicle, kind="mag-fixed-yaw")[0].options["heading"] == 0.0
 
 
+@pytest.mark.long
 def test_a_log_is_told_on_three_screens_of_a_phone(phone, place):
     url, client = place
     log = client.upload_recording(flown(), name="flight.csv").id

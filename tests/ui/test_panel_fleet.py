@@ -32,6 +32,7 @@ def over(panel: Panel) -> None:
     until(lambda: panel.page.locator(".title .badge.good").count() == 1, 240, "the campaign is done")
 
 
+@pytest.mark.long
 def test_until_the_first_answer_the_page_looks_and_offers_no_simulated_vehicle(browser, fleet):
     url, _, _ = fleet
     desk = Panel(browser)
@@ -45,6 +46,7 @@ def test_until_the_first_answer_the_page_looks_and_offers_no_simulated_vehicle(b
     desk.close()
 
 
+@pytest.mark.long
 def test_vehicles_are_selected_and_preflighted_as_one_campaign(browser, fleet):
     url, _, _ = fleet
     panel = Panel(browser, PHONE)
@@ -66,6 +68,7 @@ def test_vehicles_are_selected_and_preflighted_as_one_campaign(browser, fleet):
     panel.close()
 
 
+@pytest.mark.long
 def test_a_campaign_of_calibrations_asks_first_and_shows_whom_it_needs(browser, fleet):
     url, client, vehicles = fleet
     panel = Panel(browser)
@@ -87,6 +90,7 @@ def test_a_campaign_of_calibrations_asks_first_and_shows_whom_it_needs(browser, 
     panel.close()
 
 
+@pytest.mark.long
 def test_what_was_never_verified_is_not_restored_and_the_table_says_so(browser, fleet):
     url, client, _ = fleet
     panel = Panel(browser)
@@ -103,6 +107,7 @@ def test_what_was_never_verified_is_not_restored_and_the_table_says_so(browser, 
     panel.close()
 
 
+@pytest.mark.long
 def test_the_title_names_page_and_state_and_focus_never_falls_to_the_body(browser, fleet):
     url, _, vehicles = fleet
     desk = Panel(browser)

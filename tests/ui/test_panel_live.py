@@ -27,6 +27,7 @@ def vehicles(url: str) -> list[dict[str, object]]:
     return list(httpx.get(f"{url}api/v1/vehicles", timeout=scaled(20)).json())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_the_live_room_has_the_vehicle_send_its_samples_and_says_so(browser, desk, tmp_path, autopilot):
     with service(tmp_path, "--connect", sim(autopilot, speed=1, hand="off")) as url:
@@ -52,12 +53,14 @@ def test_the_live_room_has_the_vehicle_send_its_samples_and_says_so(browser, des
         assert desk.complaints == []
 
 
+@pytest.mark.long
 def test_the_live_room_says_why_a_vehicle_is_not_asked(desk, tmp_path):
     with service(tmp_path, "--read-only", "--connect", sim("px4", speed=1, hand="off")) as url:
         desk.open(url, live(url))
         desk.sees("The vehicle is not asked for samples: This service runs with --read-only", 30, ".asked")
 
 
+@pytest.mark.long
 def test_a_chart_keeps_every_peak_and_forgets_what_is_older_than_its_span(desk, tmp_path):
     with service(tmp_path) as url:
         desk.open(url)
@@ -100,6 +103,7 @@ def roll(down: list[float]) -> float:
     return math.atan2(down[1], down[2])
 
 
+@pytest.mark.long
 def test_the_mouse_and_the_arrow_keys_turn_a_simulated_vehicle(desk, tmp_path):
     with service(tmp_path, "--connect", sim("px4", speed=1)) as url:
         desk.open(url, live(url))
@@ -129,6 +133,7 @@ def test_the_mouse_and_the_arrow_keys_turn_a_simulated_vehicle(desk, tmp_path):
         assert desk.complaints == []
 
 
+@pytest.mark.long
 def test_the_poses_of_an_accelerometer_are_reached_by_hand(desk, tmp_path):
     with service(tmp_path, "--connect", sim("ardupilot", speed=2, hand="mouse")) as url:
         desk.open(url)
@@ -143,6 +148,7 @@ def test_the_poses_of_an_accelerometer_are_reached_by_hand(desk, tmp_path):
         assert desk.complaints == []
 
 
+@pytest.mark.long
 def test_a_real_vehicle_offers_no_hand(desk, tmp_path):
     with SimulatedVehicle("px4", seed=3) as real, service(tmp_path, "--connect", real.url) as url:
         desk.open(url, live(url))

@@ -28,6 +28,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, 
         yield url, vehicle, reviewed(client, vehicle, "accel")
 
 
+@pytest.mark.long
 def test_a_history_fits_a_phone_and_is_titled_by_the_vehicle(browser, place):
     url, vehicle, _ = place
     phone = Panel(browser, PHONE)
@@ -46,6 +47,7 @@ def test_a_history_fits_a_phone_and_is_titled_by_the_vehicle(browser, place):
     phone.close()
 
 
+@pytest.mark.long
 def test_parameters_are_rows_of_one_line_whose_reason_is_folded(browser, place):
     url, _, job = place
     phone = Panel(browser, PHONE)
@@ -62,6 +64,7 @@ def test_parameters_are_rows_of_one_line_whose_reason_is_folded(browser, place):
     phone.close()
 
 
+@pytest.mark.long
 def test_the_picture_of_a_review_is_not_blown_up_and_what_is_not_written_is_not_ticked(browser, place):
     url, _, job = place
     agreeing = [
@@ -94,6 +97,7 @@ def test_the_picture_of_a_review_is_not_blown_up_and_what_is_not_written_is_not_
     desk.close()
 
 
+@pytest.mark.long
 def test_a_compass_that_is_mounted_otherwise_is_told_in_words_and_a_picture_without_a_flag(browser, place):
     url, _, job = place
     upside_down = {"verdict": "rotated", "name": "roll_180", "matrix": [[1, 0, 0], [0, -1, 0], [0, 0, -1]]}

@@ -80,6 +80,7 @@ def answers(url: str) -> bool:
         return False
 
 
+@pytest.mark.long
 def test_behind_a_stripped_prefix_a_job_runs_and_nothing_is_asked_outside_it(desk, tmp_path):
     with (
         service(tmp_path, "--connect", sim(config=KEPT)) as url,
@@ -102,6 +103,7 @@ def test_behind_a_stripped_prefix_a_job_runs_and_nothing_is_asked_outside_it(des
         assert desk.complaints == []
 
 
+@pytest.mark.long
 def test_behind_a_stripped_prefix_no_page_names_an_absolute_address(tmp_path):
     with service(tmp_path) as url, proxied(tmp_path / "nginx", url) as address:
         for page in ("", "docs"):

@@ -30,6 +30,7 @@ def test_home_says_what_each_sensor_needs_and_asks_nobody_else(desk, tmp_path):
         assert desk.complaints == []
 
 
+@pytest.mark.long
 def test_nothing_is_wider_than_a_phone_in_any_theme(browser, tmp_path):
     panel = Panel(browser, PHONE)
     with service(tmp_path, "--connect", sim("px4")) as url:
@@ -45,6 +46,7 @@ def test_nothing_is_wider_than_a_phone_in_any_theme(browser, tmp_path):
     panel.close()
 
 
+@pytest.mark.long
 def test_links_are_opened_refused_and_closed_and_text_stays_text(desk, tmp_path):
     with service(tmp_path) as url:
         desk.open(url, "#/setup")
@@ -78,6 +80,7 @@ def test_with_keys_the_panel_asks_for_one_and_again_when_it_is_wrong(desk, tmp_p
         desk.sees("Live", inside=".connection")
 
 
+@pytest.mark.long
 def test_a_service_that_goes_is_told_and_comes_back_by_itself(desk, tmp_path):
     with service(tmp_path) as url:
         desk.open(url)
@@ -88,6 +91,7 @@ def test_a_service_that_goes_is_told_and_comes_back_by_itself(desk, tmp_path):
         desk.sees("Live", inside=".connection")
 
 
+@pytest.mark.long
 def test_a_log_is_dropped_drawn_and_fitted(desk, tmp_path):
     path = tmp_path / "rest.csv"
     rows = np.column_stack([np.arange(2000) / 100, *np.random.default_rng(1).normal(0.0, 0.01, (3, 2000))])
@@ -103,6 +107,7 @@ def test_a_log_is_dropped_drawn_and_fitted(desk, tmp_path):
         assert desk.complaints == []
 
 
+@pytest.mark.long
 def test_a_broken_log_is_refused_in_one_sentence(desk, tmp_path):
     path = tmp_path / "broken.bin"
     path.write_bytes(bytes(range(256)) * 8)
@@ -113,6 +118,7 @@ def test_a_broken_log_is_refused_in_one_sentence(desk, tmp_path):
         assert desk.page.locator(".drop").count() == 1  # the next one can be dropped
 
 
+@pytest.mark.long
 def test_the_documentation_is_drawn_from_local_files_under_the_policy(desk, tmp_path):
     with service(tmp_path) as url:
         desk.open(f"{url}docs")
@@ -121,6 +127,7 @@ def test_the_documentation_is_drawn_from_local_files_under_the_policy(desk, tmp_
         assert desk.complaints == []
 
 
+@pytest.mark.long
 def test_without_the_libraries_the_panel_draws_by_itself(browser, tmp_path):
     panel = Panel(browser)
     panel.page.route("**/vendor/**", lambda route: route.abort())
@@ -138,6 +145,7 @@ def test_without_the_libraries_the_panel_draws_by_itself(browser, tmp_path):
     panel.close()
 
 
+@pytest.mark.long
 def test_what_is_loaded_before_a_picture_is_small(desk, tmp_path):
     sizes: list[int] = []
     desk.page.on("response", lambda r: sizes.append(len(r.body())) if "/panel/" in r.url else None)

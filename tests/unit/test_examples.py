@@ -44,6 +44,7 @@ def test_a_compass_from_a_flight_finds_its_offset(run, tmp_path):
     np.testing.assert_allclose(found, OFFSET, atol=1.2)
 
 
+@pytest.mark.long
 def test_a_gap_diagnosis_names_both_effects_with_their_size(run, tmp_path):
     said = run("gap_diagnosis")
     assert "Gap: explained, 2 effects" in said

@@ -197,6 +197,7 @@ def test_the_order_of_measurements_does_not_matter(biases: list[float]) -> None:
     assert bias_trend(there, 0.5) == bias_trend(there[::-1], 0.5)
 
 
+@pytest.mark.long
 @given(biases=BIASES, wider=st.floats(1.0, 10.0))
 def test_a_wider_limit_is_never_left_sooner(biases: list[float], wider: float) -> None:
     there = [seen(40.0 * i, x) for i, x in enumerate(biases)]

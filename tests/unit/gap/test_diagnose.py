@@ -80,6 +80,7 @@ def test_bias_and_scale_together_are_not_a_random_walk():
     holds(report, "accel_scale", [0.004, -0.003, 0.0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [11, 19, 21])
 def test_two_effects_at_once_do_not_become_a_walk_because_each_alone_is_worth_less(seed):
     def gap(trace):
@@ -108,6 +109,7 @@ def test_an_offset_in_hover_is_no_end_of_the_range(seed):
     assert found(report) == {"accel_bias": (1,)}
 
 
+@pytest.mark.long
 def test_a_wave_that_follows_a_rotor_is_found_with_its_order_beside_an_offset():
     def turns(trace):
         return 16.0 * np.sqrt(np.maximum(trace.throttle, 0.0))
@@ -157,6 +159,7 @@ def test_an_effect_is_shared_or_of_one_instance(only, instances):
     holds(report, "accel_bias", [0.03, -0.02, 0.0])
 
 
+@pytest.mark.long
 def test_instances_tell_their_own_bias_from_the_error_of_their_reference():
     def wrong(truth, _sensor):
         slow = np.radians(1.0) * np.sin(2 * np.pi * truth["t"] / 17.0)[:, None] * np.array([1.0, 0.6, -0.3])
@@ -177,6 +180,7 @@ def test_instances_tell_their_own_bias_from_the_error_of_their_reference():
     holds(report, "accel_bias", [0.03, -0.02, 0.01])
 
 
+@pytest.mark.long
 def test_a_wandering_reference_is_a_finding_about_the_reference():
     def wrong(truth, sensor):
         slow = np.radians(0.6) * np.sin(2 * np.pi * truth["t"] / 17.0)[:, None] * np.array([1.0, 0.6, -0.3])
@@ -201,6 +205,7 @@ def test_a_reference_that_wanders_about_a_turn_is_one_finding():
     assert found(report) == {"reference_attitude": (1,)}
 
 
+@pytest.mark.long
 def test_a_reference_that_moves_faster_than_its_cosines_is_still_one_finding():
     """Drifts, which explain it at all frequencies, say more at first than the process does with those that it has."""
     rng = np.random.default_rng(99)
@@ -216,6 +221,7 @@ def test_a_reference_that_moves_faster_than_its_cosines_is_still_one_finding():
     assert report.verdict is GapVerdict.REFERENCE
 
 
+@pytest.mark.long
 def test_what_the_catalogue_does_not_have_is_unknown_with_its_shape():
     def gap(trace):
         return np.abs(trace.force[:, :1] - 1.0) * np.array([0.02, 0.0, 0.0])
@@ -226,6 +232,7 @@ def test_what_the_catalogue_does_not_have_is_unknown_with_its_shape():
     assert set(as_json(report)["unknown"]) == {"flag", "share", "shape", "hidden_driver", "log_odds"}
 
 
+@pytest.mark.long
 def test_a_small_effect_that_a_huge_one_hides_is_named_without_the_huge_one():
     def gap(iron):
         offsets = {A: np.array([-0.0036, 0.0032, -0.0047]), M: np.array([88.0, -102.0, 52.0]) * iron}

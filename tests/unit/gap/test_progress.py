@@ -131,6 +131,7 @@ def test_a_stage_took_until_the_next_one_began() -> None:
     assert pace.took(GapStage.RIVALS) == 2.0
 
 
+@pytest.mark.long
 def test_a_diagnosis_in_time_says_the_same_as_one_without_a_limit() -> None:
     told: list[GapProgress] = []
     free, limited = diagnosed(None, float("inf")), diagnosed(Watch(), 1.0, told)
@@ -141,6 +142,7 @@ def test_a_diagnosis_in_time_says_the_same_as_one_without_a_limit() -> None:
     assert shares == sorted(shares)
 
 
+@pytest.mark.long
 def test_time_that_ends_in_the_blocks_leaves_the_answer_as_it_is() -> None:
     watch = Watch()
 
@@ -178,6 +180,7 @@ def test_no_time_at_all_is_no_answer_and_not_the_absence_of_a_gap() -> None:
     assert verdict_sentence(report) == "There was no time for an answer."
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("limit", [400.0, 1200.0])
 def test_no_look_at_all_rivals_is_begun_that_the_limit_does_not_leave(
     monkeypatch: pytest.MonkeyPatch, limit: float

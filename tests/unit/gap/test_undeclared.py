@@ -14,6 +14,7 @@ from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 
+@pytest.mark.long
 def test_an_offset_beside_a_larger_effect_is_no_second_order_of_it_in_a_long_recording():
     whole = recorded(REAL, 20261122, seconds=400.0, rate=100.0)
     compass, ideal = (
@@ -52,6 +53,7 @@ def test_slow_noise_is_no_offset(seed):
     assert not report.unknown.flag
 
 
+@pytest.mark.long
 def test_a_slow_effect_that_the_noise_of_a_block_takes_for_its_own_is_not_withdrawn():
     """Held out, an offset gains next to nothing where noise that was learned without it has room for it."""
     suite = replace(CLEAN, mag=replace(CLEAN.mag, bias=0.032 * np.array([1.0, 1.0, -1.0])))

@@ -35,6 +35,7 @@ def turned(strength, *, unit="uT"):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS_OF)
 @pytest.mark.parametrize(
     ("strength", "status"), [(117.0, False), (9.0, False), (49.0, True), (66.0, True), (23.0, True)]

@@ -35,6 +35,7 @@ def test_the_soft_iron_of_the_mixed_flight(shared_data):
     assert np.abs(fit.model.matrix - truth).max() < 0.02
 
 
+@pytest.mark.long
 def test_the_motors_of_the_driven_flight(shared_data):
     fit = one(shared_data, "sitl_flights/vib_motor_temp.bin", "mag-motor", instance=1)
     assert fit.native["drive"] == "current"

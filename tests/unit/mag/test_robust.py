@@ -37,6 +37,7 @@ def test_the_noise_of_the_majority_is_found_whatever_the_outliers_are(seed: int,
     assert robust_sd(residuals, 1e-9) == pytest.approx(0.3, rel=0.12 if far > 4.0 else 0.3)
 
 
+@pytest.mark.long
 @settings(max_examples=examples(25))
 @given(st.integers(0, 1000), st.sampled_from([150.0, 300.0, 500.0, 1000.0, 3000.0]), st.integers(1, 3))
 def test_a_few_wild_samples_do_not_bend_the_start_through_themselves(seed: int, size: float, count: int) -> None:

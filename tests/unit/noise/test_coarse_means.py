@@ -20,6 +20,7 @@ def read(rng, truths, count, sd):
     return [channel(np.rint(truth + sd * rng.normal(size=(count, 3)))) for truth in truths]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("sd", "count"), [(0.15, 100), (0.2, 500), (0.3, 100), (0.3, 1000)])
 def test_intervals_hold_and_the_noise_of_all_helps_each(sd, count):
     rng, held, errors, alone = np.random.default_rng(5), [], [], []

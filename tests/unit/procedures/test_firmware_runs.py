@@ -81,6 +81,7 @@ def test_the_job_gives_the_same_digits_in_pieces_as_they_came_and_replayed(run):
         np.testing.assert_array_equal(one.sd, other.sd)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["mag-ellipsoid", "mag-gyro", "mag-align"])
 def test_the_whole_capture_fitted_by_a_method_is_within_three_stated_sd(run, method):
     captured, truth = run

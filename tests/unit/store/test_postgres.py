@@ -135,6 +135,7 @@ def test_durable_commits_wait_for_the_disk_and_events_do_not(database_url: str) 
     assert levels == ["on", "off", "on"]
 
 
+@pytest.mark.long
 def test_a_database_that_comes_back_is_used_again(postgres: Server, database_url: str) -> None:
     store = PostgresStore(database_url, None)
     store.save_job(ROW)

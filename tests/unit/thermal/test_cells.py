@@ -73,6 +73,7 @@ def test_coarse_bins_are_counted(raw_channel, noise, limit):
     assert np.abs(np.log(summed.sd[known] / whole.sd[known])).max() < 1.0
 
 
+@pytest.mark.long
 def test_an_hour_takes_the_memory_of_its_first_minutes(raw_channel):
     rng = np.random.default_rng(3)
     cells = DriftCells(limit=256)

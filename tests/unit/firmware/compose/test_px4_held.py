@@ -75,6 +75,7 @@ def test_no_other_choice_that_can_be_held_is_nearer(make_fit, seed):
                 assert mine <= np.mean((powers @ (other - rows[axis])) ** 2) * (1.0 + 1e-6)
 
 
+@pytest.mark.long
 def test_the_stated_sd_is_that_of_the_fit_with_the_term_fixed(make_fit):
     """Monte Carlo: measured coefficients scatter by their covariance; so do the held ones by theirs."""
     random = np.random.default_rng(7)

@@ -89,6 +89,7 @@ def test_what_was_not_at_rest_is_not_judged(ardupilot_parameters, ardupilot_fing
     assert (check.verdict, check.value, check.limit) == (SensorVerdict.NOT_OBSERVABLE, None, None)
 
 
+@pytest.mark.long
 def test_healthy_writes_are_hardly_ever_refused(ardupilot_parameters, ardupilot_fingerprint, make_fit):
     """Random sensors, quantised streams, and up to 2 degC and two minutes of drift between the fit and the check."""
     refused = []

@@ -58,16 +58,19 @@ def test_its_delays_are_found_with_their_size(nominal):
         assert found[name].params[0].value == pytest.approx(DELAY_S, rel=0.05)
 
 
+@pytest.mark.long
 def test_what_both_have_is_no_gap(nominal):
     report = gap.run(recording(2), None, [nominal], nested=False)
     assert report.verdict is GapVerdict.NO_GAP
     assert any("taken off" in w and "gyro_delay (delay_s 0.008 s)" in w for w in report.warnings)
 
 
+@pytest.mark.long
 def test_without_a_nominal_recording_it_is_one():
     assert "gyro_delay" in {e.id for e in gap.run(recording(2), nested=False).effects}
 
 
+@pytest.mark.long
 def test_what_only_the_other_has_is_found_in_its_own_size(nominal):
     report = gap.run(recording(2, bias=SAID), None, [nominal], nested=False)
     assert [e.id for e in report.effects] == ["gyro_bias"]
@@ -75,6 +78,7 @@ def test_what_only_the_other_has_is_found_in_its_own_size(nominal):
     assert said == pytest.approx(SAID, abs=0.002)
 
 
+@pytest.mark.long
 def test_a_bias_is_not_carried_over_but_one_as_large_is_no_gap():
     switched_on = recording(1, 0.0, BIAS)
     baseline = learned(switched_on)

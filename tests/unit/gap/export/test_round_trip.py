@@ -43,6 +43,7 @@ def again(text: str, suffix: str) -> SensorSuite:
     return SensorSuite(**made)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("target", "suffix"), [(Target.SITL, ".parm"), (Target.MAVCAL, ".json")])
 def test_the_simulator_with_the_export_has_the_same_gap(
     report: GapReport, real: Recording, target: Target, suffix: str
@@ -57,6 +58,7 @@ def test_the_simulator_with_the_export_has_the_same_gap(
     assert all(effect["share"] < 1e-3 for effect in found["effects"])
 
 
+@pytest.mark.long
 def test_what_the_effects_carry_adds_up_to_the_export(report: GapReport, real: Recording) -> None:
     text = exported(report, real, Target.SITL).text
     whole = {line.split()[0]: float(line.split()[1]) for line in text.splitlines() if not line.startswith("#")}

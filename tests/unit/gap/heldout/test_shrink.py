@@ -29,6 +29,7 @@ def magnet(trace):
     return ((trace.t > 11.3) & (trace.t < 27.7))[:, None] * np.array([3.0, -2.0, 20.0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_magnet_that_comes_and_goes_is_closed_on_held_out_blocks_though_no_other_tells_when(seed):
     report = diagnose(problem_of(np.random.default_rng(seed), (Sensor.MAG,), magnet), nested=True)

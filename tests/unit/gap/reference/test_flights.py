@@ -20,6 +20,7 @@ def flights(shared_data):
     return lambda name: logs.read(shared_data / "sitl_flights" / f"{name}.bin")
 
 
+@pytest.mark.long
 def test_biases_read_as_injected_against_the_other_instance_and_along_the_trajectory(flights):
     problem = build(flights("bias"), flights("null"))
     assert problem.reference.kind == ReferenceKind.ESTIMATOR

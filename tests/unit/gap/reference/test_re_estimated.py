@@ -113,6 +113,7 @@ def changed(recording, sensor, matrix):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("sensor", "matrix"),
     [
@@ -242,6 +243,7 @@ def test_the_delay_of_the_firmwares_own_filters_is_no_delay_of_other_sensors():
     assert gyro.residual.std(axis=0).max() < 0.004
 
 
+@pytest.mark.long
 def test_the_unit_with_the_smaller_errors_drives_the_trajectory():
     real = flight(bias=(0.4, 0.3, -0.2), gyro_bias=(0.02, 0.0, -0.01), instances=2)
     assert best_trajectory(real).instance == 1
@@ -281,6 +283,7 @@ def test_increments_of_a_cone_are_those_of_the_attitudes():
     assert at[:-1].apply(between.velocity) == pytest.approx(np.tile([0.1, 0.2, 0.3], (len(zero), 1)), abs=2e-4)
 
 
+@pytest.mark.long
 def test_a_crash_is_left_out_and_a_quiet_flight_is_not(shared_data):
     path = shared_data / "df_log171_triple_imu_mag" / "log171.bin"
     single = [t for t in build(logs.read(path)).traces if t.against is None]

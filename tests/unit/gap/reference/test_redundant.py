@@ -78,6 +78,7 @@ def test_instances_sampled_at_different_times_are_not_compared():
         build(Recording((both.channels[0], late)))
 
 
+@pytest.mark.long
 def test_while_the_trajectory_contradicts_its_own_unit_no_unit_is_compared():
     whole = flight(instances=2)
     crash = [

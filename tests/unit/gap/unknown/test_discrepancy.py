@@ -40,6 +40,7 @@ def pulses(hz=0.7, of=0.12, size=0.8):
     return size * SD * ((t * hz) % 1.0 < of)[:, None] * [1.0, 0.0, 0.0]
 
 
+@pytest.mark.long
 def test_white_noise_wins_less_than_a_draw_in_the_mean():
     odds = [log_odds(bets(0.0, seed=seed)) for seed in range(40)]
     assert np.mean(np.exp(odds)) < 1.0

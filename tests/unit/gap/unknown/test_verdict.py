@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
@@ -40,6 +41,7 @@ def test_a_sensor_that_keeps_jumping_is_unknown_and_no_jump_is_named():
     assert not any(e.id == "accel_step" for e in report.effects)
 
 
+@pytest.mark.long
 def test_each_moment_is_said_once_however_many_instances_jump():
     def all_jump(truth, _sensor):
         return (
@@ -93,6 +95,7 @@ def test_drift_that_one_driver_moves_is_unknown_and_not_a_walk():
     assert not any(e.id == "accel_random_walk" for e in report.effects)
 
 
+@pytest.mark.long
 def test_what_is_unknown_on_one_sensor_is_not_hidden_by_a_large_effect_on_another():
     def gap(trace):
         if trace.sensor is Sensor.GYRO:
@@ -116,6 +119,7 @@ def two_fans(trace):
     return 0.1 * one * [1.0, 0.2, 0.0] + 0.1 * other * [0.0, 0.3, 1.0]
 
 
+@pytest.mark.long
 def test_a_wave_that_comes_and_goes_is_no_steady_tone_however_many_explain_it():
     few = tuple(e for e in catalogue() if e.id in {"accel_tone", "accel_bias", "accel_noise"})
     rung = diagnose(problem_of(np.random.default_rng(6), (Sensor.ACCEL,), ringing), effects=few, nested=False)

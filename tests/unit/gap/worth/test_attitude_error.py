@@ -41,6 +41,7 @@ def estimated(kind=ReferenceKind.ESTIMATOR, seed=1):
     return effect.params
 
 
+@pytest.mark.long
 def test_a_bias_beside_a_tilt_is_as_uncertain_as_the_tilt():
     params = [p for seed in range(8) for p in estimated(seed=seed)]
     off = np.array([(p.value - BIAS["xyz".index(p.name[-1])]) / p.se for p in params])
@@ -75,11 +76,13 @@ def beside_a_wandering_attitude(stated_deg, kind=ReferenceKind.ESTIMATOR):
     return diagnose(problem, nested=False)
 
 
+@pytest.mark.long
 def test_what_a_re_estimated_trajectory_states_of_itself_is_no_finding():
     report = beside_a_wandering_attitude(stated_deg=1.5)
     assert [e.id for e in report.effects] == []
 
 
+@pytest.mark.long
 def test_an_attitude_that_wanders_more_than_it_states_is_a_finding():
     assert "reference_attitude" in [e.id for e in beside_a_wandering_attitude(stated_deg=0.05).effects]
 
