@@ -6,19 +6,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mavcal.calib.drawing import Figure
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.plots.fit import plotted
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.summary import Summary, counted, spread
 from mavcal.calib.triad import TriadModel
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -150,7 +148,7 @@ class FitResult:
         return np.asarray(np.sqrt(np.clip(np.stack(variances, axis=1), 0.0, None)))
 
     def plot(self, samples: Channel | Recording | None = None, temperature: ArrayLike | None = None) -> Figure:
-        """Before and after this fit, as a matplotlib figure; needs the extra ``mavcal[plot]``.
+        """Before and after this fit, as a picture that a notebook shows and ``save("fit.svg")`` writes.
 
         Parameters
         ----------
@@ -165,8 +163,6 @@ class FitResult:
         ------
         InvalidInputError
             If the fit is refused, or the samples are not raw samples of its sensor.
-        MissingExtraError
-            If matplotlib is not installed.
         """
         if self.status == FitStatus.REFUSED:
             raise InvalidInputError(f"a refused fit has nothing to plot: {self.message}")

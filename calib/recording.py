@@ -10,17 +10,14 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.drawing import Figure
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.plots.recording import plotted
 from mavcal.calib.summary import Summary, counted
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -308,20 +305,18 @@ class Recording:
         return float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
 
     def plot(self, *sensors: Sensor) -> Figure:
-        """The best channel of every instance over time and as a spectrum; needs the extra ``mavcal[plot]``.
+        """The best channel of every instance over time and as a spectrum, as a picture (SVG).
 
         Parameters
         ----------
         *sensors
-            What to plot; none: accelerometers, gyroscopes, magnetometers and their thermometers. A figure has at most
+            What to plot; none: accelerometers, gyroscopes, magnetometers and their thermometers. A picture has at most
             eight channels.
 
         Raises
         ------
         InvalidInputError
             If the recording has no samples of them.
-        MissingExtraError
-            If matplotlib is not installed.
         """
         found = []
         for sensor in sensors or _LOOKED_AT:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from cattrs import Converter
@@ -16,12 +16,10 @@ from cattrs.gen import make_dict_unstructure_fn, override
 from numpy.typing import NDArray
 
 from mavcal.calib.converter import make_converter
+from mavcal.calib.drawing import Figure
 from mavcal.calib.plots.gap import plotted
 from mavcal.calib.recording import Sensor
 from mavcal.calib.summary import Summary
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
@@ -308,14 +306,12 @@ class GapReport:
         return self.multiple_testing.m > 0 or bool(self.effects)
 
     def plot(self) -> Figure:
-        """Residuals and spectra before and with the effects, as a matplotlib figure; needs ``mavcal[plot]``.
+        """Residuals and spectra before and with the effects, as a picture (SVG).
 
         Raises
         ------
         InvalidInputError
             If the report carries no residuals: none was testable, or it was read from JSON.
-        MissingExtraError
-            If matplotlib is not installed.
         """
         return plotted(self.series, f"Gap: {self.verdict.replace('_', ' ')}")
 

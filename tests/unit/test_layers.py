@@ -63,7 +63,7 @@ GAP_LAYERS = (
 )
 """Rooms of ``calib/gap``, lowest first; a room imports the layers below its own, and no other room of its own layer."""
 
-PURE = {"numpy", "scipy", "pygeomag", "pyulog", "pymavlink", "fastcrc", "jinja2", "markupsafe", "cattrs", "matplotlib"}
+PURE = {"numpy", "scipy", "pygeomag", "pyulog", "pymavlink", "fastcrc", "jinja2", "markupsafe", "cattrs"}
 """Packages that ``calib`` may import besides the standard library's harmless part."""
 
 FORBIDDEN = {
