@@ -27,7 +27,7 @@ _CORNERS: Final = (np.array([-1, -1, -1]), np.array([1, -1, -1]), np.array([-1, 
 """Where the numbers of each axis begin: two lower edges in front, and the upright one on the left."""
 _BACK: Final = (-1, 1, -1)
 """The walls that stand behind everything."""
-_TOP, _BOTTOM, _SIDE = 46, 40, 70
+_TOP, _BOTTOM, _SIDE = 40, 40, 70
 
 
 @dataclass
@@ -52,11 +52,8 @@ class SpaceView:
     def lines(self, paths: Sequence[Array], colour: str) -> None:
         """Thin lines, each through the points (N, 3) of one path."""
         drawn = "".join(self._path(path) for path in paths)
-        self.parts.append(
-            Markup('<path d="{}" fill="none" style="stroke:{}" stroke-width="0.5" opacity="0.4"/>').format(
-                drawn, colour
-            )
-        )
+        thin = Markup('<path d="{}" fill="none" style="stroke:{}" stroke-width="0.5" opacity="0.4"/>')
+        self.parts.append(thin.format(drawn, colour))
 
     def cross(self, point: Array, colour: str) -> None:
         """A small cross at one point (3,)."""
@@ -76,14 +73,16 @@ class SpaceView:
         return Markup().join([*out, *self.parts, *above(self.legend, (self.width - wide) / 2)])
 
     def _axis(self, axis: int) -> list[Markup]:
-        """Rules at round numbers on both walls behind, the numbers, and the name of the axis."""
+        """Rules at round numbers and at both ends on the walls behind, the numbers, and the name of the axis."""
         limits = float(self.middle[axis] - self.half), float(self.middle[axis] + self.half)
-        out, anchor = [], ("end", "start", "end")[axis]
+        out: list[Markup] = []
+        anchor = ("end", "start", "end")[axis]
         dx, dy = ((-4, 12), (4, 12), (-6, 4))[axis]
-        for value, label in ticks(limits, log=False):
-            share = (value - self.middle[axis]) / self.half
-            for wall in {0, 1, 2} - {axis}:
-                out.append(Markup('<path class="grid" d="{}"/>').format(self._path(self._rule(axis, share, wall))))
+        named = [((value - self.middle[axis]) / self.half, label) for value, label in ticks(limits, log=False)]
+        shares = [-1.0, *(share for share, _ in named), 1.0]
+        rules = [self._path(self._rule(axis, share, wall)) for share in shares for wall in {0, 1, 2} - {axis}]
+        out.append(Markup('<path class="grid" d="{}"/>').format("".join(rules)))
+        for share, label in named:
             x, y = self._edge(axis, share)
             out.append(text(x + dx, y + dy, label, anchor=anchor))
         x, y = self._edge(axis, 0.0)

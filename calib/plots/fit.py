@@ -189,7 +189,7 @@ def _drift(fit: PlottedFit) -> Chart:
     unit, factor = shown(fit.unit)
     values, sd = factor * curve(at), factor * fit.drift_sd(at)
     title, y = f"Drift from {curve.t_ref:.0f} °C, with its sd", limits_of(values - sd, values + sd, [0.0])
-    chart = Chart(title, "temperature, °C", f"drift, {unit}", limits_of(at), y, WIDTH, HEIGHT, legend_rows=2)
+    chart = Chart(title, "temperature, °C", f"drift, {unit}", limits_of(at), y, WIDTH, HEIGHT)
     for name, shade, middle, half in zip("xyz", SHADES, values.T, sd.T, strict=True):
         chart.band(at, middle - half, middle + half, shade)
         chart.line(at, middle, shade, name)

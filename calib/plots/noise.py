@@ -40,7 +40,7 @@ def spectrum(channel: PlottedChannel, native: Mapping[str, Any]) -> Picture:
     floors = [None if white is None else factor * white * np.sqrt(2.0) for white in native["N"]]
     title, y = "Spectrum; dashes: white noise of the fit", limits_of(root, [f for f in floors if f], log=True)
     x = limits_of(hz, log=True)
-    chart = Chart(title, "frequency, Hz", f"{unit} / √Hz", x, y, WIDTH, HEIGHT, log_x=True, log_y=True, legend_rows=2)
+    chart = Chart(title, "frequency, Hz", f"{unit} / √Hz", x, y, WIDTH, HEIGHT, log_x=True, log_y=True)
     for name, shade, column in zip("xyz", SHADES, root.T, strict=True):
         chart.line(hz, column, shade, name, thin=True)
     for shade, floor in zip(SHADES, floors, strict=True):
