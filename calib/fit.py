@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mavcal.calib.drawing import Figure
+from mavcal.calib.drawing import Drawing
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.plots.fit import plotted
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
@@ -147,7 +147,7 @@ class FitResult:
         variances = [np.einsum("ij,jk,ik->i", powers, self.covariance[b, b], powers) for b in blocks]
         return np.asarray(np.sqrt(np.clip(np.stack(variances, axis=1), 0.0, None)))
 
-    def plot(self, samples: Channel | Recording | None = None, temperature: ArrayLike | None = None) -> Figure:
+    def plot(self, samples: Channel | Recording | None = None, temperature: ArrayLike | None = None) -> Drawing:
         """Before and after this fit, as a picture that a notebook shows and ``save("fit.svg")`` writes.
 
         Parameters

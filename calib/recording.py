@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.drawing import Figure
+from mavcal.calib.drawing import Drawing
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.plots.recording import plotted
 from mavcal.calib.summary import Summary, counted
@@ -304,7 +304,7 @@ class Recording:
             return float("nan"), float("nan")
         return float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
 
-    def plot(self, *sensors: Sensor) -> Figure:
+    def plot(self, *sensors: Sensor) -> Drawing:
         """The best channel of every instance over time and as a spectrum, as a picture (SVG).
 
         Parameters

@@ -1,25 +1,25 @@
 """Pictures as SVG: charts, maps of colours and of directions. Small, diffable, and good inside a page or as a file."""
 
 from mavcal.calib.drawing.chart import Chart
-from mavcal.calib.drawing.figure import Blank, Figure, figure
 from mavcal.calib.drawing.heat import heat
 from mavcal.calib.drawing.legend import Key
 from mavcal.calib.drawing.picture import Picture, side_by_side, svg, text
 from mavcal.calib.drawing.scale import limits_of, thinned
+from mavcal.calib.drawing.sheet import Blank, Drawing, sheet
 from mavcal.calib.drawing.space import SpaceView
 from mavcal.calib.drawing.sphere import SphereMap
 
 __all__ = [
     "Blank",
     "Chart",
-    "Figure",
+    "Drawing",
     "Key",
     "Picture",
     "SpaceView",
     "SphereMap",
-    "figure",
     "heat",
     "limits_of",
+    "sheet",
     "side_by_side",
     "svg",
     "text",

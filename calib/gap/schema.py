@@ -16,7 +16,7 @@ from cattrs.gen import make_dict_unstructure_fn, override
 from numpy.typing import NDArray
 
 from mavcal.calib.converter import make_converter
-from mavcal.calib.drawing import Figure
+from mavcal.calib.drawing import Drawing
 from mavcal.calib.plots.gap import plotted
 from mavcal.calib.recording import Sensor
 from mavcal.calib.summary import Summary
@@ -305,7 +305,7 @@ class GapReport:
         """Whether anything could be tested: with False the verdict says nothing of any sensor."""
         return self.multiple_testing.m > 0 or bool(self.effects)
 
-    def plot(self) -> Figure:
+    def plot(self) -> Drawing:
         """Residuals and spectra before and with the effects, as a picture (SVG).
 
         Raises

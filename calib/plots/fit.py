@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.drawing import Chart, Figure, Picture, SpaceView, SphereMap, figure, limits_of
+from mavcal.calib.drawing import Chart, Drawing, Picture, SpaceView, SphereMap, limits_of, sheet
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.plots import noise
 from mavcal.calib.plots.canvas import (
@@ -61,12 +61,12 @@ class PlottedFit(Protocol):
     def drift_sd(self, temperatures: Array) -> Array: ...  # noqa: D102
 
 
-def plotted(fit: PlottedFit, channel: PlottedChannel | None, temperature: ArrayLike | None) -> Figure:
+def plotted(fit: PlottedFit, channel: PlottedChannel | None, temperature: ArrayLike | None) -> Drawing:
     """The picture of :meth:`calib.fit.FitResult.plot`."""
     if channel is not None:
         _check(fit, channel)
     said = "" if "adev" in fit.native else ": before and after"
-    return figure(_panels(fit, channel, temperature), f"{name_of(fit.sensor, fit.instance)} by {fit.method}{said}")
+    return sheet(_panels(fit, channel, temperature), f"{name_of(fit.sensor, fit.instance)} by {fit.method}{said}")
 
 
 def _panels(fit: PlottedFit, channel: PlottedChannel | None, temperature: ArrayLike | None) -> list[Picture]:

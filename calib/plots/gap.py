@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.drawing import Blank, Chart, Figure, Picture, figure, limits_of
+from mavcal.calib.drawing import Blank, Chart, Drawing, Picture, limits_of, sheet
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.plots.canvas import AFTER, BEFORE, ROW_HEIGHT, RULE, TOO_FEW, WIDTH, density, shown, thinned
 
@@ -43,7 +43,7 @@ class PlottedSeries(Protocol):
     def power(self) -> Array | None: ...  # noqa: D102
 
 
-def plotted(series: Sequence[PlottedSeries], title: str) -> Figure:
+def plotted(series: Sequence[PlottedSeries], title: str) -> Drawing:
     """The picture of :meth:`calib.gap.schema.GapReport.plot`: one row a sensor, times left, spectra right."""
     if not series:
         raise InvalidInputError("the report has no residuals to plot: diagnose the recordings again")
@@ -51,7 +51,7 @@ def plotted(series: Sequence[PlottedSeries], title: str) -> Figure:
     panels: list[Picture] = []
     for one in rows:
         panels += [_over_time(one), _spectrum(one)]
-    return figure(panels, title, columns=2)
+    return sheet(panels, title, columns=2)
 
 
 def _explained(series: PlottedSeries) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mavcal.calib.drawing import Blank, Chart, Figure, Picture, figure, limits_of
+from mavcal.calib.drawing import Blank, Chart, Drawing, Picture, limits_of, sheet
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.plots.canvas import (
     ROW_HEIGHT,
@@ -24,7 +24,7 @@ MOST_ROWS = 8
 """Channels in one picture."""
 
 
-def plotted(channels: Sequence[PlottedChannel], title: str) -> Figure:
+def plotted(channels: Sequence[PlottedChannel], title: str) -> Drawing:
     """The picture of :meth:`calib.recording.Recording.plot`: one row a channel, times left, spectra right."""
     channels = channels[:MOST_ROWS]
     if not channels:
@@ -34,7 +34,7 @@ def plotted(channels: Sequence[PlottedChannel], title: str) -> Figure:
     panels: list[Picture] = []
     for channel in channels:
         panels += [_over_time(channel, start, end), _spectrum(channel)]
-    return figure(panels, title, columns=2)
+    return sheet(panels, title, columns=2)
 
 
 def _over_time(channel: PlottedChannel, start: float, end: float) -> Chart:

@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[3]
 DOOR = "mavcal.calib.withheld_check"
 MAY = {"mavcal.calib.blind", "mavcal.calib.errors", "mavcal.calib.recording"}
-SHOWN = {"mavcal.calib.summary", "mavcal.calib.plots"}
+SHOWN = {"mavcal.calib.summary", "mavcal.calib.plots", "mavcal.calib.drawing"}
 """By which a recording shows itself; nothing of them is in its samples."""
 
 

@@ -13,7 +13,7 @@ from mavcal.calib.errors import InvalidInputError
 
 
 @dataclass(frozen=True)
-class Figure:
+class Drawing:
     """A picture as SVG, which every browser and every notebook shows."""
 
     svg: str = field(repr=False)
@@ -49,6 +49,6 @@ class Blank:
         return text(self.width / 2, self.height / 2, self.words, anchor="middle") if self.words else Markup()
 
 
-def figure(panels: Sequence[Picture], heading: str, *, columns: int | None = None) -> Figure:
+def sheet(panels: Sequence[Picture], heading: str, *, columns: int | None = None) -> Drawing:
     """Panels in rows of `columns` (None: one row) below a heading."""
-    return Figure(str(side_by_side(panels, heading, columns=columns, heading=heading)))
+    return Drawing(str(side_by_side(panels, heading, columns=columns, heading=heading)))
