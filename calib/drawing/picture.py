@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SHEET = Markup(
-    ".drawn text{font-size:10.5px;fill:#1d2b36} .drawn .title{font-size:12.5px;font-weight:600} "
-    ".drawn .heading{font-size:14px;font-weight:600} .drawn .grid{fill:none;stroke:#dfe5ea} "
-    ".drawn .edge{fill:none;stroke:#6b7a86}"
+_RULES = (
+    "text{font-size:10.5px;fill:#1d2b36}",
+    ".title{font-size:12.5px;font-weight:600}",
+    ".heading{font-size:14px;font-weight:600}",
+    ".grid{fill:none;stroke:#dfe5ea}",
+    ".edge{fill:none;stroke:#6b7a86}",
 )
+SHEET = Markup(" ").join(Markup(f".drawn {rule}") for rule in _RULES)  # noqa: S704 - they are our own
 """The style of a file, and of nothing around it in a notebook; a page has its own rules for the same classes."""
 _HEADING = 30
 
@@ -74,8 +77,11 @@ def side_by_side(pictures: Sequence[Picture], told: str, *, columns: int | None 
             groups.append(Markup('<g transform="translate({} {})">{}</g>').format(x, y, picture.body()))
             x += picture.width
         y += max(p.height for p in row)
-    return Markup(
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {0} {1}" width="{0}" height="{1}" '
-        'class="drawn" font-family="Helvetica, Arial, sans-serif" role="img" aria-label="{2}"><style>{3}</style>'
-        '<rect width="{0}" height="{1}" fill="#ffffff"/>{4}</svg>\n'
-    ).format(width, y, told, SHEET, Markup().join(groups))
+    fonts = Markup('class="drawn" font-family="Helvetica, Arial, sans-serif"')
+    frame = Markup('<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {0} {1}" width="{0}" height="{1}" {2}').format(
+        width, y, fonts
+    )
+    paper = Markup('<rect width="{}" height="{}" fill="#ffffff"/>').format(width, y)
+    return Markup('{} role="img" aria-label="{}"><style>{}</style>{}{}</svg>\n').format(
+        frame, told, SHEET, paper, Markup().join(groups)
+    )
