@@ -6,17 +6,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mavcal.calib.drawing import Drawing
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.plots.fit import plotted
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.summary import Summary, counted, spread
 from mavcal.calib.triad import TriadModel
+
+if TYPE_CHECKING:
+    from mavcal.calib.drawing import Drawing
 
 Array = NDArray[np.float64]
 
@@ -175,6 +176,8 @@ class FitResult:
                 f"these samples of {self.sensor} {self.instance + 1} are {samples.stage}, the fit is of raw ones: "
                 "plot mavcal.calib.bare(recording)"
             )
+        from mavcal.calib.plots.fit import plotted
+
         return plotted(self, samples, temperature)
 
     def __repr__(self) -> str:

@@ -10,14 +10,16 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.drawing import Drawing
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.plots.recording import plotted
 from mavcal.calib.summary import Summary, counted
+
+if TYPE_CHECKING:
+    from mavcal.calib.drawing import Drawing
 
 Array = NDArray[np.float64]
 
@@ -322,6 +324,8 @@ class Recording:
         for sensor in sensors or _LOOKED_AT:
             usable = {c.instance for c in self.channels if c.sensor == sensor and c.stage != Stage.DEBIASED and len(c)}
             found += [self.channel(sensor, instance) for instance in sorted(usable)]
+        from mavcal.calib.plots.recording import plotted
+
         return plotted(found, self.source or "recording")
 
     def __repr__(self) -> str:

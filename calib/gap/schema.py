@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from cattrs import Converter
@@ -16,10 +16,11 @@ from cattrs.gen import make_dict_unstructure_fn, override
 from numpy.typing import NDArray
 
 from mavcal.calib.converter import make_converter
-from mavcal.calib.drawing import Drawing
-from mavcal.calib.plots.gap import plotted
 from mavcal.calib.recording import Sensor
 from mavcal.calib.summary import Summary
+
+if TYPE_CHECKING:
+    from mavcal.calib.drawing import Drawing
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
@@ -313,6 +314,8 @@ class GapReport:
         InvalidInputError
             If the report carries no residuals: none was testable, or it was read from JSON.
         """
+        from mavcal.calib.plots.gap import plotted
+
         return plotted(self.series, f"Gap: {self.verdict.replace('_', ' ')}")
 
     def __repr__(self) -> str:
