@@ -10,7 +10,6 @@
     |   +-- NotConvergedError      an iteration did not settle on an answer
     +-- FirmwareError              an autopilot cannot take, hold or undo what was asked
     +-- ProcedureError             a procedure was driven in a way that it does not allow
-    +-- MissingExtraError          a package of an optional extra is not installed; names the extra
 
 The docstring of a class is its default message.
 """
@@ -65,7 +64,3 @@ class FirmwareError(CalibError):
 
 class ProcedureError(CalibError):
     """The procedure does not accept this answer at this step."""
-
-
-class MissingExtraError(CalibError, ImportError):
-    """A package of an optional extra is not installed."""

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.plots.fit import plotted
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.summary import Summary, counted, spread
 from mavcal.calib.triad import TriadModel
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from mavcal.calib.drawing import Drawing
 
 Array = NDArray[np.float64]
 
@@ -149,8 +148,8 @@ class FitResult:
         variances = [np.einsum("ij,jk,ik->i", powers, self.covariance[b, b], powers) for b in blocks]
         return np.asarray(np.sqrt(np.clip(np.stack(variances, axis=1), 0.0, None)))
 
-    def plot(self, samples: Channel | Recording | None = None, temperature: ArrayLike | None = None) -> Figure:
-        """Before and after this fit, as a matplotlib figure; needs the extra ``mavcal[plot]``.
+    def plot(self, samples: Channel | Recording | None = None, temperature: ArrayLike | None = None) -> Drawing:
+        """Before and after this fit, as a picture that a notebook shows and ``save("fit.svg")`` writes.
 
         Parameters
         ----------
@@ -165,8 +164,6 @@ class FitResult:
         ------
         InvalidInputError
             If the fit is refused, or the samples are not raw samples of its sensor.
-        MissingExtraError
-            If matplotlib is not installed.
         """
         if self.status == FitStatus.REFUSED:
             raise InvalidInputError(f"a refused fit has nothing to plot: {self.message}")
@@ -179,6 +176,8 @@ class FitResult:
                 f"these samples of {self.sensor} {self.instance + 1} are {samples.stage}, the fit is of raw ones: "
                 "plot mavcal.calib.bare(recording)"
             )
+        from mavcal.calib.plots.fit import plotted
+
         return plotted(self, samples, temperature)
 
     def __repr__(self) -> str:

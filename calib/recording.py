@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.plots.recording import plotted
 from mavcal.calib.summary import Summary, counted
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from mavcal.calib.drawing import Drawing
 
 Array = NDArray[np.float64]
 
@@ -307,26 +306,26 @@ class Recording:
             return float("nan"), float("nan")
         return float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
 
-    def plot(self, *sensors: Sensor) -> Figure:
-        """The best channel of every instance over time and as a spectrum; needs the extra ``mavcal[plot]``.
+    def plot(self, *sensors: Sensor) -> Drawing:
+        """The best channel of every instance over time and as a spectrum, as a picture (SVG).
 
         Parameters
         ----------
         *sensors
-            What to plot; none: accelerometers, gyroscopes, magnetometers and their thermometers. A figure has at most
+            What to plot; none: accelerometers, gyroscopes, magnetometers and their thermometers. A picture has at most
             eight channels.
 
         Raises
         ------
         InvalidInputError
             If the recording has no samples of them.
-        MissingExtraError
-            If matplotlib is not installed.
         """
         found = []
         for sensor in sensors or _LOOKED_AT:
             usable = {c.instance for c in self.channels if c.sensor == sensor and c.stage != Stage.DEBIASED and len(c)}
             found += [self.channel(sensor, instance) for instance in sorted(usable)]
+        from mavcal.calib.plots.recording import plotted
+
         return plotted(found, self.source or "recording")
 
     def __repr__(self) -> str:

@@ -13,8 +13,8 @@ print(compass)
 print(f"true offset {OFFSET}, heading uncertain by {compass.quality['heading_sd_deg']:.2f} deg")
 
 # %% See it. `bare` undoes the calibration in force: the fit is of the bare sensor.
-bare(log).plot(Sensor.MAG, Sensor.GYRO).savefig("flight.png", dpi=60)
-compass.plot(bare(log)).savefig("flight-fit.png", dpi=60)
+bare(log).plot(Sensor.MAG, Sensor.GYRO).save("flight.svg")
+compass.plot(bare(log)).save("flight-fit.svg")
 
 # %% Keep it: a parameter file for a ground station, which starts from the parameters of the log.
 print(save_fits([compass], "compass.param", log), "parameters")

@@ -10,14 +10,14 @@ log = read(turned_by_hand(Path("turned.csv"), seed=3))
 
 # %% Look: channels, rates and units; then every sensor over time and as a spectrum.
 print(log)
-log.plot().savefig("first-look.png", dpi=60)
+log.plot().save("first-look.svg")
 
 # %% Fit: one result for each compass, with its uncertainty and with what the data do not say.
 (compass,) = fit_recording(log, "mag-ellipsoid")
 print(compass)
 
 # %% See it: field strength before and after, ellipsoid and sphere, the directions that were measured.
-compass.plot(log).savefig("first-fit.png", dpi=60)
+compass.plot(log).save("first-fit.svg")
 
 # %% Keep it: everything as JSON, or a C array for a firmware of your own.
 save_fits([compass], "compass.json")

@@ -12,7 +12,7 @@ report = diagnose(real, nominal=nominal, nested=False)
 print(report)
 
 # %% See it: the residual of each sensor over time, and its spectrum, before and with the effects.
-report.plot().savefig("gap.png", dpi=60)
+report.plot().save("gap.svg")
 
 # %% Ask it: each effect with its probability, each parameter with its 95 % interval.
 for effect in report.effects:

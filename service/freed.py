@@ -1,7 +1,8 @@
 """Has glibc reuse the memory that jobs have freed, or return it to the system.
 
 By itself glibc gives each thread a heap of its own, up to eight a processor, and no other thread uses what is freed
-there. A service whose jobs run in changing threads therefore held more and more free memory.
+there. A service whose jobs run in changing threads therefore held more and more free memory. ``MALLOC_ARENA_MAX=2``
+sets the same limit, but only from outside before the process starts, and it gives nothing back.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.drawing import Chart, SphereMap, side_by_side
+from mavcal.calib.drawing import Chart, Key, SphereMap, side_by_side
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Recording, Sensor
@@ -97,7 +97,7 @@ def tilt() -> str:
         at, errors, stated_sd = (list(column) for column in zip(*shown, strict=True))
         plot.line(at, stated_sd, colour, "no prior" if prior is None else f"--prior-sd {prior:g}")
         plot.dots(at, errors, colour, size=3.0)
-    plot.legend.append((GREY, f"line: stated sd; dots: error, rms of {_RUNS} runs"))
+    plot.legend.append(Key(GREY, f"line: stated sd; dots: error, rms of {_RUNS} runs"))
     return side_by_side(
         [plot], "Offset error and stated uncertainty against the largest tilt, with a prior and without"
     )

@@ -2,8 +2,26 @@
 
 from mavcal.calib.drawing.chart import Chart
 from mavcal.calib.drawing.heat import heat
-from mavcal.calib.drawing.picture import side_by_side, svg, text
+from mavcal.calib.drawing.legend import Key
+from mavcal.calib.drawing.picture import Picture, side_by_side, svg, text
 from mavcal.calib.drawing.scale import limits_of, thinned
+from mavcal.calib.drawing.sheet import Blank, Drawing, sheet
+from mavcal.calib.drawing.space import SpaceView
 from mavcal.calib.drawing.sphere import SphereMap
 
-__all__ = ["Chart", "SphereMap", "heat", "limits_of", "side_by_side", "svg", "text", "thinned"]
+__all__ = [
+    "Blank",
+    "Chart",
+    "Drawing",
+    "Key",
+    "Picture",
+    "SpaceView",
+    "SphereMap",
+    "heat",
+    "limits_of",
+    "sheet",
+    "side_by_side",
+    "svg",
+    "text",
+    "thinned",
+]

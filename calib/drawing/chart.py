@@ -9,13 +9,12 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
+from mavcal.calib.drawing.legend import ROW, Key, above, inside
 from mavcal.calib.drawing.picture import dotted, svg, text
 from mavcal.calib.drawing.scale import runs_inside, shares, ticks
 
 Array = NDArray[np.float64]
 
-LETTER = 5.9
-"""Mean width of a letter of the legend."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 40, 38
 
 
@@ -33,12 +32,18 @@ class Chart:
     log_x: bool = False
     log_y: bool = False
     legend_inside: bool = False
-    """The legend stands in the upper right corner of the axes: for names that are long; else in a row above them."""
+    """The legend stands in the upper right corner of the axes: for names that are long; else above them."""
+    legend_rows: int = 1
+    """Rows of the legend above the axes, which begin that much lower."""
     x_names: Sequence[str] = ()
     """Words at 0, 1, 2 ... of x instead of numbers."""
     parts: list[Markup] = field(default_factory=list)
-    legend: list[tuple[str, str]] = field(default_factory=list)
+    legend: list[Key] = field(default_factory=list)
     """Colours and what they mean."""
+
+    @property
+    def _top(self) -> int:
+        return _TOP + ROW * (self.legend_rows - 1)
 
     def line(
         self, x: ArrayLike, y: ArrayLike, colour: str, name: str = "", *, thin: bool = False, dashed: bool = False
@@ -54,10 +59,29 @@ class Chart:
             )
         self._named(colour, name)
 
+    def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str) -> None:
+        """The room between two lines, in the colour of the line that it belongs to."""
+        u, bottom = self._shares(x, low)
+        _, top = self._shares(x, high)
+        kept = (u >= 0.0) & (u <= 1.0) & np.isfinite(bottom) & np.isfinite(top)
+        round_about = np.concatenate([u[kept], u[kept][::-1]])
+        edges = np.clip(np.concatenate([bottom[kept], top[kept][::-1]]), 0.0, 1.0)
+        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(*self._at(round_about, edges), strict=True))
+        self.parts.append(Markup('<polygon points="{}" style="fill:{}" opacity="0.25"/>').format(points, colour))
+
+    def columns(self, x: ArrayLike, y: ArrayLike, colour: str, name: str = "", *, wide: float = 0.5) -> None:
+        """A column from zero to each point, `wide` on the scale of x."""
+        thick = wide / (self.x[1] - self.x[0]) * (self.width - _LEFT - _RIGHT)
+        places, heads = self._at(*self._shares(x, np.clip(y, *self.y)))
+        _, (foot,) = self._at(*self._shares([self.x[0]], np.clip([0.0], *self.y)))
+        path = "".join(f"M{a:.1f} {foot:.1f}V{b:.1f}" for a, b in zip(places, heads, strict=True))
+        self.parts.append(Markup('<path d="{}" style="stroke:{}" stroke-width="{:.1f}"/>').format(path, colour, thick))
+        self._named(colour, name)
+
     def dots(self, x: ArrayLike, y: ArrayLike, colour: str, name: str = "", *, size: float = 1.4) -> None:
         """A dot a point: one path, so that many stay small."""
         self.parts.append(dotted(*self._inside(x, y), colour, size=size))
-        self._named(colour, name)
+        self._named(colour, name, dots=True)
 
     def bars(self, x: ArrayLike, y: ArrayLike, half: ArrayLike, colour: str, name: str = "") -> None:
         """A dot with its interval at each point."""
@@ -70,16 +94,16 @@ class Chart:
                 Markup('<path d="M{:.1f} {:.1f}V{:.1f}" style="stroke:{}" stroke-width="1"/>').format(a, b, c, colour)
             )
         self.parts.append(dotted(*self._inside(x, y), colour, size=2.4, opacity=1.0))
-        self._named(colour, name)
+        self._named(colour, name, dots=True)
 
     def mark(self, x: float, words: str, colour: str) -> None:
         """An upright line with a word."""
         (a,), _ = self._at(*self._shares([x], [self.y[0]]))
         self.parts.append(
             Markup('<path d="M{:.1f} {}V{}" style="stroke:{}" stroke-dasharray="4 3"/>').format(
-                a, _TOP, self.height - _BOTTOM, colour
+                a, self._top, self.height - _BOTTOM, colour
             )
-            + text(a + 3, _TOP + 11, words)
+            + text(a + 3, self._top + 11, words)
         )
 
     def drawn(self) -> Markup:
@@ -88,12 +112,12 @@ class Chart:
 
     def body(self) -> Markup:
         """Everything within the frame of the picture."""
-        right, bottom = self.width - _RIGHT, self.height - _BOTTOM
+        right, bottom, top = self.width - _RIGHT, self.height - _BOTTOM, self._top
         out = [text(_LEFT, 16, self.title, kind="title")]
         named = [(float(place), name) for place, name in enumerate(self.x_names)]
         for value, label in named or ticks(self.x, log=self.log_x):
             (a,), _ = self._at(*self._shares([value], [self.y[0]]))
-            rule = Markup('<path class="grid" d="M{:.1f} {}V{}"/>').format(a, _TOP, bottom)
+            rule = Markup('<path class="grid" d="M{:.1f} {}V{}"/>').format(a, top, bottom)
             out += [rule, text(a, bottom + 14, label, anchor="middle")]
         for value, label in ticks(self.y, log=self.log_y):
             _, (b,) = self._at(*self._shares([self.x[0]], [value]))
@@ -102,31 +126,17 @@ class Chart:
         out += self.parts
         # Only a file's own style draws it.
         edge = Markup('<rect x="{}" y="{}" width="{}" height="{}" fill="none" class="edge"/>')
-        out.append(edge.format(_LEFT, _TOP, right - _LEFT, bottom - _TOP))
+        out.append(edge.format(_LEFT, top, right - _LEFT, bottom - top))
         out.append(text((_LEFT + right) / 2, self.height - 8, self.x_label, anchor="middle", kind="axis"))
-        middle = (_TOP + bottom) / 2
+        middle = (top + bottom) / 2
         turned = text(0, 0, self.y_label, anchor="middle", kind="axis")
         out.append(Markup('<g transform="translate(13 {:.0f}) rotate(-90)">{}</g>').format(middle, turned))
-        out += self._legend_inside() if self.legend_inside else self._legend_above()
+        out += inside(self.legend, right, top) if self.legend_inside else above(self.legend, _LEFT, self.legend_rows)
         return Markup().join(out)
 
-    def _legend_above(self) -> list[Markup]:
-        out, x = [], float(_LEFT)
-        for colour, name in self.legend:
-            out += [_key(x, 27, colour), text(x + 18, 31, name, kind="legend")]
-            x += 30 + LETTER * len(name)
-        return out
-
-    def _legend_inside(self) -> list[Markup]:
-        right, out = self.width - _RIGHT, []
-        for k, (colour, name) in enumerate(self.legend):
-            y = _TOP + 12 + 14 * k
-            out += [_key(right - 18, y - 4, colour), text(right - 22, y, name, anchor="end", kind="legend")]
-        return out
-
-    def _named(self, colour: str, name: str) -> None:
+    def _named(self, colour: str, name: str, *, dots: bool = False) -> None:
         if name:
-            self.legend.append((colour, name))
+            self.legend.append(Key(colour, name, dots))
 
     def _shares(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
         return shares(x, self.x, log=self.log_x), shares(y, self.y, log=self.log_y)
@@ -134,14 +144,10 @@ class Chart:
     def _inside(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
         """Places of the points that lie within the axes."""
         u, v = self._shares(x, y)
-        inside = (u >= 0.0) & (u <= 1.0) & (v >= 0.0) & (v <= 1.0)
-        return self._at(u[inside], v[inside])
+        within = (u >= 0.0) & (u <= 1.0) & (v >= 0.0) & (v <= 1.0)
+        return self._at(u[within], v[within])
 
     def _at(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Places in the picture of shares of both axes."""
-        tall = self.height - _TOP - _BOTTOM
+        tall = self.height - self._top - _BOTTOM
         return _LEFT + u * (self.width - _LEFT - _RIGHT), self.height - _BOTTOM - v * tall
-
-
-def _key(x: float, y: float, colour: str) -> Markup:
-    return Markup('<path d="M{:.1f} {}h14" style="stroke:{}" stroke-width="3"/>').format(x, y, colour)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from mavcal.calib.drawing.chart import LETTER
+from mavcal.calib.drawing.legend import LETTER
 from mavcal.calib.drawing.picture import svg, text
 
 _STEEP = 0.87

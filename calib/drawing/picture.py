@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SHEET = Markup(
-    "text{font-size:10.5px;fill:#1d2b36} .title{font-size:12.5px;font-weight:600} .grid{fill:none;stroke:#dfe5ea} "
-    ".edge{fill:none;stroke:#6b7a86}"
+_RULES = (
+    "text{font-size:10.5px;fill:#1d2b36}",
+    ".title{font-size:12.5px;font-weight:600}",
+    ".heading{font-size:14px;font-weight:600}",
+    ".grid{fill:none;stroke:#dfe5ea}",
+    ".edge{fill:none;stroke:#6b7a86}",
 )
-"""The style of a file; a page has its own rules for the same classes."""
+SHEET = Markup(" ").join(Markup(f".drawn {rule}") for rule in _RULES)  # noqa: S704 - they are our own
+"""The style of a file, and of nothing around it in a notebook; a page has its own rules for the same classes."""
+_HEADING = 30
 
 
 class Picture(Protocol):
@@ -57,20 +62,26 @@ def svg(width: float, height: float, parts: Iterable[Markup], title: str) -> Mar
     )
 
 
-def side_by_side(pictures: Sequence[Picture], told: str, *, columns: int | None = None) -> Markup:
+def side_by_side(pictures: Sequence[Picture], told: str, *, columns: int | None = None, heading: str = "") -> Markup:
     """A file with pictures in rows of `columns` (None: one row); `told` is what a reader without eyes is told."""
     across = columns or len(pictures)
     rows = [pictures[i : i + across] for i in range(0, len(pictures), across)]
     width = max(sum(p.width for p in row) for row in rows)
     y, groups = 0, []
+    if heading:
+        y += _HEADING
+        groups.append(text(width / 2, 19, heading, anchor="middle", kind="heading"))
     for row in rows:
         x = 0
         for picture in row:
             groups.append(Markup('<g transform="translate({} {})">{}</g>').format(x, y, picture.body()))
             x += picture.width
         y += max(p.height for p in row)
-    return Markup(
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {0} {1}" width="{0}" height="{1}" '
-        'font-family="Helvetica, Arial, sans-serif" role="img" aria-label="{2}"><style>{3}</style>'
-        '<rect width="{0}" height="{1}" fill="#ffffff"/>{4}</svg>\n'
-    ).format(width, y, told, SHEET, Markup().join(groups))
+    fonts = Markup('class="drawn" font-family="Helvetica, Arial, sans-serif"')
+    frame = Markup('<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {0} {1}" width="{0}" height="{1}" {2}').format(
+        width, y, fonts
+    )
+    paper = Markup('<rect width="{}" height="{}" fill="#ffffff"/>').format(width, y)
+    return Markup('{} role="img" aria-label="{}"><style>{}</style>{}{}</svg>\n').format(
+        frame, told, SHEET, paper, Markup().join(groups)
+    )

@@ -29,6 +29,8 @@ def runs_inside(u: Array, v: Array) -> list[list[Point]]:
     """The parts of a line through points (shares of both axes) that lie inside the axes, broken where nothing is."""
     runs: list[list[Point]] = []
     points = list(zip(u.tolist(), v.tolist(), strict=True))
+    if len(points) > 1 and np.all((u >= 0.0) & (u <= 1.0) & (v >= 0.0) & (v <= 1.0)):
+        return [points]  # as nearly always
     for start, end in pairwise(points):
         kept = _cut(start, end)
         if kept is None:

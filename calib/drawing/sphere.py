@@ -29,6 +29,11 @@ class SphereMap:
         longitude, latitude = np.arctan2(unit[:, 1], unit[:, 0]), np.arcsin(np.clip(unit[:, 2], -1.0, 1.0))
         self.parts.append(dotted(*self._at(longitude, latitude), colour, size=size))
 
+    def mark(self, longitude: float, latitude: float, words: str) -> None:
+        """Words at a direction, degrees."""
+        (x,), (y,) = self._at(np.radians([longitude]), np.radians([latitude]))
+        self.parts.append(text(x, y + 4, words, anchor="middle", kind="title"))
+
     def body(self) -> Markup:
         """Everything within the frame of the picture."""
         out = [text(self.width / 2, 17, self.title, anchor="middle", kind="title")]

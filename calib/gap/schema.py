@@ -16,12 +16,11 @@ from cattrs.gen import make_dict_unstructure_fn, override
 from numpy.typing import NDArray
 
 from mavcal.calib.converter import make_converter
-from mavcal.calib.plots.gap import plotted
 from mavcal.calib.recording import Sensor
 from mavcal.calib.summary import Summary
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from mavcal.calib.drawing import Drawing
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
@@ -307,16 +306,16 @@ class GapReport:
         """Whether anything could be tested: with False the verdict says nothing of any sensor."""
         return self.multiple_testing.m > 0 or bool(self.effects)
 
-    def plot(self) -> Figure:
-        """Residuals and spectra before and with the effects, as a matplotlib figure; needs ``mavcal[plot]``.
+    def plot(self) -> Drawing:
+        """Residuals and spectra before and with the effects, as a picture (SVG).
 
         Raises
         ------
         InvalidInputError
             If the report carries no residuals: none was testable, or it was read from JSON.
-        MissingExtraError
-            If matplotlib is not installed.
         """
+        from mavcal.calib.plots.gap import plotted
+
         return plotted(self.series, f"Gap: {self.verdict.replace('_', ' ')}")
 
     def __repr__(self) -> str:

@@ -2,6 +2,8 @@
 
 A file is a chain of elements, each with its kind and its size; every size is checked against what is there before
 anything is taken from it. Cells, structures, sparse, complex and deeper arrays hold no table and are stepped over.
+``scipy.io.loadmat`` (1.17.1) ends the process by SIGSEGV: on ``savemat(file, {"a": np.arange(9.0)})`` with 14 at byte
+138 and 255 at byte 176, and on 16 of 2000 small files that were damaged at random.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Figures of matplotlib (the extra ``mavcal[plot]``), which is loaded when one is drawn.
+"""Pictures of a recording, of a fit and of a gap, drawn by ``calib/drawing``.
 
-A figure belongs to no window and no back end: save it, or show it in a notebook. The room knows its subjects by
-protocols. A recording, a fit and a gap report can therefore offer ``.plot()`` without a circle of imports.
+The room knows its subjects by protocols: a recording, a fit and a gap report can therefore offer ``.plot()`` without a
+circle of imports.
 """

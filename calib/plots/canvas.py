@@ -1,17 +1,12 @@
-"""What every figure shares: its size, its colours, its units, and how many samples it shows."""
+"""What every picture shares: its size, its colours, its units, and how many samples it shows."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from mavcal.calib.errors import MissingExtraError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -19,10 +14,17 @@ BEFORE: Final = "#b3261e"
 AFTER: Final = "#14713a"
 SHADES: Final = ("#1f6fb2", "#c9731f", "#7a4fb5")
 """Axes of the sensor."""
+PALE: Final = ("#a9cae4", "#eecdad", "#cfbfe4")
+"""The same axes before."""
+RULE: Final = "#6b7a86"
+"""What is expected."""
 MOST: Final = 4000
 """Samples that are drawn; a recording has many more than a picture has dots."""
-WIDTH, HEIGHT = 5.2, 3.8
-"""Size of one panel, inches."""
+WIDTH, HEIGHT = 520, 340
+"""Size of one panel."""
+ROW_HEIGHT = 220
+"""Height of one of several rows."""
+TOO_FEW: Final = "too few samples for a spectrum"
 NAMES: Final = {"gyro": "Gyro", "accel": "Accelerometer", "mag": "Compass"}
 _SEGMENT = 1024
 """Samples of one segment of Welch's method, at most."""
@@ -30,7 +32,7 @@ _LEAST = 16
 
 
 class PlottedChannel(Protocol):
-    """What a figure needs of a :class:`calib.recording.Channel`."""
+    """What a picture needs of a :class:`calib.recording.Channel`."""
 
     @property
     def sensor(self) -> str: ...  # noqa: D102 - as there
@@ -42,21 +44,6 @@ class PlottedChannel(Protocol):
     def values(self) -> Array: ...  # noqa: D102
     @property
     def unit(self) -> str: ...  # noqa: D102
-
-
-def figure_of(columns: int, rows: int = 1, *, height: float = HEIGHT) -> Figure:
-    """An empty figure for `columns` by `rows` panels, each `height` inches high.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("a plot needs matplotlib: pip install 'mavcal[plot]'") from error
-    return Figure(figsize=(WIDTH * columns, height * rows), layout="constrained")
 
 
 def name_of(sensor: str, instance: int) -> str:

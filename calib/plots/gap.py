@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.drawing import Blank, Chart, Drawing, Picture, limits_of, sheet
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.plots.canvas import AFTER, BEFORE, density, figure_of, shown, thinned
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from mavcal.calib.plots.canvas import AFTER, BEFORE, ROW_HEIGHT, RULE, TOO_FEW, WIDTH, density, shown, thinned
 
 Array = NDArray[np.float64]
 
 MOST_ROWS = 4
-"""Sensors in one figure: those whose effects are largest."""
-_HEIGHT = 2.4
-_NOISE = "#6b7a86"
+"""Sensors in one picture: those whose effects are largest."""
+_LONGEST = 55
+"""Letters of the effects in a title."""
 
 
 class PlottedSeries(Protocol):
-    """What a figure needs of a :class:`calib.gap.schema.SeriesFit`."""
+    """What a picture needs of a :class:`calib.gap.schema.SeriesFit`."""
 
     @property
     def sensor(self) -> str: ...  # noqa: D102 - as there
@@ -46,18 +43,15 @@ class PlottedSeries(Protocol):
     def power(self) -> Array | None: ...  # noqa: D102
 
 
-def plotted(series: Sequence[PlottedSeries], title: str) -> Figure:
-    """The figure of :meth:`calib.gap.schema.GapReport.plot`: one row a sensor, times left, spectra right."""
+def plotted(series: Sequence[PlottedSeries], title: str) -> Drawing:
+    """The picture of :meth:`calib.gap.schema.GapReport.plot`: one row a sensor, times left, spectra right."""
     if not series:
         raise InvalidInputError("the report has no residuals to plot: diagnose the recordings again")
     rows = sorted(series, key=_explained, reverse=True)[:MOST_ROWS]
-    figure = figure_of(2, len(rows), height=_HEIGHT)
-    figure.suptitle(title)
-    for row, one in enumerate(rows):
-        last = row == len(rows) - 1
-        _over_time(figure.add_subplot(len(rows), 2, 2 * row + 1), one, last=last)
-        _spectrum(figure.add_subplot(len(rows), 2, 2 * row + 2), one, last=last)
-    return figure
+    panels: list[Picture] = []
+    for one in rows:
+        panels += [_over_time(one), _spectrum(one)]
+    return sheet(panels, title, columns=2)
 
 
 def _explained(series: PlottedSeries) -> float:
@@ -71,41 +65,46 @@ def _axis(series: PlottedSeries) -> int:
     return int(np.argmax((moved**2).mean(axis=0) / np.maximum(series.sigma, 1e-30) ** 2))
 
 
-def _over_time(axes: Axes, series: PlottedSeries, *, last: bool) -> None:
+def _over_time(series: PlottedSeries) -> Chart:
     unit, factor = shown(series.unit)
     axis, every = _axis(series), thinned(len(series.t))
     t = series.t[every] - series.t[0]
-    before, after = series.residual[:, axis], (series.residual - series.modelled)[:, axis]
+    before, after = factor * series.residual[:, axis], factor * (series.residual - series.modelled)[:, axis]
+    chart = Chart(
+        f"{series.sensor} {'+'.join(map(str, series.instances))} {'xyz'[axis]}: {_told(series)}",
+        "time, s", f"real less ideal, {unit}", limits_of(t), limits_of(before[every], after[every]), WIDTH, ROW_HEIGHT,
+    )  # fmt: skip
     for values, colour, when in ((before, BEFORE, "before"), (after, AFTER, "with the effects")):
-        rms = factor * float(np.sqrt(np.mean(values**2)))
-        label = f"{when}, {rms:.2g} {unit} rms"
-        axes.plot(t, factor * values[every], ".", markersize=1.5, color=colour, label=label)
-    axes.axhline(0.0, color="0.4", linewidth=0.8)
-    numbers = "+".join(map(str, series.instances))
-    axes.set_ylabel(f"{series.sensor} {numbers} {'xyz'[axis]}\nreal less ideal, {unit}")
-    axes.set_title(", ".join(series.parts) or "no effect", fontsize="small")
-    axes.legend(fontsize="x-small", loc="upper right")
-    if last:
-        axes.set_xlabel("time, s")
+        rms = float(np.sqrt(np.mean(values**2)))
+        chart.dots(t, values[every], colour, f"{when}, {rms:.2g} {unit} rms", size=1.1)
+    chart.line(chart.x, [0.0, 0.0], RULE, thin=True)
+    return chart
 
 
-def _spectrum(axes: Axes, series: PlottedSeries, *, last: bool) -> None:
+def _told(series: PlottedSeries) -> str:
+    """The effects, as many as there is room for."""
+    names = list(series.parts) or ["no effect"]
+    for count in range(len(names), 1, -1):
+        told = ", ".join(names[:count]) + (f" and {len(names) - count} more" if count < len(names) else "")
+        if len(told) <= _LONGEST:
+            return told
+    return names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+
+
+def _spectrum(series: PlottedSeries) -> Picture:
     unit, factor = shown(series.unit)
     axis = _axis(series)
     found = density(series.t, np.stack([series.residual, series.residual - series.modelled])[:, :, axis].T)
     if found is None:
-        axes.set_axis_off()
-        axes.text(0.5, 0.5, "too few samples for a spectrum", ha="center", transform=axes.transAxes)
-        return
+        return Blank(TOO_FEW, WIDTH, ROW_HEIGHT)
     hz, root = found
-    axes.loglog(hz, factor * root[:, 0], linewidth=0.8, color=BEFORE, label="before")
-    axes.loglog(hz, factor * root[:, 1], linewidth=0.8, color=AFTER, label="with the effects")
+    lines = [(root[:, 0], BEFORE, "before"), (root[:, 1], AFTER, "with the effects")]
     if series.power is not None:
         half = 0.5 * (len(series.t) - 1) / (series.t[-1] - series.t[0])
         own = half * np.arange(len(series.power)) / len(series.power)
-        noise = np.sqrt(np.interp(hz, own, series.power[:, axis]) / half)
-        axes.loglog(hz, factor * noise, linewidth=1.0, linestyle="--", color=_NOISE, label="noise of the model")
-    axes.set_ylabel(f"{unit} / √Hz")
-    axes.legend(fontsize="x-small")
-    if last:
-        axes.set_xlabel("frequency, Hz")
+        lines.append((np.sqrt(np.interp(hz, own, series.power[:, axis]) / half), RULE, "noise of the model"))
+    x, y = limits_of(hz, log=True), limits_of(*(factor * values for values, _, _ in lines), log=True)
+    chart = Chart("", "frequency, Hz", f"{unit} / √Hz", x, y, WIDTH, ROW_HEIGHT, log_x=True, log_y=True)
+    for values, colour, name in lines:
+        chart.line(hz, factor * values, colour, name, thin=colour != RULE, dashed=colour == RULE)
+    return chart

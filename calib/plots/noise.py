@@ -3,41 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from mavcal.calib.plots.canvas import SHADES, PlottedChannel, density, shown
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from mavcal.calib.drawing import Blank, Chart, Picture, limits_of
+from mavcal.calib.plots.canvas import HEIGHT, SHADES, TOO_FEW, WIDTH, PlottedChannel, density, shown
 
 
-def allan(axes: Axes, native: Mapping[str, Any], unit: str) -> None:
+def allan(native: Mapping[str, Any], unit: str) -> Chart:
     """Measured deviation with its standard deviation as bars, the model as a line; an axis each."""
     unit, factor = shown(unit)
-    tau = np.asarray(native["tau"], dtype=np.float64)
-    for axis, (name, shade) in enumerate(zip("xyz", SHADES, strict=True)):
-        adev = factor * np.asarray(native["adev"][axis], dtype=np.float64)
-        model, spread = native["model_adev"][axis], native["adev_relative_sd"][axis]
-        bars = None if spread is None else adev * np.asarray(spread)
-        axes.errorbar(tau, adev, bars, fmt=".", markersize=4, color=shade, elinewidth=0.8, label=f"{name} measured")
+    tau, adev = np.asarray(native["tau"], dtype=np.float64), factor * np.asarray(native["adev"], dtype=np.float64)
+    models = [None if model is None else factor * np.asarray(model) for model in native["model_adev"]]
+    chart = Chart(
+        "Allan deviation", "averaging time, s", f"Allan deviation, {unit}", limits_of(tau, log=True),
+        limits_of(adev, *(model for model in models if model is not None), log=True), WIDTH, HEIGHT,
+        log_x=True, log_y=True, legend_rows=2,
+    )  # fmt: skip
+    for name, shade, measured, spread in zip("xyz", SHADES, adev, native["adev_relative_sd"], strict=True):
+        half = 0.0 if spread is None else np.asarray(spread)
+        chart.bars(tau, measured, measured * half, shade, f"{name} measured")
+    for name, shade, model in zip("xyz", SHADES, models, strict=True):
         if model is not None:
-            axes.plot(tau, factor * np.asarray(model), linewidth=1.0, color=shade, label=f"{name} model")
-    axes.set_xscale("log")
-    axes.set_yscale("log", nonpositive="clip")
-    axes.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}", title="Allan deviation")
-    axes.legend(fontsize="x-small", ncols=3)
+            chart.line(tau, model, shade, f"{name} model")
+    return chart
 
 
-def spectrum(axes: Axes, channel: PlottedChannel, native: Mapping[str, Any]) -> None:
+def spectrum(channel: PlottedChannel, native: Mapping[str, Any]) -> Picture:
     """Root power density of the samples, and the fitted white noise as dashes."""
     unit, factor = shown(channel.unit)
-    if (found := density(channel.t, channel.values)) is not None:
-        hz, root = found
-        for axis, (name, shade) in enumerate(zip("xyz", SHADES, strict=True)):
-            axes.loglog(hz, factor * root[:, axis], linewidth=0.7, color=shade, label=name)
-            if (white := native["N"][axis]) is not None:  # N counts half a spectrum's sides
-                axes.axhline(factor * white * np.sqrt(2.0), linewidth=1.0, linestyle="--", color=shade)
-    axes.set(xlabel="frequency, Hz", ylabel=f"{unit} / √Hz", title="Spectrum; dashes: white noise of the fit")
-    axes.legend(fontsize="x-small")
+    if (found := density(channel.t, channel.values)) is None:
+        return Blank(TOO_FEW, WIDTH, HEIGHT)
+    hz, root = found[0], factor * found[1]
+    # N counts half a spectrum's sides
+    floors = [None if white is None else factor * white * np.sqrt(2.0) for white in native["N"]]
+    title, y = "Spectrum; dashes: white noise of the fit", limits_of(root, [f for f in floors if f], log=True)
+    x = limits_of(hz, log=True)
+    chart = Chart(title, "frequency, Hz", f"{unit} / √Hz", x, y, WIDTH, HEIGHT, log_x=True, log_y=True)
+    for name, shade, column in zip("xyz", SHADES, root.T, strict=True):
+        chart.line(hz, column, shade, name, thin=True)
+    for shade, floor in zip(SHADES, floors, strict=True):
+        if floor is not None:
+            chart.line(x, [floor, floor], shade, dashed=True)
+    return chart

@@ -3,64 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavcal.calib.drawing import Blank, Chart, Drawing, Picture, limits_of, sheet
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.plots.canvas import SHADES, PlottedChannel, density, figure_of, name_of, shown, thinned
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from mavcal.calib.plots.canvas import (
+    ROW_HEIGHT,
+    SHADES,
+    TOO_FEW,
+    WIDTH,
+    PlottedChannel,
+    density,
+    name_of,
+    shown,
+    thinned,
+)
 
 MOST_ROWS = 8
-"""Channels in one figure."""
-_HEIGHT = 2.1
+"""Channels in one picture."""
 
 
-def plotted(channels: Sequence[PlottedChannel], title: str) -> Figure:
-    """The figure of :meth:`calib.recording.Recording.plot`: one row a channel, times left, spectra right."""
+def plotted(channels: Sequence[PlottedChannel], title: str) -> Drawing:
+    """The picture of :meth:`calib.recording.Recording.plot`: one row a channel, times left, spectra right."""
     channels = channels[:MOST_ROWS]
     if not channels:
         raise InvalidInputError("the recording has no samples of these sensors to plot")
-    figure = figure_of(2, len(channels), height=_HEIGHT)
-    figure.suptitle(title)
     start = min(float(channel.t[0]) for channel in channels)
-    for row, channel in enumerate(channels):
-        _over_time(figure.add_subplot(len(channels), 2, 2 * row + 1), channel, start, last=row == len(channels) - 1)
-        _spectrum(figure.add_subplot(len(channels), 2, 2 * row + 2), channel, last=row == len(channels) - 1)
-    return figure
+    end = max(float(channel.t[-1]) for channel in channels)
+    panels: list[Picture] = []
+    for channel in channels:
+        panels += [_over_time(channel, start, end), _spectrum(channel)]
+    return sheet(panels, title, columns=2)
 
 
-def _over_time(axes: Axes, channel: PlottedChannel, start: float, *, last: bool) -> None:
+def _over_time(channel: PlottedChannel, start: float, end: float) -> Chart:
     unit, factor = shown(channel.unit)
     every = thinned(len(channel.t))
-    for axis, (name, shade) in enumerate(zip("xyz", SHADES, strict=True)):
-        if axis < channel.values.shape[1]:
-            values = factor * channel.values[every, axis]
-            axes.plot(channel.t[every] - start, values, linewidth=0.7, color=shade, label=name)
-    axes.set_ylabel(f"{name_of(channel.sensor, channel.instance)}\n{unit}")
-    if channel.values.shape[1] > 1:
-        axes.legend(fontsize="x-small", ncols=3, loc="upper right")
-    if last:
-        axes.set_xlabel("time, s")
+    values, name = factor * channel.values[every, :3], name_of(channel.sensor, channel.instance)
+    limits = limits_of([0.0, end - start]) if end > start else (-0.5, 0.5)
+    chart = Chart(name, "time, s", unit, limits, limits_of(values), WIDTH, ROW_HEIGHT)
+    for axis, column in enumerate(values.T):
+        named = "xyz"[axis] if channel.values.shape[1] > 1 else ""
+        chart.line(channel.t[every] - start, column, SHADES[axis], named, thin=True)
+    return chart
 
 
-def _spectrum(axes: Axes, channel: PlottedChannel, *, last: bool) -> None:
+def _spectrum(channel: PlottedChannel) -> Picture:
     unit, factor = shown(channel.unit)
     if channel.values.shape[1] == 1:  # a thermometer moves slowly: its spectrum says nothing
-        axes.set_axis_off()
-        return
+        return Blank("", WIDTH, ROW_HEIGHT)
     found = density(channel.t, channel.values)
     if found is None:
-        axes.set_axis_off()
-        axes.text(0.5, 0.5, "too few samples for a spectrum", ha="center", transform=axes.transAxes)
-        return
-    hz, root = found
-    for axis in range(min(3, root.shape[1])):
-        if np.any(root[:, axis] > 0.0):
-            axes.loglog(hz, factor * root[:, axis], linewidth=0.8, color=SHADES[axis])
-    axes.set_ylabel(f"{unit} / √Hz")
-    if last:
-        axes.set_xlabel("frequency, Hz")
+        return Blank(TOO_FEW, WIDTH, ROW_HEIGHT)
+    hz, root = found[0], factor * found[1][:, :3]
+    chart = Chart(
+        "", "frequency, Hz", f"{unit} / √Hz", limits_of(hz, log=True), limits_of(root, log=True), WIDTH, ROW_HEIGHT,
+        log_x=True, log_y=True,
+    )  # fmt: skip
+    for axis, column in enumerate(root.T):
+        if np.any(column > 0.0):
+            chart.line(hz, column, SHADES[axis], thin=True)
+    return chart

@@ -30,7 +30,8 @@ def run(tmp_path, monkeypatch, capsys):
 def test_a_first_look_writes_pictures_and_a_fit(run, tmp_path):
     said = run("first_look")
     assert "mag-ellipsoid of mag 1: ok" in said
-    assert (tmp_path / "first-look.png").read_bytes().startswith(b"\x89PNG")
+    for name in ("first-look", "first-fit"):
+        assert (tmp_path / f"{name}.svg").read_text(encoding="utf-8").startswith("<svg")
     assert json.loads((tmp_path / "compass.json").read_text())[0]["status"] == "ok"
     assert (tmp_path / "compass.h").stat().st_size > 100
 
@@ -51,7 +52,7 @@ def test_a_gap_diagnosis_names_both_effects_with_their_size(run, tmp_path):
     iron = [float(x) for x in re.findall(r"mag_hard_iron +hard_iron\.\w +(-?[\d.]+) \(", said)]
     np.testing.assert_allclose(iron, REAL.mag.bias, atol=0.1)
     assert "accel_temp_linear" in (tmp_path / "gap.html").read_text()
-    assert (tmp_path / "gap.png").stat().st_size > 10_000
+    assert (tmp_path / "gap.svg").stat().st_size > 10_000
 
 
 def test_every_example_is_in_cells_and_on_the_page():

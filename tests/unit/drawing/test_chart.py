@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.drawing import Chart, limits_of, side_by_side
+from mavcal.calib.drawing.legend import Key
 
 SVG = "{http://www.w3.org/2000/svg}"
 EVIL = "<script>"
@@ -69,6 +70,29 @@ def test_the_legend_has_room(inside: bool) -> None:
     words = {e.text: e for e in ElementTree.fromstring(chart.drawn()).iter("text")}
     first, second = (tuple(float(words[n].attrib[k]) for k in "xy") for n in ("rising", "level"))
     assert (first[1] < second[1]) if inside else (first[0] + 5.9 * len("rising") < second[0])
+
+
+def test_a_legend_tells_lines_from_dots_and_stands_in_columns() -> None:
+    chart = Chart("t", "x", "y", (0.0, 10.0), (0.0, 10.0), 374, 278, legend_rows=2)
+    for name in ("one", "three"):
+        chart.dots([5.0], [5.0], "#00f", name)
+    for name in ("two", "four"):
+        chart.line([0.0, 10.0], [10.0, 10.0], "#f00", name)
+    assert chart.legend[1:3] == [Key("#00f", "three", dots=True), Key("#f00", "two")]
+    words = {e.text: e.attrib for e in ElementTree.fromstring(chart.drawn()).iter("text") if e.get("class") == "legend"}
+    x, y = ({name: float(place[axis]) for name, place in words.items() if name} for axis in "xy")
+    assert x["one"] == x["two"] < x["three"] == x["four"]
+    assert y["one"] == y["three"] < y["two"] == y["four"]
+    assert 'points="62.0,54.0 362.0,54.0"' in chart.body()  # the axes begin below the second row
+
+
+def test_columns_stand_on_zero_and_a_band_stays_within_the_axes() -> None:
+    chart = Chart("t", "x", "y", (0.0, 10.0), (-10.0, 10.0), 374, 278)
+    chart.columns([2.0, 5.0, 8.0], [5.0, -5.0, 30.0], "#00f", "before", wide=1.0)
+    assert 'd="M122.0 140.0V90.0M212.0 140.0V190.0M302.0 140.0V40.0"' in chart.body()
+    assert 'stroke-width="30.0"' in chart.body()
+    chart.band([0.0, 5.0, 10.0], [0.0, np.nan, -20.0], [5.0, 5.0, 5.0], "#00f")
+    assert 'points="62.0,140.0 362.0,240.0 362.0,90.0 62.0,90.0"' in chart.body()
 
 
 def test_a_file_has_its_pictures_in_a_row_and_a_style_of_its_own() -> None:

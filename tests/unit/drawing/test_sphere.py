@@ -21,6 +21,15 @@ def test_a_map_keeps_areas():
     assert inner.mean() == pytest.approx(0.25, abs=0.02)
 
 
+def test_words_stand_where_their_direction_is():
+    made = SphereMap("t", "")
+    made.mark(0, 0, "+x")
+    made.mark(0, 90, "+z")
+    forward, up = (ElementTree.fromstring(part).attrib for part in made.parts)
+    assert forward["x"] == up["x"] == "180.0"
+    assert float(up["y"]) == pytest.approx(float(forward["y"]) - 85.0, abs=1.0)
+
+
 def test_its_words_are_escaped() -> None:
     texts = [e.text for e in ElementTree.fromstring(f"<g>{SphereMap('<t>', '<b>').body()}</g>").iter("text")]
     assert texts == ["<t>", "<b>"]

@@ -1,22 +1,19 @@
-"""A figure of a fit shows its samples before and after; without matplotlib it says which extra is missing."""
+"""A picture of a fit shows its samples before and after, as a person reads it off the axes."""
 
 from __future__ import annotations
 
-import builtins
 import dataclasses
-import io
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.errors import InvalidInputError, MissingExtraError
+from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.noise.allan_fit import fit_allan
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
+from tests.unit.plots.reading import heading, panels_of
 
 OFFSET = np.array([12.0, -7.0, 3.0])
 
@@ -46,80 +43,81 @@ def compass(rng):
     return samples, fitted(samples, TriadModel(OFFSET), {"radius": 51.0, "field_ratio": 1.02})
 
 
-def saved(figure) -> bytes:
-    """A warning while it is drawn is an error, as in every test."""
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=50)
-    return file.getvalue()
-
-
-def lines(axes) -> dict[str, np.ndarray]:
-    return {line.get_label().split(",")[0]: line.get_ydata() for line in axes.lines}
-
-
-def test_a_compass_has_the_length_of_its_field_and_its_sphere(compass):
+def test_a_compass_has_the_length_of_its_field_its_sphere_and_its_directions(compass):
     samples, fit = compass
-    figure = fit.plot(samples)
-    length, sphere, directions = figure.axes
-    shown = lines(length)
-    assert len(shown["before"]) == 3000  # thinned
-    np.testing.assert_allclose(shown["after"], 50.0, rtol=1e-9)
-    assert shown["expected 50"][0] == pytest.approx(50.0)  # the model's field, not the mean radius
-    assert np.abs(shown["before"] - 50.0).max() > 10.0
-    assert sphere.name == "3d"
-    assert len(sphere.collections) == 5, "samples before and after, the origin, the ellipsoid and the sphere"
-    assert directions.name == "mollweide"
-    assert saved(figure).startswith(b"\x89PNG")
+    drawn = fit.plot(samples)
+    length, sphere, directions = panels_of(drawn)
+    assert heading(drawn) == "Compass 1 by a-method: before and after"
+    assert length.labels == ["time, s", "|B|, µT"]
+    before, after = length.drawn("before"), length.drawn("after")
+    assert len(before.y) == 3000  # thinned
+    np.testing.assert_allclose(after.y, 50.0, atol=0.1)
+    assert np.abs(before.y - 50.0).max() > 10.0
+    assert length.drawn("expected 50").y[0] == pytest.approx(50.0, abs=0.1)  # the model's field, not the mean radius
+    assert length.drawn("expected 50").dashed
+    assert sphere.title == "Ellipsoid before, sphere after"
+    assert sorted(sphere.labels) == ["x, µT", "y, µT", "z, µT"]
+    assert [(key[1], key[2]) for key in sphere.keys] == [(True, "before"), (True, "after")]
+    assert len(sphere.marks) == 5, "the ellipsoid and the sphere, samples before and after, the origin"
+    assert directions.title == "Directions measured"
+    assert set(directions.texts) >= {"+x", "+y", "+z", "-x", "-y", "-z"}
 
 
-def test_an_accelerometer_has_the_length_of_gravity(rng):
+def test_directions_say_how_much_of_the_sphere_they_cover(compass):
+    samples, _ = compass
+    fit = fitted(samples, TriadModel(OFFSET), {"radius": 50.0, "coverage": 0.914})
+    assert panels_of(fit.plot(samples))[2].title == "Directions measured, 91 % of the sphere"
+
+
+def test_an_accelerometer_has_the_length_of_gravity_and_its_directions(rng):
     directions = rng.normal(size=(50, 3))
     truth = STANDARD_GRAVITY * directions / np.linalg.norm(directions, axis=1)[:, None]
     samples = channel(Sensor.ACCEL, truth + np.array([0.3, -0.2, 0.1]), "m/s2")
-    axes, directions = fitted(samples, TriadModel(np.array([0.3, -0.2, 0.1]))).plot(samples).axes
-    assert directions.get_title() == "Directions measured"
-    np.testing.assert_allclose(lines(axes)["after"], STANDARD_GRAVITY, rtol=1e-9)
-    assert axes.get_ylabel() == "|f|, m/s²"
+    length, sphere = panels_of(fitted(samples, TriadModel(np.array([0.3, -0.2, 0.1]))).plot(samples))
+    assert sphere.title == "Directions measured"
+    np.testing.assert_allclose(length.drawn("after").y, STANDARD_GRAVITY, atol=0.01)
+    assert length.labels[1] == "|f|, m/s²"
 
 
 def test_a_gyro_has_its_rates_in_degrees_about_zero_afterwards():
     samples = channel(Sensor.GYRO, np.tile([0.01, -0.02, 0.03], (20, 1)), "rad/s")
-    (axes,) = fitted(samples, TriadModel(np.array([0.01, -0.02, 0.03]))).plot(samples).axes
-    shown = lines(axes)
-    np.testing.assert_allclose(shown["z before"], np.degrees(0.03))
-    np.testing.assert_allclose(shown["z after"], 0.0, atol=1e-12)
+    (rates,) = panels_of(fitted(samples, TriadModel(np.array([0.01, -0.02, 0.03]))).plot(samples))
+    assert rates.labels == ["time, s", "rate, deg/s"]
+    np.testing.assert_allclose(rates.drawn("z before").y, np.degrees(0.03), atol=0.02)
+    np.testing.assert_allclose(rates.drawn("z after").y, 0.0, atol=0.02)
 
 
 def test_a_drift_has_its_curve_with_its_uncertainty_and_the_residuals_of_samples():
     curve = ThermalPolynomial(35.0, 20.0, 60.0, np.array([[1e-4], [2e-4], [-1e-4]]))
     at = np.linspace(20.0, 60.0, 80)
     samples = channel(Sensor.GYRO, curve(at), "rad/s")
-    fit = fitted(samples, TriadModel(polynomial=curve))
-    (alone,) = fit.plot().axes
-    assert lines(alone)["y"][-1] == pytest.approx(np.degrees(2e-4 * 25.0))
-    assert len(alone.collections) == 3, "a band of one sd an axis"
-    first, second = fit.plot(samples, at).axes
-    assert lines(first)["y"][-1] == pytest.approx(np.degrees(2e-4 * 25.0))
-    np.testing.assert_allclose(lines(second)["y after"], 0.0, atol=1e-12)
+    fit = dataclasses.replace(fitted(samples, TriadModel(polynomial=curve)), covariance=1e-12 * np.eye(15))
+    (alone,) = panels_of(fit.plot())
+    assert alone.labels == ["temperature, °C", "drift, deg/s"]
+    assert alone.drawn("y").y[-1] == pytest.approx(np.degrees(2e-4 * 25.0), abs=0.003)
+    assert [mark.tag for mark in alone.marks].count("polygon") == 3, "a band of one sd an axis"
+    first, second = panels_of(fit.plot(samples, at))
+    assert first.drawn("y").y[-1] == pytest.approx(np.degrees(2e-4 * 25.0), abs=0.003)
+    np.testing.assert_allclose(second.drawn("y after").y, 0.0, atol=0.003)
     with pytest.raises(InvalidInputError, match="depends on temperature"):
         fit.plot(samples)
     with pytest.raises(InvalidInputError, match="80 samples need as many temperatures"):
         fit.plot(samples, at[:7])
-    assert saved(fit.plot(samples, at))
 
 
 @pytest.mark.parametrize(("sensor", "unit", "bars"), [(Sensor.GYRO, "rad/s", 3), (Sensor.ACCEL, "m/s2", 6)])
 def test_without_samples_it_says_what_the_parameters_correct(sensor, unit, bars):
     fit = fitted(channel(sensor, np.zeros((3, 3)), unit), TriadModel(np.array([0.1, 0.2, 0.3])))
-    (axes,) = fit.plot().axes
-    heights = [bar.get_height() for bar in axes.patches]
+    (shown,) = panels_of(fit.plot())
+    heights = shown.drawn("before").y
     assert len(heights) == bars
-    assert heights[2] == pytest.approx(np.degrees(0.3) if sensor == Sensor.GYRO else 0.3, rel=0.01)
+    assert heights[2] == pytest.approx(np.degrees(0.3) if sensor == Sensor.GYRO else 0.3, rel=0.02)
+    assert len(shown.drawn("after").y) == bars
 
 
 def test_a_compass_that_does_not_know_its_field_asks_for_samples(compass):
     samples, fit = compass
-    assert fit.plot().axes
+    assert len(panels_of(fit.plot())) == 1
     with pytest.raises(InvalidInputError, match="plot it with its samples"):
         fitted(samples, TriadModel(OFFSET)).plot()
 
@@ -149,44 +147,20 @@ def test_a_recording_stands_for_its_channel_and_its_thermometer():
     at = np.linspace(20.0, 60.0, 80)
     samples = channel(Sensor.GYRO, curve(at), "rad/s")
     thermometer = Channel(Sensor.TEMPERATURE, 0, samples.t[::79], at[::79], "degC", Stage.RAW, "test")
-    _, residuals = fitted(samples, TriadModel(polynomial=curve)).plot(Recording((samples, thermometer))).axes
-    np.testing.assert_allclose(lines(residuals)["x after"], 0.0, atol=1e-12)
+    _, rates = panels_of(fitted(samples, TriadModel(polynomial=curve)).plot(Recording((samples, thermometer))))
+    np.testing.assert_allclose(rates.drawn("x after").y, 0.0, atol=0.003)
 
 
 def test_noise_has_its_allan_deviation_and_its_spectrum(rng):
     samples = channel(Sensor.GYRO, 0.01 * rng.normal(size=(5000, 3)), "rad/s")
     fit = fit_allan(samples)
-    deviation, spectrum = fit.plot(samples).axes
-    assert (deviation.get_xscale(), spectrum.get_xscale()) == ("log", "log")
-    model = next(line for line in deviation.lines if line.get_label() == "x model")
+    deviation, spectrum = panels_of(fit.plot(samples))
+    assert deviation.labels == ["averaging time, s", "Allan deviation, deg/s"]
+    assert spectrum.labels == ["frequency, Hz", "deg/s / √Hz"]
     white = np.degrees(fit.native["N"][0])
-    assert model.get_ydata()[0] == pytest.approx(white * np.sqrt(50.0), rel=0.05)  # at the shortest time, 1/50 s
-    dashes = [line.get_ydata()[0] for line in spectrum.lines if line.get_linestyle() == "--"]
-    measured = np.median(spectrum.lines[0].get_ydata())
-    assert measured == pytest.approx(dashes[0], rel=0.15)
-    assert saved(fit.plot(samples))
-    assert len(fit.plot().axes) == 1
-
-
-def test_without_matplotlib_the_extra_is_named(compass, monkeypatch):
-    real = builtins.__import__
-
-    def without(name: str, *rest: object) -> object:
-        if name.startswith("matplotlib"):
-            raise ModuleNotFoundError(name)
-        return real(name, *rest)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(MissingExtraError, match=r"pip install 'mavcal\[plot\]'"):
-        compass[1].plot()
-
-
-def test_matplotlib_is_loaded_by_a_plot_alone_and_pyplot_never():
-    code = (
-        "import sys, numpy as np; from mavcal.calib.fit import FitBuilder; from mavcal.calib.triad import TriadModel\n"
-        "assert not any(m.startswith('matplotlib') for m in sys.modules)\n"
-        "made = FitBuilder('m', 'accel', 0, 'm/s2', 3).fitted(TriadModel(), np.eye(12), message='', n_used=3,"
-        " residual_rms=1.0, condition_number=1.0)\n"
-        "made.plot(); assert 'matplotlib.figure' in sys.modules; assert 'matplotlib.pyplot' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    assert deviation.drawn("x model").y[0] == pytest.approx(white * np.sqrt(50.0), rel=0.05)  # at 1/50 s
+    assert deviation.drawn("x measured").y[0] == pytest.approx(white * np.sqrt(50.0), rel=0.1)
+    dashes = [line.y[0] for line in spectrum.lines if line.dashed]
+    assert len(dashes) == 3
+    assert np.median(spectrum.drawn("x").y) == pytest.approx(dashes[0], rel=0.15)
+    assert len(panels_of(fit.plot())) == 1
