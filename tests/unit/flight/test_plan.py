@@ -96,10 +96,14 @@ def test_poses_count_from_thirty_degrees_apart_on(angles, count):
 
 def test_a_sensor_that_reads_nothing_shows_no_direction():
     dead = channel(Sensor.ACCEL, np.zeros((len(T), 3)), "m/s2")
-    assert "show 0 directions" in step("accel-multi", dead, rests=[rest(0.0, 20.0)]).reason
     lost = channel(Sensor.ACCEL, np.full((len(T), 3), np.nan), "m/s2")
-    assert "show 0 directions" in step("accel-multi", lost, rests=[rest(0.0, 20.0)]).reason
-    assert step("accel-multi", GYRO).reason == "the log has no accelerometer"
+    for accel in (dead, lost):
+        found = step("accel-multi", accel, rests=[rest(0.0, 20.0)])
+        assert not found.worthwhile
+        assert "0 directions" in found.reason
+    without = step("accel-multi", GYRO)
+    assert not without.worthwhile
+    assert "no accelerometer" in without.reason
 
 
 def turned(degrees, tilt=5.0):
@@ -137,7 +141,8 @@ def test_without_an_attitude_the_gyroscope_carries_the_field():
 @pytest.mark.parametrize("method", ["mag-flight", "mag-motor", "mag-ellipsoid"])
 def test_without_a_compass_none_of_its_fits_is_worthwhile(method):
     found = step(method, GYRO, turned(700.0))
-    assert (found.worthwhile, found.reason) == (False, "the log has no compass")
+    assert not found.worthwhile
+    assert "no compass" in found.reason
 
 
 @pytest.mark.parametrize(

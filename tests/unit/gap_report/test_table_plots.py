@@ -41,13 +41,13 @@ def test_regimes_stand_in_their_order_and_bands_by_frequency():
         *(cell("band", low, high, 1.0) for low, high in ((5.0, 25.0), (0.0, 1.0), (1.0, 5.0))),
     ]
     _, columns, _ = table(*cells)
-    assert columns == [
-        "time 0..10 s",
-        "time 20..30 s",
-        "time 50..60 s",
-        "band 0..1 Hz",
-        "band 1..5 Hz",
-        "band 5..25 Hz",
+    assert [column.split()[:2] for column in columns] == [
+        ["time", "0..10"],
+        ["time", "20..30"],
+        ["time", "50..60"],
+        ["band", "0..1"],
+        ["band", "1..5"],
+        ["band", "5..25"],
     ]
 
 

@@ -92,8 +92,10 @@ def test_beside_a_useless_reference_units_are_still_compared():
 
 def test_a_reference_that_is_good_enough_is_no_finding_by_itself():
     found = replace(report(), verdict=GapVerdict.REFERENCE)
-    assert verdict_sentence(found) == "No difference beyond the error of the reference was found."
-    assert verdict_sentence(replace(found, effects=(BIAS,))).startswith("What differs is the reference")
+    assert "No difference" in verdict_sentence(found)
+    differs = verdict_sentence(replace(found, effects=(BIAS,)))
+    assert "No difference" not in differs
+    assert "reference" in differs
 
 
 def test_sensors_that_were_not_compared_are_named_once():
@@ -121,7 +123,9 @@ def test_every_effect_of_the_catalogue_has_plain_words(known):
 
 
 def test_an_effect_of_another_version_is_told_by_its_name():
-    assert effect_phrase(replace(BIAS, id="accel_new_thing")) == "accel new thing, accelerometer 1 (accel_new_thing)"
+    said = effect_phrase(replace(BIAS, id="accel_new_thing"))
+    assert "accelerometer 1" in said
+    assert "(accel_new_thing)" in said
 
 
 @pytest.mark.parametrize(
@@ -165,8 +169,11 @@ def test_a_pure_number_has_no_unit(unit):
 
 @pytest.mark.parametrize(("low", "high"), [(-math.inf, 1.0), (0.0, math.inf), (math.nan, 1.0), (0.0, 1e301)])
 def test_an_interval_without_an_end_is_none(low, high):
-    assert interval(low, high) == "not determined by itself"
-    assert interval(-0.1, 0.25) == "-0.1 to 0.25"
+    assert "not determined" in interval(low, high)
+    assert not any(digit in interval(low, high) for digit in "0123456789")
+    assert "not determined" not in (whole := interval(-0.1, 0.25))
+    assert whole.startswith("-0.1 ")
+    assert whole.endswith(" 0.25")
 
 
 SHRINK = Shrink(2.0, 0.5, 0.25, "declared_noise", 0.857, (0.8, 0.9), nested=True)
@@ -197,11 +204,11 @@ def test_the_one_line_summary_keeps_silent_where_the_blocks_disagree():
 
 
 def test_what_cannot_shrink_is_said():
-    assert closed_sentence(None).endswith("too short to hold parts of it back.")
-    assert closed_sentence(replace(SHRINK, closed=None)) == (
-        "Nothing measurable to close: 2 nats a sample before, 0.5 after. "
-        "One nat a sample: a reading is 2.7 times less likely than noise alone would make it."
-    )
+    assert "too short" in closed_sentence(None)
+    nothing = closed_sentence(replace(SHRINK, closed=None))
+    assert "%" not in nothing
+    assert "2 nats" in nothing
+    assert "0.5 after" in nothing
 
 
 @pytest.mark.parametrize(

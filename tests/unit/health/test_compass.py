@@ -101,17 +101,18 @@ def test_the_dip_of_the_field_is_compared_with_that_of_the_place(deg, verdict):
 
 
 def test_without_a_position_the_field_of_the_place_is_not_known():
-    for position in ([], [channel(Sensor.POSITION, np.zeros((len(T), 3)), "deg deg m")]):
+    for position in ([], [channel(Sensor.POSITION, np.zeros((len(T), 3)), POSITION.unit)]):
         made = found("earth", compass(), ATTITUDE, *position)
-        assert (made.verdict, made.action) == (CANNOT_SAY, "Log the GPS.")
-    nowhere = np.tile([np.nan, np.nan, np.nan], (len(T), 1))
-    assert found("earth", compass(), channel(Sensor.POSITION, nowhere, "deg deg m")).verdict == CANNOT_SAY
+        assert made.verdict == CANNOT_SAY
+        assert "GPS" in made.action
+    nowhere = channel(Sensor.POSITION, np.full((len(T), 3), np.nan), POSITION.unit)
+    assert found("earth", compass(), nowhere).verdict == CANNOT_SAY
 
 
 def test_a_position_before_the_first_fix_is_none():
     late = np.tile(PLACE, (len(T), 1))
     late[: len(T) - 10] = 0.0
-    assert found("earth", compass(), ATTITUDE, channel(Sensor.POSITION, late, "deg deg m")).verdict == OK
+    assert found("earth", compass(), ATTITUDE, channel(Sensor.POSITION, late, POSITION.unit)).verdict == OK
 
 
 def test_the_date_of_the_log_chooses_the_year_of_the_model():

@@ -108,14 +108,14 @@ def test_a_sensor_has_its_own_findings_and_the_worst_first():
 
 def test_an_action_is_told_once_and_not_beside_a_longer_one_that_holds_it():
     own = one_sensor(
-        finding(FAULTY, action="Calibrate. Do not fly."),
+        finding(FAULTY, action="Calibrate. Stay."),
         finding(SUSPICIOUS, action="Calibrate."),
-        finding(SUSPICIOUS, action="Damp the mount."),
-        finding(SUSPICIOUS, action="Damp the mount."),
+        finding(SUSPICIOUS, action="Damp it."),
+        finding(SUSPICIOUS, action="Damp it."),
         finding(SUSPICIOUS),
-        finding(OK, action="Nothing to do."),
+        finding(OK, action="Nothing."),
     )
-    assert own.actions == ("Calibrate. Do not fly.", "Damp the mount.")
+    assert own.actions == ("Calibrate. Stay.", "Damp it.")
 
 
 def report_of(*sensors):

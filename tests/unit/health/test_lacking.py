@@ -30,15 +30,28 @@ def without(*sensors):
 
 def test_the_bit_of_the_vehicle_s_own_kind_is_named():
     for kind, bit in ((COPTER, 13), (PLANE, 10), (ROVER, 11)):
-        assert f"Set LOG_BITMASK bit {bit} (Compass)" in lacks(without(Sensor.MAG), kind)
-    assert 'Set "Compass" in LOG_BITMASK' in lacks(without(Sensor.MAG), None)
-    assert "Set SDLOG_PROFILE bit 6 (Sensor comparison)" in lacks(without(Sensor.MAG), autopilot="px4")
+        said = lacks(without(Sensor.MAG), kind)
+        assert "Set LOG_BITMASK" in said
+        assert f"bit {bit} (Compass)" in said
+    unnamed = lacks(without(Sensor.MAG), None)
+    assert '"Compass"' in unnamed
+    assert "(Compass)" not in unnamed
+    px4 = lacks(without(Sensor.MAG), autopilot="px4")
+    assert "Set SDLOG_PROFILE" in px4
+    assert "bit 6" in px4
 
 
-def test_a_bit_that_is_set_is_not_asked_for_again():
-    assert "Set LOG_BITMASK bit 0 (Fast Attitude)" in lacks(without(Sensor.ATTITUDE), mask=0.0)
-    assert "bit 0 (Fast Attitude) is set already" in lacks(without(Sensor.ATTITUDE), mask=65535.0)
-    assert "bit 2 (GPS) is set already" in lacks(without(Sensor.POSITION), mask=-22530.0)  # 16 signed bits
+@pytest.mark.parametrize(
+    ("sensor", "bit", "mask", "is_set"),
+    [
+        (Sensor.ATTITUDE, 0, 0.0, False),
+        (Sensor.ATTITUDE, 0, 65535.0, True),
+        (Sensor.POSITION, 2, -22530.0, True),  # 16 signed bits
+    ],
+)
+def test_a_bit_that_is_set_is_not_asked_for_again(sensor, bit, mask, is_set):
+    (said,) = (text for text in lacks(without(sensor), mask=mask).split(" / ") if f"LOG_BITMASK bit {bit}" in text)
+    assert (f"Set LOG_BITMASK bit {bit} " not in said) is is_set
 
 
 def test_everything_that_can_be_missing_is_said_with_what_it_would_tell():
@@ -71,10 +84,10 @@ def test_a_current_that_reads_zero_is_no_current():
 def test_losses_of_the_logger_are_said():
     drops = tuple(Event(40.0 + k, "drop", "the vehicle could not write 12 messages of this log") for k in range(3))
     recording = flight(1)
-    assert "could not write 12 messages" in lacks(dataclasses.replace(recording, events=(*recording.events, drops[0])))
-    assert "3 stretches that the logger lost, the first at 40.0 s" in lacks(
-        dataclasses.replace(recording, events=(*recording.events, *drops))
-    )
+    assert drops[0].text in lacks(dataclasses.replace(recording, events=(*recording.events, drops[0])))
+    several = lacks(dataclasses.replace(recording, events=(*recording.events, *drops)))
+    assert "3 stretches" in several
+    assert "40.0 s" in several
 
 
 def streamed(kind=COPTER, parameters=None, firmware=None, autopilot="ardupilot", rate=2.0):

@@ -37,51 +37,57 @@ def test_five_seconds_together_are_the_least(unit, seconds):
     accel, gyro = unit
     late = dataclasses.replace(gyro, t=gyro.t + accel.t[-1] - seconds)
     said = reason(accel, late)
-    if seconds < 5.0:
-        assert said == "accelerometer and gyroscope were recorded together for 4.9 s only"
-    else:
-        assert "still poses in" in said
+    assert ("4.9 s" in said) is (seconds < 5.0)
+    assert ("still poses" in said) is (seconds > 5.0)
 
 
 def test_numbers_that_no_sensor_measures_are_named(unit):
     accel, gyro = unit
-    assert "the gyroscope reads up to" not in (said := reason(accel, scaled(gyro, 1e200)))
-    assert said.startswith("the gyro reads up to")
-    assert said.endswith("rad/s: that is no measurement")
+    huge = scaled(gyro, 1e200)
+    said = reason(accel, huge)
+    assert "the gyro " in said
+    assert f"{np.abs(huge.values).max():.3g} rad/s" in said
 
 
 def test_time_that_stands_still_is_named_with_what_to_give(unit):
     accel, gyro = unit
     halves = np.repeat([0.0, 30.0], [len(gyro) - 10, 10])
     said = reason(accel, dataclasses.replace(gyro, t=halves))
-    assert said == "the time of the gyro stands still: give every sample its time, or --rate"
+    assert "the gyro " in said
+    assert "time" in said
+    assert "--rate" in said
 
 
 def test_the_axes_that_stand_are_named(unit):
     accel, gyro = unit
     stuck = scaled(accel, [1.0, 0.0, 0.0])
-    assert reason(stuck, gyro) == "the accel reads one constant value on y, z: stuck or not connected"
+    said = reason(stuck, gyro)
+    assert "the accel " in said
+    assert " y, z:" in said
 
 
 def test_an_accelerometer_in_g_is_told_from_gravity(unit):
     accel, gyro = unit
     said = reason(scaled(accel, 1.0 / G), gyro)
-    assert "at rest are not gravity (9.81)" in said
-    assert said.endswith("check the unit (counts, g), or the sensor is broken")
+    assert "(9.81)" in said
+    assert "unit" in said
 
 
 def test_poses_that_are_alike_are_told_to_be_one(recorded):
     still = Rotation.from_rotvec(0.02 * np.random.default_rng(3).normal(size=(8, 3)))
     spans = np.column_stack([3.0 * np.arange(8) + 0.2, 3.0 * np.arange(8) + 1.8])
     said = reason(*recorded(np.random.default_rng(21), attitudes=still), spans=spans)
-    assert said == "the 8 poses are nearly one and the same: hold each side down once, and oblique ones"
+    assert "8 poses" in said
+    assert "the same" in said
 
 
 def test_a_gyroscope_in_counts_needs_turns_about_every_axis(recorded):
     about_x = Rotation.from_rotvec(np.outer(np.linspace(0.0, 5.0, 10), [1.0, 0.0, 0.0]))
     accel, gyro = recorded(np.random.default_rng(22), attitudes=about_x)
     said = reason(accel, scaled(gyro, 900.0, unit="counts"))
-    assert said == "the movements do not tell the scale of a gyroscope in counts: turn it about every axis"
+    assert "gyroscope" in said
+    assert "in counts" in said
+    assert "every axis" in said
 
 
 def test_degrees_that_pass_for_radians_are_told_by_their_factor(unit):

@@ -150,7 +150,8 @@ def test_fifty_samples_over_ten_seconds_are_the_least(n, rate, enough):
 def test_an_axis_that_stands_is_told():
     mag = compass()
     said = unusable(ready(dataclasses.replace(mag, values=mag.values * [1.0, 1.0, 0.0])))
-    assert said.startswith("the compass reads one constant value on an axis")
+    assert "compass" in said
+    assert "constant value" in said
 
 
 @pytest.mark.parametrize(("speed", "told"), [(34.0, False), (36.0, True)])
@@ -158,7 +159,8 @@ def test_half_of_the_time_faster_than_a_vehicle_is_another_unit(speed, told):
     gyro = gyroscope()
     steady = dataclasses.replace(gyro, values=np.tile([0.0, 0.0, speed], (len(gyro), 1)) + gyro.values)
     said = unusable(ready(turning=Turning(steady, None)))
-    assert said.startswith("the gyroscope reads") is told
+    assert ("gyroscope" in said and " 36.1 rad/s" in said) is told
+    assert told or said == ""
 
 
 @pytest.mark.parametrize(

@@ -55,21 +55,24 @@ def with_values(channel, values):
 def test_thirty_samples_of_the_compass_are_the_least(hand, n):
     mag, gyro = hand
     elsewhere = dataclasses.replace(mag.take(slice(0, n)), t=100.0 + mag.t[:n])  # refused anyway, for another reason
-    assert (reason(elsewhere, gyro) == "29 finite samples of the mag: 30 are needed") is (n == 29)
+    said = reason(elsewhere, gyro)
+    assert ("29 finite" in said and "the mag:" in said) is (n == 29)
 
 
 @pytest.mark.parametrize("n", [59, 60])
 def test_sixty_samples_of_the_gyroscope_are_the_least(hand, n):
     mag, gyro = hand
     said = reason(mag, gyro.take(slice(0, n)))
-    assert (said == "59 finite samples of the gyro: 60 are needed") is (n == 59)
+    assert ("59 finite" in said and "the gyro:" in said) is (n == 59)
 
 
 def test_rows_without_numbers_do_not_count(hand):
     mag, gyro = hand
     values = mag.values.copy()
     values[25:, 1] = np.nan
-    assert reason(with_values(mag, values), gyro) == "25 finite samples of the mag: 30 are needed"
+    said = reason(with_values(mag, values), gyro)
+    assert "25 finite" in said
+    assert "the mag:" in said
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -78,15 +81,17 @@ def test_numbers_that_no_sensor_measures_are_named(hand, which):
     channels[which] = with_values(channels[which], channels[which].values * 1e13)
     name, unit = (("mag", "uT"), ("gyro", "rad/s"))[which]
     said = reason(*channels)
-    assert said.startswith(f"the {name} reads up to ")
-    assert said.endswith(f" {unit}: that is no measurement")
+    assert f"the {name} " in said
+    assert f"{np.abs(channels[which].values).max():.3g} {unit}" in said
 
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_a_sensor_that_stands_on_an_axis_is_named(hand, which):
     channels = list(hand)
     channels[which] = with_values(channels[which], channels[which].values * [1.0, 0.0, 1.0])
-    assert reason(*channels).endswith("reads one constant value on an axis: it is stuck, or was not turned")
+    said = reason(*channels)
+    assert ("the mag ", "the gyro ")[which] in said
+    assert "constant value" in said
 
 
 def test_samples_outside_of_the_gyroscopes_time_do_not_serve(hand):
@@ -99,16 +104,18 @@ def test_samples_outside_of_the_gyroscopes_time_do_not_serve(hand):
 
 def test_degrees_that_pass_for_radians_are_told_by_their_speed(hand):
     mag, gyro = hand
-    said = reason(mag, with_values(gyro, np.degrees(gyro.values) * 2.0))
-    assert said.startswith("the gyroscope reads ")
-    assert said.endswith("rad/s half of the time: its unit is another (deg/s, counts)")
+    fast = with_values(gyro, np.degrees(gyro.values) * 2.0)
+    said = reason(mag, fast)
+    assert "gyroscope" in said
+    assert f"{np.median(np.linalg.norm(fast.values, axis=1)):.3g} rad/s" in said
+    assert "deg/s" in said
 
 
 def test_a_unit_that_hardly_turns_is_told_by_how_much(hand):
     mag, gyro = hand
     quiet = with_values(gyro, np.outer(0.01 * np.sin(gyro.t), [1.0, 1.0, 1.0]))
     # the mean of |0.01 sin t| over sixteen seconds, on three axes, in degrees
-    assert reason(mag, quiet).startswith("it turned by 10 degrees in all: turn it about two axes or more")
+    assert "10 degrees" in reason(mag, quiet)
 
 
 def test_impossible_input_is_an_error(hand):
@@ -128,16 +135,17 @@ def warned(fit, text):
 
 def test_an_offset_of_the_gyroscope_that_is_large_is_said(hand):
     large = fit_gyro_aided(*waved(bias=(0.1, 0.1, 0.0)), delay=0.0)
-    assert warned(large, "the gyroscope's offset is 0.14")
-    assert warned(large, " rad/s: rest it first")
-    assert not warned(fit_gyro_aided(*hand, delay=0.0), "rest it first")
+    size = float(np.linalg.norm(large.native["gyro_bias"]))
+    assert size == pytest.approx(0.1414, rel=0.02)
+    assert warned(large, f"{size:.3g} rad/s")
+    assert not warned(fit_gyro_aided(*hand, delay=0.0), "rad/s")
 
 
 @pytest.mark.parametrize(("strength", "told"), [(0.38, True), (0.45, False), (1.38, False), (1.55, True)])
 def test_a_field_that_is_not_the_earths_is_said(strength, told):
     """Beyond 22 to 67 uT by 12 %, of a field of 49.5 times the factor."""
     mag, gyro = waved(strength=strength)
-    assert warned(fit_gyro_aided(mag, gyro, delay=0.0), "none of the Earth's, which has 22 to 67 uT anywhere") is told
+    assert warned(fit_gyro_aided(mag, gyro, delay=0.0), "67 uT") is told
 
 
 def test_a_known_field_gives_the_scale_and_its_uncertainty(hand):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.methods import METHODS
 from mavcal.calib.methods.method import gravity_of, mean_or_none
@@ -127,10 +128,11 @@ def test_a_vehicle_that_was_never_at_rest_gets_no_offset():
     flying = (level(10.0), gyro(2.0 + rng.normal(size=(500, 3))))
     log = Recording(flying, events=(Event(0.5, "armed", ""),), identity=Identity(autopilot="ardupilot"))
     (fit,) = METHODS["gyro-rest"].run(log)
-    assert fit.message.startswith("the vehicle was armed and never at rest with its motors off")
-    assert fit.movements["offset_x"] == "leave the vehicle still on the ground, disarmed, for some seconds"
+    assert fit.status == FitStatus.REFUSED
+    assert "armed" in fit.message
+    assert "disarmed" in fit.movements["offset_x"]
     (table,) = METHODS["gyro-rest"].run(dataclasses.replace(log, identity=Identity()))
-    assert "never at rest" not in table.message  # a table says nothing of arming
+    assert "armed" not in table.message  # a table says nothing of arming
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
@@ -75,8 +74,9 @@ def test_one_check_deserves_a_look_and_two_deserve_one() -> None:
         judged(of, (measure(1.1, 0.2),), good="", remedy="Look.")
         for of in (CheckId.COMPASS_DIRECTION, CheckId.VIBRATION)
     )
-    assert "compass_direction deserves a look" in Report((turned,)).summary
-    assert "compass_direction, vibration deserve a look" in Report((turned, shaking)).summary
+    assert "compass_direction deserves " in Report((turned,)).summary
+    assert "compass_direction, vibration" in Report((turned, shaking)).summary
+    assert "vibration deserve " in Report((turned, shaking)).summary
 
 
 def test_the_page_lists_every_check_and_limit_as_the_code_has_them() -> None:
@@ -90,5 +90,6 @@ def test_the_page_lists_every_check_and_limit_as_the_code_has_them() -> None:
 def test_the_page_holds_a_bench_that_reached_its_targets() -> None:
     page = PAGE.read_text(encoding="utf-8")
     bench = page.partition("<!-- bench -->")[2]
-    assert len(re.findall(r"\| yes \|", bench)) >= 10
-    assert "| NO |" not in bench
+    reached = [line.split("|")[-2].strip() for line in bench.splitlines() if line.startswith("|")]
+    assert reached.count("yes") >= 10
+    assert "NO" not in reached

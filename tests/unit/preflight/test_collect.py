@@ -109,10 +109,10 @@ def test_a_finer_message_shows_what_a_rounded_one_hides() -> None:
 
 
 def test_texts_against_arming_are_kept_whole_and_once() -> None:
-    text = dialect.MAVLink_statustext_message(2, b"PreArm: 3D Accel calibration needed", 0, 0)
+    text = dialect.MAVLink_statustext_message(2, b"PreArm: uncalibrated", 0, 0)
     other = dialect.MAVLink_statustext_message(6, b"ArduCopter V4.6.0", 0, 0)
     found = collect(frames(text, other, text), ARDUPILOT, {}, asked=True)
-    assert found.view.texts == ("PreArm: 3D Accel calibration needed",)
+    assert found.view.texts == ("PreArm: uncalibrated",)
 
 
 def test_vibration_of_px4_is_its_z_alone() -> None:

@@ -91,9 +91,11 @@ def test_of_two_accelerometers_gravity_tells_which_is_off(off):
 def test_a_check_on_fewer_than_are_installed_never_says_all():
     two = {0: rate(0.0), 2: rate(0.0)}
     for check in (gyro_rest(two, (), None, installed=3), gyro_noise(two, (), None, installed=3)):
-        assert (check.verdict, check.reason.startswith("2 of 3 gyroscopes")) == (Verdict.PASS, True)
-    assert gyro_rest(two, (), None).reason.startswith("All 2 gyroscopes")
-    assert accel_force({0: mean(0.0, 0.0, -G)}, (), None, None).reason == "The only accelerometer reads g."
+        assert check.verdict == Verdict.PASS
+        assert check.reason.startswith("2 of")
+        assert "3 gyroscopes" in check.reason
+    assert gyro_rest(two, (), None).reason.startswith("All 2")
+    assert "only accelerometer" in accel_force({0: mean(0.0, 0.0, -G)}, (), None, None).reason
 
 
 def test_of_three_the_one_that_is_off_is_named():

@@ -100,4 +100,6 @@ def test_a_sensor_that_was_measured_and_not_written_warns(make_fit):  # noqa: F8
     out = (LeftOut(Sensor.GYRO, 1, "it has no row"),)
     part = dataclasses.replace(finished(make_fit(Sensor.GYRO, 0, offset=[0.01] * 3), "gyro", 3.0), left_out=out)
     gyro = by_kind(sensor_states([part], snapshot()))["gyro"]
-    assert (gyro.verdict, gyro.advice) == (Verdict.WARN, "Gyro 2 was left out: it has no row.")
+    assert gyro.verdict == Verdict.WARN
+    assert "Gyro 2" in gyro.advice
+    assert out[0].reason in gyro.advice

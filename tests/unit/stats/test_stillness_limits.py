@@ -130,7 +130,7 @@ def test_a_slow_change_is_named():
     for k in range(0, len(slowly), 4):
         detector.feed(accel(slowly).take(slice(k, k + 4)), None)
         reasons.add(detector.reason)
-    assert "its attitude changes slowly" in reasons
+    assert any("slowly" in reason for reason in reasons)
 
 
 @pytest.mark.parametrize(("seconds", "spans"), [(0.875, 0), (1.0, 1)])

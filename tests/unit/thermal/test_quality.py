@@ -31,8 +31,9 @@ def channel(sensor=Sensor.GYRO, unit="rad/s"):
 
 
 def test_a_fit_says_of_which_axes_and_over_what():
-    assert said_of("slope", data(), ~Z) == "slope of x, y over 10.0 to 45.0 degC from 1000 rows"
-    assert said_of("slope", data(), NONE).startswith("slope of no axis")
+    said = said_of("slope", data(), ~Z)
+    assert all(token in said for token in ("slope", " x, y ", "10.0 to", "45.0 degC", "1000 rows"))
+    assert "no axis" in said_of("slope", data(), NONE)
 
 
 @pytest.mark.parametrize(
@@ -64,12 +65,12 @@ def test_axes_that_are_declined_and_those_that_are_too_coarse_are_told_apart():
     assert declined_warnings(NONE, NONE, channel()) == ()
 
 
-@pytest.mark.parametrize(
-    ("seconds", "who"), [(20.0, "the sensor lags its thermometer"), (-20.0, "the thermometer lags the sensor")]
-)
+@pytest.mark.parametrize(("seconds", "who"), [(20.0, "sensor lags"), (-20.0, "thermometer lags")])
 def test_who_lags_whom_is_said(seconds, who):
     [said] = two_way_warnings(ThermometerLag(seconds, 2.0), None, None, ALL)
-    assert f"{who} by 20 +- 2 s" in said
+    assert who in said
+    assert "20 +-" in said
+    assert "2 s;" in said
 
 
 CURVE = SimpleNamespace(drift=np.array([1.0, 1.0, 1.0]), drift_sd=np.array([1e-4, 5e-4, 2e-3]))

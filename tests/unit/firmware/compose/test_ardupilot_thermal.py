@@ -138,7 +138,9 @@ def test_what_cannot_be_stored_blocks(ardupilot_parameters, ardupilot_fingerprin
 def test_a_board_without_the_feature_blocks(ardupilot_parameters, ardupilot_fingerprint, make_fit):
     del ardupilot_parameters["INS_TCAL1_ENABLE"]
     fit = make_fit(Sensor.GYRO, offset=[0.01] * 3, polynomial=CURVE)
-    assert "no temperature compensation" in compose([fit], ardupilot_parameters, ardupilot_fingerprint).blockers[0]
+    plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint)
+    assert "INS_TCAL1_ENABLE" in plan.blockers[0]
+    assert not any("TCAL1" in change.name for change in plan.changes)
 
 
 @pytest.mark.parametrize(("apart", "written"), [(0.0, False), (2e-4, False), (2e-3, True)])

@@ -68,12 +68,10 @@ def test_a_choice_is_of_the_mounting_and_not_of_what_is_missing(planned, autopil
 @BOTH
 def test_what_the_movement_speaks_against_is_not_written(planned, autopilot, name):
     plan, _ = planned(autopilot, 4, [found(autopilot, YAW_270)], confirm_mounting=True)
-    assert plan.blockers == (
-        "compass 1: the chosen mounting (yaw 180) is 90 deg from the one that its movement shows. "
-        "Choose what it shows, or turn the vehicle again.",
-    )
-    as_it_is, _ = planned(autopilot, 4, [found(autopilot, 0, "as_stated")], confirm_mounting=True)
-    assert "180 deg from" in as_it_is.blockers[0]
+    (blocker,) = plan.blockers
+    assert all(token in blocker for token in ("compass 1", "yaw 180", " 90 deg"))
+    (blocker,) = planned(autopilot, 4, [found(autopilot, 0, "as_stated")], confirm_mounting=True)[0].blockers
+    assert all(token in blocker for token in ("compass 1", "yaw 180", " 180 deg"))
 
 
 @BOTH

@@ -50,9 +50,11 @@ def test_a_sensor_that_was_not_fitted_does_not_matter():
 
 
 def test_fits_of_nothing_and_of_unnamed_sensors_are_for_no_vehicle():
-    assert differences(origin(), BOARD, PARAMETERS) == ("no sensor has a usable fit",)
+    assert len(differences(origin(), BOARD, PARAMETERS)) == 1
     unnamed = origin(Sensor.GYRO, parameters=PARAMETERS | {"CAL_GYRO0_ID": 0})
-    assert "does not say the device id of gyro 1" in differences(unnamed, BOARD, PARAMETERS)[0]
+    (reason,) = differences(unnamed, BOARD, PARAMETERS)
+    assert "device id" in reason
+    assert "gyro 1" in reason
 
 
 @pytest.mark.parametrize(

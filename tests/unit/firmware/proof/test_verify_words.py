@@ -91,12 +91,9 @@ def test_a_raw_stream_does_not_depend_on_what_is_written(case):
         channels=tuple(dataclasses.replace(c, stage=Stage.RAW) for c in whole.channels),
     )
     found, _ = said(case, later=raw)
-    assert found[X] == (
-        ProofVerdict.NOT_OBSERVABLE,
-        "the stream of this sensor is raw and does not depend on it; the corrected one is sent less a bias that the "
-        "estimator learns within seconds, so it proves nothing; it was read back",
-        False,
-    )
+    verdict, text, acts_on_stream = found[X]
+    assert (verdict, acts_on_stream) == (ProofVerdict.NOT_OBSERVABLE, False)
+    assert "raw" in text
 
 
 def test_parameters_come_from_the_recordings_and_the_later_ones_count(case):

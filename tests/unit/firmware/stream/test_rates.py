@@ -219,7 +219,10 @@ class TestClock:
 
     def test_a_pause_is_told(self) -> None:
         recording = Assembler(ARDUPILOT).feed([raw_imu(1.0), raw_imu(4.5)])
-        assert [(e.kind, e.text) for e in recording.events] == [("gap", "RAW_IMU paused for 3.5 s")]
+        (event,) = recording.events
+        assert event.kind == "gap"
+        assert "RAW_IMU" in event.text
+        assert "3.5 s" in event.text
 
     @given(st.lists(st.floats(0, 1e6), max_size=60), st.integers(1, 7))
     @settings(max_examples=examples(60), deadline=None)

@@ -62,7 +62,10 @@ def test_large_errors_of_a_sensor_are_neither_frame_nor_unit():
 
 def test_a_sensor_that_is_stuck_is_named():
     problem = build(changed(flown(), Sensor.MAG, lambda v: np.full_like(v, 12.0)))
-    assert [(name, "one value throughout" in reason) for name, reason, _ in problem.not_testable] == [("mag", True)]
+    [(name, reason, _)] = problem.not_testable
+    assert name == "mag"
+    assert "x, y, z" in reason
+    assert "one value" in reason
 
 
 def test_seconds_of_data_are_not_testable():
@@ -78,7 +81,10 @@ def test_a_reference_of_another_movement_is_named():
         for c in real.reference
     )
     problem = build(dataclasses.replace(real, reference=other))
-    assert any("nothing in common" in reason for _, reason, _ in problem.not_testable)
+    assert Sensor.GYRO not in by_sensor(problem)
+    [(name, _, need)] = problem.not_testable
+    assert name == "gyro"
+    assert "same movement" in need
 
 
 def test_recordings_that_do_not_overlap_are_refused():
@@ -160,7 +166,9 @@ def test_the_unit_of_a_compass_shows_at_rest():
 
 def test_milligravities_are_no_gauss():
     (refused,) = build(changed(flown(), Sensor.ACCEL, lambda v: v / 9.80665e-3)).not_testable
-    assert "mg and m/s2" in refused[1]
+    assert refused[0] == "accel"
+    assert "mg and" in refused[1]
+    assert "--unit-accel" in refused[2]
 
 
 def of_reference(recording, sensor, change):
@@ -185,7 +193,10 @@ def test_a_reference_that_is_worse_than_the_sensor_is_named():
     (refused,) = build(
         of_reference(flown(), Sensor.ACCEL, lambda v: v + 0.3 * noise.standard_normal(v.shape))
     ).not_testable
-    assert "times the noise of the sensor on x, y, z" in refused[1]
+    assert refused[0] == "accel"
+    assert "noise" in refused[1]
+    assert " x, y, z" in refused[1]
+    assert "better than" in refused[2]
 
 
 def test_a_slower_sensor_is_no_worse_reference():
@@ -200,7 +211,8 @@ def test_a_copy_of_the_reference_is_named():
     real = flown()
     exact = next(c.values for c in real.reference if c.sensor == Sensor.GYRO)
     (refused,) = build(changed(real, Sensor.GYRO, lambda _: exact + np.array([0.1, 0.0, -0.2]))).not_testable
-    assert "differ by 0.1, 0, -0.2 rad/s throughout on x, y, z, without any noise" in refused[1]
+    assert refused[0] == "gyro"
+    assert all(token in refused[1] for token in (" 0.1, 0,", " -0.2 rad/s", " x, y, z", "without any noise"))
 
 
 def test_a_sensor_without_noise_is_not_alive_even_at_rest():
@@ -220,7 +232,8 @@ def test_a_damaged_number_is_named_with_its_time():
         return spoilt
 
     (refused,) = build(changed(flown(), Sensor.ACCEL, struck)).not_testable
-    assert "reads 1e+30 m/s2 on x at 7.000 s" in refused[1]
+    assert refused[0] == "accel"
+    assert all(token in refused[1] for token in ("1e+30 m/s2", "on x", "7.000 s"))
 
 
 @pytest.mark.parametrize(("factor", "words"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])

@@ -19,8 +19,8 @@ def only(recording, *sensors):
     )
 
 
-def said(problem, words):
-    return any(words in text for text in problem.warnings)
+def said(problem, *words):
+    return any(all(word in text for word in words) for text in problem.warnings)
 
 
 def test_a_file_given_twice_is_told():
@@ -54,13 +54,13 @@ def test_a_reference_that_is_much_slower_is_said():
     sim = flown(2, reference=False)
     rows = [c.take(np.arange(len(c)) % 5 == 0) if c.sensor == Sensor.GYRO else c for c in sim.channels]
     problem = build(flown(1, reference=False), sim.with_channels(rows))
-    assert said(problem, "the reference of gyro has 20 samples a second and the sensor 100: above 10 Hz")
+    assert said(problem, "gyro", " 20 samples", " 100:", " 10 Hz")
 
 
 def test_stamps_that_were_rounded_are_said():
     real = flown(1)
     rounded = [dataclasses.replace(c, t=np.round(c.t, 1)) for c in real.channels]
-    assert said(build(real.with_channels(rounded)), "90 % of the samples of gyro of instance 1")
+    assert said(build(real.with_channels(rounded)), "90 %", "gyro", "instance 1")
 
 
 def test_a_recording_of_two_parts_is_said():
@@ -70,4 +70,4 @@ def test_a_recording_of_two_parts_is_said():
         return tuple(dataclasses.replace(c, t=c.t + 100.0 * (c.t > 12.0)) for c in channels)
 
     parts = dataclasses.replace(real, channels=torn(real.channels), reference=torn(real.reference))
-    assert said(build(parts), "a hole of 100 s: only its longest part was compared")
+    assert said(build(parts), "hole", "100 s", "longest part")

@@ -116,7 +116,9 @@ def test_a_frame_is_named_and_costs_the_other_sensors_nothing(sensor, turn, word
 @pytest.mark.parametrize("factor", [1000.0, 10.0, 0.01])
 def test_a_field_that_is_not_the_earths_is_named(factor):
     (refused,) = build(turned(posed(), Sensor.MAG, factor * np.eye(3))).not_testable
-    assert "the Earth's is 22 to 67" in refused[1]
+    assert refused[0] == "mag"
+    assert "Earth's" in refused[1]
+    assert "--unit-mag" in refused[2]
 
 
 @pytest.mark.parametrize(
