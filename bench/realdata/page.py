@@ -1,4 +1,4 @@
-"""``docs/real-data.md``."""
+"""Every real recording with its known answer, as a page."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from bench.fleet.__main__ import drift_table, odd_table
 from bench.fleet.drift import WANDERS, run
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "fleet.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "measured" / "accuracy.md"
 
 
 def test_a_sensor_is_the_same_for_the_same_seed_and_another_for_the_next() -> None:

@@ -11,7 +11,9 @@ from bench.preflight.page import checks, limits
 from mavcal.calib.preflight import limits as named
 from mavcal.calib.preflight.check import ASKS, Check, CheckId, Measure, Report, Verdict, judged, unknown
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "preflight.md"
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+PAGE = DOCS / "preflight.md"
+MEASURED = DOCS / "measured" / "campaigns.md"
 
 
 def measure(value: float, sd: float, limit: float = 1.0) -> Measure:
@@ -88,7 +90,6 @@ def test_the_page_lists_every_check_and_limit_as_the_code_has_them() -> None:
 
 
 def test_the_page_holds_a_bench_that_reached_its_targets() -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    bench = page.partition("<!-- bench -->")[2]
+    bench = MEASURED.read_text(encoding="utf-8").partition("<!-- bench -->")[2].partition("<!-- /bench -->")[0]
     assert len(re.findall(r"\| yes \|", bench)) >= 10
     assert "| NO |" not in bench
