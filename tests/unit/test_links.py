@@ -1,4 +1,4 @@
-"""The documentation: every link leads somewhere, every page says for whom it is and is in the index, and they are few."""
+"""The documentation: links lead somewhere, pages say for whom they are and stand in the index, and they are few."""
 
 from __future__ import annotations
 
