@@ -2,7 +2,7 @@
 
 Every log is given to the commands as a user would give it; what they say is compared with ``flights.toml``. Results are
 kept in ``flights.json`` beside it, a log and a column at a time, so that columns can be filled on different days. With
-``--write`` the table goes to ``docs/measured/health-and-flights.md``, between the marks that stand there.
+``--write`` the table goes to ``docs/flights.md``, between the marks that stand there.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 ANSWERS = HERE / "flights.toml"
 RESULTS = HERE / "flights.json"
-PAGE = HERE.parent / "docs" / "measured" / "health-and-flights.md"
-BEGIN, END = "<!-- bench.flights -->", "<!-- end of bench.flights -->"
+PAGE = HERE.parent / "docs" / "flights.md"
+BEGIN, END = "<!-- measured by bench.flights -->", "<!-- end of what was measured -->"
 COLUMNS = ("inspect", "fits", "gap")
 NOTHING, WRONG_USE = "-", 2
 LIMIT_S = 900.0

@@ -7,7 +7,7 @@
     campaign    draws, contenders, tallies: error over bound with its own standard error, intervals, time, memory
     peers       installable programs and plain scipy forms behind one signature; what is not installed says so
     rows_*      one module a row of the table: mag (full, tilted, outliers), six_face, thermal, align, imu, allan
-    page        every row as a page
+    page        docs/accuracy.md
 
 ``scripts/accuracy`` installs the peers and runs it all; ``python -m bench.accuracy mag --quick`` runs a slice.
 """

@@ -1,4 +1,4 @@
-"""Every row of an accuracy run as a page: what is measured, how, and what came out last."""
+"""``docs/accuracy.md``: what is measured, how, and what came out last."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ REASONS = Path(__file__).with_name("reasons.md")
 _TEXT = """# Accuracy
 
 `scripts/accuracy` installs the peers (extra `bench`; none of them is needed to run mavcal), measures everything below
-in one run, writes this page with `--out` and exits 1 if a target is missed. `scripts/accuracy mag` measures one row,
+in one run, writes this file and exits 1 if a target is missed. `scripts/accuracy mag` measures one row,
 `scripts/accuracy --quick` a slice.
 
 The error of an estimate is compared with the Cramer-Rao bound: `sqrt(mean of e^T F e / p)` over the runs. Here e is the

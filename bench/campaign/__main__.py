@@ -33,6 +33,7 @@ from bench.campaign.report import FaultReport, KillReport
 from bench.campaign.scenario import scenarios
 from bench.campaign.starved import StarvedReport, of_starved, run_starved, starved_table
 
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "fault-campaign.md"
 RUNS = 280
 STARVED_RUNS = 4
 PARTS = ("faults", "kills", "cli", "crossed", "starved", "all")
@@ -58,7 +59,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--starved", type=int, default=STARVED_RUNS, help="number of starved runs")
     parser.add_argument("--postgresql", action="store_true", help="crossed runs on a PostgreSQL of their own")
     parser.add_argument("--run", type=int, default=None, help="only this run, with all it has to say")
-    parser.add_argument("--out", type=Path, help="folder for the tables of a whole campaign as a page")
     parser.add_argument("--workers", type=int, default=4, help="runs at the same time")
     args = parser.parse_args(argv)
     if not args.postgresql:
@@ -108,10 +108,12 @@ def _campaign(args: argparse.Namespace, kind: StoreKind) -> int:
         f"of the command line, {len(crossed)} crossed runs on {_named(kind)} and {len(starved)} starved ones, "
         f"{_minutes(began)}"
     )
-    if args.out is not None and args.part == "all":
-        write_document(args.out / "fault-campaign.md", args.seed, faults, killed, commands, crossed, starved, found)
-    if args.out is not None and args.part == "crossed" and len(crossed) >= LEAST_RUNS:
-        write_crossed(args.out / f"crossed-campaign-{_named(kind)}.md", args.seed, _named(kind), crossed, found)
+    if args.part == "all":
+        write_document(DOCUMENT, args.seed, faults, killed, commands, crossed, starved, found)
+    if args.part == "crossed" and len(crossed) >= LEAST_RUNS:
+        write_crossed(
+            DOCUMENT.with_name(f"crossed-campaign-{_named(kind)}.md"), args.seed, _named(kind), crossed, found
+        )
     return 0 if all(criterion.met for criterion in found) else 1
 
 
@@ -149,7 +151,7 @@ def _crossed(pool: ProcessPoolExecutor, args: argparse.Namespace, kind: StoreKin
     wanted = crosses(args.crosses, args.seed, args.first)
     if args.keep is None:
         return _all(pool, partial(run_cross, kind=kind), wanted)
-    commit, known = commit_of(Path(__file__).parent), kept_runs(args.keep, args.seed, kind.name)
+    commit, known = commit_of(DOCUMENT.parent), kept_runs(args.keep, args.seed, kind.name)
     reports = {kept.report.index: kept.report for kept in known}
     waiting = [pool.submit(run_cross, one, kind=kind) for one in wanted if one.index not in reports]
     for done in as_completed(waiting):

@@ -1,4 +1,4 @@
-"""The tables of a whole campaign as a page: what the campaign is, and what it measured."""
+"""``docs/fault-campaign.md``: what the campaign is, and what it measured last."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ telemetry log may have lost what it held, and each parameter must hold what the 
 TEXT = """# Fault campaign
 
 `scripts/campaign` lets real jobs (capture, plan, accept, write, check) run against simulated vehicles of both
-autopilots and spoils them after the first PARAM_SET. It prints the tables below, writes this page with `--out` and
-exits 1 if anything that is to be shown is not. `scripts/campaign faults --seed S --run N` repeats a single run.
+autopilots and spoils them after the first PARAM_SET. It prints the tables below, writes this file and exits 1 if
+anything that is to be shown is not. `scripts/campaign faults --seed S --run N` repeats a single run.
 
 Every run is judged by the simulator alone, never by the service's word:
 

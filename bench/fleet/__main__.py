@@ -21,7 +21,7 @@ from bench.preflight.page import put
 from mavcal.calib.fleet.odd import FALSE_ALARMS
 from mavcal.calib.fleet.trend import COVERAGE
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "measured" / "accuracy.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "fleet.md"
 CALIBRATIONS = (4, 6, 12)
 GROUPS = (6, 12, 31, 101)
 
@@ -32,7 +32,7 @@ def main() -> int:
     parser.add_argument("--groups", type=int, default=1500, help="groups of each size")
     parser.add_argument("--seed", type=int, default=1, help="first seed")
     parser.add_argument("--limits", action="store_true", help="print the limits by size of a group, and nothing else")
-    parser.add_argument("--write", action="store_true", help="write the tables into docs/measured/accuracy.md")
+    parser.add_argument("--write", action="store_true", help="write the tables into docs/fleet.md")
     args = parser.parse_args()
     if args.limits:
         print(", ".join(f"{n}: {limit(n, 40_000, args.seed):.2f}" for n in SIZES))

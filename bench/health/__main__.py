@@ -1,7 +1,7 @@
 """``python -m bench.health LOG... [--write]``: every fault in every healthy log, and every log as it is.
 
-The logs are healthy flights of the caller's own. With ``--write`` the table goes between its marks in
-``docs/measured/health-and-flights.md``.
+The logs are healthy flights of the caller's own. With ``--write`` the table goes to ``docs/health.md``, between the
+marks that stand there.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from mavcal.calib.health.finding import BAD
 from mavcal.calib.health.report import health
 from mavcal.calib.recording import Recording, Sensor
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "measured" / "health-and-flights.md"
-BEGIN, END = "<!-- bench.health -->", "<!-- end of bench.health -->"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "health.md"
+BEGIN, END = "<!-- measured -->", "<!-- end of what was measured -->"
 
 
 @dataclass

@@ -15,9 +15,7 @@ from pathlib import Path
 from bench.preflight.campaign import Row, rows
 from bench.preflight.page import checks, limits, put, table
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-PAGE = DOCS / "preflight.md"
-MEASURED = DOCS / "measured" / "campaigns.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "preflight.md"
 
 
 def main() -> int:
@@ -25,9 +23,7 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=100, help="vehicles of each fault and autopilot")
     parser.add_argument("--healthy", type=int, default=500, help="healthy vehicles of each autopilot")
     parser.add_argument("--first", type=int, default=1, help="first seed")
-    parser.add_argument(
-        "--write", action="store_true", help="write the tables into docs/preflight.md and docs/measured"
-    )
+    parser.add_argument("--write", action="store_true", help="write the tables into docs/preflight.md")
     args = parser.parse_args()
     began = time.process_time()
     found: list[Row] = rows(args.runs, args.healthy, args.first)
@@ -39,8 +35,9 @@ def main() -> int:
             print(f"{name}, {row.autopilot}: other seeds {', '.join(map(str, row.wrong[:20]))}", file=sys.stderr)
     print(f"\n{time.process_time() - began:.0f} s of processor time", file=sys.stderr)
     if args.write:
-        PAGE.write_text(put(PAGE.read_text(encoding="utf-8"), checks=checks(), limits=limits()), encoding="utf-8")
-        MEASURED.write_text(put(MEASURED.read_text(encoding="utf-8"), bench=text), encoding="utf-8")
+        PAGE.write_text(
+            put(PAGE.read_text(encoding="utf-8"), checks=checks(), limits=limits(), bench=text), encoding="utf-8"
+        )
     return 0 if all(row.met for row in found) else 1
 
 

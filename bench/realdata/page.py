@@ -1,4 +1,4 @@
-"""Every real recording with its known answer, as a page."""
+"""``docs/real-data.md``."""
 
 from __future__ import annotations
 
