@@ -2,8 +2,8 @@
 
 The lasting part of a bias is the line and the walk, without the scatter from start to start. The bias has left its
 limit when that part is farther than the limit from the bias that corrects the sensor. Both are taken at the temperature
-of that calibration. Three axes count together. Intervals are of 90 %; docs/fleet.md has how often they held the truth
-in simulations.
+of that calibration. Three axes count together. Intervals are of 90 %; docs/measured/accuracy.md has how often they held
+the truth in simulations.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``docs/operations.md`` says what works: every block of commands is run, in the order of the page."""
+"""The operations of ``docs/deploy.md`` work: every block of commands is run, in the order of the page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "operations.md").read_text()
+PAGE = (ROOT / "docs" / "deploy.md").read_text()
 LIVE = 4
 """So many blocks are for a service that is stopped; the others need one that runs."""
 NEEDED = ("bash", "curl", "tar", "du", "grep")

@@ -11,7 +11,7 @@ import pytest
 
 TESTS = Path(__file__).resolve().parents[1]
 DOCS = TESTS.parent / "docs"
-PAGES = ("threats.md", "security.md", "trust.md")
+PAGES = ("security.md", "trust.md")
 NAMED = re.compile(r"`(?P<file>[\w/]*\w+\.py)?(?:::(?P<test>test_\w+))?`")
 
 
@@ -52,7 +52,7 @@ def test_every_test_that_a_page_names_exists(page: str) -> None:
 
 
 def test_every_threat_has_a_witness() -> None:
-    rows = (DOCS / "threats.md").read_text().split("## Threats")[1].split("##")[0].splitlines()
+    rows = (DOCS / "security.md").read_text().split("## Threats")[1].split("##")[0].splitlines()
     threats = [row for row in rows if row.startswith("| ")][1:]
     assert len(threats) > 10
     assert [row for row in threats if not witnesses(row)] == []

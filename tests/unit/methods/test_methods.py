@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -412,6 +413,11 @@ def test_the_advice_on_a_missing_temperature_is_one_that_works():
             METHODS[method].run(recording)
         with pytest.raises(InvalidInputError, match=r"a\.bin has no temperature of this sensor: log it"):
             METHODS[method].run(of_vehicle)
+
+
+def test_every_method_has_a_row_on_the_page_of_methods():
+    page = (Path(__file__).resolve().parents[3] / "docs" / "methods.md").read_text(encoding="utf-8")
+    assert [name for name in METHODS if f"| `{name}` |" not in page] == []
 
 
 def test_an_array_named_as_its_sensor_may_be_mapped(tmp_path):

@@ -69,7 +69,7 @@ def test_evidence_counts_as_far_as_the_cases_went_and_no_farther():
 
 
 SEALED = {(20, 50): (90, 128), (50, 100): (126, 152), (100, 300): (236, 256), (300, 1000): (247, 252)}
-"""Sealed single effects from 9 500 000 on: right at the top and detected, by severity (docs/gap-selftest.md)."""
+"""Sealed single effects from 9 500 000 on: right at the top and detected, by severity (docs/measured/gap.md)."""
 
 
 @pytest.mark.parametrize(("severity", "counted"), SEALED.items(), ids=str)
