@@ -96,6 +96,7 @@ async def test_vehicles_are_checked_and_calibrated_as_one_job_each(tmp_path: Pat
             assert {row.subject for row in rows} == {i["job_id"] for i in items if i["job_id"]}
 
 
+@pytest.mark.long
 async def test_uploads_are_fitted_paged_filtered_and_told(tmp_path: Path) -> None:
     async with served(tmp_path) as a:
         ids = [await upload(a, rest(n), f"{'=' if n == 1 else ''}rest{n}.csv") for n in range(4)]
@@ -145,6 +146,7 @@ async def test_uploads_are_fitted_paged_filtered_and_told(tmp_path: Path) -> Non
         await a.get("/jobs/none/items", 404)
 
 
+@pytest.mark.long
 async def test_gaps_of_uploads_have_their_reports(tmp_path: Path) -> None:
     table = write_table(tmp_path / "real.csv", seconds=20.0).read_bytes()
     async with served(tmp_path / "data") as a:

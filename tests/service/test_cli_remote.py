@@ -104,6 +104,7 @@ def test_a_job_right_after_a_cancelled_one_gets_its_samples(running: RunningServ
     running.client.cancel_job(job_id)
 
 
+@pytest.mark.long
 def test_what_the_prompt_offers_is_an_answer(running: RunningService, sim: SimulatedVehicle) -> None:
     sim.call("tumble", rate_dps=45.0)
     job_id = begun(running, "mag", uncertainty=0.02, patience=3600)
@@ -130,6 +131,7 @@ def test_a_service_and_its_folder_list_the_same_a_page_at_a_time(running: Runnin
         assert (code, told["error"]["code"]) == (1, "job-unknown")
 
 
+@pytest.mark.long
 def test_who_is_not_there_and_what_is_no_address_is_said(tmp_path: Path) -> None:
     code, told, _ = mavcal("cancel", "j1", "--url", "http://127.0.0.1:1")
     assert (code, told["error"]["code"]) == (1, "unreachable")

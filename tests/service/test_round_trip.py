@@ -65,6 +65,7 @@ def counted(recording: Recording, fit: Json) -> Segment:
     return Segment("rest", float(gyro.t[start]), float(np.nextafter(gyro.t[start + n - 1], np.inf)))
 
 
+@pytest.mark.long
 async def test_job_log_and_tables_give_the_same_digits(tmp_path, sim):
     async with served(tmp_path / "data", connect=(sim.url,)) as a:
         job, content = await recorded(a, "gyro", {"uncertainty": 0.02})

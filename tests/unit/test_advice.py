@@ -75,6 +75,7 @@ def test_every_option_that_is_named_in_a_sentence_exists() -> None:
     assert {(name, path) for name, path in told if name not in options} == set()
 
 
+@pytest.mark.long
 def test_advice_on_a_plan_is_made_of_the_table_of_its_options() -> None:
     """No sentence names a plan option by hand: `how` does, and refuses a name that is not in the table."""
     by_hand = [

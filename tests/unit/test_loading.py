@@ -9,6 +9,7 @@ import pytest
 from mavcal.service.loading import loading
 
 
+@pytest.mark.long
 def test_garbage_is_looked_for_again_after_loading_however_that_ends() -> None:
     with loading():
         assert not gc.isenabled()

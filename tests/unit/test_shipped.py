@@ -35,6 +35,7 @@ def test_a_name_is_seen(source: str) -> None:
     assert named(source)
 
 
+@pytest.mark.long
 @pytest.mark.shared
 def test_no_data_set_is_named_in_shipped_code(shared_data: Path) -> None:
     sets = {p.name for p in shared_data.iterdir() if p.is_dir() and "_" in p.name}

@@ -82,6 +82,7 @@ class TestSensors:
         rows = made.MAG.rows(2, TimeUS=stamps, S=[(at - 2000) % 2**32 for at in stamps], MagX=220, Health=1)
         assert read_dataflash(HEAD + rows.tobytes()).channel(Sensor.MAG).t[1] == pytest.approx((t - 2000) * 1e-6)
 
+    @pytest.mark.long
     def test_what_the_vehicle_distrusts_and_what_cannot_be_is_left_out_and_counted(self):
         bad = made.IMU.rows(2, TimeUS=times(8, 8.1), AccX=[1, 3e38], AccZ=-9, GyrX=[np.nan, 1], AH=[0, 1], GH=1)
         recording = read_dataflash(FLIGHT + bad.tobytes())

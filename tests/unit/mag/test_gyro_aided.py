@@ -109,6 +109,7 @@ def test_turning_scaling_and_shifting_the_data_moves_the_answer_accordingly(seed
     assert scaled(other.model.matrix) == pytest.approx(scaled(fit.model.matrix) @ Q.T, abs=2e-3)
 
 
+@pytest.mark.long
 def test_what_the_motion_does_not_tell_is_refused():
     rng = np.random.default_rng(7)
     one_axis = fit_gyro_aided(*moved(rng, axes=(0.0, 0.0, 1.0)))
@@ -135,6 +136,7 @@ def test_what_the_motion_does_not_tell_is_refused():
         fit_gyro_aided(dataclasses.replace(mag, t=mag.t[::-1]), gyro)
 
 
+@pytest.mark.long
 @pytest.mark.shared
 def test_a_tumbling_vehicle_of_real_firmware(shared_data):
     fit = METHODS["mag-gyro"].run(read(shared_data / "sitl_captures/tumble.tlog"), {"instance": 0})[0]
@@ -146,6 +148,7 @@ def test_a_tumbling_vehicle_of_real_firmware(shared_data):
     assert fit.native["rotation_deg"] < 3.0 * fit.native["rotation_sd_deg"]
 
 
+@pytest.mark.long
 @pytest.mark.shared
 def test_turns_with_an_uncalibrated_gyroscope_of_real_firmware(shared_data):
     fit = METHODS["mag-gyro"].run(read(shared_data / "px4_captures/bench_turn.tlog"), {"instance": 0})[0]

@@ -36,6 +36,7 @@ def test_sphere_vector() -> None:
     assert fit.native["radius"] == pytest.approx(50.0)
 
 
+@pytest.mark.long
 def test_axis_ellipsoid_vector() -> None:
     """METHODS S1, every intermediate number; uncentred, as printed there."""
     samples = CENTRE + NINE * [60.0, 50.0, 40.0]

@@ -42,6 +42,7 @@ def put_on(trace):
     return np.outer(up - down, SIZE) + 0.2 * np.outer(wobble, SIZE[::-1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_levels_before_and_after_give_the_size(seed):
     problem = problem_of(np.random.default_rng(seed), (Sensor.ACCEL,), put_on)
@@ -70,6 +71,7 @@ def test_the_moment_of_a_jump_is_no_surer_than_the_samples_beside_it(at):
     assert low < at < high < low + 0.03
 
 
+@pytest.mark.long
 def test_instances_that_jump_together_by_different_sizes_leave_nothing_out():
     def both(truth, _sensor):
         return np.outer(truth["t"] > ON_S, SIZE)
