@@ -177,12 +177,12 @@ async def test_an_event_of_a_link_reaches_only_the_vehicles_on_it(registry: Vehi
         air.say(heartbeat(), system)
     for kind, text in (
         (LinkEventKind.OWN_IDS_HEARD, "our ids"),
-        (LinkEventKind.DUPLICATE_SYSTEM, "two of 1"),
+        (LinkEventKind.DUPLICATE_SYSTEM, "two systems"),
     ):
         for told in airs["one"].told:
             told(LinkEvent(kind, text, 1, 1))
     doubts = {vehicle.link.id: vehicle.conflicts for vehicle in registry.all()}
-    assert doubts == {"one": ("our ids", "two of 1"), "two": ()}
+    assert doubts == {"one": ("our ids", "two systems"), "two": ()}
 
 
 async def test_waiting_for_a_vehicle_ends_when_it_is_identified(registry: VehicleRegistry) -> None:
