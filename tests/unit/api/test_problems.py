@@ -88,8 +88,10 @@ async def test_what_the_data_do_not_allow_is_invalid_input(answered, kind):
 
 
 async def test_the_place_of_the_data_is_nobodys_business(answered):
-    _, document = await answered(StoreError("/data/of/mine/mavcal.db is damaged"))
-    assert document["detail"] == "the data directory/mavcal.db is damaged"
+    answer, document = await answered(StoreError("/data/of/mine/mavcal.db is damaged"))
+    assert (answer.status_code, document["code"]) == (StoreError.status_code, StoreError.code)
+    assert "/mavcal.db" in document["detail"]
+    assert "/data/of/mine" not in answer.body.decode()
 
 
 async def test_a_request_without_a_key_is_told_how_to_give_one(answered):

@@ -71,7 +71,7 @@ def test_singles_are_ranked_by_evidence_and_the_set_is_the_named_and_their_rival
             answer(Tier.SINGLE, ("accel_bias",), size=30.0),
         ]
     )
-    top = figure(scores, "single: top-1, lambda >= 100")
+    top = figure(scores, "single: top-1,")
     assert (top["value"], top["n"], top["verdict"]) == (0.5, 2, FigureVerdict.MISSED)
     assert figure(scores, "single: truth in the reported set")["value"] == 1.0
     assert figure(scores, "single: mean size")["value"] == 2.5
@@ -82,14 +82,14 @@ def test_singles_are_ranked_by_evidence_and_the_set_is_the_named_and_their_rival
 
 def test_a_null_is_broken_by_a_name_or_by_unknown():
     scores = score([answer(Tier.NULL, ()), answer(Tier.NULL, (), unknown=True), answer(Tier.NULL, (), effect("x_y"))])
-    assert figure(scores, "null: something reported")["value"] == pytest.approx(2 / 3)
+    assert figure(scores, "null: something")["value"] == pytest.approx(2 / 3)
 
 
 def test_the_tilted_reference_may_be_named_but_no_sensor():
     rows = [answer(Tier.NULL_TILTED, (), effect(n)) for n in ("reference_attitude", "accel_random_walk")]
     scores = score(rows)
-    assert figure(scores, "null with 0.3")["value"] == 0.5
-    assert figure(scores, "the same: the reference")["value"] == 0.5
+    assert figure(scores, "null with")["value"] == 0.5
+    assert figure(scores, "the same:")["value"] == 0.5
 
 
 def test_f1_is_of_all_names_together_and_another_convention_is_no_surplus():
@@ -101,8 +101,8 @@ def test_f1_is_of_all_names_together_and_another_convention_is_no_surplus():
             ),
         ]
     )
-    assert figure(scores, "mixed: strict F1")["value"] == pytest.approx(2 * 3 / (2 * 3 + 1 + 1))
-    assert figure(scores, "mixed: exact set")["value"] == 0.5
+    assert figure(scores, "mixed: strict")["value"] == pytest.approx(2 * 3 / (2 * 3 + 1 + 1))
+    assert figure(scores, "mixed: exact")["value"] == 0.5
 
 
 def test_a_left_out_effect_is_unknown_or_a_synonym_but_not_a_stranger():
@@ -148,9 +148,9 @@ def test_closed_probabilities_and_errors():
     good = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias", probability=0.97)) for _ in range(30)]
     scores = score([*good, failed])
     assert figure(scores, "held-out gap closed: median")["value"] == 0.995
-    assert figure(scores, "95 % intervals hold")["value"] == 1.0
+    assert figure(scores, "95 %")["value"] == 1.0
     assert figure(scores, "probabilities: ECE")["value"] == pytest.approx(0.03)
-    assert figure(scores, "failed with an error")["value"] == pytest.approx(1 / 31)
+    assert figure(scores, "failed with")["value"] == pytest.approx(1 / 31)
     assert scores["errors"] == [("ValueError: x", 1)]
 
 
@@ -169,7 +169,7 @@ def singles(right: int, wrong: int) -> list[CaseAnswer]:
     ],
 )
 def test_a_target_is_judged_by_the_ends_of_the_interval(right, wrong, verdict):
-    assert figure(score(singles(right, wrong)), "single: top-1, lambda >= 100")["verdict"] == verdict
+    assert figure(score(singles(right, wrong)), "single: top-1,")["verdict"] == verdict
 
 
 def nulls(quiet: int, loud: int) -> list[CaseAnswer]:
@@ -181,13 +181,13 @@ def nulls(quiet: int, loud: int) -> list[CaseAnswer]:
     [(40, 0, "undecided"), (400, 0, "reached"), (994, 6, "undecided"), (960, 40, "missed")],
 )
 def test_a_target_from_above_is_judged_by_the_upper_end(quiet, loud, verdict):
-    assert figure(score(nulls(quiet, loud)), "null: something reported")["verdict"] == verdict
+    assert figure(score(nulls(quiet, loud)), "null: something")["verdict"] == verdict
 
 
 def test_what_is_no_proportion_has_an_interval_too():
     mixed = [answer(Tier.MIXED, ("accel_bias", "mag_delay"), effect("accel_bias"), effect("mag_delay"))] * 30
     half = [answer(Tier.MIXED, ("accel_bias", "mag_delay"), effect("accel_bias"))] * 8
-    f1 = figure(score([*mixed, *half]), "mixed: strict F1")
+    f1 = figure(score([*mixed, *half]), "mixed: strict")
     assert f1["value"] == pytest.approx(2 * 68 / (2 * 68 + 8))
     assert f1["low"] < f1["value"] < f1["high"]
     assert f1["verdict"] == FigureVerdict.UNDECIDED
@@ -216,10 +216,10 @@ def test_every_target_of_the_ladder_is_missed_by_a_diagnosis_that_finds_nothing(
 
 def test_few_intervals_say_nothing_and_one_error_is_a_miss():
     few = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias")) for _ in range(20)]
-    assert figure(score(few), "95 % intervals hold")["verdict"] == FigureVerdict.UNDECIDED
-    assert figure(score(few), "failed with an error")["verdict"] == FigureVerdict.REACHED
+    assert figure(score(few), "95 %")["verdict"] == FigureVerdict.UNDECIDED
+    assert figure(score(few), "failed with")["verdict"] == FigureVerdict.REACHED
     failed = CaseAnswer(few[0].label, {}, "ValueError: x", 1.0)
-    assert figure(score([*few, failed]), "failed with an error")["verdict"] == FigureVerdict.MISSED
+    assert figure(score([*few, failed]), "failed with")["verdict"] == FigureVerdict.MISSED
 
 
 def test_no_name_is_its_own_synonym():

@@ -72,10 +72,10 @@ async def test_a_method_is_run_on_the_file_of_the_item() -> None:
 
 @pytest.mark.parametrize("kind", [FolderFits, FolderGaps])
 async def test_a_file_that_cannot_be_computed_fails_without_its_folder(kind: Any) -> None:
-    error = {"code": "invalid-input", "text": "the file /logs/a/b.bin has no gyro"}
+    error = {"code": "invalid-input", "text": "in /logs/a/b.bin"}
     failing, _ = work(kind, {"error": error})
     end = await failing.run(errand({**FIT_OPTIONS, "sim": None, "nominal": []}))
-    assert (end.outcome, end.code, end.text) == (ItemOutcome.FAILED, "invalid-input", "The file a/b.bin has no gyro")
+    assert (end.outcome, end.code, end.text) == (ItemOutcome.FAILED, "invalid-input", "In a/b.bin")
 
 
 async def test_a_file_is_diagnosed_beside_the_same_files_as_all_others() -> None:

@@ -48,5 +48,5 @@ def test_a_size_is_a_round_number_of_the_largest_unit(size, said):
 
 @pytest.mark.parametrize("kind", ["InvalidInputError", "UnreadableError", "FirmwareError"])
 def test_a_refusal_of_a_child_is_the_same_error_here(kind):
-    error = refusal(kind, "it has no gyro")
-    assert (type(error).__name__, str(error)) == (kind, "it has no gyro")
+    error = refusal(kind, "no gyro")
+    assert (type(error).__name__, str(error)) == (kind, "no gyro")

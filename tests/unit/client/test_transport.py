@@ -106,8 +106,8 @@ def test_a_service_that_is_not_there_is_told():
 
 
 def test_what_is_not_ready_is_an_answer():
-    answer = httpx.Response(503, json={"status": "not ready", "reason": "the disk is full"})
-    assert client(lambda _: answer).get_readiness().reason == "the disk is full"
+    answer = httpx.Response(503, json={"status": "not ready", "reason": "disk full"})
+    assert client(lambda _: answer).get_readiness().reason == "disk full"
 
 
 # --- streams

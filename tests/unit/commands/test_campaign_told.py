@@ -58,16 +58,19 @@ def test_what_is_not_done_has_a_line(screen):
 
 def test_an_item_is_called_as_a_person_calls_it(screen):
     tell(campaign(), rows(replace(FAILED, name="tug")), Telling(), screen)
-    assert "tug: It broke." in screen.lines[0]
+    assert "tug:" in screen.lines[0]
+    assert FAILED.text in screen.lines[0]
+    assert FAILED.subject not in screen.lines[0]
 
 
-@pytest.mark.parametrize(
-    ("count", "more"), [(20, []), (23, ["    3 more are not done: `mavcal campaign items c` lists them"])]
-)
+@pytest.mark.parametrize(("count", "more"), [(20, []), (23, ["3 more"])])
 def test_a_long_list_is_cut_and_says_where_the_rest_is(screen, count, more):
     many = [replace(FAILED, number=k, subject=f"v{k}") for k in range(1, count + 1)]
     tell(campaign(), rows(*many), Telling(), screen)
-    assert screen.lines[20:] == [*more, "succeeded: 2 of 3 are done."]
+    *cut, end = screen.lines[20:]
+    assert [" ".join(line.split()[:2]) for line in cut] == more
+    assert all("campaign items" in line for line in cut)
+    assert end.startswith("succeeded:")
 
 
 @pytest.mark.parametrize(

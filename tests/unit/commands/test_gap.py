@@ -36,17 +36,18 @@ def beginning(lines, word):
 
 def test_the_verdict_comes_first_and_the_reference_is_named(said):
     lines = said(report())
-    assert lines[0].startswith("no_gap: No difference beyond the noise")
-    assert lines[-1] == "reference: sim. ref_* columns"
+    assert lines[0].startswith(f"{report().verdict.value}:")
+    assert lines[-1].startswith("reference: sim")
 
 
 def test_an_effect_is_told_with_its_parameters_and_its_rivals(said):
-    rival = Rival("accel_rotation", 0.9, 3.0, "turn it on its side")
+    rival = Rival("accel_rotation", 0.9, 3.0, "turn it")
     lines = said(report(replace(BIAS, confusable_with=(rival,))))
-    [first] = [number for number, line in enumerate(lines) if "(accel_bias), probability 99 %" in line]
-    shown = [" ".join(line.split()) for line in lines[first + 1 : first + 5]]
-    assert shown[0] == "bias.x 0.3000 +- 0.003 m/s2"
-    assert shown[3] == "could be accel_rotation; told apart by: turn it on its side"
+    [first] = [number for number, line in enumerate(lines) if "(accel_bias)" in line and " 99 %" in line]
+    shown = lines[first + 1 : first + 5]
+    assert shown[0].split() == ["bias.x", "0.3000", "+-", "0.003", "m/s2"]
+    assert "accel_rotation" in shown[3]
+    assert shown[3].endswith("turn it")
 
 
 def test_how_far_the_gap_shrinks_is_said_where_there_are_effects(said):
@@ -69,20 +70,23 @@ def test_the_worst_places_are_named_and_no_more(said):
     cells = tuple(replace(CELL, instance=k) for k in range(1, 6))
     lines = beginning(said(replace(report(BIAS), where=cells)), "where")
     assert [line.split("of instance ")[1][0] for line in lines] == ["1", "2", "3"]
-    assert lines[1] == ("where: accel.x of instance 2, temperature 20..24 degC: rms 0.5 m/s2, 0.125 nats a sample")
+    tokens = ("accel.x", "temperature 20..24", "degC", "0.5 m/s2", "0.125 nats")
+    assert all(token in lines[1] for token in tokens)
 
 
-@pytest.mark.parametrize(("count", "more"), [(8, []), (9, ["not testable: 1 more, see --json"])])
+@pytest.mark.parametrize(("count", "more"), [(8, 0), (9, 1)])
 def test_a_long_list_of_what_is_not_testable_is_cut(said, count, more):
     lines = beginning(said(replace(report(), not_testable=(GONE,) * count)), "not testable")
-    assert lines == ["not testable: mag_delay: There is no compass.; needed: a compass"] * 8 + more
+    assert all("mag_delay" in line and GONE.reason in line and GONE.need in line for line in lines[:8])
+    assert ["1 more" in line and "--json" in line for line in lines[8:]] == [True] * more
 
 
 def test_sensors_that_were_not_compared_and_warnings_are_said(said):
     lost = NotTestable("gyro", "It is in another frame.", "the same frame")
     lines = said(replace(report(BIAS), not_testable=(lost,), warnings=("It is short.",)))
-    assert lines[1].startswith("Not compared, at least in part: gyroscope")
-    assert lines[-1] == "! It is short."
+    assert lines[1].startswith("Not compared")
+    assert "gyroscope" in lines[1]
+    assert lines[-1].startswith("! ")
 
 
 def test_a_remedy_is_told_with_what_is_left_and_what_came_in(said):
@@ -97,14 +101,14 @@ def test_a_remedy_is_told_with_what_is_left_and_what_came_in(said):
         warnings=("It is short.",),
     )
     lines = said(report(BIAS), verified)
-    begin = lines.index("with the remedy: 0.25 nats a number are left (0.2 to 0.3), of 4; partly_explained")
-    assert lines[begin + 1 : begin + 6] == [
-        "  accel_bias of instance 1, 2: 3.1 % of its evidence is left",
-        "  accel_bias of instance 1, 2: 3.1 % of its evidence is left; the new flight has it within its errors",
-        "  gyro_bias is in the simulator and not in the vehicle, or was hidden before",
-        "One nat a number: a reading is 2.7 times less likely than noise alone would make it.",
-        "! It is short.",
-    ]
+    [begin] = [number for number, line in enumerate(lines) if line.startswith("with the remedy:")]
+    assert all(token in lines[begin] for token in ("0.25 nats", "(0.2 to", "0.3)", "of 4;", "partly_explained"))
+    left_over, agreed, added, *more = lines[begin + 1 :]
+    for line in (left_over, agreed):
+        assert all(token in line for token in ("accel_bias", "1, 2:", " 3.1 %"))
+    assert ["its errors" in line for line in (left_over, agreed)] == [False, True]
+    assert "gyro_bias" in added
+    assert f"! {verified.warnings[0]}" in more
 
 
 @pytest.mark.parametrize(
@@ -173,4 +177,5 @@ def test_the_default_limit_is_that_of_the_diagnosis():
 def test_a_subcommand_needs_no_recording(monkeypatch):
     monkeypatch.setattr("mavcal.calib.gap.run", None)
     result = CliRunner().invoke(command, ["selftest", "--score-only"], standalone_mode=False)
-    assert "--score-only needs --answers FILE" in str(result.exception)
+    assert isinstance(result.exception, click.UsageError)
+    assert "--answers" in str(result.exception)

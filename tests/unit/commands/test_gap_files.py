@@ -145,5 +145,5 @@ def test_a_file_that_cannot_be_written_ends_the_command(tmp_path):
 
 def test_a_page_has_its_title(tmp_path, monkeypatch):
     monkeypatch.setattr("mavcal.calib.gap_report.gap_to_html", lambda _, title: f"<h1>{title}</h1>")
-    gap_files.write_page(FOUND, "Gap of a.csv", tmp_path / "a.html")
-    assert "<h1>Gap of a.csv</h1>" in (tmp_path / "a.html").read_text(encoding="utf-8")
+    gap_files.write_page(FOUND, "Gap", tmp_path / "a.html")
+    assert "<h1>Gap</h1>" in (tmp_path / "a.html").read_text(encoding="utf-8")

@@ -14,9 +14,12 @@ class Terminal(io.StringIO):
 
 
 def test_the_sentence_says_what_is_done_how_far_and_how_long() -> None:
-    assert sentence(HALF) == "selecting effects: 50 % done, about 20 s left"
-    assert sentence(GapProgress(GapStage.REFERENCE, 0.0, None)) == "making the reference: 0 % done"
-    assert sentence(GapProgress(GapStage.REPORT, 0.99, 0.01)).endswith("about 1 s left")
+    half, beginning = sentence(HALF), sentence(GapProgress(GapStage.REFERENCE, 0.0, None))
+    assert all(token in half for token in ("selecting effects", " 50 %", " 20 s"))
+    assert "reference" in beginning
+    assert " 0 %" in beginning
+    assert " s left" not in beginning
+    assert " 1 s" in sentence(GapProgress(GapStage.REPORT, 0.99, 0.01))
 
 
 def test_a_terminal_has_one_line_that_is_empty_in_the_end() -> None:

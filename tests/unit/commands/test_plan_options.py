@@ -114,13 +114,15 @@ def test_several_vehicles_are_calibrated_by_kinds_without_hands_and_without_opti
 
 def test_a_proof_is_of_what_was_written():
     result = CliRunner().invoke(calibrate, ("gyro", "--connect", "tcp:v:1", "--require-proof"), standalone_mode=False)
-    assert "give --apply too" in str(result.exception)
+    assert isinstance(result.exception, click.UsageError)
+    assert "--apply" in str(result.exception)
 
 
 def test_one_vehicle_needs_one_endpoint():
     for urls in ((), ("--connect", "tcp:v:1", "--connect", "tcp:v:2")):
         result = CliRunner().invoke(calibrate, ("gyro", *urls), standalone_mode=False)
-        assert "give one --connect URL" in str(result.exception)
+        assert isinstance(result.exception, click.UsageError)
+        assert "one --connect" in str(result.exception)
 
 
 def test_a_sensor_that_there_is_not_is_refused_by_the_plan():

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from types import SimpleNamespace
 
 import click
@@ -101,24 +102,26 @@ def shown(capsys, *found):
 
 def test_a_check_that_passes_says_number_uncertainty_and_limit(capsys):
     [line, last] = shown(capsys, report("pass", check("pass")))
-    assert line == "PASS    gyro_rest  [0.25 ± 0.01 of 1 deg/s] It turns."
-    assert last == "PASS: so it is (4.3 s)"
+    assert line.startswith("PASS ")
+    assert all(token in line for token in (" gyro_rest ", "[0.25 ±", "± 0.01", " 1 deg/s]"))
+    assert last.startswith("PASS:")
+    assert "(4.3 s)" in last
 
 
 @pytest.mark.parametrize(
     ("more", "number"),
     [
-        ({"sd": None}, "[0.25 of 1 deg/s] "),
-        ({"unit": ""}, "[0.25 ± 0.01 of 1] "),
-        ({"value": None}, ""),
-        ({"limit": None}, ""),
-        ({"verdict": "warn"}, ""),  # the reason says it
+        ({"sd": None}, ["0.25", "1"]),
+        ({"unit": ""}, ["0.25", "0.01", "1"]),
+        ({"value": None}, []),
+        ({"limit": None}, []),
+        ({"verdict": "warn"}, []),  # the reason says it
     ],
 )
 def test_a_number_is_said_where_there_is_one_to_compare(capsys, more, number):
-    assert shown(capsys, report("pass", check(**{"verdict": "pass", **more})))[0].endswith(
-        f"gyro_rest  {number}It turns."
-    )
+    line = shown(capsys, report("pass", check(**{"verdict": "pass", **more})))[0]
+    assert re.findall(r"[\d.]*\d", line) == number
+    assert ("deg/s" in line) is ("sd" in more)
 
 
 def test_what_helps_stands_below_its_check_and_names_are_aligned(capsys):

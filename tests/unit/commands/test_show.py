@@ -22,13 +22,6 @@ def test_an_id_is_shown_with_all_its_digits(capsys: pytest.CaptureFixture[str]) 
     assert lines[1].split() == ["CAL_GYRO0_ID", "0", "->", "2147483647"]
 
 
-def test_a_prompt_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
-    screen = Screen()
-    for text in ("turn it", "turn it", "hold it", "turn it"):
-        screen.prompt(text)
-    assert capsys.readouterr().err.split("\n") == ["  > turn it", "  > hold it", "  > turn it", ""]
-
-
 def test_cause_and_remedy_are_two_sentences() -> None:
     failure = Failure("x", "the vehicle streams no gyro samples", "check that the sensor is there")
     assert f"{failure.cause} {failure.remedy}" == (

@@ -106,9 +106,9 @@ def test_who_tried_too_often_is_told_how_long_to_wait() -> None:
 
 
 def test_a_file_that_was_not_processed_says_why_after_a_colon() -> None:
-    made = ChildEnded("it took more than 300 s")
-    assert str(made) == "the file could not be processed: it took more than 300 s"
-    assert made.cause == "it took more than 300 s"
+    made = ChildEnded("too slow")
+    assert made.cause == "too slow"
+    assert str(made).endswith(": too slow")
 
 
 def test_what_a_vehicle_refused_names_the_command_and_the_parameter() -> None:
@@ -119,5 +119,5 @@ def test_what_a_vehicle_refused_names_the_command_and_the_parameter() -> None:
 
 
 def test_a_capture_that_ended_says_what_helps() -> None:
-    assert CaptureEnded().remedy == "Start the job again."
-    assert CaptureEnded("too hot", remedy="Let it cool down.").remedy == "Let it cool down."
+    assert CaptureEnded().remedy
+    assert CaptureEnded("too hot", remedy="Cool it.").remedy == "Cool it."

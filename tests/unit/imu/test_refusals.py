@@ -63,7 +63,7 @@ def test_the_axes_that_stand_are_named(unit):
     stuck = scaled(accel, [1.0, 0.0, 0.0])
     said = reason(stuck, gyro)
     assert "the accel " in said
-    assert " y, z:" in said
+    assert "y, z:" in said
 
 
 def test_an_accelerometer_in_g_is_told_from_gravity(unit):

@@ -97,7 +97,7 @@ async def test_nothing_of_a_capture_goes_on_after_its_end(capture: Capture, monk
                 await asyncio.Event().wait()
             finally:
                 await asyncio.sleep(0)
-                steps.append("the watch has ended")
+                steps.append("ended")
 
     async def recorded(_: Capture) -> Done:
         await asyncio.sleep(0.001)
@@ -106,7 +106,7 @@ async def test_nothing_of_a_capture_goes_on_after_its_end(capture: Capture, monk
     monkeypatch.setattr("mavcal.service.jobs.capture.LinkWatch", Watch)
     monkeypatch.setattr(Capture, "_recorded", recorded)
     await capture.run()
-    assert steps == ["the watch has ended"]
+    assert steps == ["ended"]
 
 
 async def test_prompts_and_progress_are_shown_and_the_job_waits_where_something_is_asked(capture: Capture) -> None:

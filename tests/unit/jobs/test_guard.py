@@ -7,7 +7,7 @@ import pytest
 
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import WriteStopped
-from mavcal.service.jobs.guard import WriteGuard
+from mavcal.service.jobs.guard import RESTARTED, WriteGuard
 from tests.unit.jobs.fakes import FakeVehicle
 
 
@@ -61,7 +61,7 @@ def test_another_unit_under_the_same_address_stops_a_write(vehicle: FakeVehicle)
 def test_a_restart_is_the_reason_and_not_what_it_brings_about(vehicle: FakeVehicle) -> None:
     guard = WriteGuard(vehicle, 0.001)
     vehicle.change_state(reboots=1, silent=True, calibrating=True, peer="127.0.0.1:9", obstacles=("unknown ground",))
-    assert guard.reason() == "the vehicle restarted by itself"
+    assert guard.reason() == RESTARTED
 
 
 def test_an_awaited_restart_brings_its_own_address(vehicle: FakeVehicle) -> None:

@@ -65,7 +65,10 @@ async def test_a_vehicle_that_refuses_to_restart_has_the_operator_asked(make_ben
     bench.vehicle.refused_commands = {PREFLIGHT_REBOOT_SHUTDOWN}
     working = asyncio.create_task(restart(bench.attempt()))
     await until(lambda: bench.handle.job.prompt is not None)
-    assert any("refused to restart by itself" in text for text in bench.handle.job.warnings)
+    assert bench.handle.job.prompt is not None
+    assert bench.handle.job.prompt.step == "reboot"
+    assert JournalStep.REBOOT in steps(bench)
+    assert any("refused" in text for text in bench.handle.job.warnings)
     restarted(bench)
     await working
 

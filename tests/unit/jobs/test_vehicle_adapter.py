@@ -144,5 +144,5 @@ def test_a_vehicle_is_found_by_its_id() -> None:
 
 async def test_a_vehicle_that_is_not_ours_stands_in_conflict(fake: FakeVehicle) -> None:
     registry = SimpleNamespace(get=lambda _: fake.vehicle)
-    ours = RegistryAdapter(registry, lambda vehicle_id: f"{vehicle_id} is another's")  # type: ignore[arg-type]
-    assert ours.vehicle("v7").condition().conflict == f"{fake.vehicle.id} is another's"
+    ours = RegistryAdapter(registry, lambda vehicle_id: f"not {vehicle_id}")  # type: ignore[arg-type]
+    assert ours.vehicle("v7").condition().conflict == f"not {fake.vehicle.id}"

@@ -111,8 +111,10 @@ def test_poses_that_never_agree_end_with_the_cause(bench):
 
 def test_missing_poses_are_named_at_the_end_of_a_recording(bench):
     procedure, _ = run(held(bench, FACES[:4]).record())
-    assert "4 poses were taken and 6 are missing" in procedure.outcome.cause
-    assert "on its back" in procedure.outcome.remedy
+    assert isinstance(procedure.outcome, GaveUp)
+    assert "4 poses" in procedure.outcome.cause
+    assert " 6 are" in procedure.outcome.cause
+    assert "its back" in procedure.outcome.remedy
 
 
 def test_lying_on_the_table_for_ever_ends_the_job(bench):

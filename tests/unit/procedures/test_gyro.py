@@ -104,7 +104,10 @@ def test_nan_rows_are_left_out_with_a_warning(bench):
     recording = bench().hold(20.0).record()
     recording.channel(Sensor.GYRO).values[7] = np.nan
     procedure, _ = run(recording)
-    assert any("no finite numbers" in w for w in procedure.outcome.results[0].warnings)
+    assert isinstance(procedure.outcome, Done)
+    (said,) = (w for w in procedure.outcome.results[0].warnings if "finite" in w)
+    assert said.startswith("1 ")
+    assert "gyro 1" in said
 
 
 def test_an_absent_instance_is_named_and_the_others_are_calibrated(bench):
@@ -128,7 +131,8 @@ def test_a_frozen_gyro_is_left_out_and_a_lone_one_ends_the_job(bench):
 def test_a_vehicle_without_a_gyro_stream_is_told_so(bench):
     recording = bench(gyros=()).hold(10.0).record()
     procedure, _ = run(recording)
-    assert procedure.outcome.cause == "the vehicle streams no gyro samples"
+    assert isinstance(procedure.outcome, GaveUp)
+    assert "no gyro" in procedure.outcome.cause
 
 
 def test_without_parameters_the_fit_is_relative(bench):

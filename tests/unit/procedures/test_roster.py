@@ -134,7 +134,8 @@ def test_a_quantised_sensor_may_repeat_as_long_as_nothing_moves():
 def test_a_movement_that_a_sensor_must_share_tells_that_it_is_frozen(frozen, moved, falls):
     streams, attendance = Streams(ACCEL, GYRO, MAG, quantum=1e-4), Attendance({ACCEL, GYRO, MAG})
     _, out = until_out(attendance, lambda: streams.frame(frozen={frozen}, moved={moved}), 60)
-    assert out == (((frozen, f"{label(*frozen)} is frozen: it repeats one value"),) if falls else ())
+    assert [sensor for sensor, _ in out] == ([frozen] if falls else [])
+    assert all(label(*frozen) in why and "frozen" in why for _, why in out)
 
 
 def test_another_unit_of_the_same_kind_tells_as_well():

@@ -82,13 +82,15 @@ def test_the_rate_may_be_an_option_and_one_axis_alone_be_turned():
 
 def test_a_rate_that_is_not_the_stated_one_is_no_turn():
     outcome, prompts = run("gyro-turntable", on_table(Bench(gyros=(GYRO,))), rate=120.0)
-    assert "turns are missing: z+" in outcome.cause
-    assert any("does not turn at the stated 120" in p.text for p in prompts)
+    assert isinstance(outcome, GaveUp)
+    assert " z+" in outcome.cause
+    assert any(" 120 deg/s" in p.text for p in prompts)
 
 
 def test_an_uncertain_rate_allows_no_more():
     outcome, _ = run("gyro-turntable", on_table(Bench(gyros=(GYRO,))), rate=45.0, rate_sd=0.5)
-    assert "uncertainty of the stated rate allows no more" in outcome.cause
+    assert isinstance(outcome, GaveUp)
+    assert "uncertainty" in outcome.cause
 
 
 def test_a_table_that_turns_during_the_rest_is_not_believed():
@@ -144,7 +146,8 @@ def test_turns_that_go_back_before_the_rest_do_not_count():
 def test_a_slow_steady_turn_is_no_rest():
     bench = Bench(gyros=(GYRO,)).hold(6.0).turn(360.0 / 8.0, [0, 0, 8.0]).turn(2.0, [0, 0, 6.0])
     outcome, _ = run("gyro-thread", bench)
-    assert "turns were made 0 times" in outcome.cause
+    assert isinstance(outcome, GaveUp)
+    assert " 0 times" in outcome.cause
 
 
 # -- poses and movements -----------------------------------------------------------------------------------------------
@@ -176,7 +179,9 @@ def test_poses_and_movements_give_both_sensors():
 
 def test_without_a_rest_there_is_no_beginning():
     outcome, _ = run("imu-multi", Bench().hold(60.0, tremor=2.0), patience=30.0)
-    assert "no rest within 30 s" in outcome.cause
+    assert isinstance(outcome, GaveUp)
+    assert "no rest" in outcome.cause
+    assert " 30 s" in outcome.cause
 
 
 def test_a_suggested_pose_is_never_one_that_was_taken():

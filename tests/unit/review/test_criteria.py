@@ -44,7 +44,10 @@ def test_soft_iron_that_nothing_was_measured_of_is_one_sentence(ardupilot_parame
     )
     plan = compose([whole], ardupilot_parameters, ardupilot_fingerprint)
     (found,) = [c for c in criteria_of([fit], plan, {}) if c.id == "mag0-fit"]
-    assert found.text == "compass 1: soft iron and scale stay as they are, nothing was measured of them"
+    assert found.verdict == Verdict.WARN
+    assert "compass 1" in found.text
+    assert "soft iron" in found.text
+    assert "matrix" not in found.text
 
 
 def test_a_compass_near_steel_and_with_few_directions_is_told(ardupilot_parameters, ardupilot_fingerprint, make_fit):

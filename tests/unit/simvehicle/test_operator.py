@@ -43,4 +43,4 @@ def test_a_pose_is_held_in_the_hands() -> None:
 
 
 def test_a_rest_that_asks_for_no_pose_moves_nothing() -> None:
-    assert follow(Prompt(PromptStep.HOLD_STILL, "Do not touch it.")) == []
+    assert follow(Prompt(PromptStep.HOLD_STILL, "Wait.")) == []

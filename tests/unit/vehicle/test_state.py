@@ -253,14 +253,19 @@ def test_zero_throttle_counts_only_while_it_is_fresh_and_the_landed_state_is_unk
 
 
 def test_each_reason_is_a_sentence_of_its_own() -> None:
-    assert writable(VehicleState(), 100.0).reasons[:2] == (
-        "no heartbeat was heard yet",
-        "it is not known to be disarmed",
-    )
-    assert "the vehicle is armed" in writable(told(heartbeat(armed=True), state=READY, at=104), 104.1).reasons
-    assert writable(READY, 110.0).reasons[0] == "no heartbeat for 7.0 s"
-    answers = told(landed(), state=READY, at=109.0)
-    assert writable(answers, 110.0).reasons[0].startswith("no heartbeat for 7.0 s, although it still answers")
+    unheard = writable(VehicleState(), 100.0)
+    assert unheard.refusals == (Refusal.SILENT, Refusal.ARMED, Refusal.NOT_LANDED)
+    assert len(unheard.reasons) == 3
+    assert "no heartbeat" in unheard.reasons[0]
+    armed = writable(told(heartbeat(armed=True), state=READY, at=104), 104.1)
+    assert armed.refusals == (Refusal.ARMED,)
+    assert armed.reasons != unheard.reasons[1:2]
+    silent = writable(READY, 110.0)
+    assert silent.refusals[0] is Refusal.SILENT
+    assert silent.reasons[0].endswith(" 7.0 s")
+    answers = writable(told(landed(), state=READY, at=109.0), 110.0)
+    assert answers.reasons[0].startswith(silent.reasons[0])
+    assert "still answers" in answers.reasons[0]
 
 
 def test_evidence_says_only_what_was_heard() -> None:

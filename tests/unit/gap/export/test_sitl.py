@@ -204,7 +204,7 @@ def test_a_wave_that_follows_a_rotor_is_written_with_its_size_or_said_by_name() 
 def test_a_motor_field_on_one_compass_of_three_is_not_only_there() -> None:
     others = effect("mag_hard_iron", (2, 3), hard_iron=(1, 0, 0))
     found = patch(report(effect("mag_motor_current", (1,), per_ampere=(1, 0, 0)), others))
-    assert any("mag_motor_current" in text and " 2, 3" in text for text in found.not_held)
+    assert any("mag_motor_current" in text and "2, 3" in text for text in found.not_held)
 
 
 def test_two_effects_do_not_share_one_parameter_silently() -> None:

@@ -54,7 +54,7 @@ def test_a_reference_that_is_much_slower_is_said():
     sim = flown(2, reference=False)
     rows = [c.take(np.arange(len(c)) % 5 == 0) if c.sensor == Sensor.GYRO else c for c in sim.channels]
     problem = build(flown(1, reference=False), sim.with_channels(rows))
-    assert said(problem, "gyro", " 20 samples", " 100:", " 10 Hz")
+    assert said(problem, "gyro", "20 samples", "100:", "10 Hz")
 
 
 def test_stamps_that_were_rounded_are_said():
