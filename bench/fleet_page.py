@@ -18,7 +18,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
-from bench.film.rooms import connected, endpoint
+from tests.ui.rooms import connected, endpoint
 from bench.frames import CHROMIUM, FLAGS
 from bench.page import machine, shown
 from bench.rows import Row, Section

@@ -113,7 +113,7 @@ def _to_json(*seeds: bytes) -> Mutate:
 
 def dataflash() -> Mutate:
     """A copter's log, short."""
-    from bench.dataflash import flight
+    from tests.unit.logs.dataflash_file import flight
 
     return _to_json(flight(0.1, 1)[:6000], flight(0.1, 2)[:9000])
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pymavlink import DFReader
 
-from bench import dataflash as made
+from tests.unit.logs import dataflash_file as made
 from bench.rows import Row, Section
 from mavcal.calib.logs import read
 from mavcal.calib.logs.dataflash import DataFlash, TextLog

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import expect
 
-from bench.film.rooms import connected, endpoint
+from tests.ui.rooms import connected, endpoint
 from mavcal.client import Client
 
 from .panel import Panel, service, until

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from bench.film.rooms import connected
+from tests.ui.rooms import connected
 from mavcal.client import Client
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 

@@ -7,7 +7,7 @@ import os
 import pytest
 from playwright.sync_api import expect
 
-from bench.film.rooms import connected, reviewed
+from tests.ui.rooms import connected, reviewed
 from mavcal.client import Client
 
 from .panel import Panel, service, sim, until

@@ -9,7 +9,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from bench.film.rooms import capturing, furnish
+from tests.ui.rooms import capturing, furnish
 from mavcal.client import Client
 
 from .panel import PHONE, Panel, service, until

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from bench.film.rooms import connected, large
+from tests.ui.rooms import connected, large
 from mavcal.client import Client
 from mavcal.service.api.security import digest
 from mavcal.service.simvehicle import SimulatedVehicle

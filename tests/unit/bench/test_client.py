@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.client import __main__ as generator
-from bench.client.python import _type
-from bench.client.spec import Document, references, sentence
+from scripts.client import __main__ as generator
+from scripts.client.python import _type
+from scripts.client.spec import Document, references, sentence
 from mavcal.client import AsyncClient, Client
 
 ROOT = Path(__file__).resolve().parents[3]

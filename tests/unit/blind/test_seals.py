@@ -25,8 +25,10 @@ def registered(text: str) -> list[Sealed]:
 
 
 def sealed_in(document: str) -> Iterator[Sealed]:
-    seal = json.loads(document)
-    return ((seal["first_seed"], tier, count) for tier, count in seal["cases"].items())
+    """Cases of a seal, or of a file that keeps several by their names."""
+    found = json.loads(document)
+    for seal in [found] if "first_seed" in found else found.values():
+        yield from ((seal["first_seed"], tier, count) for tier, count in seal["cases"].items())
 
 
 def git(*arguments: str) -> str:
@@ -36,7 +38,7 @@ def git(*arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "docs").glob("gap-seal*.json")), ids=lambda p: p.name)
+@pytest.mark.parametrize("path", sorted((ROOT / "bench" / "seals").glob("*.json")), ids=lambda p: p.name)
 def test_every_seal_here_is_registered(path):
     known = registered(REGISTER.read_text())
     assert [s for s in sealed_in(path.read_text()) if s not in known] == []
@@ -44,9 +46,9 @@ def test_every_seal_here_is_registered(path):
 
 def test_every_seal_that_ever_was_is_registered():
     known = registered(REGISTER.read_text())
-    files = "docs/gap-seal*.json"
-    for commit in git("log", "--format=%h", "--diff-filter=AMR", "--", files).split():
-        for path in git("show", "--name-only", "--format=", "--diff-filter=AMR", commit, "--", files).split():
+    files = "docs/gap-seal*.json", "bench/seals/*.json"
+    for commit in git("log", "--format=%h", "--diff-filter=AMR", "--", *files).split():
+        for path in git("show", "--name-only", "--format=", "--diff-filter=AMR", commit, "--", *files).split():
             missing = [s for s in sealed_in(git("show", f"{commit}:{path}")) if s not in known]
             assert missing == [], f"{path} of {commit}"
 

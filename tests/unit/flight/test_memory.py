@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.dataflash import write_flight
+from tests.unit.logs.dataflash_file import write_flight
 from mavcal.calib import logs
 from mavcal.calib.flight.report import flight_report
 from mavcal.calib.logs.inspection import inspect

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench import dataflash as made
+from tests.unit.logs import dataflash_file as made
 from mavcal.calib import logs
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware import undo

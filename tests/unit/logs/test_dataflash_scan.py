@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench import dataflash as made
+from tests.unit.logs import dataflash_file as made
 from mavcal.calib.logs.dataflash import DataFlash, scan
 from mavcal.calib.logs.dataflash.formats import define, read_fmt
 from mavcal.calib.logs.dataflash.scan import BLOCK

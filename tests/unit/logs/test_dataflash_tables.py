@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pymavlink import DFReader
 
-from bench import dataflash as made
+from tests.unit.logs import dataflash_file as made
 from mavcal.calib.errors import InvalidInputError, UnreadableError
 from mavcal.calib.logs.dataflash import DataFlash
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.compass.campaign import deviations
-from bench.compass.scene import turned
+from tests.unit.mag.turned import deviations
+from tests.unit.mag.turned import turned
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.blur import rates_during
 from mavcal.calib.mag.blur_axes import axes_of_gyro

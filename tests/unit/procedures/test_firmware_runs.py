@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from bench.compass.campaign import deviations
+from tests.unit.mag.turned import deviations
 from mavcal.calib.firmware import undo
 from mavcal.calib.logs import read
 from mavcal.calib.methods import METHODS

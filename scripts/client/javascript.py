@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from bench.client.spec import Document
+from scripts.client.spec import Document
 
 HEAD = """// Written by scripts/generate-client from docs/openapi.json. Do not edit.
 //

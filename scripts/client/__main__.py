@@ -1,4 +1,4 @@
-"""``python -m bench.client``: write the files; ``--check`` names those that are out of date and writes nothing."""
+"""``python -m scripts.client``: write the files; ``--check`` names those that are out of date and writes nothing."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from bench.client import javascript, python, sections, typescript
-from bench.client.spec import Document
+from scripts.client import javascript, python, sections, typescript
+from scripts.client.spec import Document
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from bench.client.spec import Document, Operation, Parameter, references, sentence
+from scripts.client.spec import Document, Operation, Parameter, references, sentence
 
 MARK = "# Written by scripts/generate-client from docs/openapi.json. Do not edit."
 PRIMITIVES = {"string": "str", "number": "Number", "integer": "int", "boolean": "bool", "null": "None"}

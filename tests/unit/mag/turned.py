@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcal.calib.earth import EarthField
+from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Channel, Identity, Recording, Rounding, Sensor, Stage
 from mavcal.service.simvehicle.ardupilot_sensors import compass_reader
 from mavcal.service.simvehicle.config import VehicleConfig
@@ -26,6 +27,7 @@ MESSAGES_HZ = 50.0
 LONGEST_LAG_S = 0.012
 """Delay of the gyroscope: ArduPilot's low-pass of 20 Hz delays by sqrt(2)/(2 pi 20 Hz) = 11 ms."""
 MGAUSS_PER_UT = 10.0
+NINE = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 QUANTA = (0.0, 0.1, 0.1)
 """Steps of the three compasses, uT."""
 
@@ -120,4 +122,20 @@ def _compass(k: int, t: Array, values: Array) -> Channel:
 
 def _numbers(offset: Array, correction: Array) -> Array:
     normal = correction / np.cbrt(np.linalg.det(correction))
-    return np.concatenate([offset, normal[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]])
+    return np.concatenate([offset, normal[NINE]])
+
+
+def deviations(fit: FitResult, truth: Array) -> Array:
+    """Error over sd (9,): offset, diagonal and cross terms of the matrix with determinant 1."""
+    matrix = fit.model.matrix
+    scale = float(np.cbrt(np.linalg.det(matrix)))
+    inverse = np.linalg.inv(matrix)
+    jacobian = np.eye(12)
+    for k in range(9):
+        unit = np.zeros(9)
+        unit[k] = 1.0
+        change = unit.reshape(3, 3) - matrix * np.trace(inverse @ unit.reshape(3, 3)) / 3.0
+        jacobian[3:, 3 + k] = change.ravel() / scale
+    rows = [0, 1, 2, *(3 + 3 * i + j for i, j in zip(*NINE, strict=True))]
+    sd = np.sqrt(np.diag(jacobian @ fit.covariance @ jacobian.T))[rows]
+    return np.asarray((np.concatenate([fit.model.offset, (matrix / scale)[NINE]]) - truth) / sd)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from bench.client.spec import Document, Operation, is_status, sentence
+from scripts.client.spec import Document, Operation, is_status, sentence
 
 HEAD = """// Written by scripts/generate-client from docs/openapi.json. Do not edit.
 //
