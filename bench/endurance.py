@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import socket
+import struct
 import sys
 import tempfile
 import time
@@ -18,12 +19,11 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bench.page import machine, shown
-from bench.rows import Row, Section
+from bench.rows import Row, Section, machine, shown
 from bench.running import RunningService, service
-from bench.scale import beat, sphere
-from mavcal.calib.wire import encode
+from mavcal.calib.wire import RawMessage, encode, raw_message
 from mavcal.service.simvehicle import SimulatedVehicle, free_udp_port
 
 HOURS = 24
@@ -145,6 +145,32 @@ def _strangers(running: RunningService) -> None:
                 out.sendto(encode(message, k + 1, 1, sequence), ("127.0.0.1", port))
     _until(lambda: sum(v.link == link for v in running.client.list_vehicles()) == STRANGERS or None)
     running.client.close_link(link)
+
+
+def beat(vehicle: int) -> list[RawMessage]:
+    """What a vehicle says once a second; who it is comes unasked, because nobody here listens."""
+    uid = (vehicle + 1).to_bytes(18, "little")
+    no = bytes(8)
+    version = dialect.MAVLink_autopilot_version_message(0, 0x040600FF, 0, 0, 0, no, no, no, 0, 0, vehicle + 1, uid)
+    heartbeat = struct.pack("<IBBBBB", 0, dialect.MAV_TYPE_QUADROTOR, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, 81, 3, 3)
+    hud = struct.pack("<ffffhH", 0.0, 0.0, 0.0, 0.0, 0, 0)
+    return [
+        RawMessage(dialect.MAVLINK_MSG_ID_HEARTBEAT, heartbeat),
+        RawMessage(dialect.MAVLINK_MSG_ID_VFR_HUD, hud),
+        RawMessage(dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, bytes([0, 1])),
+        RawMessage(dialect.MAVLINK_MSG_ID_SYSTEM_TIME, struct.pack("<QI", 1, 5000)),
+        raw_message(version),
+    ]
+
+
+def sphere() -> bytes:
+    """A table of a compass that was turned in every direction."""
+    rng = np.random.default_rng(5)
+    directions = rng.normal(size=(4000, 3))
+    values = 50.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True) + (20.0, -10.0, 5.0)
+    values += rng.normal(scale=0.05, size=values.shape)
+    lines = [f"{i / 50},{x:.6f},{y:.6f},{z:.6f}" for i, (x, y, z) in enumerate(values)]
+    return ("t,mag_x,mag_y,mag_z\n" + "\n".join(lines) + "\n").encode()
 
 
 def _until(found: Callable[[], str | bool | None]) -> str:

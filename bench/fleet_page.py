@@ -8,6 +8,7 @@ own, so their processors count too. Exit code 1: an answer took longer than 0.3 
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import tempfile
 import threading
@@ -18,13 +19,13 @@ from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
-from tests.ui.rooms import connected, endpoint
-from bench.frames import CHROMIUM, FLAGS
-from bench.page import machine, shown
-from bench.rows import Row, Section
+from bench.rows import Row, Section, machine, shown
 from bench.running import RunningService, service
 from mavcal.client import Client
+from tests.ui.rooms import connected, endpoint
 
+CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
+FLAGS = ("--no-sandbox", "--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1")
 ANSWER_S = 0.3
 COUNT = """() => {
   window.pictures = 0;

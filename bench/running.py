@@ -61,13 +61,13 @@ class RunningService:
             time.sleep(0.1)
         raise RuntimeError(f"the job did not come to an end within {_JOB_S:g} s")
 
-    def tlog_bytes(self) -> int:
-        """Size of all telemetry logs."""
-        return sum(path.stat().st_size for path in self.tlogs())
-
     def tlogs(self) -> list[Path]:
         """The telemetry logs, oldest first."""
         return sorted((self.data_dir / "tlogs").glob("*.tlog"))
+
+    def recorded(self, marker: bytes) -> int:
+        """How often these bytes stand in the telemetry logs."""
+        return sum(path.read_bytes().count(marker) for path in self.tlogs())
 
     def found(self) -> str:
         """The id of the first vehicle once it is identified.

@@ -8,10 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from bench.accuracy import peers
-from bench.accuracy.campaign import best_of
-from bench.accuracy.settings import Settings
+from bench.accuracy.campaign import Settings
 from bench.accuracy.tables import Part
-from bench.rows import Row, Section
+from bench.rows import Row, Section, best_of
 from mavcal.calib.noise.allan import octaves, overlapping_deviation
 
 RATE = 100.0

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.accuracy import bounds, forms, peers, scenes
-from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Tally, best_of, run_case
-from bench.accuracy.settings import Settings
+from bench.accuracy import bounds, peers, scenes
+from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Settings, Tally, run_case
 from bench.accuracy.tables import Part, accuracy_part
-from bench.rows import Row, Section
+from bench.rows import Row, Section, best_of
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.mag import (
     RunningEllipsoid,
@@ -92,9 +91,9 @@ def contenders(target: float) -> tuple[list[Contender], list[str]]:
         Contender("mavcal mag-ellipsoid-axis (S1)", ours(_counts(fit_ellipsoid_axis))),
         Contender("mavcal mag-sphere (S1)", ours(_counts(fit_sphere))),
         Contender("mavcal mag-minmax (S5)", ours(_counts(fit_minmax))),
-        Contender("algebraic, ten terms (magcal 'sym')", _theirs(forms.algebraic)),
-        Contender("scipy LM, calibrated space", _theirs(forms.calibrated_space)),
-        Contender("scipy LM, orthogonal distance", _theirs(forms.orthogonal)),
+        Contender("algebraic, ten terms (magcal 'sym')", _theirs(peers.algebraic)),
+        Contender("scipy LM, calibrated space", _theirs(peers.calibrated_space)),
+        Contender("scipy LM, orthogonal distance", _theirs(peers.orthogonal)),
     ]
     others, missing = peers_of()
     return [*found, *others], missing

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.accuracy import bounds, scenes
-from bench.accuracy.campaign import Answer, Case, Contender, Drawn, best_of, run_case
-from bench.accuracy.settings import Settings
+from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Settings, run_case
 from bench.accuracy.tables import Part, accuracy_part
-from bench.rows import Row, Section
+from bench.rows import Row, Section, best_of
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.recording import Channel, Rounding, Sensor, Stage

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the table. `agrees` is None where nothing is known to compare with: a figure to know."""
+    """One line of the table."""
 
     recording: str
     method: str
@@ -19,55 +19,36 @@ class Finding:
     known: str
     ours: str
     verdict: str
-    agrees: bool | None
+    agrees: bool
 
 
-def compared(
-    recording: str,
-    method: str,
-    quantity: str,
-    known: ArrayLike,
-    ours: ArrayLike,
-    sd: ArrayLike,
-    *,
-    within: ArrayLike,
-    because: str,
-) -> Finding:
-    """A finding that agrees if every number is within `within`, plus two of our own sd, of the known one.
+@dataclass(frozen=True)
+class Compared:
+    """A recording and the method that was put to it."""
 
-    Parameters
-    ----------
-    known, ours, sd, within : shape (k,), or one number for all
-        In one unit. `because` says where `within` comes from.
-    """
-    k, o, s, w = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (known, ours, sd, within)))
-    apart = np.abs(o - k)
-    agrees = bool(np.isfinite(o).all() and (apart <= w + 2.0 * s).all())
-    verdict = f"{'agrees' if agrees else 'differs'}: apart by {_numbers(apart, 2)}; {because}"
-    return Finding(recording, method, quantity, _numbers(k, 6), with_sd(o, s), verdict, agrees)
+    recording: str
+    method: str
 
+    def number(
+        self, quantity: str, known: ArrayLike, ours: ArrayLike, sd: ArrayLike, within: ArrayLike, because: str
+    ) -> Finding:
+        """A finding that agrees if every number is within `within`, plus two of our own sd, of the known one.
 
-def said(recording: str, method: str, quantity: str, known: str, ours: str, *, agrees: bool | None) -> Finding:
-    """A finding in words: the method has to say the right thing."""
-    verdict = {True: "as it should", False: "not as it should", None: "to know"}[agrees]
-    return Finding(recording, method, quantity, known, ours, verdict, agrees)
+        All are of shape (k,), or one number for all, in one unit. `because` says where `within` comes from.
+        """
+        k, o, s, w = np.broadcast_arrays(
+            *(np.atleast_1d(np.asarray(v, dtype=float)) for v in (known, ours, sd, within))
+        )
+        apart = np.abs(o - k)
+        agrees = bool(np.isfinite(o).all() and (apart <= w + 2.0 * s).all())
+        verdict = f"{'agrees' if agrees else 'differs'}: apart by {_numbers(apart, 2)}; {because}"
+        text = ", ".join(f"{a:.6g} ± {b:.1g}" if b else f"{a:.6g}" for a, b in zip(o, s, strict=True))
+        return Finding(self.recording, self.method, quantity, _numbers(k, 6), text, verdict, agrees)
 
-
-def with_sd(values: ArrayLike, sd: ArrayLike) -> str:
-    """``value ± sd`` with as many digits as the sd allows."""
-    pairs = zip(*np.broadcast_arrays(np.atleast_1d(values), np.atleast_1d(sd)), strict=True)
-    return ", ".join(_one(float(v), float(s)) for v, s in pairs)
-
-
-def _one(value: float, sd: float) -> str:
-    if not np.isfinite(value):
-        return "none"
-    if not (np.isfinite(sd) and sd > 0.0):
-        return f"{value:.6g}"
-    digits = max(0, 1 - int(np.floor(np.log10(sd))))
-    if digits > 6:
-        return f"{value:.6g} ± {sd:.1e}"
-    return f"{value:.{digits}f} ± {sd:.{digits}f}"
+    def word(self, quantity: str, known: str, ours: str, *, agrees: bool) -> Finding:
+        """A finding in words: the method has to say the right thing."""
+        verdict = "as it should" if agrees else "not as it should"
+        return Finding(self.recording, self.method, quantity, known, ours, verdict, agrees)
 
 
 def _numbers(values: Sequence[float] | np.ndarray, digits: int) -> str:
@@ -77,8 +58,9 @@ def _numbers(values: Sequence[float] | np.ndarray, digits: int) -> str:
 
 def table(findings: Sequence[Finding]) -> str:
     """Markdown."""
-    lines = ["| method | quantity | known answer | ours | verdict |", "|---|---|---|---|---|"]
+    lines = ["| recording | method | quantity | known answer | ours | verdict |", "|---|---|---|---|---|---|"]
     for f in findings:
-        mark = {True: "", False: "**", None: ""}[f.agrees]
-        lines.append(f"| `{f.method}` | {f.quantity} | {f.known} | {f.ours} | {mark}{f.verdict}{mark} |")
+        mark = "" if f.agrees else "**"
+        cells = (f.recording, f"`{f.method}`", f.quantity, f.known, f.ours, f"{mark}{f.verdict}{mark}")
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

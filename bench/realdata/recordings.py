@@ -47,16 +47,7 @@ def cuyo() -> Recording:
 
 def cuyo_answers(name: str) -> np.ndarray:
     """The authors' own result of that name."""
-    delimiter = "," if name == "static_intervals" else None
-    return np.loadtxt(DATA / "cuyo_mpu6050" / f"optmization_result_data__{name}.csv", delimiter=delimiter)
-
-
-def cuyo_positions() -> Recording:
-    """The same, with the authors' static intervals as segments."""
-    recording = cuyo()
-    starts, ends = cuyo_answers("static_intervals") / 100.0
-    spans = tuple(Segment(f"position{k + 1}", a, b) for k, (a, b) in enumerate(zip(starts, ends, strict=True)))
-    return dataclasses.replace(recording, segments=spans)
+    return np.loadtxt(DATA / "cuyo_mpu6050" / f"optmization_result_data__{name}.csv")
 
 
 def ferraris() -> Recording:

@@ -7,8 +7,8 @@ import os
 import pytest
 from playwright.sync_api import expect
 
-from tests.ui.rooms import connected, reviewed
 from mavcal.client import Client
+from tests.ui.rooms import connected, reviewed
 
 from .panel import Panel, service, sim, until
 

@@ -8,8 +8,7 @@ import pytest
 
 from bench.accuracy import peers, rows_imu, rows_mag, rows_thermal
 from bench.accuracy.__main__ import main
-from bench.accuracy.campaign import Answer, Case, Contender, Drawn, run_case
-from bench.accuracy.settings import Settings
+from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Settings, run_case
 from bench.accuracy.tables import accuracy_part
 
 TRUTH = np.array([1.0, -2.0])
@@ -122,17 +121,12 @@ def test_seeds_are_fixed_and_differ() -> None:
     assert [one.runs(n) for n in (100, 10_000, 100_000, 1_000_000)] == [200, 200, 60, 40]
 
 
-def test_the_command_writes_its_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "accuracy.md"
-    assert main(["six-face", "allan", "--quick", "--out", str(out)]) == 0
-    text = out.read_text(encoding="utf-8")
+def test_the_command_prints_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["six-face", "allan", "--quick"]) == 0
     printed = capsys.readouterr().out
-    assert all(line in text for line in printed.splitlines())
-    assert "## Six faces, noise of 3 mG" in text
-    for name in peers.DISTRIBUTIONS:
-        assert re.search(rf"{name} (\(not installed\)|\d)", text)
+    assert "## Six faces, noise of 3 mG" in printed
     if peers.version_of("imucal") is None:
-        assert "Not measured: imucal Ferraris: not installed." in text
+        assert "Not measured: imucal Ferraris: not installed." in printed
 
 
 def test_what_a_peer_is_missing_is_named() -> None:

@@ -326,6 +326,6 @@ def test_a_gyroscope_that_is_late_is_named_although_the_trajectory_follows_it(
 ) -> None:
     real, sim = windy_and_calm(shared_data, tmp_path)
     (effect,) = gap.run(delayed(real, Sensor.GYRO, 0.02), sim, nested=False).effects
-    assert (effect.id, effect.instances) == (called, (1,))
+    assert (effect.id, effect.instances) == ("gyro_delay", (1,))
     assert effect.params[0].value == pytest.approx(0.02, abs=0.001)
     assert effect.params[0].ci95[0] > 0.0

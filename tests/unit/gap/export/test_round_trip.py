@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.gap_picture import CLEAN, REAL, recorded
+from tests.unit.gap.recorded import CLEAN, REAL, recorded
 from mavcal.calib import gap
 from mavcal.calib.gap.export import Target, exported
 from mavcal.calib.gap.schema import GapReport, GapVerdict

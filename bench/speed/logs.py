@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
+import functools
 import tracemalloc
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,18 +14,17 @@ from typing import Any
 import numpy as np
 from pymavlink import DFReader
 
-from tests.unit.logs import dataflash_file as made
-from bench.rows import Row, Section
+from bench.rows import Row, Section, beside, best_of
 from mavcal.calib.logs import read
 from mavcal.calib.logs.dataflash import DataFlash, TextLog
 from mavcal.calib.recording import Recording
+from tests.unit.logs import dataflash_file as made
 
 SIZE = 250_000_000
 DAMAGED_S = 500.0
 SEED = 20261121
 FIELDS = ("TimeUS", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")
-REPEATS = 5
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
 def run(size: int = SIZE) -> Section:
@@ -34,15 +33,13 @@ def run(size: int = SIZE) -> Section:
         path = Path(folder) / "flight.bin"
         made.write_flight(path, size, SEED)
         rows = _generated(path)
-    rows += _shared()
+    found = sorted(p for p in SHARED.rglob("*") if p.suffix.lower() == ".bin" or p.parent.name.startswith("df_loga"))
+    rows += [_real(path) for path in found if path.is_file()]
     rows += _damaged(made.flight(DAMAGED_S, SEED))
     notes = (
         f"The log is generated (seed {SEED}): two inertial units and RATE at 400 Hz, the rest at 10 Hz. Field access "
         f"is {len(FIELDS)} fields of every IMU message, opening included: columns of `DataFlash` beside pymavlink's "
-        "`recv_match` and as many attributes. Every figure is the best of "
-        f"{REPEATS} in processor time with the file in the page cache, pymavlink's of one run over the whole file.",
-        "Memory is what is allocated (tracemalloc, which sees numpy's arrays); pages of the mapped file are not "
-        "counted, and the kernel takes them back when it wants.",
+        "`recv_match` and as many attributes.",
         "Damage: the share of untouched rows of IMU that come back bit by bit. A row is touched if one of its bytes "
         "was flipped, deleted or overwritten. DataFlash has no checksum: a byte that changes inside a number goes "
         "unseen. Exceptions are a number that no sensor reads, and a time that its neighbours contradict.",
@@ -50,60 +47,28 @@ def run(size: int = SIZE) -> Section:
     return Section("Reading DataFlash logs", tuple(rows), notes)
 
 
-def _best(action: Callable[[], Any], repeats: int = REPEATS) -> float:
-    """Seconds of processor time of the fastest of some runs."""
-    found = []
-    for _ in range(repeats):
-        began = time.process_time()
-        action()
-        found.append(time.process_time() - began)
-    return min(found)
-
-
-def _floor(path: Path) -> int:
-    """Read every byte of the file once, as sums of 64 bit words."""
-    buffer = np.empty(1 << 19, dtype=np.uint64)
-    total = 0
-    with path.open("rb", buffering=0) as file:
-        while count := file.readinto(memoryview(buffer)):
-            total += int(buffer[: count // 8].sum())
-    return total
-
-
 def _ours(path: Path) -> list[np.ndarray[Any, Any]]:
     return DataFlash(path)["IMU"].columns(*FIELDS)
 
 
-def _theirs(path: Path) -> int:
-    reader = DFReader.DFReader_binary(str(path))
-    count = 0
-    while (message := reader.recv_match(type="IMU")) is not None:
-        for name in FIELDS:
-            getattr(message, name)
-        count += 1
+def _theirs(path: Path, name: str = "IMU", fields: Sequence[str] = FIELDS, *, text: bool = False) -> None:
+    reader = (DFReader.DFReader_text if text else DFReader.DFReader_binary)(str(path))
+    while (message := reader.recv_match(type=name)) is not None:
+        for field in fields:
+            getattr(message, field, None)
     reader.close()
-    return count
 
 
 def _generated(path: Path) -> list[Row]:
     size = path.stat().st_size
-    floor, ours, whole = (_best(lambda a=a: a(path)) for a in (_floor, _ours, read))
-    began = time.process_time()
-    count = _theirs(path)
-    theirs = time.process_time() - began
-    columns, held = _ours(path)[0], _peak(lambda: _ours(path))
-    recording = _peak(lambda: read(path))
+    ours, whole = (best_of(5, lambda a=a: a(path)) for a in (_ours, read))
     return [
-        Row(f"{size / 1e6:.0f} MB, {len(columns)} rows of IMU: field access", ">= 0.5 GB/s", _rate(size, ours),
-            size / ours >= 0.5e9),
-        Row("- pymavlink's recv_match", "", f"{_rate(size, theirs)}, {count} rows"),
-        Row("- faster than it", ">= 100", f"{theirs / ours:.0f} x", theirs / ours >= 100),
-        Row("- reading the file and nothing else", "", f"{_rate(size, floor)}; the reader takes {ours / floor:.1f} x"),
-        Row("- the whole recording (channels, parameters, events)", ">= 0.5 GB/s", _rate(size, whole),
-            size / whole >= 0.5e9),
-        _memory("- memory of the field access", *held),
-        _memory("- memory of the whole recording", *recording),
-    ]  # fmt: skip
+        Row(f"{size / 1e6:.0f} MB: field access", ">= 0.5 GB/s", _rate(size, ours), size / ours >= 0.5e9),
+        beside("- pymavlink's recv_match", lambda: _ours(path), lambda: _theirs(path), 100.0),
+        Row("- the whole recording", ">= 0.5 GB/s", _rate(size, whole), size / whole >= 0.5e9),
+        _memory("- memory of the field access", *_peak(lambda: _ours(path))),
+        _memory("- memory of the whole recording", *_peak(lambda: read(path))),
+    ]
 
 
 def _rate(size: int, seconds: float) -> str:
@@ -117,26 +82,13 @@ def _memory(what: str, peak: int, returned: int) -> Row:
 
 def _peak(action: Callable[[], Any]) -> tuple[int, int]:
     """Most bytes allocated at once, and bytes of the arrays that are returned."""
-    with _traced():
-        result = action()
-        peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.start()
+    result = action()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
     channels = result.channels if isinstance(result, Recording) else ()
     arrays = [a for c in channels for a in (c.t, c.values, c.zero_bin) if a is not None] or result
     return peak, sum({id(array): array.nbytes for array in arrays}.values())
-
-
-@contextmanager
-def _traced() -> Iterator[None]:
-    tracemalloc.start()
-    try:
-        yield
-    finally:
-        tracemalloc.stop()
-
-
-def _shared() -> list[Row]:
-    found = sorted(p for p in SHARED.rglob("*") if p.suffix.lower() == ".bin" or p.parent.name.startswith("df_loga"))
-    return [_real(path) for path in found if path.is_file()]
 
 
 def _real(path: Path) -> Row:
@@ -150,19 +102,8 @@ def _real(path: Path) -> Row:
         opened = TextLog(path.read_bytes(), path.name, [name]) if text else DataFlash(path, [name])
         opened[name].columns(*fields)
 
-    def theirs() -> None:
-        reader = (DFReader.DFReader_text if text else DFReader.DFReader_binary)(str(path))
-        while (message := reader.recv_match(type=name)) is not None:
-            for field in fields:
-                getattr(message, field, None)
-        reader.close()
-
-    mine, peer, whole = _best(ours), _best(theirs, 1), _best(lambda: read(path))
-    size = path.stat().st_size
-    shown = (
-        f"{len(log[name])} rows of {name} in {mine * 1e3:.1f} ms, pymavlink {peer * 1e3:.0f} ms: {peer / mine:.0f} x"
-    )
-    return Row(f"{path.parent.name}/{path.name}", "", f"{shown}; whole recording {_rate(size, whole)}")
+    peer = functools.partial(_theirs, path, name, fields, text=text)
+    return beside(f"{path.parent.name}/{path.name}: {len(log[name])} rows of {name}", ours, peer)
 
 
 def _damaged(data: bytes) -> list[Row]:

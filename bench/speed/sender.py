@@ -1,4 +1,4 @@
-"""A sender of numbered frames in a process of its own: ``python -m bench.sender SPEC``, SPEC as JSON.
+"""A sender of numbered frames in a process of its own: ``python -m bench.speed.sender SPEC``, SPEC as JSON.
 
 Every RAW_IMU frame carries its number as its time stamp, so that a receiver knows exactly which ones arrived, whatever
 the eight-bit sequence says. Frames are made beforehand; sending costs one system call a datagram.
@@ -26,7 +26,6 @@ SYSTEM, COMPONENT = 9, 1
 MARKER = struct.pack("<hhh", 0x5A17, -0x3C2B, 0x7B31)
 """Bytes that stand in every frame of this sender and in nothing else: they count the frames in a recording."""
 _REST = MARKER + struct.pack("<hhhhhhBh", 4, 5, 6, 7, 8, 9, 1, 3500)
-_NUMBER = struct.Struct("<Q")
 _NUMBER_AT = 10
 _LAST_AFTER_S = 1.0
 """Pause before the last frame: it shows what was lost before it, and finds the receiver's buffer empty."""
@@ -36,20 +35,10 @@ _TCP_PIECE = 1 << 16
 
 @dataclass(frozen=True)
 class Spec:
-    """What to send.
+    """What to send: `kind` "udp" to `port`, or "tcp": wait for one connection on a free port.
 
-    Parameters
-    ----------
-    kind
-        "udp": datagrams to `port` of this machine. "tcp": wait for one connection on a free port.
-    count
-        Frames numbered 0 to `count` - 1; one more follows after a pause.
-    rate
-        Frames a second; 0 is as fast as possible.
-    loss
-        Share of frames that is left out at random, their numbers and sequence numbers with them.
-    gaps
-        (first, length): stretches that are left out.
+    Frames are numbered 0 to `count` - 1; one more follows after a pause. `rate`: frames a second, 0 as many as go.
+    `loss`: share of frames left out at random, their numbers and sequence numbers with them.
     """
 
     kind: str
@@ -57,26 +46,18 @@ class Spec:
     rate: float
     port: int = 0
     loss: float = 0.0
-    gaps: tuple[tuple[int, int], ...] = ()
     seed: int = 1
 
     def sent(self) -> list[int]:
         """The numbers that are sent, in order, the last one included."""
         draw = random.Random(self.seed)
-        left_out = {first + i for first, length in self.gaps for i in range(length)}
-        body = range(1, self.count)
-        kept = (i for i in body if not (self.loss and draw.random() < self.loss) and i not in left_out)
+        kept = (i for i in range(1, self.count) if not (self.loss and draw.random() < self.loss))
         return [0, *kept, self.count]
 
 
 def frame(number: int) -> bytes:
     """The frame of that number."""
-    return encode(RawMessage(RAW_IMU, _NUMBER.pack(number) + _REST), SYSTEM, COMPONENT, number & 0xFF)
-
-
-def number_of(raw: bytes) -> int:
-    """The number that a frame carries."""
-    return int(_NUMBER.unpack_from(raw, _NUMBER_AT)[0])
+    return encode(RawMessage(RAW_IMU, struct.pack("<Q", number) + _REST), SYSTEM, COMPONENT, number & 0xFF)
 
 
 def numbers_of(raws: Iterable[bytes]) -> bytes:
@@ -92,7 +73,7 @@ class Sender:
         self.port = int(self._line()["port"])
 
     def go(self) -> None:
-        """Begin to send (datagrams; a stream begins with its connection)."""
+        """Begin to send."""
         assert self._process.stdin is not None
         self._process.stdin.write(b"go\n")
         self._process.stdin.flush()
@@ -113,10 +94,10 @@ class Sender:
 def started(spec: Spec) -> Iterator[Sender]:
     """A sender with its frames made, which waits for :meth:`Sender.go`; it ends with the context."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "bench.sender", json.dumps(asdict(spec))],
+        [sys.executable, "-m", "bench.speed.sender", json.dumps(asdict(spec))],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        cwd=Path(__file__).resolve().parents[1],
+        cwd=Path(__file__).resolve().parents[2],
     )
     try:
         yield Sender(process)
@@ -128,7 +109,7 @@ def started(spec: Spec) -> Iterator[Sender]:
         process.wait()
 
 
-def _send_datagrams(spec: Spec, frames: list[bytes], numbers: list[int]) -> float:
+def _send_datagrams(spec: Spec, frames: list[bytes], numbers: list[int]) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         out.connect(("127.0.0.1", spec.port))
         _say(port=spec.port)
@@ -145,10 +126,10 @@ def _send_datagrams(spec: Spec, frames: list[bytes], numbers: list[int]) -> floa
         seconds = time.perf_counter() - began
         time.sleep(_LAST_AFTER_S)
         out.send(frames[-1])
-    return seconds
+    _say(seconds=seconds)
 
 
-def _send_stream(frames: list[bytes]) -> float:
+def _send_stream(frames: list[bytes]) -> None:
     data = b"".join(frames)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         _say(port=listener.getsockname()[1])
@@ -158,10 +139,8 @@ def _send_stream(frames: list[bytes]) -> float:
         began = time.perf_counter()
         for at in range(0, len(data), _TCP_PIECE):
             connection.sendall(data[at : at + _TCP_PIECE])
-        seconds = time.perf_counter() - began
-        _say(seconds=seconds)
+        _say(seconds=time.perf_counter() - began)
         sys.stdin.read()  # closing earlier, with their heartbeats unread, would reset the connection
-    return seconds
 
 
 def _say(**what: float) -> None:
@@ -170,14 +149,13 @@ def _say(**what: float) -> None:
 
 def main() -> None:
     """Make the frames, say the port, wait for a line, send, say how long it took."""
-    given = json.loads(sys.argv[1])
-    spec = Spec(**{**given, "gaps": tuple(tuple(gap) for gap in given["gaps"])})
+    spec = Spec(**json.loads(sys.argv[1]))
     numbers = spec.sent()
     frames = [frame(number) for number in numbers]
     if spec.kind == "tcp":
         _send_stream(frames)
         return
-    _say(seconds=_send_datagrams(spec, frames, numbers))
+    _send_datagrams(spec, frames, numbers)
     sys.stdin.read()
 
 

@@ -5,23 +5,11 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from bench.gap_picture import CLEAN, REAL, recorded
 from bench.rows import Row, Section
 from mavcal.calib import gap
-from mavcal.calib.gap.effects import catalogue
-from mavcal.calib.gap.model.bands import split
-from mavcal.calib.gap.model.hypotheses import hypotheses_of
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
-from mavcal.calib.gap.model.views import views_of
-from mavcal.calib.gap.reference import build
-from mavcal.calib.gap.remembered import one_diagnosis
-from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.selection import select
+from tests.unit.gap.recorded import CLEAN, REAL, recorded
 
 SEED = 20261122
-_BUDGET = 16_000_000
-_KEPT = 1.2
 _LIMIT_S = 20.0
 
 
@@ -41,37 +29,15 @@ LOGS = (_Log(70.0, 200.0, 3.0), _Log(600.0, 400.0, 10.0))
 def run(logs: tuple[_Log, ...] = LOGS) -> Section:
     """Measure on generated flights with and without an effect."""
     rows = [row for log in logs for row in _rows(log)]
-    rows += [_kept_row(logs[0]), _limit_row(logs[-1])]
+    rows.append(_limit_row(logs[-1]))
     notes = (
         f"Generated flights (seed {SEED}) beside their ideal readings: three sensors, the magnetometer at 100 Hz; "
         "nothing wrong, or four effects on two sensors (offset and drift of the accelerometer, hard and soft iron). "
         "Processor time of one core, alignment, blocks that are held out and report included; nested is with the "
         "selection repeated in each of those.",
-        "Columns kept: the same selection by a contest that keeps what it has transformed, beside one that keeps "
-        "nothing; both end with the same effects. Limited: nested, by the clock, with the time that the limit allows.",
+        "Limited: nested, by the clock, with the time that the limit allows.",
     )
     return Section("Diagnosing the gap", tuple(rows), notes)
-
-
-def _kept_row(log: _Log) -> Row:
-    """One selection with and without columns that are kept, one after the other."""
-    recording = recorded(REAL, SEED, seconds=log.seconds, rate=log.rate)
-    views = split(views_of(build(recording), {}, {}))
-    hypotheses, _ = hypotheses_of(catalogue(), views)
-    setting = setting_of(views)
-    start = refitted(starting_model(setting, starting_noise(setting))).model
-    took, found = [], []
-    for budget in (_BUDGET, 0):
-        began = time.process_time()
-        with one_diagnosis():
-            chosen = select(start, Contest(hypotheses, budget=budget), 0.005)
-        took.append(time.process_time() - began)
-        found.append([score.hypothesis.key for score in chosen.scores])
-    ratio, same = took[1] / took[0], found[0] == found[1]
-    what = f"{log.seconds:.0f} s at {log.rate:.0f} Hz, four effects, one selection: columns kept"
-    said = "the same effects" if same else "OTHER effects"
-    measured = f"{took[0]:.1f} s, {ratio:.2f} x as fast as without ({took[1]:.1f} s); {said}"
-    return Row(what, f">= {_KEPT:g} x", measured, same and ratio >= _KEPT)
 
 
 def _limit_row(log: _Log) -> Row:
