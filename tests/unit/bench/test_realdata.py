@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bench.realdata import inertial
+from bench.realdata import inertial, others
 from bench.realdata.ferraris import ferraris
 from bench.realdata.finding import Compared, table
 from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from mavcal.client import AsyncClient, Client
 from scripts.client import __main__ as generator
 from scripts.client.python import _type
 from scripts.client.spec import Document, references, sentence
-from mavcal.client import AsyncClient, Client
 
 ROOT = Path(__file__).resolve().parents[3]
 
