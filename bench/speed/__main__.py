@@ -11,17 +11,17 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 
+from bench import endurance
 from bench.rows import Section, machine, shown
-from bench.speed import answers, gap, ingest, job, logs, memory, startup
+from bench.speed import answers, gap, ingest, logs, startup
 
 PARTS: Mapping[str, Callable[[], Section]] = {
     "ingest": ingest.run,
     "answers": answers.run,
-    "job": job.run,
-    "memory": memory.run,
     "logs": logs.run,
     "gap": gap.run,
     "startup": startup.run,
+    "memory": endurance.run,
 }
 
 

@@ -10,7 +10,6 @@ import httpx
 
 from bench.rows import Row, Section, milliseconds, percentile
 from bench.running import service
-from bench.speed.memory import begin_capture
 from bench.speed.sender import MARKER, Spec, started
 from mavcal.client import Client
 from mavcal.service.simvehicle import SimulatedVehicle, free_udp_port
@@ -19,6 +18,8 @@ RATE = 20_000.0
 SECONDS = 20.0
 REQUESTS_PER_S = 20.0
 TARGET_S = 0.050
+CAPTURES_WITHIN_S = 60.0
+SPAN_C = 100.0
 QUIET = {"parameters": {"INS_GYR_CAL": 0}}
 
 
@@ -73,3 +74,13 @@ def asked_at_rate(url: str, rate: float, seconds: float) -> list[float]:
             client.list_vehicles()
             durations.append(time.monotonic() - start)
     return durations
+
+
+def begin_capture(client: Client, vehicle_id: str) -> None:
+    """A job that captures until it is ended, because the temperature never reaches the span."""
+    job = client.start_job(vehicle_id, kind="thermal", options={"span": SPAN_C, "extend": False}).id
+    until = time.monotonic() + CAPTURES_WITHIN_S
+    while client.get_job(job).progress is None:
+        if time.monotonic() > until:
+            raise RuntimeError(f"the job does not capture: {client.get_job(job)}")
+        time.sleep(0.1)

@@ -8,8 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.health.__main__ import named_bad
-from bench.health.faults import FAULTS, injected
+from bench.health import FAULTS, injected, named_bad
 from mavcal.calib.health.finding import HealthVerdict
 from mavcal.calib.health.overview import overview
 from mavcal.calib.health.report import health

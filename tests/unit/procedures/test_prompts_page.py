@@ -18,5 +18,6 @@ def test_every_prompt_of_a_rest_is_on_the_page():
 
 
 def test_texts_of_a_source_are_found_without_docstrings_options_and_messages():
-    source = '"""No text."""\nOption("of its own")\ndef f(x):\n    raise ValueError("a b")\n    return f"{x.n_left} are left"\n'
+    source = '"""No text."""\nOption("of its own")\ndef f(x):\n    raise ValueError("a b")\n'
+    source += '    return f"{x.n_left} are left"\n'
     assert [(one.line, one.text) for one in prompts.said(source)] == [(5, "‹n left› are left")]

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.preflight.vehicle import BenchVehicle, about, somewhere
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.preflight.check import CheckId
+from mavcal.calib.preflight.check import CheckId, Report
 from mavcal.calib.preflight.installed import WORDS, announced
+from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.snapshot import Shaking
 from mavcal.calib.recording import Sensor
+from tests.unit.preflight.vehicle import BenchVehicle, about, healthy, somewhere
 
 Array = NDArray[np.float64]
 
@@ -356,3 +357,16 @@ FAULTS = (
     ),
     Fault("vibration", "5 to 40 m/s2, or 150 to 5000 clips", vibration, frozenset({CheckId.VIBRATION})),
 )
+
+
+def looked_at(fault: Fault | None, seed: int) -> tuple[BenchVehicle, Report]:
+    """One vehicle, healthy or with a fault, and its preflight."""
+    vehicle = healthy(seed, redundant=fault is not None)
+    if fault is not None:
+        fault.do(vehicle)
+    return vehicle, preflight(vehicle.snapshot())
+
+
+def report_of(fault: Fault | None, seed: int) -> Report:
+    """The preflight of one vehicle."""
+    return looked_at(fault, seed)[1]
