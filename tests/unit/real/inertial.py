@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.realdata import recordings
-from bench.realdata.ferraris import GRAVITY, ferraris
-from bench.realdata.finding import Compared, Finding
 from mavcal.calib.fit import FitResult
 from mavcal.calib.methods import METHODS
+from tests.unit.real import recordings
+from tests.unit.real.ferraris import GRAVITY, ferraris
+from tests.unit.real.finding import Compared, Finding
 
 _PADUA = 9.81744  # m/s2, where imu_tk's recording was made
 _CROSS = ("matrix_xy", "matrix_xz", "matrix_yx", "matrix_yz", "matrix_zx", "matrix_zy")

@@ -12,7 +12,7 @@ import numpy as np
 from mavcal.calib.logs.tables import read_table
 from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
 
 
 def triad(sensor: str, columns: tuple[str, str, str]) -> dict[str, str]:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the table."""
+    """What came of one comparison."""
 
     recording: str
     method: str
@@ -54,13 +54,3 @@ class Compared:
 def _numbers(values: Sequence[float] | np.ndarray, digits: int) -> str:
     shown = [f"{v:.{digits}g}" for v in values]
     return shown[0] if len(set(shown)) == 1 else ", ".join(shown)
-
-
-def table(findings: Sequence[Finding]) -> str:
-    """Markdown."""
-    lines = ["| recording | method | quantity | known answer | ours | verdict |", "|---|---|---|---|---|---|"]
-    for f in findings:
-        mark = "" if f.agrees else "**"
-        cells = (f.recording, f"`{f.method}`", f.quantity, f.known, f.ours, f"{mark}{f.verdict}{mark}")
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)

@@ -1,13 +1,14 @@
+"""Real recordings with a known answer, which others made: certificates, published values, independent fits."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from bench.realdata import inertial
-from bench.realdata import inertial, others
-from bench.realdata.ferraris import ferraris
-from bench.realdata.finding import Compared, table
 from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage
+from tests.unit.real import inertial, others
+from tests.unit.real.ferraris import ferraris
+from tests.unit.real.finding import Compared
 
 OF = Compared("r", "m")
 
@@ -21,12 +22,6 @@ def test_a_number_agrees_within_what_is_known_and_twice_its_own_sd():
     assert at(1.29, 0.1)
     assert not at(1.31, 0.1)
     assert not at(np.nan, 1.0)
-
-
-def test_a_table_says_what_differs():
-    findings = [OF.number("q", 1.0, 2.0, 0.0, 0.1, "known"), OF.word("p", "a", "b", agrees=True)]
-    assert "| **differs: apart by 1; known** |" in table(findings)
-    assert "| as it should |" in table(findings)
 
 
 def test_ferraris_finds_a_sensor_that_was_put_in():
