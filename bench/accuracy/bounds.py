@@ -155,7 +155,8 @@ def joint(unit: Unit, spans: list[tuple[int, int]], rates: Array, downs: Array, 
     total = np.zeros((21 + 2 * count, 21 + 2 * count))
     tangents = [_tangent(downs[start]) for start, _ in spans]
     for k, (start, end) in enumerate(spans):
-        _add(total, _pose_rows(unit, downs[start], tangents[k], k, count), (end - start) / unit.accel_variance)
+        rows = _pose_rows(unit, downs[start], tangents[k], k, count)
+        total += (end - start) / unit.accel_variance * rows.T @ rows
         total[18:21, 18:21] += (end - start) / unit.gyro_variance * np.eye(3)
     for k in range(count - 1):
         rows, covariance = _move(unit, spans[k][1], spans[k + 1][0], rates, downs, dt)
@@ -167,10 +168,6 @@ def joint(unit: Unit, spans: list[tuple[int, int]], rates: Array, downs: Array, 
         total += full.T @ np.linalg.solve(out.T @ covariance @ out, full)
     own, mixed = total[:21, :21], total[:21, 21:]
     return own - mixed @ np.linalg.solve(total[21:, 21:], mixed.T)
-
-
-def _add(total: Array, rows: Array, weight: float) -> None:
-    total += weight * rows.T @ rows
 
 
 def _pose_rows(unit: Unit, down: Array, tangent: Array, k: int, count: int) -> Array:
@@ -208,10 +205,6 @@ def _turned(rate: Array, dt: float) -> Array:
     if angle < 1e-9:
         return np.eye(3) - W
     return np.eye(3) - np.sin(angle) / angle * W + (1.0 - np.cos(angle)) / angle**2 * W @ W
-
-
-def _cross(v: Array) -> Array:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def _tangent(down: Array) -> Array:

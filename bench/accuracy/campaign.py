@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 import time
-import tracemalloc
 import warnings
 import zlib
 from collections.abc import Callable, Sequence
@@ -86,7 +85,6 @@ class Tally:
     refused: int = 0
     declined: int = 0
     """Parameters that were declined by name, over all runs."""
-    peak_mb: float | None = None
 
     @property
     def runs(self) -> int:
@@ -97,11 +95,6 @@ class Tally:
     def ratio(self) -> float:
         """Root of the mean of ``e^T F e / p``: 1 is the bound."""
         return math.sqrt(float(np.mean(self.squares))) if self.squares else math.nan
-
-    @property
-    def median(self) -> float:
-        """The same of the median run."""
-        return math.sqrt(float(np.median(self.squares))) if self.squares else math.nan
 
     @property
     def ratio_sd(self) -> float:
@@ -159,15 +152,13 @@ def run_case(case: Case, contenders: Sequence[Contender], budget: float = 6.0) -
     rng = np.random.default_rng(case.seed)
     tallies = [Tally(contender, case) for contender in contenders]
     spent = dict.fromkeys((c.name for c in contenders), 0.0)
-    for run in range(case.runs):
+    for _ in range(case.runs):
         drawn = case.draw(rng)
         for tally in tallies:
             name = tally.contender.name
             if not tally.contender.ours and spent[name] > budget:
                 continue
             spent[name] += _one(tally, drawn)
-            if run == 0 and spent[name] < budget:
-                tally.peak_mb = _peak(tally.contender, drawn)
     return tallies
 
 
@@ -206,18 +197,6 @@ def quietly(fit: Callable[[Any], Answer | None], data: Any) -> Answer | None:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         return fit(data)
-
-
-def _peak(contender: Contender, drawn: Drawn) -> float | None:
-    """Megabytes above the input at the worst moment of one run."""
-    tracemalloc.start()
-    try:
-        quietly(contender.fit, drawn.data)
-        return tracemalloc.get_traced_memory()[1] / 1e6
-    except FAILURES:
-        return None
-    finally:
-        tracemalloc.stop()
 
 
 QUICK_SIZES = 1000

@@ -10,8 +10,6 @@ import importlib
 import importlib.metadata
 import importlib.util
 from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -48,61 +46,19 @@ def magcc_lm(samples: Array) -> Fitted:
     return offset, shape_of(matrix, FIELD)
 
 
-def magyc_ellipsoid(samples: Array) -> Fitted:
-    offset, soft_iron, _ = _module_of("magyc", "benchmark_methods/ellipsoidfit.py").ellipsoid_fit(samples)
-    inverse = np.linalg.inv(soft_iron)
-    return offset, shape_of(inverse, _mean_length(inverse, samples - offset))
-
-
-def magyc_fang(samples: Array) -> Fitted:
-    offset, soft_iron, _ = _module_of("magyc", "benchmark_methods/ellipsoidfit.py").ellipsoid_fit_fang(samples)
-    inverse = np.linalg.inv(soft_iron)
-    return offset, shape_of(inverse, _mean_length(inverse, samples - offset))
-
-
-def magyc_twostep(samples: Array) -> Fitted:
-    module = _module_of("magyc", "benchmark_methods/twostep.py")
-    offset, soft_iron, _ = module.twostep_hsi(samples, np.array([FIELD, 0.0, 0.0]), measurement_noise_std=3.0)
-    return np.asarray(offset).ravel(), shape_of(np.linalg.inv(soft_iron), FIELD)
-
-
 def circuitpython(samples: Array) -> Fitted:
     sensor = importlib.import_module("mag_cal.sensor").Sensor()
     sensor.fit_ellipsoid(samples)
     return np.asarray(sensor.centre).ravel(), shape_of(sensor.transform)
 
 
-def _mean_length(matrix: Array, vectors: Array) -> float:
-    corrected = vectors @ matrix.T
-    return float(np.sqrt(np.einsum("ij,ij->i", corrected, corrected)).mean())
-
-
-def _module_of(package: str, path: str) -> ModuleType:
-    """One file of an installed package, without what the rest of it imports."""
-    found = importlib.util.find_spec(package)
-    if found is None or not found.submodule_search_locations:
-        raise ModuleNotFoundError(package)
-    name = f"{package}_{Path(path).stem}"
-    spec = importlib.util.spec_from_file_location(name, Path(found.submodule_search_locations[0]) / path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 MAGNETOMETER: dict[str, tuple[str, Callable[[Array], Fitted]]] = {
     "magcal ellipsoid": ("magcal", magcal),
     "magcc lse": ("magcc", magcc_lse),
     "magcc lm": ("magcc", magcc_lm),
-    "magyc ellipsoid_fit": ("magyc", magyc_ellipsoid),
-    "magyc ellipsoid_fit_fang": ("magyc", magyc_fang),
-    "magyc twostep_hsi": ("magyc", magyc_twostep),
     "circuitpython-mag-cal": ("circuitpython-mag-cal", circuitpython),
 }
 """Name in the tables -> distribution, function."""
-
-DISTRIBUTIONS = ("imucal", "magcc", "magcal", "magyc", "circuitpython-mag-cal", "allantools")
 
 
 def version_of(distribution: str) -> str | None:
@@ -122,10 +78,6 @@ def usable(distribution: str, fit: Callable[[Any], Any], sample: Any) -> str:
     except Exception as error:  # noqa: BLE001 - foreign code; whatever stops it is the answer
         return f"does not run here: {type(error).__name__}: {str(error)[:80]}"
     return ""
-
-
-Array = NDArray[np.float64]
-Fitted = tuple[Array, Array]
 
 
 def _start(samples: Array) -> tuple[Array, float]:
@@ -169,29 +121,6 @@ def calibrated_space(samples: Array) -> Fitted:
     found = least_squares(residuals, np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), method="lm").x
     values, vectors = np.linalg.eigh(_matrix(found[3:]) @ _matrix(found[3:]))
     return centre + scale * found[:3], scale * (vectors / np.sqrt(values)) @ vectors.T
-
-
-def orthogonal(samples: Array) -> Fitted:
-    """scipy LM of the orthogonal distance, from the algebraic fit: maximum likelihood, bias of curvature left in."""
-    b, shape = algebraic(samples)
-    scale = float(np.cbrt(np.linalg.det(shape)))
-    y = (samples - b) / scale
-
-    def residuals(p: Array) -> Array:
-        axes, frame = np.linalg.eigh(_matrix(p[3:]))
-        points = (y - p[:3]) @ frame
-        squares = axes**2
-        t = (np.sqrt(((points / axes) ** 2).sum(axis=1)) - 1.0) * squares.mean()
-        for _ in range(6):
-            inverse = 1.0 / (t[:, None] + squares)
-            terms = (axes * points * inverse) ** 2
-            g = terms.sum(axis=1)
-            t = t + g * (np.sqrt(g) - 1.0) / (terms * inverse).sum(axis=1)
-        return t * np.sqrt(((points / (t[:, None] + squares)) ** 2).sum(axis=1))
-
-    start = np.concatenate([np.zeros(3), (shape / scale)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
-    found = least_squares(residuals, start, method="lm").x
-    return b + scale * found[:3], scale * _matrix(found[3:])
 
 
 def rotated(shape: Array, offset: Array, samples: Array, downs: Array) -> Array:

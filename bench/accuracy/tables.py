@@ -39,7 +39,7 @@ def accuracy_part(title: str, tallies: Sequence[Tally], missing: Sequence[str] =
     lines.append(grid(head, [[name, *(_cell(found.get((name, case))) for case in cases)] for name in names]))
     own = [t for t in tallies if t.contender.ours]
     lines.append("With uncertainty:")
-    head = ["", "N", "runs", "error / bound", "95 % intervals hold", "time", "peak memory", "refused"]
+    head = ["", "N", "runs", "error / bound", "95 % intervals hold", "time", "refused"]
     lines.append(grid(head, [_detail(t) for t in own]))
     lines += [f"Not measured: {reason}." for reason in missing]
     lines += list(notes)
@@ -54,8 +54,6 @@ def _cell(tally: Tally | None) -> str:
     if not tally.squares:
         return f"none of {tally.runs} runs"
     text = f"{_number(tally.ratio)} ({_number(tally.ratio_sd)})"
-    if tally.ratio > 1.5 * tally.median:
-        text += f", median {_number(tally.median)}"
     text += f" · {_time(tally.milliseconds)}"
     if tally.failed or tally.refused:
         text += f", {tally.failed + tally.refused} of {tally.runs} none"
@@ -73,7 +71,6 @@ def _detail(tally: Tally) -> list[str]:
         f"{tally.ratio:.3f} ({tally.ratio_sd:.3f})",
         coverage,
         _time(tally.milliseconds),
-        "" if tally.peak_mb is None else f"{tally.peak_mb:.1f} MB",
         str(tally.refused + tally.failed),
     ]
 

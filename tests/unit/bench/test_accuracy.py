@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -102,7 +99,7 @@ def test_a_peer_that_takes_too_long_makes_fewer_runs_and_ours_all() -> None:
 def test_a_slice_of_the_magnetometer(capsys: pytest.CaptureFixture[str]) -> None:
     settings = Settings(quick=True, silent=True)
     contenders, missing = rows_mag.contenders(rows_mag.CLEAN)
-    assert len(contenders) + len(missing) == 10 + len(peers.MAGNETOMETER)
+    assert len(contenders) + len(missing) == 9 + len(peers.MAGNETOMETER)
     (case, *_) = rows_mag.cases(settings)["tilt up to 45 degrees"]
     tallies = {t.contender.name: t for t in run_case(case, contenders[:4])}
     ours = tallies["**mavcal mag-ellipsoid**"]
@@ -138,7 +135,7 @@ def test_unwary_forms_answer_on_clean_data() -> None:
     data = rows_thermal._warmup(np.random.default_rng(1), 5000, 0.0)
     own = rows_thermal._ours(data)
     assert own is not None
-    for form in (rows_thermal._polyfit, rows_thermal._vandermonde, rows_thermal._averaged):
+    for form in (rows_thermal._polyfit, rows_thermal._averaged):
         np.testing.assert_allclose(form(data).values, own.values, atol=6 * own.stored_sd.max())
 
 
