@@ -2,8 +2,8 @@
 
 The error of an estimate is compared with the Cramer-Rao bound: ``sqrt(mean of e^T F e / p)`` over the runs, e the error
 of the p parameters, F their Fisher information by code that shares nothing with the estimators. 1 is the bound. A
-promise is kept if the ratio is at most the target + 2/sqrt(2 R p) over R runs, and the 95 % intervals hold 95 % within two
-standard deviations. All contenders get the same draws. Exit code 1: a target is missed.
+promise is kept if the ratio is at most the target + 2/sqrt(2 R p) over R runs, and if the 95 % intervals hold 95 %
+within two standard deviations. All contenders get the same draws. Exit code 1: a target is missed.
 """
 
 from __future__ import annotations

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sqlite3
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ from typing import Any
 from bench.campaign.judge import Ending, Evidence, judge
 from bench.campaign.report import REPEATS, KillReport
 from bench.campaign.scenario import OPTIONS, SPEED
-from bench.campaign.service_process import ServiceProcess, journal, wait_for_step
 from bench.campaign.truth import Holding, holding, residuals
+from bench.running import RunningService
 from mavcal.client import ApiProblem, Client, Unreachable
 from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
@@ -138,6 +139,8 @@ REVIEWED_S = 90.0
 KILLED_S = 60.0
 RESOLVED_S = 120.0
 POLL_S = 0.05
+JOURNAL_S = 0.0001
+DATABASE = "mavcal.sqlite3"
 PROVE_S = 20.0
 """Nobody moves the vehicle in these runs: what lies still proves the gyro."""
 ENDED = frozenset({"succeeded", "reverted", "review", "interrupted", "failed", "cancelled"})
@@ -197,7 +200,7 @@ class _KillRun:
             self._second_life(data_dir, vehicle)
         if vehicle.state()["armed"]:
             vehicle.call("disarm")
-        service = ServiceProcess(data_dir, vehicle.urls[-1])
+        service = RunningService(vehicle.urls[-1], data_dir)
         try:
             job = self._ended(service.client, RESOLVED_S)
         finally:
@@ -212,7 +215,7 @@ class _KillRun:
     # --- the first life of the service, up to its kill
 
     def _first_life(self, data_dir: Path, vehicle: SimulatedVehicle) -> Holding:
-        service = ServiceProcess(data_dir, vehicle.url)
+        service = RunningService(vehicle.url, data_dir)
         try:
             client = service.client
             vehicle_id = _found(client)
@@ -270,7 +273,7 @@ class _KillRun:
     # --- kills
 
     def _killed(
-        self, service: ServiceProcess, data_dir: Path, step: JournalStep, since: Callable[[list[str]], list[str]]
+        self, service: RunningService, data_dir: Path, step: JournalStep, since: Callable[[list[str]], list[str]]
     ) -> None:
         """Kill the service when `step` has come as often as planned; note at which step it died."""
         wanted = self._kill.occurrence if step == self._kill.step else 1
@@ -292,7 +295,7 @@ class _KillRun:
         """The service that recovers is killed too."""
         known = len(journal(data_dir, self._job_id))
         assert self._kill.again is not None
-        service = ServiceProcess(data_dir, vehicle.url)
+        service = RunningService(vehicle.url, data_dir)
         self._killed(service, data_dir, self._kill.again, lambda steps: steps[known:])
 
     def _ended(self, client: Client, timeout_s: float) -> Json:
@@ -334,3 +337,33 @@ def _patiently(ask: Callable[[], Any]) -> Any:
             if error.status != 409 or time.monotonic() > deadline:
                 raise
             time.sleep(0.3)
+
+
+def journal(data_dir: Path, job_id: str) -> list[str]:
+    """The steps of a job's journal, oldest first, through a connection that cannot write."""
+    with closing(_read_only(data_dir)) as db:
+        return _steps(db, job_id)
+
+
+def wait_for_step(
+    data_dir: Path, job_id: str, reached: Callable[[list[str]], bool], ended: Callable[[], bool], timeout_s: float
+) -> bool:
+    """Wait until the journal is as `reached` says; False if `ended` came first, or the time is up."""
+    deadline = time.monotonic() + timeout_s
+    with closing(_read_only(data_dir)) as db:
+        while time.monotonic() < deadline:
+            for _ in range(200):
+                if reached(_steps(db, job_id)):
+                    return True
+                time.sleep(JOURNAL_S)
+            if ended():
+                return reached(_steps(db, job_id))
+    return False
+
+
+def _read_only(data_dir: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"file:{data_dir / DATABASE}?mode=ro", uri=True, isolation_level=None, timeout=5.0)
+
+
+def _steps(db: sqlite3.Connection, job_id: str) -> list[str]:
+    return [row[0] for row in db.execute("SELECT step FROM journal WHERE job_id = ? ORDER BY id", (job_id,))]

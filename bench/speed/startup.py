@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from bench.rows import Row, Section
-from bench.running import processor_s, service, starting
+from bench.running import ended, processor_s, service, starting
 
 HELP_S = 0.3
 READY_S = 3.0
@@ -39,30 +39,31 @@ def _help(words: list[str]) -> Row:
         spent.append(after.children_user + after.children_system - before.children_user - before.children_system)
     best = min(spent)
     target = "" if words[0] == "calibrate" else f"<= {HELP_S} s"
-    return Row(
-        f"mavcal {' '.join(words)}",
-        target,
-        f"{best:.2f} s of processor time",
-        best <= HELP_S if target else None,
-    )
+    met = best <= HELP_S if target else None
+    return Row(f"mavcal {' '.join(words)}", target, f"{best:.2f} s of processor time", met)
 
 
 def _page() -> Row:
+    began, port = time.monotonic(), _free_port()
+    with TemporaryDirectory() as folder:
+        process = starting("udpin:127.0.0.1:0", Path(folder) / "data", port)
+        try:
+            while not _answers(f"http://127.0.0.1:{port}/") and time.monotonic() - began < _GIVE_UP_S:
+                time.sleep(0.02)
+            return _row("page", PAGE_S, time.monotonic() - began, processor_s(process.pid))
+        finally:
+            ended(process)
+
+
+def _ready() -> Row:
     began = time.monotonic()
-    port = _free_port()
-    with (
-        TemporaryDirectory() as folder,
-        starting("udpin:127.0.0.1:0", Path(folder) / "data", port) as process,
-    ):
-        while not _answers(f"http://127.0.0.1:{port}/") and time.monotonic() - began < _GIVE_UP_S:
-            time.sleep(0.02)
-        took, spent = time.monotonic() - began, processor_s(process.pid)
-    return Row(
-        "service until its page answers",
-        f"<= {PAGE_S:.0f} s",
-        f"{took:.1f} s, {spent:.1f} s of processor time",
-        min(took, spent) <= PAGE_S,
-    )
+    with TemporaryDirectory() as folder, service("udpin:127.0.0.1:0", Path(folder) / "data") as running:
+        return _row("interface", READY_S, time.monotonic() - began, running.processor_s())
+
+
+def _row(what: str, limit: float, took: float, spent: float) -> Row:
+    measured = f"{took:.1f} s, {spent:.1f} s of processor time"
+    return Row(f"service until its {what} answers", f"<= {limit:.0f} s", measured, min(took, spent) <= limit)
 
 
 def _free_port() -> int:
@@ -76,15 +77,3 @@ def _answers(url: str) -> bool:
             return bool(response.status == 200)
     except (urllib.error.URLError, ConnectionError):
         return False
-
-
-def _ready() -> Row:
-    began = time.monotonic()
-    with TemporaryDirectory() as folder, service("udpin:127.0.0.1:0", Path(folder) / "data") as running:
-        took, spent = time.monotonic() - began, running.processor_s()
-    return Row(
-        "service until it answers",
-        f"<= {READY_S:.0f} s",
-        f"{took:.1f} s, {spent:.1f} s of processor time",
-        min(took, spent) <= READY_S,
-    )
