@@ -43,13 +43,12 @@ MB = 1e6
 
 @dataclass(frozen=True)
 class Standing:
-    """What the process holds: resident bytes, descriptors, threads, children, and files and bytes on the disk."""
+    """What the process holds: resident bytes, descriptors, threads, children, and bytes on the disk."""
 
     resident: int
     descriptors: int
     threads: int
     children: int
-    files: int
     stored: int
 
 
@@ -62,7 +61,6 @@ def standing(running: RunningService) -> Standing:
         len(list((proc / "fd").iterdir())),
         len(tasks),
         len(running.children()),
-        len(kept),
         sum(path.stat().st_size for path in kept),
     )
 
@@ -191,27 +189,18 @@ def growth(values: Sequence[float]) -> float:
 def _judged(held: Sequence[Standing], links: int, vehicles: int) -> list[Row]:
     first, last, hours = held[int(len(held) * SETTLED_SHARE)], held[-1], len(held)
     grown = growth([one.resident for one in held])
-    stored = growth([one.stored for one in held])
-    rows = [
-        Row(
-            "resident memory",
-            f"<= {MOST_GROWTH:.0%}",
-            f"{first.resident / MB:.0f} to {last.resident / MB:.0f} MB, {grown / first.resident:+.1%} in {hours} hours",
-            grown <= MOST_GROWTH * first.resident,
-        )
-    ]
+    share = grown / first.resident
+    said = f"{first.resident / MB:.0f} to {last.resident / MB:.0f} MB, {share:+.1%} in {hours} hours"
+    rows = [Row("resident memory", f"<= {MOST_GROWTH:.0%}", said, share <= MOST_GROWTH)]
     for name in ("descriptors", "threads", "children"):
         most = max(getattr(one, name) for one in held[: max(1, len(held) // 3)])  # pools have filled by then
-        end = getattr(last, name)
         most += LAZY_THREADS if name == "threads" else 0
+        end = getattr(last, name)
         rows.append(Row(f"open {name}" if name == "descriptors" else name, f"<= {most}", f"{end}", end <= most))
-    rows.append(
-        Row("links and vehicles known at the end", "1 and 0", f"{links} and {vehicles}", (links, vehicles) == (1, 0))
-    )
-    rows.append(
-        Row("on the disk", "", f"{last.files} files, {last.stored / MB:.1f} MB, {stored / MB:+.1f} MB in {hours} hours")
-    )
-    return rows
+    known = f"{links} and {vehicles}"
+    rows.append(Row("links and vehicles known at the end", "1 and 0", known, (links, vehicles) == (1, 0)))
+    stored = f"{last.stored / MB:.1f} MB, {growth([one.stored for one in held]) / MB:+.1f} MB in {hours} hours"
+    return [*rows, Row("on the disk", "", stored)]
 
 
 def main() -> int:

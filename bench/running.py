@@ -17,8 +17,6 @@ from mavcal.service.lifetime import ending_with_us
 _START_S = 120.0
 _FOUND_S = 60.0
 _STOP_S = 15.0
-_JOB_S = 120.0
-_AT_REST = frozenset({"review", "succeeded", "failed", "cancelled", "interrupted"})
 
 
 class RunningService:
@@ -74,16 +72,6 @@ class RunningService:
     def recorded(self, marker: bytes) -> int:
         """How often these bytes stand in the telemetry logs."""
         return sum(path.read_bytes().count(marker) for path in (self.data_dir / "tlogs").glob("*.tlog"))
-
-    def rested(self, job: str) -> str:
-        """The state of a job once it has ended or waits for an accept. Raises RuntimeError after two minutes."""
-        until = time.monotonic() + _JOB_S
-        while time.monotonic() < until:
-            state = str(self.client.get_job(job).state)
-            if state in _AT_REST:
-                return state
-            time.sleep(0.1)
-        raise RuntimeError(f"the job did not come to an end within {_JOB_S:g} s")
 
     def found(self) -> str:
         """The id of the first vehicle once it is identified. Raises RuntimeError if there is none within a minute."""

@@ -72,21 +72,14 @@ def _running(samples: Array) -> FitResult:
 
 def contenders(target: float) -> tuple[list[Contender], list[str]]:
     """Ours, plain forms, and the peers that run here; and why others do not."""
+
+    def fitted(**options: Any) -> Callable[[Any], Answer | None]:
+        return ours(lambda samples: fit_ellipsoid(samples, unit="counts", quantum=1.0, **options))
+
     found = [
-        Contender(
-            "**mavcal mag-ellipsoid**",
-            ours(lambda s: fit_ellipsoid(s, unit="counts", quantum=1.0)),
-            ours=True,
-            target=target,
-        ),
-        Contender(
-            "mavcal, --robust yes", ours(lambda s: fit_ellipsoid(s, unit="counts", quantum=1.0, robust=True)), ours=True
-        ),
-        Contender(
-            "mavcal, --model auto",
-            ours(lambda s: fit_ellipsoid(s, unit="counts", quantum=1.0, model="auto")),
-            ours=True,
-        ),
+        Contender("**mavcal mag-ellipsoid**", fitted(), ours=True, target=target),
+        Contender("mavcal, --robust yes", fitted(robust=True), ours=True),
+        Contender("mavcal, --model auto", fitted(model="auto"), ours=True),
         Contender("mavcal RunningEllipsoid (ALS)", ours(_running), ours=True),
         Contender("mavcal mag-ellipsoid-axis (S1)", ours(_counts(fit_ellipsoid_axis))),
         Contender("mavcal mag-sphere (S1)", ours(_counts(fit_sphere))),

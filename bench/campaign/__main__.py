@@ -18,8 +18,9 @@ from bench.campaign.cli_run import cli_kills, run_cli_kill
 from bench.campaign.fault_run import run_fault
 from bench.campaign.judge import Ending
 from bench.campaign.kill_run import kill_of, kills, repetition, run_kill
-from bench.campaign.report import REPEATS, Criterion, FaultReport, KillReport
+from bench.campaign.report import REPEATS, FaultReport, KillReport
 from bench.campaign.scenario import scenarios
+from bench.rows import Row, table
 
 RUNS = 280
 MOST_REPETITIONS = 8
@@ -41,11 +42,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.run is not None:
         return _single(args.part, args.seed, args.run, args.runs)
     began = time.monotonic()
-    found: list[Criterion] = []
+    found: list[Row] = []
     with ProcessPoolExecutor(args.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         if args.part in ("faults", "all"):
             faults = _all(pool, run_fault, scenarios(args.runs, args.seed))
-            print("\n" + told.fault_tables(faults))
+            print("\n" + told.fault_table(faults))
             found += told.of_faults(faults)
         if args.part in ("kills", "all"):
             killed = _kills(pool, args.seed)
@@ -55,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             commands = _all(pool, run_cli_kill, cli_kills(args.seed))
             print("\n" + told.cli_table(commands))
             found += told.of_cli_kills(commands)
-    print("\n" + told.criteria_table(found))
+    print("\n" + table(found))
     print(f"\nseed {args.seed}, {(time.monotonic() - began) / 60:.0f} min")
     return 0 if all(criterion.met for criterion in found) else 1
 

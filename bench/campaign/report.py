@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from bench.campaign.judge import Ending
 from bench.campaign.scenario import KINDS
+from bench.rows import Row, grid
 from mavcal.service.jobs.journal import JournalStep
 
 
@@ -30,17 +31,12 @@ class FaultReport:
 
     index: int
     seed: int
-    recipe: str
-    autopilot: str
-    job: str
     ending: Ending
     complaints: tuple[str, ...]
     strikes: Mapping[str, int]
     """How often each kind of fault struck after the first PARAM_SET."""
     doubts: int = 0
     """How often the job was seen in doubt, each with its list compared."""
-    resolved: bool = False
-    """It was in doubt and came out of it by itself."""
     pinned: tuple[Pinned, ...] = ()
     says: str = ""
     """The job's own last sentence."""
@@ -87,15 +83,6 @@ CAUGHT = 0.99
 CLEAR_SD = 5.0
 
 
-@dataclass(frozen=True)
-class Criterion:
-    """One thing to be shown, and whether it is."""
-
-    text: str
-    measured: str
-    met: bool
-
-
 def strikes(reports: Sequence[FaultReport]) -> Counter[str]:
     """Strikes of each kind of fault after the first PARAM_SET."""
     total: Counter[str] = Counter(dict.fromkeys(KINDS, 0))
@@ -111,35 +98,23 @@ def struck_steps(reports: Sequence[KillReport]) -> Counter[str]:
     )
 
 
-def of_faults(reports: Sequence[FaultReport]) -> list[Criterion]:
+def of_faults(reports: Sequence[FaultReport]) -> list[Row]:
     """What the fault runs have to show."""
     ends = Counter(report.ending for report in reports)
     runs, verified, failed = len(reports), ends[Ending.VERIFIED], ends[Ending.FAILURE]
-    least = min(strikes(reports).items(), key=lambda item: item[1])
+    kind, least = min(strikes(reports).items(), key=lambda item: item[1])
     clear = [pin for report in reports for pin in report.pinned if pin.effect > CLEAR_SD]
-    missed = sum(pin.missed for pin in clear)
-    share = 1 - missed / len(clear) if clear else 0.0
+    caught = sum(not pin.missed for pin in clear)
+    stops, unheeded = sum(report.stops for report in reports), _unheeded(reports)
+    stopped = "a stopping fault in mid-write puts the job in doubt, and no PARAM_SET follows it"
+    unapplied = f"accepted but not applied is caught, of the changes above {CLEAR_SD:g} sd"
     return [
-        Criterion(f"at least {LEAST_RUNS} runs", f"{runs}", runs >= LEAST_RUNS),
-        Criterion(
-            "every run ends verified, as before, or in doubt with a list that is true", f"{failed} do not", not failed
-        ),
-        Criterion(
-            "a stopping fault in mid-write puts the job in doubt, and no PARAM_SET follows it",
-            f"{sum(report.stops for report in reports)} such faults, {_unheeded(reports)} not heeded",
-            any(report.stops for report in reports) and not _unheeded(reports),
-        ),
-        Criterion("at least half end verified", f"{verified} of {runs}", 2 * verified >= runs),
-        Criterion(
-            f"every fault strikes at least {LEAST_STRIKES} times after the first PARAM_SET",
-            f"fewest: {least[0]}, {least[1]} times",
-            least[1] >= LEAST_STRIKES,
-        ),
-        Criterion(
-            f"accepted but not applied is caught in at least {CAUGHT:.0%} of the changes above {CLEAR_SD:g} sd",
-            f"{len(clear) - missed} of {len(clear)}",
-            share >= CAUGHT,
-        ),
+        Row("runs", f">= {LEAST_RUNS}", f"{runs}", runs >= LEAST_RUNS),
+        Row("runs that end verified, as before, or in doubt with a true list", "all", f"{failed} do not", not failed),
+        Row(stopped, "always", f"{stops} faults, {unheeded} not heeded", stops > 0 and not unheeded),
+        Row("runs that end verified", "half", f"{verified} of {runs}", 2 * verified >= runs),
+        Row("strikes of each fault", f">= {LEAST_STRIKES}", f"fewest: {kind}, {least}", least >= LEAST_STRIKES),
+        Row(unapplied, f"{CAUGHT:.0%}", f"{caught} of {len(clear)}", bool(clear) and caught >= CAUGHT * len(clear)),
     ]
 
 
@@ -149,88 +124,51 @@ def _unheeded(reports: Sequence[FaultReport]) -> int:
     return sum(any(text in c for c in report.complaints for text in said) for report in reports)
 
 
-def of_kills(reports: Sequence[KillReport]) -> list[Criterion]:
+def of_kills(reports: Sequence[KillReport]) -> list[Row]:
     """The criteria that the SIGKILL runs of the service must meet."""
     count = sum(len(report.struck) for report in reports)
     failed = sum(report.ending == Ending.FAILURE for report in reports)
     steps = struck_steps(reports)
-    least = min(((step.value, steps[step.value]) for step in JournalStep), key=lambda item: item[1])
+    step, least = min(((step.value, steps[step.value]) for step in JournalStep), key=lambda item: item[1])
     return [
-        Criterion(f"at least {LEAST_KILLS} SIGKILLs", f"{count}", count >= LEAST_KILLS),
-        Criterion(
-            f"each step of the journal is struck at least {REPEATS} times",
-            f"fewest: {least[0]}, {least[1]} times",
-            least[1] >= REPEATS,
-        ),
-        Criterion("every run ends verified or as before", f"{failed} do not", not failed),
+        Row("SIGKILLs", f">= {LEAST_KILLS}", f"{count}", count >= LEAST_KILLS),
+        Row("kills at each step of the journal", f">= {REPEATS}", f"fewest: {step}, {least}", least >= REPEATS),
+        Row("killed services that end verified or as before", "all", f"{failed} do not", not failed),
     ]
 
 
-def of_cli_kills(reports: Sequence[KillReport]) -> list[Criterion]:
+def of_cli_kills(reports: Sequence[KillReport]) -> list[Row]:
     """The criteria that the SIGKILL runs of the command line must meet."""
     failed = sum(report.ending == Ending.FAILURE for report in reports)
-    text = "every command line that was killed is put right by the next run, verified or as before"
-    return [Criterion(text, f"{failed} of {len(reports)} are not", bool(reports) and not failed)]
+    text = "killed command lines that the next run puts right, verified or as before"
+    return [Row(text, "all", f"{failed} of {len(reports)} are not", bool(reports) and not failed)]
 
 
-def fault_tables(reports: Sequence[FaultReport]) -> str:
-    """By fault and by setting."""
-    return "\n\n".join((_by_fault(reports), _by_setting(reports)))
-
-
-def _by_fault(reports: Sequence[FaultReport]) -> str:
-    total = strikes(reports)
-    rows = []
+def fault_table(reports: Sequence[FaultReport]) -> str:
+    """By fault."""
+    total, rows = strikes(reports), []
     for kind in KINDS:
         hit = [report for report in reports if report.strikes.get(kind)]
         rows.append((kind, total[kind], len(hit), *_endings(hit)))
     rows.append(("**all runs**", sum(total.values()), len(reports), *_endings(reports)))
-    return table(("fault", "strikes", "runs struck", *Ending), rows)
+    return grid(("fault", "strikes", "runs struck", *Ending), rows)
 
 
-def _by_setting(reports: Sequence[FaultReport]) -> str:
-    rows = []
-    for autopilot in sorted({report.autopilot for report in reports}):
-        for job in sorted({report.job for report in reports}):
-            some = [report for report in reports if (report.autopilot, report.job) == (autopilot, job)]
-            rows.append((autopilot, job, len(some), *_endings(some), sum(report.resolved for report in some)))
-    return table(("autopilot", "job", "runs", *Ending, "in doubt, then resolved by itself"), rows)
+def kill_table(reports: Sequence[KillReport]) -> str:
+    """By the step of the journal at which the process died."""
+    steps, rows = struck_steps(reports), []
+    for step in JournalStep:
+        hit = [report for report in reports if step.value in report.struck]
+        rows.append((step.value, steps[step.value], *_endings(hit)))
+    rows.append(("**all runs**", sum(steps.values()), *_endings(reports)))
+    return grid(("last step before SIGKILL", "kills", *Ending), rows)
+
+
+def cli_table(reports: Sequence[KillReport]) -> str:
+    """By the instant at which the command line died, and what came next."""
+    return grid(("scene", "killed at (which time), then", "ended"), [(r.scene, r.aimed, r.ending) for r in reports])
 
 
 def _endings(reports: Iterable[FaultReport | KillReport]) -> list[int]:
     ends = Counter(report.ending for report in reports)
     return [ends[ending] for ending in Ending]
-
-
-def kill_table(reports: Sequence[KillReport]) -> str:
-    """By the step of the journal at which the process died."""
-    steps = struck_steps(reports)
-    shown = (Ending.VERIFIED, Ending.AS_BEFORE, Ending.FAILURE)
-    rows = []
-    for step in JournalStep:
-        hit = Counter(report.ending for report in reports if step.value in report.struck)
-        rows.append((f"`{step.value}`", steps[step.value], *(hit[ending] for ending in shown)))
-    ends = Counter(report.ending for report in reports)
-    rows.append(("**all runs**", sum(steps.values()), *(ends[ending] for ending in shown)))
-    return table(("last step before SIGKILL", "kills", *shown), rows)
-
-
-def cli_table(reports: Sequence[KillReport]) -> str:
-    """By the instant at which the command line died, and what came next."""
-    shown = (Ending.VERIFIED, Ending.AS_BEFORE, Ending.FAILURE)
-    rows = [(r.scene, r.aimed, *("x" if r.ending == ending else "" for ending in shown)) for r in reports]
-    return table(("scene", "killed at (which time), then", *shown), rows)
-
-
-def criteria_table(criteria: Sequence[Criterion]) -> str:
-    """Every criterion with what was measured."""
-    rows = [(c.text, c.measured, "yes" if c.met else "**no**") for c in criteria]
-    return table(("to be shown", "measured", "met"), rows)
-
-
-def table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> str:
-    """One table."""
-    cells = [[str(cell) for cell in row] for row in (head, *rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
-    lines = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) + " |" for row in cells]
-    return "\n".join([lines[0], "|" + "|".join("-" * (w + 2) for w in widths) + "|", *lines[1:]])

@@ -5,13 +5,12 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from bench.firmware.arducopter import ArduCopter, drifting
 from bench.firmware.jobs import Done, calibrated, command
 from bench.firmware.px4 import Px4
 from bench.firmware.scoring import Row, scored
-from bench.firmware.truth import VehicleTruth, drawn, own_temperatures, thermal_truth
+from bench.firmware.truth import drawn, own_temperatures, thermal_truth
 from bench.running import service
 from mavcal.client.enums import JobState
 from mavcal.client.jobs import JobModel
@@ -36,21 +35,8 @@ HABITS: Final[Mapping[str, tuple[str, int]]] = {"ardupilot": ("INS_GYR_CAL", 0),
 """What the firmware does with its gyroscopes by itself, switched off."""
 
 
-class Rig(Protocol):
-    """A firmware whose sensors, attitude and temperature are ours."""
-
-    @property
-    def autopilot(self) -> str: ...
-    @property
-    def url(self) -> str: ...
-    @property
-    def truth(self) -> VehicleTruth: ...
-    def start(self) -> None: ...
-    def stop(self) -> None: ...
-    def restart(self) -> None: ...
-    def read(self, name: str) -> float | None: ...
-    def set(self, name: str, value: float) -> None: ...
-    def call(self, do: str, **options: Any) -> dict[str, Any]: ...
+Rig = ArduCopter | Px4
+"""A firmware whose sensors, attitude and temperature are ours."""
 
 
 @dataclass(frozen=True)
@@ -234,22 +220,16 @@ def running(rig: Rig) -> Iterator[Rig]:
 
 def _killed(command: Sequence[str]) -> tuple[str, ...]:
     """Run what kills itself; what it did instead, if it did not."""
-    with tempfile.TemporaryFile() as heard:
-        try:
-            code = subprocess.run(
-                command,
-                stdout=heard,
-                stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL,
-                timeout=KILL_S,
-                env=ending_with_us(),
-                check=False,
-            ).returncode
-        except subprocess.TimeoutExpired:
-            heard.seek(0)
-            last = heard.read().decode(errors="replace").splitlines()[-3:]
-            return (f"it was not killed within {KILL_S:g} s: {' / '.join(last)}",)
-    return () if code == -signal.SIGKILL else (f"it ended with {code} before it was killed",)
+    none = subprocess.DEVNULL
+    try:
+        done = subprocess.run(
+            command, stdin=none, capture_output=True, text=True, timeout=KILL_S, env=ending_with_us(), check=False
+        )
+    except subprocess.TimeoutExpired:
+        return (f"it was not killed within {KILL_S:g} s",)
+    if done.returncode == -signal.SIGKILL:
+        return ()
+    return (f"it ended with {done.returncode} before it was killed: {done.stderr[-300:]}",)
 
 
 def _aging(name: str) -> float:
