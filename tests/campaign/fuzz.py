@@ -1,4 +1,4 @@
-"""``python -m tests.campaign.fuzz``: mutated files for every reader, in children that are limited as those of the service.
+"""``python -m tests.campaign.fuzz``: mutated files for every reader, in children limited as those of the service.
 
 Every format starts from small sound files. A mutation is read, and what can be read is inspected; the answer has to be
 a recording or the typed refusal. Whatever else an exception says is a defect; a child that dies, or needs more than the

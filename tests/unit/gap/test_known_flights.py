@@ -241,7 +241,7 @@ def test_an_offset_that_px4_halves_when_it_disarms_is_an_offset(shared_data: Pat
 def test_a_vehicle_that_flies_differently_has_no_wrong_sensor(
     shared_data: Path, tmp_path: Path, name: str, known: dict[str, list[int]]
 ) -> None:
-    """Wind and turbulence; other inertia; other thrust and a wrong accelerometer (bench/airframes.py: all)."""
+    """Wind and turbulence; other inertia; other thrust and a wrong accelerometer."""
     folder = shared_data / "airframe_flights"
     real, sim = (packed(folder / f"{file}.bin.xz", tmp_path) for file in (name, "d01sim"))
     report = gap.run(real, sim, nested=False)

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.unit.logs import dataflash_file as made
 from mavcal.calib.logs.dataflash import DataFlash, scan
 from mavcal.calib.logs.dataflash.formats import define, read_fmt
 from mavcal.calib.logs.dataflash.scan import BLOCK
+from tests.unit.logs import dataflash_file as made
 
 FLIGHT = made.flight(2.0, seed=1)
 TALL = made.Message(90, "TALL", "QZZZ", "TimeUS,A,B,C")
