@@ -1,8 +1,7 @@
 """Logs of known answers: ``python -m bench.flights --data FOLDER [--only NAME]... [--columns inspect,fits,gap]``.
 
-Every log is given to the commands as a user would give it; what they say is compared with ``flights.toml``. Results are
-kept in ``flights.json`` beside it, a log and a column at a time, so that columns can be filled on different days. With
-``--write`` the table goes to ``docs/flights.md``, between the marks that stand there.
+Every log is given to the commands as a user would give it; what they say is compared with ``flights.toml``. Exit code
+1: an answer is wrong.
 """
 
 from __future__ import annotations
@@ -16,18 +15,13 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-ANSWERS = HERE / "flights.toml"
-RESULTS = HERE / "flights.json"
-PAGE = HERE.parent / "docs" / "flights.md"
-BEGIN, END = "<!-- measured by bench.flights -->", "<!-- end of what was measured -->"
-COLUMNS = ("inspect", "fits", "gap")
-NOTHING, WRONG_USE = "-", 2
+ANSWERS = Path(__file__).with_name("flights.toml")
+WRONG_USE = 2
 LIMIT_S = 900.0
 
 
@@ -129,73 +123,37 @@ def unpacked(data: Path, name: str, folder: Path) -> Path:
     return target
 
 
-def results(answer: Mapping[str, Any], data: Path, folder: Path, columns: Sequence[str]) -> Iterator[tuple[str, Any]]:
-    """The asked columns of one log, each as a list of results."""
+def results(answer: Mapping[str, Any], data: Path, folder: Path, columns: Sequence[str]) -> Iterator[FlightResult]:
+    """What the asked commands say of one log."""
     path = unpacked(data, answer["file"], folder)
     if "inspect" in columns:
-        yield "inspect", [asdict(inspected(path, answer))]
+        yield inspected(path, answer)
     if "fits" in columns:
-        yield "fits", [asdict(fitted(path, asked)) for asked in answer.get("fit", ())]
+        yield from (fitted(path, asked) for asked in answer.get("fit", ()))
     if "gap" in columns and "gap" in answer:
-        sim = unpacked(data, answer["gap"]["sim"], folder)
-        yield "gap", [asdict(diagnosed(path, sim, answer["gap"]))]
+        yield diagnosed(path, unpacked(data, answer["gap"]["sim"], folder), answer["gap"])
 
 
-def table(answers: Sequence[Mapping[str, Any]], held: Mapping[str, Any]) -> Iterator[str]:
-    """The page's table, and how many answers are right."""
-    yield "| log: what is true | `inspect` | fits | `gap` |"
-    yield "|---|---|---|---|"
-    right, whole = dict.fromkeys(COLUMNS, 0), dict.fromkeys(COLUMNS, 0)
-    for answer in answers:
-        own = held.get(answer["name"], {})
-        cells = []
-        for column in COLUMNS:
-            found = own.get(column)
-            if found is None:
-                cells.append(NOTHING if column != "gap" or "gap" not in answer else "not run")
-                continue
-            right[column] += sum(one["right"] for one in found)
-            whole[column] += len(found)
-            cells.append(
-                "<br>".join(
-                    f"{'right' if one['right'] else '**wrong**'}: {one['said']} ({one['seconds']:.1f} s)"
-                    for one in found
-                )
-            )
-        yield f"| {answer['name']}: {answer['answer']} | {' | '.join(cells)} |"
-    yield "| right | " + " | ".join(f"{right[c]} of {whole[c]}" for c in COLUMNS) + " |"
-
-
-def _cell(one: Mapping[str, Any]) -> str:
-    return f"{'right' if one['right'] else '**wrong**'}: {one['said']} ({one['seconds']:.1f} s)"
-
-
-def main() -> None:
-    """Run what is asked for, keep it, and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m bench.flights", description=(__doc__ or "").partition("\n")[0])
+def main() -> int:
+    """Run what is asked for, and print a row as soon as it is there."""
+    parser = argparse.ArgumentParser(prog="python -m bench.flights", description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="the folder with the recordings")
     parser.add_argument("--only", action="append", default=[], metavar="NAME")
-    parser.add_argument("--columns", default="inspect,fits", help=f"some of {','.join(COLUMNS)}")
-    parser.add_argument("--write", action="store_true", help=f"put the table into {PAGE.name}")
+    parser.add_argument("--columns", default="inspect,fits", help="some of inspect,fits,gap")
     asked = parser.parse_args()
-    answers = tomllib.loads(ANSWERS.read_text(encoding="utf-8"))["log"]
-    held = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+    right = whole = 0
+    print("| log: what is true | | said | s |\n|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
-        for answer in answers:
+        for answer in tomllib.loads(ANSWERS.read_text(encoding="utf-8"))["log"]:
             if asked.only and answer["name"] not in asked.only:
                 continue
-            for column, found in results(answer, asked.data, Path(folder), asked.columns.split(",")):
-                held.setdefault(answer["name"], {})[column] = found
-                RESULTS.write_text(json.dumps(held, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-                for one in found:
-                    print(f"{answer['name']:16} {'right' if one['right'] else 'WRONG'}  {one['said']}", flush=True)
-    made = "\n".join(table(answers, held))
-    print(made)
-    if asked.write:
-        page = PAGE.read_text(encoding="utf-8")
-        before, after = page.partition(BEGIN)[0], page.partition(END)[2]
-        PAGE.write_text(f"{before}{BEGIN}\n{made}\n{END}{after}", encoding="utf-8")
+            for one in results(answer, asked.data, Path(folder), asked.columns.split(",")):
+                whole, right = whole + 1, right + one.right
+                mark = "right" if one.right else "**wrong**"
+                print(f"| {answer['name']}: {answer['answer']} | {mark} | {one.said} | {one.seconds:.1f} |", flush=True)
+    print(f"\n{right} of {whole} answers are right")
+    return 0 if right == whole else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

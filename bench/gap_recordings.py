@@ -22,7 +22,6 @@ from mavcal.calib import logs
 from mavcal.calib.logs.tables import write_table
 from mavcal.calib.recording import Recording
 from mavcal.service.commands.gap_campaign import diagnoser
-from mavcal.service.commands.output import write_json
 
 TIMEOUT_S = 1800.0
 """Limit for a recording of minutes."""
@@ -144,7 +143,6 @@ async def run(data: Path, *, nested: bool) -> AsyncIterator[dict[str, Any]]:
 def _row(case: RealCase, answer: Mapping[str, Any]) -> dict[str, Any]:
     report = answer.get("report") or {}
     said = {str(e["id"]): e.get("instances") for e in report.get("effects") or []}
-    reach = set(said) | {str(r["id"]) for e in report.get("effects") or [] for r in e.get("confusable_with") or []}
     return {
         "case": case.name,
         "known": case.known,
@@ -152,10 +150,7 @@ def _row(case: RealCase, answer: Mapping[str, Any]) -> dict[str, Any]:
         "error": answer.get("error"),
         "effects": said,
         "unknown": bool((report.get("unknown") or {}).get("flag")),
-        "closed": (report.get("shrink") or {}).get("closed"),
-        "reference": ((report.get("inputs") or {}).get("reference") or {}).get("kind"),
         "exact": None if case.effects is None else bool(report) and set(said) == set(case.effects),
-        "in_set": None if not case.effects else set(case.effects) <= reach,
         "seconds": answer["seconds"],
     }
 
@@ -164,25 +159,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Every recording once, each told as soon as it is diagnosed."""
     parser = argparse.ArgumentParser(prog="python -m bench.gap_recordings", description=__doc__)
     parser.add_argument("data", type=Path, help="folder of the recordings")
-    parser.add_argument("--answers", type=Path, help="keep every answer, a JSON line each")
+    parser.add_argument("--answers", type=Path, help="keep every answer, a JSON line each, for bench.same")
     parser.add_argument("--nested", action=argparse.BooleanOptionalAction, default=True)
-    parser.add_argument("--json", action="store_true", help="one document at the end")
-    given = parser.parse_args(argv)
-    rows = asyncio.run(_told_rows(given))
-    if given.json:
-        write_json({"schema": "gap-selftest-recordings/1", "cases": rows})
-    return 1 if any(row["exact"] is False for row in rows) else 0
+    return asyncio.run(_told_rows(parser.parse_args(argv)))
 
 
-async def _told_rows(given: argparse.Namespace) -> list[dict[str, Any]]:
-    rows = []
+async def _told_rows(given: argparse.Namespace) -> int:
+    wrong = False
     async for row in run(given.data, nested=given.nested):
-        rows.append(row)
+        wrong = wrong or row["exact"] is False
+        print(_told(row), flush=True)
         if given.answers is not None:
-            given.answers.write_text("".join(json.dumps(r) + "\n" for r in rows), encoding="utf-8")
-        if not given.json:
-            print(_told(row), flush=True)
-    return rows
+            with given.answers.open("a", encoding="utf-8") as kept:
+                kept.write(json.dumps(row) + "\n")
+    return int(wrong)
 
 
 def _told(row: Mapping[str, Any]) -> str:

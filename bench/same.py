@@ -149,16 +149,6 @@ def answers_in(folder: Path) -> dict[str, Any]:
     return found
 
 
-def without_entries(value: Any, ids: Collection[str]) -> Any:
-    """A JSON value whose lists have lost the entries with one of these `id`s."""
-    if isinstance(value, Mapping):
-        return {key: without_entries(one, ids) for key, one in value.items()}
-    if isinstance(value, list):
-        kept = [one for one in value if not (isinstance(one, Mapping) and one.get("id") in ids)]
-        return [without_entries(one, ids) for one in kept]
-    return value
-
-
 def lines_of(one: Compared) -> Iterator[str]:
     """What is printed of one answer."""
     if not one.same:
@@ -180,17 +170,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--relative", type=float, default=0.0, help="numbers may differ by this part of the larger one")
     parser.add_argument("--absolute", type=float, default=0.0, help="and by this much in all")
     parser.add_argument("--but", action="append", default=list(IGNORED), metavar="KEY", help="leave KEY out; repeated")
-    parser.add_argument(
-        "--added", action="append", default=[], metavar="ID", help="leave out entries of this id: an effect that is new"
-    )
-    parser.add_argument("--common", action="store_true", help="compare only answers that both folders have")
     given = parser.parse_args(argv)
     try:
-        before, after = (without_entries(answers_in(f), given.added) for f in (given.before, given.after))
+        before, after = (answers_in(folder) for folder in (given.before, given.after))
     except ValueError as error:
         parser.error(str(error))
     shared = [name for name in before if name in after]
-    lacking = [] if given.common else sorted(before.keys() ^ after.keys())
+    lacking = sorted(before.keys() ^ after.keys())
     for name in lacking:
         print(f"{name}: only in {given.before if name in before else given.after}")
     tolerance = Tolerance(given.relative, given.absolute)

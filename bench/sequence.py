@@ -22,6 +22,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from bench.campaign.session import Session, session
+from bench.rows import grid
 from mavcal.calib.firmware.plan import ProofVerdict, SensorVerdict, Verification
 from mavcal.service.jobs.model import Failure, Job
 from mavcal.service.jobs.states import ENDED, JobState
@@ -220,13 +221,13 @@ def reason_of(job: Job, check: Verification) -> str:
 
 def table(rows: Sequence[Row]) -> str:
     """The rows as a table in Markdown."""
-    lines = ["| autopilot | job | ended | proved | sensors right | s | reason |", "|---|---|---|---|---|---|---|"]
-    lines += [
-        f"| {r.autopilot} | {r.kind} | {r.state.value} | {r.proved} of {r.acting} | {r.right} of {r.judged} "
-        f"| {r.seconds:.0f} | {r.reason or 'every parameter that shows is proved'} |"
-        for r in rows
-    ]
-    return "\n".join(lines)
+    head = ("autopilot", "job", "ended", "proved", "sensors right", "s", "reason")
+    cells = []
+    for r in rows:
+        counts = (f"{r.proved} of {r.acting}", f"{r.right} of {r.judged}", f"{r.seconds:.0f}")
+        reason = r.reason or "every parameter that shows is proved"
+        cells.append((r.autopilot, r.kind, r.state.value, *counts, reason))
+    return grid(head, cells)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench import conditions
+from bench.rows import grid
 from mavcal.service.core import Service, running_service
 from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.states import ENDED, JobState
@@ -207,19 +207,15 @@ def _up_at(events: Sequence[EventRow]) -> float | None:
 
 def table(runs: Sequence[Timed]) -> str:
     """Seconds by phase, one column a run, as Markdown."""
-    come = {name for run in runs for name, _ in run.phases}
-    names = [name for name in PHASES if name in come]
-    rows = [["seconds", *(f"{run.autopilot}, {run.wire.name}" for run in runs)]]
-    rows += [[name, *(_shown(dict(run.phases).get(name)) for run in runs)] for name in names]
-    rows += [["**total**", *(f"**{run.total_s:.1f}**" for run in runs)]]
-    rows += [["longest silence", *(f"{run.longest_silence_s:.1f}" for run in runs)]]
-    rows += [["ended", *(run.state for run in runs)]]
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
-
-
-def _shown(seconds: float | None) -> str:
-    return "–" if seconds is None else f"{seconds:.1f}"
+    rows: list[tuple[str, ...]] = []
+    for name in PHASES:
+        seconds = [dict(run.phases).get(name) for run in runs]
+        if any(seconds):
+            rows.append((name, *("-" if s is None else f"{s:.1f}" for s in seconds)))
+    rows.append(("**total**", *(f"**{run.total_s:.1f}**" for run in runs)))
+    rows.append(("longest silence", *(f"{run.longest_silence_s:.1f}" for run in runs)))
+    rows.append(("ended", *(f"{run.state} {run.outcome}" if not run.good else run.state for run in runs)))
+    return grid(("seconds", *(f"{run.autopilot}, {run.wire.name}" for run in runs)), rows)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -227,17 +223,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.slowlink", description=__doc__)
     parser.add_argument("--autopilot", choices=("ardupilot", "px4"), action="append", default=None)
     parser.add_argument("--wire", type=int, choices=range(len(WIRES)), action="append", default=None)
-    parser.add_argument("--conditions", action="store_true", help="rates and times under every condition instead")
-    parser.add_argument("--kind", choices=("gyro", "mag"), action="append", default=None, help="of those")
     args = parser.parse_args(argv)
-    if args.conditions:
-        return conditions.main(args.autopilot or ("ardupilot", "px4"), args.kind or ("gyro", "mag"))
     wires = [WIRES[i] for i in (args.wire if args.wire is not None else range(len(WIRES)))]
     runs = [asyncio.run(timed(wire, name)) for name in args.autopilot or ("ardupilot", "px4") for wire in wires]
     print(table(runs))
-    for run in runs:
-        if not run.good:
-            print(f"{run.autopilot}, {run.wire.name}: {run.state} after {run.total_s:.0f} s: {run.outcome}")
     return int(not all(run.good for run in runs))
 
 

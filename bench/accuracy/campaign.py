@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
-import tracemalloc
 import warnings
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,9 +18,6 @@ Array = NDArray[np.float64]
 
 FAILURES = (ArithmeticError, ValueError, RuntimeError, TypeError, LookupError, AttributeError, np.linalg.LinAlgError)
 """What a contender may die of; a crash counts as a failed run."""
-
-BUDGET = 6.0
-"""Seconds of processor time after which a peer's runs of one case end; the project's own always make all of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +85,6 @@ class Tally:
     refused: int = 0
     declined: int = 0
     """Parameters that were declined by name, over all runs."""
-    peak_mb: float | None = None
 
     @property
     def runs(self) -> int:
@@ -98,11 +95,6 @@ class Tally:
     def ratio(self) -> float:
         """Root of the mean of ``e^T F e / p``: 1 is the bound."""
         return math.sqrt(float(np.mean(self.squares))) if self.squares else math.nan
-
-    @property
-    def median(self) -> float:
-        """The same of the median run."""
-        return math.sqrt(float(np.median(self.squares))) if self.squares else math.nan
 
     @property
     def ratio_sd(self) -> float:
@@ -155,20 +147,18 @@ class Tally:
         return low and (not self.contender.exact or self.coverage - 0.95 <= 2.0 * self.coverage_sd)
 
 
-def run_case(case: Case, contenders: Sequence[Contender], budget: float = BUDGET) -> list[Tally]:
+def run_case(case: Case, contenders: Sequence[Contender], budget: float = 6.0) -> list[Tally]:
     """All contenders on the same draws."""
     rng = np.random.default_rng(case.seed)
     tallies = [Tally(contender, case) for contender in contenders]
     spent = dict.fromkeys((c.name for c in contenders), 0.0)
-    for run in range(case.runs):
+    for _ in range(case.runs):
         drawn = case.draw(rng)
         for tally in tallies:
             name = tally.contender.name
             if not tally.contender.ours and spent[name] > budget:
                 continue
             spent[name] += _one(tally, drawn)
-            if run == 0 and spent[name] < budget:
-                tally.peak_mb = _peak(tally.contender, drawn)
     return tallies
 
 
@@ -209,23 +199,39 @@ def quietly(fit: Callable[[Any], Answer | None], data: Any) -> Answer | None:
         return fit(data)
 
 
-def _peak(contender: Contender, drawn: Drawn) -> float | None:
-    """Megabytes above the input at the worst moment of one run."""
-    tracemalloc.start()
-    try:
-        quietly(contender.fit, drawn.data)
-        return tracemalloc.get_traced_memory()[1] / 1e6
-    except FAILURES:
-        return None
-    finally:
-        tracemalloc.stop()
+QUICK_SIZES = 1000
+QUICK_RUNS = 12
 
 
-def best_of(times: int, action: Callable[[], object]) -> float:
-    """Least processor time of `action` over some repeats, s: what other work on the machine disturbs least."""
-    found = []
-    for _ in range(times):
-        begin = time.process_time()
-        action()
-        found.append(time.process_time() - begin)
-    return min(found)
+@dataclass(frozen=True)
+class Settings:
+    """`quick` is a slice for tests: small samples, few runs, no promise judged by it."""
+
+    quick: bool = False
+    seed: int = 1
+    budget: float = 6.0
+    silent: bool = False
+
+    def sizes(self, wanted: list[int]) -> list[int]:
+        """Those of `wanted` that are measured, the smallest at least."""
+        return [n for n in wanted if not self.quick or n <= QUICK_SIZES] or wanted[:1]
+
+    def runs(self, size: int) -> int:
+        """Repeats at that number of samples."""
+        if self.quick:
+            return QUICK_RUNS
+        return 200 if size < 100_000 else 60 if size < 1_000_000 else 40
+
+    @property
+    def largest(self) -> int:
+        """Samples on which time is taken."""
+        return 20_000 if self.quick else 1_000_000
+
+    def seed_of(self, title: str, size: int) -> int:
+        """A seed of its own for every case, the same on every machine."""
+        return zlib.crc32(f"{self.seed} {title} {size}".encode())
+
+    def say(self, what: str) -> None:
+        """Progress, on the error stream."""
+        if not self.silent:
+            print(what, file=sys.stderr, flush=True)

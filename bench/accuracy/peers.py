@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
-import importlib.util
 from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 Fitted = tuple[Array, Array]
@@ -46,61 +45,19 @@ def magcc_lm(samples: Array) -> Fitted:
     return offset, shape_of(matrix, FIELD)
 
 
-def magyc_ellipsoid(samples: Array) -> Fitted:
-    offset, soft_iron, _ = _module_of("magyc", "benchmark_methods/ellipsoidfit.py").ellipsoid_fit(samples)
-    inverse = np.linalg.inv(soft_iron)
-    return offset, shape_of(inverse, _mean_length(inverse, samples - offset))
-
-
-def magyc_fang(samples: Array) -> Fitted:
-    offset, soft_iron, _ = _module_of("magyc", "benchmark_methods/ellipsoidfit.py").ellipsoid_fit_fang(samples)
-    inverse = np.linalg.inv(soft_iron)
-    return offset, shape_of(inverse, _mean_length(inverse, samples - offset))
-
-
-def magyc_twostep(samples: Array) -> Fitted:
-    module = _module_of("magyc", "benchmark_methods/twostep.py")
-    offset, soft_iron, _ = module.twostep_hsi(samples, np.array([FIELD, 0.0, 0.0]), measurement_noise_std=3.0)
-    return np.asarray(offset).ravel(), shape_of(np.linalg.inv(soft_iron), FIELD)
-
-
 def circuitpython(samples: Array) -> Fitted:
     sensor = importlib.import_module("mag_cal.sensor").Sensor()
     sensor.fit_ellipsoid(samples)
     return np.asarray(sensor.centre).ravel(), shape_of(sensor.transform)
 
 
-def _mean_length(matrix: Array, vectors: Array) -> float:
-    corrected = vectors @ matrix.T
-    return float(np.sqrt(np.einsum("ij,ij->i", corrected, corrected)).mean())
-
-
-def _module_of(package: str, path: str) -> ModuleType:
-    """One file of an installed package, without what the rest of it imports."""
-    found = importlib.util.find_spec(package)
-    if found is None or not found.submodule_search_locations:
-        raise ModuleNotFoundError(package)
-    name = f"{package}_{Path(path).stem}"
-    spec = importlib.util.spec_from_file_location(name, Path(found.submodule_search_locations[0]) / path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 MAGNETOMETER: dict[str, tuple[str, Callable[[Array], Fitted]]] = {
     "magcal ellipsoid": ("magcal", magcal),
     "magcc lse": ("magcc", magcc_lse),
     "magcc lm": ("magcc", magcc_lm),
-    "magyc ellipsoid_fit": ("magyc", magyc_ellipsoid),
-    "magyc ellipsoid_fit_fang": ("magyc", magyc_fang),
-    "magyc twostep_hsi": ("magyc", magyc_twostep),
     "circuitpython-mag-cal": ("circuitpython-mag-cal", circuitpython),
 }
 """Name in the tables -> distribution, function."""
-
-DISTRIBUTIONS = ("imucal", "magcc", "magcal", "magyc", "circuitpython-mag-cal", "allantools")
 
 
 def version_of(distribution: str) -> str | None:
@@ -120,3 +77,60 @@ def usable(distribution: str, fit: Callable[[Any], Any], sample: Any) -> str:
     except Exception as error:  # noqa: BLE001 - foreign code; whatever stops it is the answer
         return f"does not run here: {type(error).__name__}: {str(error)[:80]}"
     return ""
+
+
+def _start(samples: Array) -> tuple[Array, float]:
+    offset = samples.mean(axis=0)
+    return offset, float(np.sqrt(np.mean(np.sum((samples - offset) ** 2, axis=1))))
+
+
+def _matrix(six: Array) -> Array:
+    return np.array([[six[0], six[3], six[4]], [six[3], six[1], six[5]], [six[4], six[5], six[2]]])
+
+
+def algebraic(samples: Array) -> Fitted:
+    """Smallest eigenvector of the centred and scaled ten terms (MATLAB magcal 'sym', NXP AN5019)."""
+    centre, scale = _start(samples)
+    x, y, z = ((samples - centre) / scale).T
+    rows = np.column_stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones_like(x)])
+    theta = np.linalg.eigh(rows.T @ rows)[1][:, 0]
+    Q = np.array(
+        [
+            [theta[0], theta[3] / 2, theta[4] / 2],
+            [theta[3] / 2, theta[1], theta[5] / 2],
+            [theta[4] / 2, theta[5] / 2, theta[2]],
+        ]
+    )
+    b = -0.5 * np.linalg.solve(Q, theta[6:9])
+    values, vectors = np.linalg.eigh(Q / (b @ Q @ b - theta[9]))
+    if values.min() <= 0.0:
+        raise ValueError("no ellipsoid")
+    return centre + scale * b, scale * (vectors / np.sqrt(values)) @ vectors.T
+
+
+def calibrated_space(samples: Array) -> Fitted:
+    """scipy LM of ``|W (y - b)| - 1``: what ArduPilot, pymavlink, imu_tk and most scripts minimise."""
+    centre, scale = _start(samples)
+    y = (samples - centre) / scale
+
+    def residuals(p: Array) -> Array:
+        corrected = (y - p[:3]) @ _matrix(p[3:])
+        return np.sqrt(np.einsum("ij,ij->i", corrected, corrected)) - 1.0
+
+    found = least_squares(residuals, np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), method="lm").x
+    values, vectors = np.linalg.eigh(_matrix(found[3:]) @ _matrix(found[3:]))
+    return centre + scale * found[:3], scale * (vectors / np.sqrt(values)) @ vectors.T
+
+
+def rotated(shape: Array, offset: Array, samples: Array, downs: Array) -> Array:
+    """``S Q`` with the rotation Q that makes the angle between field and vertical the steadiest: a second stage."""
+    field = np.linalg.solve(shape, (samples - offset).T).T
+    field /= np.linalg.norm(field, axis=1)[:, None]
+    level = downs / np.linalg.norm(downs, axis=1)[:, None]
+
+    def residuals(p: Array) -> Array:
+        body = field @ Rotation.from_rotvec(p[:3]).as_matrix()
+        return (body * level).sum(axis=1) - p[3]
+
+    found = least_squares(residuals, np.array([0.0, 0.0, 0.0, 0.8]), method="lm").x
+    return shape @ Rotation.from_rotvec(found[:3]).as_matrix()

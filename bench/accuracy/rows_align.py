@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bench.accuracy import bounds, forms, scenes
-from bench.accuracy.campaign import Answer, Case, Contender, Drawn, best_of, run_case
-from bench.accuracy.settings import Settings
+from bench.accuracy import bounds, peers, scenes
+from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Settings, run_case
 from bench.accuracy.tables import Part, accuracy_part
-from bench.rows import Row, Section
+from bench.rows import Row, Section, best_of
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.align import Vertical, fit_alignment
 
@@ -79,8 +78,8 @@ def _two_stage(which: str) -> Callable[[Both], Answer | None]:
     """Algebraic ellipsoid, then the rotation with the steadiest dip."""
 
     def run(data: Both) -> Answer | None:
-        offset, shape = forms.algebraic(data.field)
-        return Answer(_values(offset, forms.rotated(shape, offset, data.field, -data.force), which))
+        offset, shape = peers.algebraic(data.field)
+        return Answer(_values(offset, peers.rotated(shape, offset, data.field, -data.force), which))
 
     return run
 

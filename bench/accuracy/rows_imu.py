@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.accuracy import bounds, bounds_imu, scenes
-from bench.accuracy.campaign import Answer, Case, Contender, Drawn, best_of, run_case
-from bench.accuracy.settings import Settings
+from bench.accuracy import bounds, scenes
+from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Settings, run_case
 from bench.accuracy.tables import Part, accuracy_part
-from bench.rows import Row, Section
+from bench.rows import Row, Section, best_of
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.imu import fit_imu
@@ -27,8 +26,8 @@ ACCEL = np.array([[1.012, 0.004, -0.003], [0.004, 0.991, 0.005], [-0.003, 0.005,
 GYRO = np.array([[1.010, 0.006, -0.004], [-0.003, 0.985, 0.005], [0.004, -0.006, 1.014]])
 ACCEL_OFFSET, GYRO_OFFSET = np.array([0.21, -0.14, 0.33]), np.array([0.012, -0.007, 0.004])
 ACCEL_SD, GYRO_SD = 3.0 * MILLI_G, 3e-3
-SIX = tuple(np.array(bounds_imu.SYMMETRIC).T)
-UNIT = bounds_imu.Unit(
+SIX = tuple(np.array(bounds.SYMMETRIC).T)
+UNIT = bounds.Unit(
     ACCEL, GYRO, bounds.variance_of(ACCEL_SD, MILLI_G), bounds.variance_of(GYRO_SD, 1e-3), STANDARD_GRAVITY
 )
 TRUTHS = {"accelerometer": np.concatenate([ACCEL_OFFSET, ACCEL[SIX]]), "gyroscope": GYRO.ravel()}
@@ -64,7 +63,7 @@ def held(rng: np.random.Generator, poses: int) -> Held:
     for i, w in enumerate(rate):
         down[i] = d
         if w.any():
-            d = bounds_imu._turned(w, 1.0 / RATE) @ d
+            d = bounds._turned(w, 1.0 / RATE) @ d
     t = np.arange(len(rate)) / RATE
     accel = -STANDARD_GRAVITY * down @ ACCEL.T + ACCEL_OFFSET + ACCEL_SD * rng.normal(size=rate.shape)
     gyro = rate @ GYRO.T + GYRO_OFFSET + GYRO_SD * rng.normal(size=rate.shape)
@@ -85,9 +84,7 @@ def _channel(sensor: Sensor, t: Array, values: Array, unit: str, quantum: float)
 def _bound(data: Held, spans: Array, which: str) -> Array:
     """Information on one sensor's nine numbers in the samples of `spans`, all the others unknown."""
     found = np.searchsorted(data.accel.t, spans)
-    whole = np.linalg.inv(
-        bounds_imu.joint(UNIT, [(int(a), int(b)) for a, b in found], data.rates, data.downs, 1.0 / RATE)
-    )
+    whole = np.linalg.inv(bounds.joint(UNIT, [(int(a), int(b)) for a, b in found], data.rates, data.downs, 1.0 / RATE))
     part = slice(0, 9) if which == "accelerometer" else slice(9, 18)
     return np.linalg.inv(whole[part, part])
 
@@ -108,7 +105,7 @@ def _numbers(fit: FitResult, which: str) -> tuple[Array, Array, Array]:
     matrix = np.linalg.inv(fit.model.matrix)
     if which == "gyroscope":
         return matrix.ravel(), fit.values[3:], fit.sd[3:]
-    rows = [0, 1, 2, *(3 + 3 * i + j for i, j in bounds_imu.SYMMETRIC)]
+    rows = [0, 1, 2, *(3 + 3 * i + j for i, j in bounds.SYMMETRIC)]
     return np.concatenate([fit.model.offset, matrix[SIX]]), fit.values[rows], fit.sd[rows]
 
 

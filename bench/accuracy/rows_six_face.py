@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.accuracy import bounds, peers
-from bench.accuracy.campaign import Answer, Case, Contender, Drawn, run_case
-from bench.accuracy.settings import Settings
+from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Settings, run_case
 from bench.accuracy.tables import Part, accuracy_part
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.accel.faces import Face

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bench.accuracy.campaign import Tally
-from bench.rows import Row, Section, table
+from bench.rows import Row, Section, grid, table
 
 
 @dataclass(frozen=True)
@@ -36,22 +36,16 @@ def accuracy_part(title: str, tallies: Sequence[Tally], missing: Sequence[str] =
     found = {(t.contender.name, t.case): t for t in tallies}
     lines = ["error / bound (one standard error) · median time of a run"]
     head = ["", *(f"N = {case.size}" for case in cases)]
-    lines.append(_grid([head, *([name, *(_cell(found.get((name, case))) for case in cases)] for name in names)]))
+    lines.append(grid(head, [[name, *(_cell(found.get((name, case))) for case in cases)] for name in names]))
     own = [t for t in tallies if t.contender.ours]
     lines.append("With uncertainty:")
-    head = ["", "N", "runs", "error / bound", "95 % intervals hold", "time", "peak memory", "refused"]
-    lines.append(_grid([head, *(_detail(t) for t in own)]))
+    head = ["", "N", "runs", "error / bound", "95 % intervals hold", "time", "refused"]
+    lines.append(grid(head, [_detail(t) for t in own]))
     lines += [f"Not measured: {reason}." for reason in missing]
     lines += list(notes)
     seeds = ", ".join(f"{case.seed} (N = {case.size}, {case.runs} runs)" for case in cases)
     lines.append(f"Seeds: {seeds}.")
     return Part(title, "\n\n".join(lines), tuple(_check(title, t) for t in tallies if t.met is not None))
-
-
-def _grid(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) + " |" for row in rows]
-    return "\n".join([lines[0], "|" + "|".join("-" * (w + 2) for w in widths) + "|", *lines[1:]])
 
 
 def _cell(tally: Tally | None) -> str:
@@ -60,8 +54,6 @@ def _cell(tally: Tally | None) -> str:
     if not tally.squares:
         return f"none of {tally.runs} runs"
     text = f"{_number(tally.ratio)} ({_number(tally.ratio_sd)})"
-    if tally.ratio > 1.5 * tally.median:
-        text += f", median {_number(tally.median)}"
     text += f" · {_time(tally.milliseconds)}"
     if tally.failed or tally.refused:
         text += f", {tally.failed + tally.refused} of {tally.runs} none"
@@ -79,7 +71,6 @@ def _detail(tally: Tally) -> list[str]:
         f"{tally.ratio:.3f} ({tally.ratio_sd:.3f})",
         coverage,
         _time(tally.milliseconds),
-        "" if tally.peak_mb is None else f"{tally.peak_mb:.1f} MB",
         str(tally.refused + tally.failed),
     ]
 

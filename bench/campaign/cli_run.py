@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.campaign.judge import Ending, Evidence, judge
-from bench.campaign.kill_scene import SCENES
+from bench.campaign.kill_run import SCENES
 from bench.campaign.report import KillReport
 from bench.campaign.scenario import OPTIONS, SPEED
 from bench.campaign.truth import Holding, holding, residuals, true_px4_gyro

@@ -1,24 +1,137 @@
-"""One SIGKILL run: ``mavcal serve``, killed when its journal reaches a step, started again, and left to itself."""
+"""SIGKILL runs of ``mavcal serve``: killed when its journal reaches a step, started again, and left to itself."""
 
 from __future__ import annotations
 
+import sqlite3
 import tempfile
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from bench.campaign.judge import Ending, Evidence, judge
-from bench.campaign.kill_scene import Kill
-from bench.campaign.report import KillReport
+from bench.campaign.report import REPEATS, KillReport
 from bench.campaign.scenario import OPTIONS, SPEED
-from bench.campaign.service_process import ServiceProcess, journal, wait_for_step
 from bench.campaign.truth import Holding, holding, residuals
+from bench.running import RunningService
 from mavcal.client import ApiProblem, Client, Unreachable
 from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
+
+SERIES = 1000
+"""Repetition n of a kill has its index plus n times this."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """How the vehicle and the job are set up."""
+
+    autopilot: str
+    job: str
+    fault: Mapping[str, Any] | None = None
+    """Let loose when the plan is accepted; `share` places it among the plan's parameters."""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """Settings of the vehicle."""
+    moves: bool = False
+    """The vehicle is on two links; the service that takes the write up knows only the second."""
+    gyro_off_by: float = 0.0
+    """How far from its truth somebody has set PX4's first gyro along x before the job, rad/s: it is to be written."""
+
+
+_BARE = {"INS_GYR_CAL": 0.0}
+"""No calibration of its own at boot: there is something to calibrate."""
+
+SCENES: Mapping[str, Scene] = {
+    "gyro": Scene("ardupilot", "gyro", None, _BARE),
+    # IMU_GYRO_CAL_EN 1 let PX4 correct gyro_off_by itself once in 76 runs: nothing was left to write.
+    "restart": Scene("px4", "gyro", None, {"IMU_GYRO_CAL_EN": 0.0}, gyro_off_by=0.004),
+    "commands": Scene("ardupilot", "accel", None, _BARE),
+    "not applied": Scene("ardupilot", "gyro", {"kind": "not_applied", "share": 0.5}, _BARE),
+    "third party": Scene("ardupilot", "gyro", {"kind": "foreign_write", "share": 0.99, "value": 0.0321}, _BARE),
+    "armed": Scene("ardupilot", "gyro", {"kind": "arm", "share": 0.6}, _BARE),
+    "other link": Scene("ardupilot", "gyro", None, _BARE, moves=True),
+    "capture": Scene("px4", "gyro", None, {"IMU_GYRO_CAL_EN": 0.0}),
+}
+
+_LEADS: Mapping[str, tuple[JournalStep, ...]] = {
+    "gyro": (
+        JournalStep.ACCEPTED,
+        JournalStep.STREAMS,
+        JournalStep.SNAPSHOT,
+        JournalStep.SEND,
+        JournalStep.ECHO,
+        JournalStep.READ_BACK,
+        JournalStep.VERIFIED,
+        JournalStep.STREAMS_RESTORED,
+        JournalStep.CLOSED,
+    ),
+    "restart": (JournalStep.REBOOT, JournalStep.REBOOTED, JournalStep.RESTORE, JournalStep.RESTORED),
+    "commands": (JournalStep.COMMAND, JournalStep.COMMANDED),
+    "not applied": (JournalStep.ROLL_BACK, JournalStep.UNDO, JournalStep.UNDONE),
+    "third party": (JournalStep.LEFT,),
+    "armed": (JournalStep.STOPPED,),
+    "other link": (JournalStep.SEND, JournalStep.ECHO),
+    "capture": (JournalStep.STREAMS,),
+}
+"""Which scene leads through which steps."""
+
+
+@dataclass(frozen=True)
+class Kill:
+    """One run: kill at the `occurrence`-th row of `step` after the accept (in the scene ``capture``: at all)."""
+
+    index: int
+    seed: int
+    scene: str
+    step: JournalStep
+    occurrence: int
+    again: JournalStep | None = None
+    """Killed a second time, at the first row of this step that the restarted service writes."""
+    scenery: Scene = field(repr=False, default=SCENES["gyro"])
+
+
+def kills(seed: int) -> tuple[Kill, ...]:
+    """Every step of the journal, `REPEATS` times, at different occurrences; and some services that are killed twice."""
+    planned: list[tuple[str, JournalStep, int, JournalStep | None]] = [
+        (scene, step, _occurrence(step, repeat), None)
+        for repeat in range(REPEATS)
+        for scene, steps in _LEADS.items()
+        for step in steps
+    ]
+    planned += [
+        ("gyro", JournalStep.SEND, 6, JournalStep.UNDO),
+        ("gyro", JournalStep.ECHO, 3, JournalStep.ROLL_BACK),
+        ("gyro", JournalStep.READ_BACK, 1, JournalStep.VERIFIED),
+        ("restart", JournalStep.REBOOT, 1, JournalStep.REBOOTED),
+        ("not applied", JournalStep.UNDO, 2, JournalStep.UNDONE),
+    ]
+    return tuple(Kill(i, seed, s, step, n, again, SCENES[s]) for i, (s, step, n, again) in enumerate(planned))
+
+
+def repetition(kill: Kill, number: int) -> Kill:
+    """The same once more, for a step that was not struck often enough."""
+    return replace(kill, index=kill.index % SERIES + number * SERIES, again=None)
+
+
+def kill_of(seed: int, index: int) -> Kill:
+    """The kill of that index, be it a repetition. Raises IndexError if there is none."""
+    kill = kills(seed)[index % SERIES]
+    return kill if index < SERIES else repetition(kill, index // SERIES)
+
+
+def _occurrence(step: JournalStep, repeat: int) -> int:
+    """The first, one in the middle, one near the end; the other steps come once."""
+    many = {
+        JournalStep.SEND: (1, 5, 12),
+        JournalStep.ECHO: (1, 7, 12),
+        JournalStep.UNDO: (1, 4, 9),
+        JournalStep.UNDONE: (1, 5, 11),
+    }
+    return many.get(step, (1, 1, 1))[repeat]
+
 
 Json = dict[str, Any]
 
@@ -26,6 +139,8 @@ REVIEWED_S = 90.0
 KILLED_S = 60.0
 RESOLVED_S = 120.0
 POLL_S = 0.05
+JOURNAL_S = 0.0001
+DATABASE = "mavcal.sqlite3"
 PROVE_S = 20.0
 """Nobody moves the vehicle in these runs: what lies still proves the gyro."""
 ENDED = frozenset({"succeeded", "reverted", "review", "interrupted", "failed", "cancelled"})
@@ -85,7 +200,7 @@ class _KillRun:
             self._second_life(data_dir, vehicle)
         if vehicle.state()["armed"]:
             vehicle.call("disarm")
-        service = ServiceProcess(data_dir, vehicle.urls[-1])
+        service = RunningService(vehicle.urls[-1], data_dir)
         try:
             job = self._ended(service.client, RESOLVED_S)
         finally:
@@ -100,7 +215,7 @@ class _KillRun:
     # --- the first life of the service, up to its kill
 
     def _first_life(self, data_dir: Path, vehicle: SimulatedVehicle) -> Holding:
-        service = ServiceProcess(data_dir, vehicle.url)
+        service = RunningService(vehicle.url, data_dir)
         try:
             client = service.client
             vehicle_id = _found(client)
@@ -158,7 +273,7 @@ class _KillRun:
     # --- kills
 
     def _killed(
-        self, service: ServiceProcess, data_dir: Path, step: JournalStep, since: Callable[[list[str]], list[str]]
+        self, service: RunningService, data_dir: Path, step: JournalStep, since: Callable[[list[str]], list[str]]
     ) -> None:
         """Kill the service when `step` has come as often as planned; note at which step it died."""
         wanted = self._kill.occurrence if step == self._kill.step else 1
@@ -180,7 +295,7 @@ class _KillRun:
         """The service that recovers is killed too."""
         known = len(journal(data_dir, self._job_id))
         assert self._kill.again is not None
-        service = ServiceProcess(data_dir, vehicle.url)
+        service = RunningService(vehicle.url, data_dir)
         self._killed(service, data_dir, self._kill.again, lambda steps: steps[known:])
 
     def _ended(self, client: Client, timeout_s: float) -> Json:
@@ -222,3 +337,33 @@ def _patiently(ask: Callable[[], Any]) -> Any:
             if error.status != 409 or time.monotonic() > deadline:
                 raise
             time.sleep(0.3)
+
+
+def journal(data_dir: Path, job_id: str) -> list[str]:
+    """The steps of a job's journal, oldest first, through a connection that cannot write."""
+    with closing(_read_only(data_dir)) as db:
+        return _steps(db, job_id)
+
+
+def wait_for_step(
+    data_dir: Path, job_id: str, reached: Callable[[list[str]], bool], ended: Callable[[], bool], timeout_s: float
+) -> bool:
+    """Wait until the journal is as `reached` says; False if `ended` came first, or the time is up."""
+    deadline = time.monotonic() + timeout_s
+    with closing(_read_only(data_dir)) as db:
+        while time.monotonic() < deadline:
+            for _ in range(200):
+                if reached(_steps(db, job_id)):
+                    return True
+                time.sleep(JOURNAL_S)
+            if ended():
+                return reached(_steps(db, job_id))
+    return False
+
+
+def _read_only(data_dir: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"file:{data_dir / DATABASE}?mode=ro", uri=True, isolation_level=None, timeout=5.0)
+
+
+def _steps(db: sqlite3.Connection, job_id: str) -> list[str]:
+    return [row[0] for row in db.execute("SELECT step FROM journal WHERE job_id = ? ORDER BY id", (job_id,))]

@@ -14,8 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.firmware import plans
-from bench.firmware.rounds import KINDS
+from bench.firmware.rounds import KINDS, arducopter, px4
 from bench.firmware.scoring import Row, table
 
 
@@ -40,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory(prefix="mavcal-firmware-") as temporary:
         keep = args.keep or Path(temporary)
         for seed in args.seed or [1]:
-            for binary, rounds in ((args.arducopter, plans.arducopter), (args.px4, plans.px4)):
+            for binary, rounds in ((args.arducopter, arducopter), (args.px4, px4)):
                 if binary is not None:
                     folder = keep / f"{rounds.__name__}-{seed}"
                     rounds(binary.resolve(), folder, seed, args.instance, args.only or KINDS, report)

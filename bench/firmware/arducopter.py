@@ -16,8 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.firmware.process import FirmwareProcess, SecondConnection
-from bench.firmware.rotations import FACES
-from bench.firmware.truth import MGAUSS, VehicleTruth
+from bench.firmware.truth import FACES, MGAUSS, VehicleTruth
 
 HOME: Final = "47.3769,8.5417,450,0"
 STOP, ATTITUDE, TURN_FROM = 1050, 1150, 1300

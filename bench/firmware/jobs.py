@@ -6,10 +6,8 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from mavcal.client import ApiProblem, Client, Unreachable
@@ -45,30 +43,6 @@ class Done:
         if outcome is None:
             return ""
         return outcome.text if isinstance(outcome, ResultModel) else f"{outcome.cause} {outcome.remedy}".strip()
-
-
-@contextmanager
-def service(connect: Sequence[str], data_dir: Path) -> Iterator[Client]:
-    """A running service with its client; it ends with the block."""
-    command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0", "--data-dir", str(data_dir)]
-    for url in connect:
-        command += ["--connect", url]
-    with (data_dir / "service.log").open("ab") as log:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, env=ending_with_us())
-    try:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        if not line:
-            raise MavcalError(f"the service did not start: see {data_dir / 'service.log'}")
-        with Client(str(json.loads(line)["url"])) as client:
-            yield client
-    finally:
-        process.terminate()
-        try:
-            process.wait(timeout=15.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 def vehicle_of(client: Client) -> str:

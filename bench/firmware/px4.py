@@ -23,8 +23,7 @@ import numpy as np
 
 from bench.firmware.process import FirmwareProcess, SecondConnection
 from bench.firmware.px4_source import HOME
-from bench.firmware.rotations import FACES
-from bench.firmware.truth import GAUSS, VehicleTruth
+from bench.firmware.truth import FACES, GAUSS, VehicleTruth
 
 HAND_DPS: Final = 90.0
 MIDDLE_C: Final = 25.0

@@ -20,8 +20,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
+from scipy.spatial.transform import Rotation
 
-from bench.firmware.rotations import about, from_euler, multiplied, rotation_between, to_body
 from mavcal.service.lifetime import follow
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class Movement:
     rate: float
     left: float
     """rad still to turn."""
-    target: Array | None
+    target: Rotation | None
     """The attitude at its end; None: wherever it ends."""
 
 
@@ -59,7 +59,7 @@ class Board:
     def __init__(self, truth: dict[str, Any], seed: int) -> None:
         self._truth = truth
         self._rng = np.random.default_rng(seed)
-        self.q = np.array([1.0, 0.0, 0.0, 0.0])
+        self.attitude = Rotation.identity()
         self.rate = np.zeros(3)
         self.celsius = float(truth["celsius"])
         self._ramp: tuple[float, float] | None = None
@@ -71,9 +71,10 @@ class Board:
         """Do one request; the state."""
         if asked["do"] == "hold":
             self._tumble_dps = 0.0
-            target = from_euler(*np.radians(asked["pose"]))
-            axis, angle = rotation_between(self.q, target)
-            self._movement = Movement(axis, math.radians(asked["dps"]), angle, target)
+            target = Rotation.from_euler("ZYX", asked["pose"][::-1], degrees=True)
+            turn = (self.attitude.inv() * target).as_rotvec()
+            angle = float(np.linalg.norm(turn))
+            self._movement = Movement(turn / max(angle, 1e-12), math.radians(asked["dps"]), angle, target)
         elif asked["do"] == "tumble":
             self._tumble_dps, self._movement = asked["dps"], None
         elif asked["do"] == "still":
@@ -84,7 +85,8 @@ class Board:
             self.celsius, self._ramp = float(asked["start"]), (float(asked["end"]), float(asked["tau_s"]))
         elif asked["do"] == "set":
             self._truth[asked["sensor"]][asked["instance"]].update(asked["change"])
-        return {"moving": self._movement is not None, "celsius": self.celsius, "q": self.q.tolist()}
+        q = self.attitude.as_quat(scalar_first=True).tolist()
+        return {"moving": self._movement is not None, "celsius": self.celsius, "q": q}
 
     def step(self, dt: float) -> None:
         """Move and warm for one step."""
@@ -95,11 +97,11 @@ class Board:
         self.rate = np.zeros(3)
         if self._movement is not None:
             turned = min(self._movement.rate * dt, self._movement.left)
-            self.q = multiplied(self.q, about(self._movement.axis, turned))
+            self.attitude = self.attitude * Rotation.from_rotvec(self._movement.axis * turned)
             self.rate = self._movement.axis * turned / dt
             self._movement.left -= turned
             if self._movement.left <= 0.0:
-                self.q = self.q if self._movement.target is None else self._movement.target
+                self.attitude = self._movement.target or self.attitude
                 self._movement = None
         if self._ramp is not None:
             end, tau = self._ramp
@@ -115,9 +117,9 @@ class Board:
         if own.get("frozen") and (sensor, instance) in self._last:
             return self._last[sensor, instance]
         true = {
-            "accel": to_body(self.q, np.array([0.0, 0.0, -GRAVITY])),
+            "accel": self.attitude.inv().apply([0.0, 0.0, -GRAVITY]),
             "gyro": self.rate,
-            "mag": to_body(self.q, FIELD_GAUSS),
+            "mag": self.attitude.inv().apply(FIELD_GAUSS),
         }[sensor]
         warm = self.celsius - self._truth["middle_celsius"]
         drift = sum((np.array(c) * warm ** (k + 1) for k, c in enumerate(own.get("drift", []))), np.zeros(3))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from bench.firmware.jobs import Done
+from bench.rows import grid
 from mavcal.client.enums import JobState
 
 WITHIN = 1.959964
@@ -37,7 +38,6 @@ class Row:
     said: str
     right: bool = True
     """Whether the step ended as it should."""
-    names: tuple[str, ...] = field(default=())
 
     @property
     def within(self) -> int:
@@ -71,7 +71,6 @@ def scored(
         tuple(untrue),
         done.said,
         right=job.state is JobState.SUCCEEDED,
-        names=tuple(errors),
     )
 
 
@@ -135,20 +134,15 @@ def _about_the_numbers(state: JobState, errors: Mapping[str, float]) -> list[str
 
 def table(rows: Sequence[Row]) -> str:
     """The rows in Markdown, and what all of them together say of the intervals."""
-    lines = [
-        "| autopilot | round | step | ended | proof | error/sd: rms | in 95 % | farthest | s | untrue |",
-        "|" + "---|" * 10,
-    ]
+    cells = []
     for row in rows:
         rms = f"{math.sqrt(sum(z * z for z in row.errors) / len(row.errors)):.2f}" if row.errors else ""
         within = f"{row.within} of {len(row.errors)}" if row.errors else ""
         ended = row.state if row.right else f"**{row.state}**: {row.said}"
-        lines.append(
-            f"| {row.autopilot} | {row.round} | {row.step} | {ended} | {row.proof} | {rms} | {within} "
-            f"| {row.farthest} | {row.seconds:.0f} | {'; '.join(row.untrue)} |"
-        )
-    count = sum(len(row.errors) for row in rows)
-    held = sum(row.within for row in rows)
+        numbers = (row.proof, rms, within, row.farthest, f"{row.seconds:.0f}")
+        cells.append((row.autopilot, row.round, row.step, ended, *numbers, "; ".join(row.untrue)))
+    count, held = (sum(numbers) for numbers in zip(*((len(row.errors), row.within) for row in rows), strict=True))
     bad = sum(not row.good for row in rows)
-    lines += ["", f"{held} of {count} intervals hold the truth; {bad} of {len(rows)} steps not as they should be."]
-    return "\n".join(lines)
+    head = ("autopilot", "round", "step", "ended", "proof", "error/sd: rms", "in 95 %", "farthest", "s", "untrue")
+    said = f"{held} of {count} intervals hold the truth; {bad} of {len(rows)} steps not as they should be."
+    return f"{grid(head, cells)}\n\n{said}"

@@ -36,6 +36,9 @@ DRIFT_GYRO = (4e-4, 3e-6, 4e-8)
 """SI units per degC to the power of 1, 2, 3."""
 MGAUSS, GAUSS = 0.1, 100.0
 """uT."""
+_ROLLED = {"level": (0.0, 0.0, 0.0), "left": (-90.0, 0.0, 0.0), "right": (90.0, 0.0, 0.0), "back": (180.0, 0.0, 0.0)}
+FACES = {**_ROLLED, "nose_down": (0.0, -90.0, 0.0), "nose_up": (0.0, 90.0, 0.0)}
+"""Roll, pitch and yaw (deg) in which a vehicle lies on each of its faces."""
 
 
 @dataclass(frozen=True)

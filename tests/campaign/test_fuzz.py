@@ -6,7 +6,7 @@ import resource
 
 import pytest
 
-from bench.fuzz import FORMATS, campaign
+from tests.campaign.fuzz import FORMATS, campaign
 
 
 @pytest.mark.parametrize("name", list(FORMATS))

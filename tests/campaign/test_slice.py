@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import pytest
 
 from bench.campaign.cli_run import cli_kills, run_cli_kill
-from bench.campaign.criteria import CLEAR_SD
 from bench.campaign.fault_run import run_fault
 from bench.campaign.judge import Ending
-from bench.campaign.kill_run import run_kill
-from bench.campaign.kill_scene import kill_of
-from bench.campaign.report import FaultReport, KillReport
+from bench.campaign.kill_run import kill_of, run_kill
+from bench.campaign.report import CLEAR_SD, FaultReport, KillReport
 from bench.campaign.scenario import KINDS, scenarios
 
 pytestmark = [pytest.mark.campaign, pytest.mark.long, pytest.mark.timeout(300)]

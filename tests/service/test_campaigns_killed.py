@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.campaign.service_process import ServiceProcess
+from bench.running import RunningService
 from mavcal.client.jobs import JobModel
 from mavcal.client.models import ItemModel
 from mavcal.service.lifetime import ending_with_us
@@ -46,7 +46,7 @@ async def uploaded(folder: Path, paths: list[Path]) -> None:
             await a.call("POST", "/api/v1/recordings", 201, params={"name": path.name}, content=content)
 
 
-def until(service: ServiceProcess, job_id: str, reached: Callable[[list[ItemModel]], bool]) -> list[ItemModel]:
+def until(service: RunningService, job_id: str, reached: Callable[[list[ItemModel]], bool]) -> list[ItemModel]:
     limit = patience(60.0)
     while not reached(found := service.client.list_items(job_id)):
         assert not limit.over, found
@@ -54,7 +54,7 @@ def until(service: ServiceProcess, job_id: str, reached: Callable[[list[ItemMode
     return found
 
 
-def ended(service: ServiceProcess, job_id: str) -> JobModel:
+def ended(service: RunningService, job_id: str) -> JobModel:
     limit = patience(90.0)
     while (job := service.client.get_job(job_id)).state == "running":
         assert not limit.over, service.client.list_items(job_id)
@@ -67,7 +67,7 @@ def test_fits_that_were_made_are_not_made_again(tmp_path: Path) -> None:
     data = tmp_path / "data"
     paths = [write_rest(tmp_path / f"rest{n}.npz", n) for n in range(7)]
     asyncio.run(uploaded(data, [*paths, write_rest(tmp_path / "rest7.npz", 7, LONG)]))
-    first = ServiceProcess(data, LINK)
+    first = RunningService(LINK, data)
     try:
         job_id = first.client.start_fit_campaign(recordings="all", method="allan", at_once=2).id
         before = until(first, job_id, lambda found: sum(i.outcome == "done" for i in found) >= 2)
@@ -77,7 +77,7 @@ def test_fits_that_were_made_are_not_made_again(tmp_path: Path) -> None:
     done = {n: row.body for n, row in kept.items() if row.outcome == "done"}
     assert {i.number for i in before if i.outcome == "done"} <= set(done)
     assert len(done) < 8, "the campaign was over before it was killed"
-    second = ServiceProcess(data, LINK)
+    second = RunningService(LINK, data)
     try:
         job = ended(second, job_id)
         assert job.state == "succeeded", job.outcome
@@ -95,7 +95,7 @@ def test_calibrations_are_written_once(tmp_path: Path, state: str) -> None:
     data = tmp_path / "data"
     sims = [SimulatedVehicle("ardupilot", speed=4.0, seed=50 + n, config={"thermal": False}) for n in range(2)]
     with sims[0] as one, sims[1] as two:
-        first = ServiceProcess(data, LINK)
+        first = RunningService(LINK, data)
         try:
             ids = vehicles(first, one, two)
             begun = first.client.start_calibration_campaign(
@@ -105,7 +105,7 @@ def test_calibrations_are_written_once(tmp_path: Path, state: str) -> None:
         finally:
             first.kill()
         assert reached
-        second = ServiceProcess(data, LINK)  # it remembers the links
+        second = RunningService(LINK, data)  # it remembers the links
         try:
             job = ended(second, begun.id)
             assert job.state == "succeeded", job.outcome
@@ -123,7 +123,7 @@ def test_calibrations_are_written_once(tmp_path: Path, state: str) -> None:
     assert check_audit_of(data).intact
 
 
-def vehicles(service: ServiceProcess, *sims: SimulatedVehicle) -> list[str]:
+def vehicles(service: RunningService, *sims: SimulatedVehicle) -> list[str]:
     """Ids of these vehicles, once they may be written to and there is something to calibrate."""
     links = [service.client.open_link(url=sim.url).id for sim in sims]
     limit = patience(30.0)
@@ -137,7 +137,7 @@ def vehicles(service: ServiceProcess, *sims: SimulatedVehicle) -> list[str]:
     raise AssertionError(service.client.list_vehicles())
 
 
-def jobs_in(service: ServiceProcess, state: str) -> bool:
+def jobs_in(service: RunningService, state: str) -> bool:
     limit = patience(60.0)
     while not limit.over:
         if any(job.state == state for job in service.client.list_jobs(kind="gyro")):

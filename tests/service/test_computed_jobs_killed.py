@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bench.campaign.service_process import ServiceProcess
+from bench.running import RunningService
 from mavcal.client import Client
 from mavcal.client.jobs import JobModel, ResultModel
 from mavcal.service.cli import cli
@@ -47,7 +47,7 @@ def begin(client: Client, kind: str, recording: str) -> str:
     return client.start_fit(recording=recording, method="allan").id
 
 
-def until(service: ServiceProcess, job_id: str, *states: str) -> JobModel:
+def until(service: RunningService, job_id: str, *states: str) -> JobModel:
     limit = time.monotonic() + scaled(60)
     while (job := service.client.get_job(job_id)).state not in states:
         assert time.monotonic() < limit, job
@@ -70,7 +70,7 @@ def test_a_killed_computation_begins_again(tmp_path: Path, kind: str) -> None:
     data = tmp_path / "data"
     table = write_table(tmp_path / "real.csv", seconds=20.0) if kind == "gap" else write_rest(tmp_path / "rest.npz")
     recording = asyncio.run(uploaded(data, table))
-    first = ServiceProcess(data, LINK)
+    first = RunningService(LINK, data)
     try:
         job_id = begin(first.client, kind, recording)
         until(first, job_id, "fitting")
@@ -81,7 +81,7 @@ def test_a_killed_computation_begins_again(tmp_path: Path, kind: str) -> None:
     store.close()
     assert row is not None
     assert row.state in {"queued", "fitting"}
-    second = ServiceProcess(data, LINK)
+    second = RunningService(LINK, data)
     try:
         ended = until(second, job_id, "succeeded")
         assert isinstance(ended.outcome, ResultModel)

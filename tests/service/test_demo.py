@@ -1,4 +1,4 @@
-"""The demonstration end to end, one seed an autopilot; `python -m bench.seeds` runs twenty in a row."""
+"""The demonstration end to end, one seed an autopilot."""
 
 from __future__ import annotations
 

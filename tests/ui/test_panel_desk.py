@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import expect
 
-from bench.film.rooms import connected, flown
 from mavcal.client import Client
+from tests.ui.rooms import connected, flown
 
 from .panel import KEPT, service, shot, sim, until
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import expect
 
-from bench.film.rooms import connected, endpoint
 from mavcal.client import Client
+from tests.ui.rooms import connected, endpoint
 
 from .panel import Panel, service, until
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from bench.film.rooms import connected
 from mavcal.client import Client
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
+from tests.ui.rooms import connected
 
 from .panel import KEPT, Panel, service, shot, sim, until
 

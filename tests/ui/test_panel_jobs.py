@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
@@ -217,8 +217,8 @@ def test_five_vehicles_fit_one_screen(browser, tmp_path):
 @contextmanager
 def many(port: int, count: int) -> Iterator[None]:
     """So many vehicles on one UDP port, for which one process sends."""
-    order = json.dumps({"ports": [port], "vehicles": count, "streaming": 0, "seconds": 3600})
-    process = subprocess.Popen([sys.executable, "-m", "bench.scale", "send", order], stdout=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "tests.ui.many_vehicles", str(port), str(count)]
+    process = subprocess.Popen(command, cwd=Path(__file__).resolve().parents[2])
     try:
         yield
     finally:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from playwright.sync_api import expect
 
-from bench.film.rooms import connected, reviewed
 from mavcal.client import Client
+from tests.ui.rooms import connected, reviewed
 
 from .panel import Panel, service, shot, sim, until
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Route, expect
 
-from bench.film.rooms import connected, endpoint, reviewed, written
 from mavcal.client import Client
+from tests.ui.rooms import connected, endpoint, reviewed, written
 
 from .panel import Panel, service
 

@@ -9,8 +9,8 @@ from urllib.request import urlopen
 
 import pytest
 
-from bench.film.rooms import capturing, furnish
 from mavcal.client import Client
+from tests.ui.rooms import capturing, furnish
 
 from .panel import PHONE, Panel, service, until
 

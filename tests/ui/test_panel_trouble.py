@@ -7,10 +7,10 @@ import re
 
 import pytest
 
-from bench.film.rooms import connected, large
 from mavcal.client import Client
 from mavcal.service.api.security import digest
 from mavcal.service.simvehicle import SimulatedVehicle
+from tests.ui.rooms import connected, large
 
 from .panel import KEPT, PHONE, Panel, service, sim, until
 from .test_panel_jobs import prompt_and_button_in_sight

@@ -1,15 +1,11 @@
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from bench.accuracy import peers, rows_imu, rows_mag, rows_thermal
 from bench.accuracy.__main__ import main
-from bench.accuracy.campaign import Answer, Case, Contender, Drawn, run_case
-from bench.accuracy.settings import Settings
+from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Settings, run_case
 from bench.accuracy.tables import accuracy_part
 
 TRUTH = np.array([1.0, -2.0])
@@ -103,7 +99,7 @@ def test_a_peer_that_takes_too_long_makes_fewer_runs_and_ours_all() -> None:
 def test_a_slice_of_the_magnetometer(capsys: pytest.CaptureFixture[str]) -> None:
     settings = Settings(quick=True, silent=True)
     contenders, missing = rows_mag.contenders(rows_mag.CLEAN)
-    assert len(contenders) + len(missing) == 10 + len(peers.MAGNETOMETER)
+    assert len(contenders) + len(missing) == 9 + len(peers.MAGNETOMETER)
     (case, *_) = rows_mag.cases(settings)["tilt up to 45 degrees"]
     tallies = {t.contender.name: t for t in run_case(case, contenders[:4])}
     ours = tallies["**mavcal mag-ellipsoid**"]
@@ -122,17 +118,12 @@ def test_seeds_are_fixed_and_differ() -> None:
     assert [one.runs(n) for n in (100, 10_000, 100_000, 1_000_000)] == [200, 200, 60, 40]
 
 
-def test_the_command_writes_its_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "accuracy.md"
-    assert main(["six-face", "allan", "--quick", "--out", str(out)]) == 0
-    text = out.read_text(encoding="utf-8")
+def test_the_command_prints_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["six-face", "allan", "--quick"]) == 0
     printed = capsys.readouterr().out
-    assert all(line in text for line in printed.splitlines())
-    assert "## Six faces, noise of 3 mG" in text
-    for name in peers.DISTRIBUTIONS:
-        assert re.search(rf"{name} (\(not installed\)|\d)", text)
+    assert "## Six faces, noise of 3 mG" in printed
     if peers.version_of("imucal") is None:
-        assert "Not measured: imucal Ferraris: not installed." in text
+        assert "Not measured: imucal Ferraris: not installed." in printed
 
 
 def test_what_a_peer_is_missing_is_named() -> None:
@@ -144,7 +135,7 @@ def test_unwary_forms_answer_on_clean_data() -> None:
     data = rows_thermal._warmup(np.random.default_rng(1), 5000, 0.0)
     own = rows_thermal._ours(data)
     assert own is not None
-    for form in (rows_thermal._polyfit, rows_thermal._vandermonde, rows_thermal._averaged):
+    for form in (rows_thermal._polyfit, rows_thermal._averaged):
         np.testing.assert_allclose(form(data).values, own.values, atol=6 * own.stored_sd.max())
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.accuracy import bounds, bounds_imu, rows_align, rows_imu, scenes
+from bench.accuracy import bounds, rows_align, rows_imu, scenes
 from mavcal.calib.mag.distance import score_rows
 from mavcal.calib.mag.shape import Ellipsoid
 
@@ -17,7 +17,7 @@ def test_the_bound_of_the_ellipsoid_is_that_with_every_direction_eliminated() ->
     truth = np.concatenate([scenes.OFFSET, scenes.SHAPE[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
 
     def sample(p, direction, angles):
-        across = bounds_imu._tangent(direction)
+        across = bounds._tangent(direction)
         shape = np.array([[p[3], p[6], p[7]], [p[6], p[4], p[8]], [p[7], p[8], p[5]]])
         return shape @ (direction + across @ angles) + p[:3]
 
@@ -79,12 +79,12 @@ def test_the_bound_of_the_alignment_is_what_the_fit_states() -> None:
 def test_a_movement_carries_errors_as_it_carries_the_vertical() -> None:
     data = rows_imu.held(np.random.default_rng(5), 2)
     first, last = 300, 480
-    rows, covariance = bounds_imu._move(rows_imu.UNIT, first, last, data.rates, data.downs, 0.01)
+    rows, covariance = bounds._move(rows_imu.UNIT, first, last, data.rates, data.downs, 0.01)
 
     def carried(down, gyro, offset):
         readings = data.rates[first:last] @ rows_imu.GYRO.T + rows_imu.GYRO_OFFSET
         for reading in readings:
-            down = bounds_imu._turned(np.linalg.solve(gyro, reading - offset), 0.01) @ down
+            down = bounds._turned(np.linalg.solve(gyro, reading - offset), 0.01) @ down
         return down
 
     at = data.downs[first]

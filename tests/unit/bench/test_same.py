@@ -115,18 +115,10 @@ def test_a_difference_is_printed_with_its_place_and_exits_with_one(
     assert "0 of 1 answers are the same" in out
 
 
-def test_an_answer_that_one_folder_lacks_is_a_difference_unless_only_common_ones_are_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_answer_that_one_folder_lacks_is_a_difference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before, after = written(tmp_path / "before", a=REPORT, b={}), written(tmp_path / "after", a=REPORT)
     assert main([str(before), str(after)]) == 1
     assert "b.json: only in" in capsys.readouterr().out
-    assert main([str(before), str(after), "--common"]) == 0
-
-
-def test_folders_that_have_no_answer_in_common_are_not_the_same(tmp_path: Path) -> None:
-    before, after = written(tmp_path / "before", a=REPORT), written(tmp_path / "after", b=REPORT)
-    assert main([str(before), str(after), "--common"]) == 1
 
 
 def test_a_folder_without_an_answer_and_a_damaged_answer_are_wrong_use(tmp_path: Path) -> None:
@@ -136,12 +128,3 @@ def test_a_folder_without_an_answer_and_a_damaged_answer_are_wrong_use(tmp_path:
     (empty / "a.json").write_text("{", encoding="utf-8")
     with pytest.raises(SystemExit, match="2"):
         main([str(good), str(empty)])
-
-
-def test_an_effect_that_was_added_may_stand_in_lists_and_change_nothing_else(tmp_path: Path) -> None:
-    more = changed()
-    more["effects"].insert(0, {"id": "accel_new", "params": []})
-    before, after = str(written(tmp_path / "a", one=REPORT)), str(written(tmp_path / "b", one=more))
-    assert main([before, after]) == 1
-    assert main([before, after, "--added", "accel_new"]) == 0
-    assert main([before, after, "--added", "accel_bias"]) == 1

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.fleet.odd import alarms, limit
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fleet.odd import LEAST, limit_of, oddness
+from tests.unit.fleet.odd_groups import alarms, limit
 
 
 def healthy(n: int, seed: int = 1) -> np.ndarray:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.dataflash import write_flight
 from mavcal.calib import logs
 from mavcal.calib.flight.report import flight_report
 from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.recording import Channel, Event, Identity, Recording, Sensor, Stage
+from tests.unit.logs.dataflash_file import write_flight
 
 MIB = 2**20
 BLOCKS = 4.0 * MIB

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from bench.common_faults import changed, walk, white
 from bench.gap_recordings import broad_recording
-from bench.unit_faults import FAULTS, broken, pair
 from mavcal.calib import gap, logs
 from mavcal.calib.blind.real import halves, injected
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict
 from mavcal.calib.recording import Channel, Recording, Sensor
+from tests.unit.gap.faulted import changed, delayed, walk, white, windy_and_calm
 
 pytestmark = [pytest.mark.shared, pytest.mark.long, pytest.mark.timeout(600)]
 
@@ -242,7 +241,7 @@ def test_an_offset_that_px4_halves_when_it_disarms_is_an_offset(shared_data: Pat
 def test_a_vehicle_that_flies_differently_has_no_wrong_sensor(
     shared_data: Path, tmp_path: Path, name: str, known: dict[str, list[int]]
 ) -> None:
-    """Wind and turbulence; other inertia; other thrust and a wrong accelerometer (bench/airframes.py: all)."""
+    """Wind and turbulence; other inertia; other thrust and a wrong accelerometer."""
     folder = shared_data / "airframe_flights"
     real, sim = (packed(folder / f"{file}.bin.xz", tmp_path) for file in (name, "d01sim"))
     report = gap.run(real, sim, nested=False)
@@ -325,9 +324,8 @@ def test_what_is_put_into_one_of_two_units_is_found_on_that_one(shared_data: Pat
 def test_a_gyroscope_that_is_late_is_named_although_the_trajectory_follows_it(
     shared_data: Path, tmp_path: Path
 ) -> None:
-    real, sim = pair("d02", shared_data, tmp_path)
-    sensor, fault, called = FAULTS["gyroscope delay 20 ms"]
-    (effect,) = gap.run(broken(real, sensor, fault), sim, nested=False).effects
-    assert (effect.id, effect.instances) == (called, (1,))
+    real, sim = windy_and_calm(shared_data, tmp_path)
+    (effect,) = gap.run(delayed(real, Sensor.GYRO, 0.02), sim, nested=False).effects
+    assert (effect.id, effect.instances) == ("gyro_delay", (1,))
     assert effect.params[0].value == pytest.approx(0.02, abs=0.001)
     assert effect.params[0].ci95[0] > 0.0

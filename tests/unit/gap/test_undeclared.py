@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.gap_picture import CLEAN, REAL, recorded
 from mavcal.calib import gap
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.recording import Sensor
+from tests.unit.gap.recorded import CLEAN, REAL, recorded
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 

@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from bench.health.__main__ import named_bad
-from bench.health.faults import FAULTS, injected
+from bench.health import named_bad
 from mavcal.calib.health.finding import HealthVerdict
 from mavcal.calib.health.overview import overview
 from mavcal.calib.health.report import health
 from mavcal.calib.recording import Event, Identity, Oddity, OddSamples, ParameterTimeline, Recording, Sensor, Stage
+from tests.unit.health.faults import FAULTS, injected
 from tests.unit.health.made import CALIBRATED, flight
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
-from bench.health.faults import FAULTS, injected
 from mavcal.calib.health.page import health_page
 from mavcal.calib.health.report import health
+from tests.unit.health.faults import FAULTS, injected
 from tests.unit.health.made import flight
 
 

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench import dataflash as made
 from mavcal.calib import logs
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware import undo
 from mavcal.calib.logs.dataflash import read_dataflash, read_dataflash_text
 from mavcal.calib.recording import Oddity, OddSamples, Recording, Rounding, Sensor, Stage
 from tests.examples import examples
+from tests.unit.logs import dataflash_file as made
 
 FLIGHT = made.flight(2.0, seed=1)
 HEAD = made.head()

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench import dataflash as made
 from mavcal.calib.logs.dataflash import DataFlash, scan
 from mavcal.calib.logs.dataflash.formats import define, read_fmt
 from mavcal.calib.logs.dataflash.scan import BLOCK
 from tests.examples import examples
+from tests.unit.logs import dataflash_file as made
 
 FLIGHT = made.flight(2.0, seed=1)
 TALL = made.Message(90, "TALL", "QZZZ", "TimeUS,A,B,C")

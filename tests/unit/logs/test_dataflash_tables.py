@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pymavlink import DFReader
 
-from bench import dataflash as made
 from mavcal.calib.errors import InvalidInputError, UnreadableError
 from mavcal.calib.logs.dataflash import DataFlash
+from tests.unit.logs import dataflash_file as made
 
 UNIT = made.Message(80, "UNIT", "QbZ", "TimeUS,Id,Label")
 MULT = made.Message(81, "MULT", "Qbd", "TimeUS,Id,Mult")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.compass.campaign import deviations
-from bench.compass.scene import turned
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.blur import rates_during
 from mavcal.calib.mag.blur_axes import axes_of_gyro
@@ -14,6 +12,7 @@ from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.mag.samples import not_repeated
 from mavcal.calib.recording import Sensor
 from mavcal.service.simvehicle.rotation import mounting_matrix
+from tests.unit.mag.turned import deviations, turned
 
 SEEDS = range(100, 112)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.compass.campaign import deviations
 from mavcal.calib.mag.blur import Rates
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.mag.still import counted_as, still_stretches
+from tests.unit.mag.turned import deviations
 
 STEP = 0.1
 

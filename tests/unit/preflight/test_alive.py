@@ -7,15 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bench.preflight.campaign import report_of
-from bench.preflight.faults import FAULTS, use_all
-from bench.preflight.vehicle import BenchVehicle, healthy
 from mavcal.calib.preflight.alive import census
 from mavcal.calib.preflight.check import CheckId, Report, Verdict
 from mavcal.calib.preflight.installed import announced
 from mavcal.calib.preflight.movement import movement
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.recording import Recording, Sensor
+from tests.unit.preflight.faults import FAULTS, report_of, use_all
+from tests.unit.preflight.vehicle import BenchVehicle, healthy
 
 AP_BOTH = {"INS_ACC_ID": 1, "INS_ACC2_ID": 2, "INS_GYR_ID": 3, "INS_GYR2_ID": 4}
 PX4_BOTH = {"CAL_ACC0_ID": 1, "CAL_ACC1_ID": 2, "CAL_GYRO0_ID": 3, "CAL_GYRO1_ID": 4}

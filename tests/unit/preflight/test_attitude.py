@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.preflight.vehicle import healthy
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.preflight.attitude import attitude
@@ -17,6 +16,7 @@ from mavcal.calib.preflight.check import Check, CheckId, Verdict
 from mavcal.calib.preflight.rest import Mean, mean_at_rest
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.recording import Recording, Sensor
+from tests.unit.preflight.vehicle import healthy
 
 CAPTURE = "ardupilot_accel_then_level_1_accel.tlog.xz"
 

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bench.preflight.vehicle import DAY_S, NOW, healthy
 from mavcal.calib.preflight import history
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.history import Changed, Covered, calibrates_gyros, corrected_by, covered_by
 from mavcal.calib.recording import Channel, Sensor, Stage
+from tests.unit.preflight.vehicle import DAY_S, NOW, healthy
 
 ARDUPILOT, PX4 = 2, 3
 IN_FORCE = "the temperature calibration in force"

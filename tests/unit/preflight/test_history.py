@@ -6,12 +6,12 @@ import dataclasses
 
 import pytest
 
-from bench.preflight.vehicle import DAY_S, NOW, healthy
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import history
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Sensor
+from tests.unit.preflight.vehicle import DAY_S, NOW, healthy
 
 ARDUPILOT, PX4 = 2, 3
 

@@ -6,11 +6,11 @@ import dataclasses
 
 import pytest
 
-from bench.preflight.vehicle import healthy
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.motors import motor_compensation
 from mavcal.calib.preflight.snapshot import Snapshot
+from tests.unit.preflight.vehicle import healthy
 
 ARDUPILOT, PX4 = 2, 3
 

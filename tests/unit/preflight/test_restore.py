@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from bench.preflight.vehicle import BenchVehicle, healthy
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.names import OFFSET, ardupilot_imu_names
@@ -19,6 +18,7 @@ from mavcal.calib.preflight.readiness import readiness, unchecked
 from mavcal.calib.preflight.restore import compose_restore
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.recording import Sensor
+from tests.unit.preflight.vehicle import BenchVehicle, healthy
 
 ARDUPILOT, PX4 = 2, 3
 

@@ -7,13 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bench.preflight.campaign import report_of
-from bench.preflight.faults import FAULTS, Fault
-from bench.preflight.vehicle import about, healthy
 from mavcal.calib.preflight.check import CheckId, Verdict
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.snapshot import OwnView
 from mavcal.calib.recording import Sensor
+from tests.unit.preflight.faults import FAULTS, Fault, report_of
+from tests.unit.preflight.vehicle import about, healthy
 
 SEEDS = range(1, 9)
 

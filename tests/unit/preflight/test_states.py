@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-from bench.preflight.vehicle import DAY_S, NOW, healthy
 from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.fit import FitResult
 from mavcal.calib.preflight.check import Verdict
@@ -12,6 +11,7 @@ from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states, summary
 from mavcal.calib.recording import Sensor
 from tests.unit.firmware.conftest import make_fit  # noqa: F401 - a fixture
+from tests.unit.preflight.vehicle import DAY_S, NOW, healthy
 
 
 def snapshot(**parameters: float) -> Snapshot:

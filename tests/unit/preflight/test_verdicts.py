@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.preflight.vehicle import NOW, healthy
 from mavcal.calib.preflight import own
 from mavcal.calib.preflight.check import Check, CheckId, Measure, Report, Verdict, judged, unknown
 from mavcal.calib.preflight.readiness import readiness, unchecked
@@ -18,6 +17,7 @@ from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sens
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial
 from tests.unit.firmware.conftest import make_fit  # noqa: F401 - a fixture
+from tests.unit.preflight.vehicle import NOW, healthy
 
 PASS, WARN, FAIL, UNKNOWN = Verdict.PASS, Verdict.WARN, Verdict.FAIL, Verdict.UNKNOWN
 RISING = [PASS, WARN, FAIL]

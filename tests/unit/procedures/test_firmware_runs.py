@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from bench.compass.campaign import deviations
 from mavcal.calib.firmware import undo
 from mavcal.calib.logs import read
 from mavcal.calib.methods import METHODS
@@ -16,6 +15,7 @@ from mavcal.calib.procedures.registry import create
 from mavcal.calib.procedures.replay import replay
 from mavcal.calib.recording import ParameterTimeline, Recording
 from mavcal.service.jobs.digest import context_of, field_of
+from tests.unit.mag.turned import deviations
 
 pytestmark = pytest.mark.shared
 

@@ -8,10 +8,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from bench import effects
 from mavcal.calib.gap.effects import by_id, catalogue, forward_models, parameter_table
 from mavcal.calib.gap.effects.base import LatticeEffect, MeanEffect, NoiseEffect
 from mavcal.calib.recording import Sensor
+from scripts import effects
 
 from .conftest import make
 

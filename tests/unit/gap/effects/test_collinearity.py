@@ -7,10 +7,10 @@ import re
 import numpy as np
 import pytest
 
-from bench.effects import PAGE
 from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.base import MeanEffect
 from mavcal.calib.recording import Sensor
+from scripts.effects import PAGE
 
 from .conftest import make
 

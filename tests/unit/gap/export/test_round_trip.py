@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.gap_picture import CLEAN, REAL, recorded
 from mavcal.calib import gap
 from mavcal.calib.gap.export import Target, exported
 from mavcal.calib.gap.schema import GapReport, GapVerdict
@@ -13,6 +12,7 @@ from mavcal.calib.gap.verify import verified_json, verify
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.simulate import SensorErrors, SensorSuite
 from mavcal.calib.simulate.document import stated_in
+from tests.unit.gap.recorded import CLEAN, REAL, recorded
 
 SECONDS = 30.0
 

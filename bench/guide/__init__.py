@@ -1,1 +1,0 @@
-"""``docs/methods.md`` and its pictures: ``python -m bench.guide``."""

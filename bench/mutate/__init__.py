@@ -1,1 +1,0 @@
-"""Mutations of the code, one at a time, and whether its tests notice."""

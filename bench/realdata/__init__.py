@@ -1,1 +1,0 @@
-"""Every real recording with a known answer, fitted and compared: ``python -m bench.realdata``."""

@@ -1,0 +1,1 @@
+"""Speed beside peers, start-up and memory: ``python -m bench.speed``."""

@@ -1,0 +1,278 @@
+"""The Python client: enums, models, problems, and one method for each operation, waiting and asynchronous."""
+
+from __future__ import annotations
+
+import json
+import keyword
+import re
+import textwrap
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from scripts.client.spec import Document, Operation, Parameter, references, sentence
+
+MARK = "# Written by scripts/generate-client from docs/openapi.json. Do not edit."
+PRIMITIVES = {"string": "str", "number": "Number", "integer": "int", "boolean": "bool", "null": "None"}
+WIDTH = 116
+
+
+def emit(document: Document) -> dict[str, str]:
+    """The text of each generated module of ``client/``, not yet formatted."""
+    models = document.models()
+    of = _modules(document)
+    requests, events, told, job = ([n for n in models if n in of[m]] for m in ("requests", "events", "models", "jobs"))
+    return {
+        "enums.py": _enums(document),
+        "requests.py": _models("What is asked of the service.", document, requests, {}, "Request"),
+        "jobs.py": _models("Jobs, and what they are made of.", document, job, {}, "Answer"),
+        "models.py": _models("What the service answers with besides jobs.", document, told, {"jobs": job}, "Answer"),
+        "events.py": _models(
+            "What the event streams carry.",
+            document,
+            events,
+            {"jobs": job, "models": told},
+            "Answer",
+        ),
+        "problems.py": _problems(document),
+        "answers.py": _answers(document),
+        "waiting.py": _client(document, asynchronous=False),
+        "asynchronous.py": _client(document, asynchronous=True),
+    }
+
+
+# --- schemas
+
+
+def _enums(document: Document) -> str:
+    lines = _head("Choices, by the words that go over HTTP.", "from enum import StrEnum")
+    for name in sorted(document.enums()):
+        schema = document.schemas[name]
+        lines += ["", "", f"class {name}(StrEnum):", *_docstring(schema.get("description", name)), ""]
+        lines += [f"    {_constant(value)} = {json.dumps(value)}" for value in schema["enum"]]
+    return _text(lines)
+
+
+def _models(about: str, document: Document, names: list[str], beside: Mapping[str, list[str]], base: str) -> str:
+    body: list[str] = []
+    for name in names:
+        body += ["", "", *_model(name, document.schemas[name], base)]
+    used = set(re.findall(r"\b\w+\b", "\n".join(body)))
+    imports = []
+    if "Any" in used or "Annotated" in used or "Literal" in used:
+        imports.append(f"from typing import {', '.join(sorted(used & {'Annotated', 'Any', 'Literal'}))}")
+    if "Field" in used:
+        imports.append("from pydantic import Field")
+    imports.append(f"from mavcal.client.base import {', '.join(sorted({base} | (used & {'Number'})))}")
+    for module, known in {"enums": document.enums(), **beside}.items():
+        chosen = sorted(used & set(known))
+        if chosen:
+            imports.append(f"from mavcal.client.{module} import {', '.join(chosen)}")
+    return _text([*_head(about, *imports), *body])
+
+
+def _model(name: str, schema: Mapping[str, Any], base: str) -> list[str]:
+    if "oneOf" in schema:
+        return [f"{name} = {_type(schema)}", *_docstring(schema.get("description", f"One of {name}"), indent="")]
+    lines = [f"class {name}({base}):", *_docstring(schema.get("description", name)), ""]
+    needed = schema.get("required", ())
+    for field, of_field in schema.get("properties", {}).items():
+        lines.append(f"    {field}: {_type(of_field)}{'' if field in needed else _default(of_field)}")
+        if "description" in of_field:
+            lines += _docstring(of_field["description"])
+    return lines
+
+
+def _default(schema: Mapping[str, Any]) -> str:
+    value = schema.get("default")
+    if isinstance(value, str | int | float):
+        return f" = {value!r}"
+    if "None" in _type(schema):
+        return " = None"
+    maker = {"object": "dict", "array": "list"}.get(schema.get("type", ""), _type(schema))
+    return f" = Field(default_factory={maker})"
+
+
+def _type(schema: Mapping[str, Any]) -> str:
+    if "$ref" in schema:
+        name = str(schema["$ref"].rsplit("/", 1)[1])
+        return "str" if name == "ProblemCode" else name
+    if "const" in schema:
+        return f"Literal[{schema['const']!r}]"
+    if "enum" in schema:
+        return f"Literal[{', '.join(repr(value) for value in schema['enum'])}]"
+    if "oneOf" in schema:
+        options = " | ".join(_type(option) for option in schema["oneOf"])
+        return f'Annotated[{options}, Field(discriminator="{schema["discriminator"]["propertyName"]}")]'
+    if "anyOf" in schema:
+        return " | ".join(dict.fromkeys(_type(option) for option in schema["anyOf"]))
+    if schema.get("type") == "array":
+        items = [_type(item) for item in schema.get("prefixItems", ())]
+        return f"tuple[{', '.join(items)}]" if items else f"list[{_type(schema.get('items', {}))}]"
+    if schema.get("type") == "object":
+        extra = schema.get("additionalProperties", True)
+        return f"dict[str, {_type(extra) if isinstance(extra, Mapping) else 'Any'}]"
+    return PRIMITIVES.get(schema.get("type", ""), "Any")
+
+
+# --- problems
+
+
+def _problems(document: Document) -> str:
+    lines = _head(
+        "An exception for each problem that the service answers with.",
+        "from collections.abc import Mapping",
+        "from mavcal.client.errors import ApiProblem",
+    )
+    names = {code: "".join(part.capitalize() for part in code.split("-")) for code in document.codes()}
+    for code, text in document.codes().items():
+        lines += ["", "", f"class {names[code]}(ApiProblem):", *_docstring(text)]
+    lines += ["", "", "PROBLEMS: Mapping[str, type[ApiProblem]] = {"]
+    lines += [f"    {json.dumps(code)}: {name}," for code, name in names.items()]
+    return _text([*lines, "}", '"""Each by its code."""'])
+
+
+# --- operations
+
+
+def _answers(document: Document) -> str:
+    shapes = {_shape(o.answer) for o in document.operations if o.answer is not None and not o.plain}
+    used = sorted({name for shape in shapes for name in re.findall(r"\b[A-Z]\w+\b", shape)})
+    lines = _head("How answers are read, by their shape.", "from pydantic import TypeAdapter")
+    for module, known in _modules(document).items():
+        if chosen := sorted(known & set(used)):
+            lines.append(f"from mavcal.client.{module} import {', '.join(chosen)}")
+    lines.append("")
+    for shape in sorted(shapes):
+        lines.append(f"{_adapter(shape)}: TypeAdapter[{shape}] = TypeAdapter({shape})")
+    return _text(lines)
+
+
+def _modules(document: Document) -> dict[str, set[str]]:
+    """Which module has which types."""
+    models, requests, events = set(document.models()), document.requests(), document.events()
+    jobs = document.reached("JobModel") & models
+    told = document.reached(*(r for o in document.operations if not o.stream for r in references(o.answer))) & models
+    return {"jobs": jobs, "models": told - jobs, "events": events, "requests": requests}
+
+
+def _client(document: Document, *, asynchronous: bool) -> str:
+    name, base = ("AsyncClient", "AsyncTransport") if asynchronous else ("Client", "Transport")
+    about = "waits for nothing" if asynchronous else "waits for each answer"
+    body: list[str] = []
+    for operation in document.operations:
+        body += ["", *_method(operation, asynchronous=asynchronous)]
+    used = set(re.findall(r"\b\w+\b", "\n".join(body)))
+    imports = []
+    kinds = {"Iterable", "Iterator", "AsyncIterable", "AsyncIterator"} & used
+    imports.append(f"from collections.abc import {', '.join(sorted(kinds))}")
+    if chosen := sorted(used & {"Any", "Literal"}):
+        imports.append(f"from typing import {', '.join(chosen)}")
+    imports.append("from mavcal.client import answers")
+    if "Number" in used:
+        imports.append("from mavcal.client.base import Number")
+    enums = {"enums": set(document.enums())}
+    for module, known in (enums | _modules(document) | {"transport": {base, "segment"}}).items():
+        if not (used | {base}) & known:
+            continue
+        imports.append(f"from mavcal.client.{module} import {', '.join(sorted((used | {base}) & known))}")
+    head = _head(f"The client that {about}: one method for each operation.", *imports)
+    first = "    def " if not asynchronous else "    async def "
+    assert any(line.startswith(first) for line in body)
+    return _text([*head, "", "", f"class {name}({base}):", *_docstring(f"Asks a service, and {about}."), *body])
+
+
+def _method(operation: Operation, *, asynchronous: bool) -> list[str]:
+    places = [_argument(p) for p in operation.parameters if p.place == "path"]
+    if operation.raw:
+        places.append(f"content: bytes | {'AsyncIterable' if asynchronous else 'Iterable'}[bytes]")
+    named = [p for p in operation.parameters if p.place != "path"]
+    named = [*(p for p in named if p.required), *(p for p in named if not p.required)]
+    star = ["*"] if named else []
+    arguments = ", ".join(["self", *places, *star, *(_argument(p) for p in named)])
+    told = _told(operation)
+    if operation.stream:
+        told = f"{'AsyncIterator' if asynchronous else 'Iterator'}[{told}]"
+    plain = operation.stream or not asynchronous
+    lines = [f"    {'def' if plain else 'async def'} {operation.name}({arguments}) -> {told}:"]
+    lines += _docstring("\n\n".join(filter(None, (operation.summary, operation.text))), indent=" " * 8)
+    path = re.sub(r"\{(\w+)\}", r"{segment(\1)}", operation.path)
+    call = [f'{"f" if "{" in path else ""}"{path}"', *_further(operation)]
+    if operation.stream:
+        call.insert(1, f"answers.{_adapter(_shape(operation.answer))}")
+        return [*lines, f"        return self._follow({', '.join(call)})"]
+    call.insert(0, f'"{operation.method}"')
+    await_ = "await " if asynchronous else ""
+    if operation.answer is None:
+        return [*lines, f"        {await_}self._text({', '.join(call)})"]
+    if operation.plain:
+        return [*lines, f"        return {await_}self._text({', '.join(call)})"]
+    call.insert(2, f"answers.{_adapter(_shape(operation.answer))}")
+    return [*lines, f"        return {await_}self._ask({', '.join(call)})"]
+
+
+def _further(operation: Operation) -> Iterable[str]:
+    """Arguments of a call besides its address."""
+    for place in ("query", "header", "body"):
+        chosen = [p for p in operation.parameters if p.place == place and p.wire != "Last-Event-ID"]
+        if chosen or (place == "body" and operation.body is not None):
+            pairs = ", ".join(f'"{p.wire}": {p.name}' for p in chosen)
+            yield f"{place}={{{pairs}}}"
+    if operation.raw:
+        yield "content=content"
+    if operation.resumes:
+        yield "last_event_id=last_event_id, resume=True"
+    if operation.also:
+        yield f"also=({', '.join(str(s) for s in operation.also)},)"
+
+
+def _argument(parameter: Parameter) -> str:
+    kind = _type(parameter.schema)
+    if parameter.required:
+        return f"{parameter.name}: {kind}"
+    return f"{parameter.name}: {kind}{'' if 'None' in kind else ' | None'} = None"
+
+
+def _told(operation: Operation) -> str:
+    if operation.answer is None:
+        return "None"
+    return "str" if operation.plain else _shape(operation.answer)
+
+
+def _shape(schema: Mapping[str, Any] | None) -> str:
+    return _type(schema or {})
+
+
+def _adapter(shape: str) -> str:
+    """A name for a shape: ``JOB_SUMMARY_LIST``."""
+    word = re.search(r"[A-Z]\w+", shape)
+    assert word is not None, shape
+    name = re.sub(r"(?<!^)(?=[A-Z])", "_", word.group()).upper()
+    return f"{name}_LIST" if shape.startswith("list") else name
+
+
+# --- text
+
+
+def _head(about: str, *imports: str) -> list[str]:
+    return [f'"""{sentence(about)}"""', "", MARK, "", "from __future__ import annotations", "", *imports]
+
+
+def _docstring(text: str, indent: str = "    ") -> list[str]:
+    first, *rest = [sentence(paragraph) for paragraph in text.split("\n\n")]
+    quoted = [*textwrap.wrap(f'"""{first}', WIDTH - len(indent))]
+    for paragraph in rest:
+        quoted += ["", *textwrap.wrap(paragraph, WIDTH - len(indent))]
+    if len(quoted) == 1:
+        quoted[0] += '"""'
+    else:
+        quoted.append('"""')
+    return [f"{indent}{line}" if line else "" for line in quoted]
+
+
+def _constant(value: str) -> str:
+    name = re.sub(r"\W", "_", value).upper()
+    return f"{name}_" if keyword.iskeyword(name) else name
+
+
+def _text(lines: list[str]) -> str:
+    return "\n".join(lines) + "\n"
