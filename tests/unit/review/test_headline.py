@@ -30,7 +30,7 @@ def test_the_sensor_that_gains_most_is_named_first():
 
 
 def test_sensors_of_one_kind_are_told_by_the_worst_of_them():
-    said = headline_of([off(1.0, 0.1), off(3.0, 0.2, instance=1), off(90.0, 60.0, quantity="heading", unit="deg")])
+    said = headline_of([off(1.0, 0.05), off(3.0, 0.2, instance=1), off(90.0, 60.0, quantity="heading", unit="deg")])
     assert said.startswith("Rate ")
     assert amounts(said) == ["3 deg/s", "0.2 deg/s"]
 
