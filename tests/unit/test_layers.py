@@ -165,7 +165,6 @@ class Enclosure:
     door: str
     may: frozenset[str] = frozenset()
     """Modules of the project that the package may import."""
-    """Programs of ``bench`` that look inside on purpose."""
 
     def inside(self, name: str) -> bool:
         return f"{name}.".startswith(f"{self.package}.")
