@@ -27,6 +27,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Before marks are looked at: properties count as long tests; of them all one part, if that was asked for."""
+    sliced.leave_most_to_the_night(items)
     if examples.is_long(config):
         examples.choose_properties(items)
     sliced.choose(config, items)
@@ -48,6 +49,7 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(20_000, 20, 20)
         gc.enable()
 
 

@@ -1,4 +1,4 @@
-"""One part in N of the tests, drawn by a seed: what ``.ci/run`` takes of the long ones."""
+"""Which tests run: all, one part in N drawn by a seed (``.ci/run``), or few of many parameters (``sampled``)."""
 
 from __future__ import annotations
 
@@ -11,6 +11,21 @@ def add_options(parser: pytest.Parser) -> None:
     group = parser.getgroup("mavcal")
     group.addoption("--part", type=int, default=1, metavar="N", help="run one test in N, drawn by --part-seed")
     group.addoption("--part-seed", default="0", metavar="TEXT", help="what the tests of --part are drawn by")
+
+
+_SAMPLE = 8
+"""Of the parameters of a ``sampled`` test ``scripts/test`` takes one in so many, the first one always."""
+
+
+def leave_most_to_the_night(items: list[pytest.Item]) -> None:
+    """Of a test that is marked ``sampled`` all parameters but the first, ninth, ... count as long tests."""
+    seen: dict[str, int] = {}
+    for item in items:
+        if item.get_closest_marker("sampled"):
+            name = item.nodeid.partition("[")[0]
+            if seen.get(name, 0) % _SAMPLE:
+                item.add_marker(pytest.mark.long)
+            seen[name] = seen.get(name, 0) + 1
 
 
 def choose(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -67,5 +67,6 @@ def makers() -> set[str]:
     return found
 
 
+@pytest.mark.long
 def test_every_fit_comes_from_the_builder_or_from_its_json():
     assert makers() == {"calib/fit.py"}  # the reader of JSON is cattrs

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import threading
 
+import pytest
+
 from mavcal.service.lifetime import ENDS_WITH, alive, follow
 from tests import processes
 from tests.patience import crowding, patience, scaled
@@ -59,6 +61,7 @@ def test_the_end_comes_once_the_named_process_is_gone():
     assert over.wait(scaled(10.0))
 
 
+@pytest.mark.long
 def test_the_command_line_follows(tmp_path):
     command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0", "--data-dir", str(tmp_path)]
     with subprocess.Popen([sys.executable, "-c", SLEEP], stdout=subprocess.PIPE, text=True) as other:

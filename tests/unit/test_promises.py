@@ -39,6 +39,7 @@ def witnesses(text: str) -> list[tuple[str, str | None]]:
     return found
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("page", PAGES)
 def test_every_test_that_a_page_names_exists(page: str) -> None:
     named = witnesses((DOCS / page).read_text())

@@ -60,6 +60,7 @@ def test_scipy_finds_the_same_minimum():
     assert fit.quality["chi2"] == pytest.approx(2.0 * other.cost, rel=1e-3)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("oblique", "sd"), [(3, 0.002), (6, 0.01)])
 def test_the_posterior_is_honest(oblique, sd):
     rng = np.random.default_rng(3)
@@ -93,6 +94,7 @@ def test_six_faces_alone_determine_no_cross_term_and_no_test():
     assert fit.sd[:3].min() > 0.0025  # what the unknown cross terms do to tilted faces is inside
 
 
+@pytest.mark.long
 def test_cross_terms_that_six_faces_do_not_see_are_in_the_covariance():
     rng = np.random.default_rng(15)
     used = [0, 1, 2, 3, 7, 11]

@@ -62,6 +62,7 @@ def test_nothing_of_it_is_a_calibration():
     assert "mag-ellipsoid" in fit.movements["offset_x"]
 
 
+@pytest.mark.long
 def test_the_stated_uncertainty_holds():
     rng = np.random.default_rng(3)
     attitude = Rotation.from_euler("ZYX", [40, 12, -9], degrees=True)

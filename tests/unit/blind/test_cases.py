@@ -14,6 +14,7 @@ def single():
     return make_case(Tier.SINGLE, 2)
 
 
+@pytest.mark.long
 def test_a_case_is_its_seed(single):
     again = make_case(Tier.SINGLE, 2)
     assert again.label == single.label == make_label(Tier.SINGLE, 2)

@@ -159,6 +159,7 @@ def singles(right: int, wrong: int) -> list[CaseAnswer]:
     return good + [answer(Tier.SINGLE, ("accel_bias",), effect("gyro_noise"))] * wrong
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("right", "wrong", "verdict"),
     [
@@ -184,6 +185,7 @@ def test_a_target_from_above_is_judged_by_the_upper_end(quiet, loud, verdict):
     assert figure(score(nulls(quiet, loud)), "null: something")["verdict"] == verdict
 
 
+@pytest.mark.long
 def test_what_is_no_proportion_has_an_interval_too():
     mixed = [answer(Tier.MIXED, ("accel_bias", "mag_delay"), effect("accel_bias"), effect("mag_delay"))] * 30
     half = [answer(Tier.MIXED, ("accel_bias", "mag_delay"), effect("accel_bias"))] * 8
@@ -206,6 +208,7 @@ def test_a_step_of_the_ladder_that_nothing_could_miss_has_no_target():
     assert (lowest["value"], lowest["target"], lowest["verdict"]) == (0.0, "", None)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("step", LADDER)
 def test_every_target_of_the_ladder_is_missed_by_a_diagnosis_that_finds_nothing(step):
     blind = figure(score(ladder(step, 0, 400)), f"detected at lambda {step:g} ")
@@ -214,6 +217,7 @@ def test_every_target_of_the_ladder_is_missed_by_a_diagnosis_that_finds_nothing(
     assert bool(blind["target"]) == (step > 5.0)
 
 
+@pytest.mark.long
 def test_few_intervals_say_nothing_and_one_error_is_a_miss():
     few = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias")) for _ in range(20)]
     assert figure(score(few), "95 %")["verdict"] == FigureVerdict.UNDECIDED

@@ -45,6 +45,7 @@ def test_motion_is_no_noise():
     assert fast_sd(recording().channel(Sensor.GYRO)) == pytest.approx(0.01, rel=0.05)
 
 
+@pytest.mark.long
 def test_the_seal_is_that_of_the_labels_of_these_seeds(tmp_path):
     out = tmp_path / "seal.json"
     done = CliRunner().invoke(
@@ -56,6 +57,7 @@ def test_the_seal_is_that_of_the_labels_of_these_seeds(tmp_path):
     assert seal["labels_sha256"] == labels_sha256([make_label(Tier.NULL, FIRST_SEALED + k) for k in (0, 1)])
 
 
+@pytest.mark.long
 def test_kept_answers_are_scored_again(tmp_path):
     label = make_label(Tier.NULL, 3)
     row = {"label": label, "report": {"verdict": "no_gap", "effects": []}, "seconds": 1.0}
@@ -74,6 +76,7 @@ def test_kept_answers_are_scored_again(tmp_path):
     assert done.return_value == 1  # none failed, and one null is no proof that at most one of a hundred is named
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("timeout_s", "error"), [(60.0, "no such file"), (0.01, "longer than 0.01 s")], ids=["refused", "too slow"]
 )

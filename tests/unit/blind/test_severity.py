@@ -28,6 +28,7 @@ def drawn(worlds, kind, target, seed=1):
     return world, with_severity(world, SUITE, make, kind.bounds, target)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("key", KIND, ids=lambda k: f"{k[0]}-{k[1]}")
 def test_every_kind_reaches_the_severity_that_was_drawn(worlds, key):
     world, effect = drawn(worlds, KIND[key], 300.0)
@@ -51,6 +52,7 @@ def test_noise_that_is_a_percent_louder_has_the_divergence_of_two_gaussians():
     assert divergence(np.full(1000, 1.01)) == pytest.approx(1000 * (0.01 - math.log(1.01)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("flicker", [False, True], ids=["random_walk", "flicker"])
 def test_the_spectrum_of_what_is_logged_is_the_one_that_severity_assumes(worlds, flicker):
     world, rng, quality = worlds[MissionKind.HOVER], np.random.default_rng(8), Quality(1.0, 0.0)

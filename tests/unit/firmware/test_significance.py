@@ -25,6 +25,7 @@ def test_the_border_is_the_95_percent_quantile_of_the_number_of_parts(parts):
             assert found == pytest.approx(np.sqrt(share * QUANTILES[parts] / parts))
 
 
+@pytest.mark.long
 def test_of_repeated_calibrations_one_in_twenty_is_written():
     rng = np.random.default_rng(4711)
     root = np.array([[1.0, 0.0, 0.0], [0.4, 0.8, 0.0], [-0.3, 0.2, 0.5]])

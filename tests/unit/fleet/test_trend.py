@@ -233,6 +233,7 @@ def test_any_ratio_of_noise_to_scatter_can_be_read(biases: list[float], sd: floa
     assert np.isfinite([v for one in trend.per_year for v in (one.low, one.value, one.high)]).all()
 
 
+@pytest.mark.long
 def test_the_interval_of_a_slope_holds_as_often_as_stated() -> None:
     """Random walks without drift, temperatures beside them: 90 % of the axes within three deviations."""
     rng = np.random.default_rng(5)

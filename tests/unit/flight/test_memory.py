@@ -69,6 +69,7 @@ def flown() -> Recording:
     return Recording(tuple(channels), events=events, identity=Identity(autopilot="ardupilot"), source="flight.bin")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("look", [inspect, flight_report])
 def test_a_summary_needs_little_beside_the_columns(look: Callable[[Recording], Any]) -> None:
     recording = flown()
@@ -76,6 +77,7 @@ def test_a_summary_needs_little_beside_the_columns(look: Callable[[Recording], A
     assert most <= 0.2 * columns(recording) + BLOCKS
 
 
+@pytest.mark.long
 def test_the_summary_of_a_flight_is_that_of_its_samples() -> None:
     recording = flown()
     (first, *_), report = inspect(recording)["channels"], flight_report(recording)

@@ -71,6 +71,7 @@ def test_two_effects_on_two_sensors_are_named_with_their_parameters():
     assert set(json.loads(text)) >= {"schema", "inputs", "verdict", "where", "effects", "unknown", "shrink"}
 
 
+@pytest.mark.long
 def test_bias_and_scale_together_are_not_a_random_walk():
     def gap(trace):
         return trace.ideal * np.array([0.004, -0.003, 0.0]) + np.array([0.01, 0.03, 0.0])
@@ -90,6 +91,7 @@ def test_two_effects_at_once_do_not_become_a_walk_because_each_alone_is_worth_le
     assert set(found(report)) == {"accel_bias", "accel_scale"}
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(2))
 def test_what_a_sensor_shows_stays_although_nobody_declared_its_noise(seed):
     problem = problem_of(np.random.default_rng(seed), (A,), lambda _trace: np.array([0.3, -0.2, 0.1]))
@@ -99,6 +101,7 @@ def test_what_a_sensor_shows_stays_although_nobody_declared_its_noise(seed):
     assert not report.unknown.flag
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(3))
 def test_an_offset_in_hover_is_no_end_of_the_range(seed):
     trace = make(A, "hover", seconds=40.0, fs=50.0)
@@ -130,6 +133,7 @@ def test_a_wave_that_follows_a_rotor_is_found_with_its_order_beside_an_offset():
     assert wave.params[-1].value == pytest.approx(201.0, abs=1e-3)
 
 
+@pytest.mark.long
 def test_a_large_rotation_is_neither_a_scale_nor_a_misalignment():
     def gap(trace):
         return Rotation.from_rotvec([0.06, 0.0, -0.03]).apply(trace.ideal) - trace.ideal
@@ -191,6 +195,7 @@ def test_a_wandering_reference_is_a_finding_about_the_reference():
     assert report.where
 
 
+@pytest.mark.long
 def test_a_reference_that_wanders_about_a_turn_is_one_finding():
     """The turn alone would be two sensors', and beside both of them the rest is next to nothing."""
 

@@ -159,6 +159,7 @@ def test_time_that_ends_in_the_blocks_leaves_the_answer_as_it_is() -> None:
     assert "the selection was not repeated" in report.warnings[0]
 
 
+@pytest.mark.long
 def test_time_that_ends_in_the_selection_gives_what_was_found_and_claims_no_more() -> None:
     watch = Watch()
 

@@ -299,6 +299,7 @@ def caches(module: str, source: str) -> set[str]:
     return {f"{module}.{name}" for name in found}
 
 
+@pytest.mark.long
 def test_no_module_keeps_results_of_a_diagnosis() -> None:
     found: set[str] = set()
     for room in ROOMS:

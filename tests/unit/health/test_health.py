@@ -25,6 +25,7 @@ def without(recording, *sensors):
     return recording.with_channels(c for c in recording.channels if c.sensor not in sensors)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(20))
 def test_a_healthy_flight_has_no_bad_sensor(seed):
     report = health(flight(seed))
@@ -33,6 +34,7 @@ def test_a_healthy_flight_has_no_bad_sensor(seed):
     assert report.action == ""
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("instance", [0, 1])
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
 def test_each_fault_is_found_in_the_sensor_that_has_it(fault, instance):

@@ -134,11 +134,13 @@ MADE = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", MADE)
 def test_no_sentence_of_a_made_answer_contradicts_another(name):
     assert contradictions(overview(MADE[name])) == []
 
 
+@pytest.mark.sampled
 @pytest.mark.shared
 @pytest.mark.parametrize("path", KNOWN, ids=lambda p: f"{p.parent.name}-{p.name}")
 def test_no_sentence_of_a_known_answer_contradicts_another(path):

@@ -42,6 +42,7 @@ def test_both_sensors_within_their_stated_uncertainty(recorded, true_unit):
     assert gyro.quality["attitude_sd_deg_per_min"] < 0.5
 
 
+@pytest.mark.long
 def test_the_stated_uncertainty_holds(recorded, true_unit):
     squares = []
     for seed in range(8):
@@ -106,6 +107,7 @@ def test_counts_give_the_scale_of_a_count(recorded, true_unit):
     assert fits[0].native["units_per_si"][0] == pytest.approx(415.0 / 1.01, rel=2e-3)
 
 
+@pytest.mark.long
 @settings(max_examples=5)
 @given(seed=st.integers(0, 2**31), scale=st.floats(0.75, 1.35), shift=st.floats(-1e5, 1e5))
 def test_turning_scaling_and_shifting_the_data_moves_the_answer_accordingly(recorded_once, seed, scale, shift):

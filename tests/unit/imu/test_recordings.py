@@ -20,6 +20,7 @@ def imu_multi(recording, **options):
     return METHODS["imu-multi"].run(recording, options)
 
 
+@pytest.mark.long
 def test_xsens_against_its_certificate(shared_data):
     accel = read_table(
         shared_data / "imu_tk_xsens/xsens_acc.mat",
@@ -80,6 +81,7 @@ def test_ten_positions_do_not_tell_the_misalignment(shared_data):
     assert not {"offset_x", "matrix_xx", "matrix_yy", "matrix_zz"} & set(accel.undetermined)
 
 
+@pytest.mark.long
 def test_firmware_captures_with_known_truth(shared_data):
     accel, gyro = imu_multi(read(shared_data / "px4_captures/bench_faces.tlog"))
     truth = np.concatenate([[0.31, -0.22, 0.17], np.diag(1.0 / np.array([1.021, 0.984, 1.013])).ravel()])

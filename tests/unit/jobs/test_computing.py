@@ -217,6 +217,7 @@ async def test_fits_wait_for_their_turn_and_too_many_are_refused(
         assert work.begun == FITS_AT_ONCE + 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "options"), [(FIT, OF_A), (GAP, GAP_OF_A)])
 @pytest.mark.parametrize("state", [JobState.QUEUED, JobState.FITTING])
 async def test_what_a_stopped_service_left_begins_again(

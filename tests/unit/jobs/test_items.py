@@ -34,6 +34,7 @@ TEXT = st.text(max_size=20)
 TIMES = st.none() | st.floats(0.0, 1e10)
 
 
+@pytest.mark.long
 @settings(max_examples=examples(15))
 @given(
     st.builds(

@@ -70,6 +70,7 @@ async def started(folder: Path, vehicle: FakeVehicle) -> AsyncIterator[JobEngine
         store.close()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("body", BROKEN.values(), ids=BROKEN.keys())
 @pytest.mark.parametrize("damaged", ["old", "c1", "ok"])
 async def test_a_damaged_row_stops_neither_the_start_nor_the_recovery_of_a_write(

@@ -10,6 +10,8 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
+import pytest
+
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.states import JobState
@@ -86,6 +88,7 @@ async def test_no_commit_of_a_write_waits_on_the_event_loop(make_bench: MakeBenc
     assert store.journal("j1")[-1].step == JournalStep.CLOSED
 
 
+@pytest.mark.long
 async def test_no_request_for_a_job_waits_for_the_disk_on_the_event_loop(tmp_path: Path) -> None:
     vehicle = FakeVehicle.with_floats(OLD)
     store = SlowStore(tmp_path)
@@ -150,6 +153,7 @@ async def test_a_change_that_found_the_disk_full_is_kept_before_the_next_step(ma
     assert [e.kind for e in store.events("j1")] == ["state", "note", "state"]
 
 
+@pytest.mark.long
 async def test_a_crash_after_every_commit_leaves_what_the_next_start_needs(
     make_bench: MakeBench, tmp_path: Path
 ) -> None:

@@ -125,6 +125,7 @@ def read(folder: Path, name: str, options: dict[str, Any] | None = None) -> Reco
     return logs.read(folder / name, **(options or {}))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("name", "options", "sensors", "seconds", "least"), CASES, ids=[c[0] for c in CASES])
 def test_what_a_file_holds(shared_data, tmp_path, name, options, sensors, seconds, least):
     folder = shared_data

@@ -408,6 +408,7 @@ def test_a_whole_array_is_mapped_by_its_name(tmp_path):
         read_table(tmp_path / "a.mat", mapping={"q": "imu_acc"}, rate=100.0)
 
 
+@pytest.mark.long
 def test_archives_that_unfold_beyond_reason_are_refused(tmp_path):
     np.savez_compressed(tmp_path / "bomb.npz", t=np.zeros(20_000_000))
     with pytest.raises(UnreadableError, match="unfolds to"):

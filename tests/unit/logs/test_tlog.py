@@ -138,6 +138,7 @@ def windows(gyro: Channel, seconds: float, rate: float, sd: float) -> list[tuple
 
 @pytest.mark.shared
 class TestRealArduPilot:
+    @pytest.mark.sampled
     @pytest.mark.parametrize(
         ("name", "counts"),
         [
@@ -163,6 +164,7 @@ class TestRealArduPilot:
         assert recording.identity.firmware == (4, 7, 0)
         assert recording.identity.uid == "6564313231396337633463353430346161"  # 17 bytes of 18 are set
 
+    @pytest.mark.long
     def test_faces_undone(self, shared_data: Path) -> None:
         raw = undo(read_tlog(shared_data / "sitl_captures" / "six_faces.tlog"))
         gyro, accel = of(raw, Sensor.GYRO, "HIGHRES_IMU"), of(raw, Sensor.ACCEL, "HIGHRES_IMU")
@@ -193,6 +195,7 @@ class TestRealArduPilot:
         undone = np.array([clean.between(w[0] + 0.2, w[1]).values.mean(axis=0) for w in still])
         assert np.linalg.norm(undone - [-0.5, -1.3, 1.8], axis=1) == pytest.approx(strength.mean(), abs=0.1)
 
+    @pytest.mark.long
     def test_compass_is_ten_samples_a_second(self, shared_data: Path) -> None:
         for source in ("RAW_IMU", "HIGHRES_IMU"):
             field = of(read_tlog(shared_data / "sitl_captures" / "tumble.tlog"), Sensor.MAG, source)
@@ -228,6 +231,7 @@ class TestRealArduPilot:
 
 @pytest.mark.shared
 class TestRealPx4:
+    @pytest.mark.sampled
     @pytest.mark.parametrize(
         ("name", "inertial", "fields"),
         [
@@ -270,6 +274,7 @@ class TestRealPx4:
         ]
         assert np.std(strength) < 0.1
 
+    @pytest.mark.long
     def test_offsets_that_never_reached_memory(self, shared_data: Path) -> None:
         recording = read_tlog(shared_data / "px4_captures" / "cal_applied.tlog")
         changes = calibration_changes(recording)
@@ -301,6 +306,7 @@ class TestRealPx4:
         assert texts[0] == "[cal] calibration started: 2 gyro"
         assert texts[-1] == "[cal] calibration done: gyro"
 
+    @pytest.mark.long
     def test_warm_up(self, shared_data: Path) -> None:
         raw = undo(read_tlog(shared_data / "px4_captures" / "bench_warm.tlog"))
         accel, degrees = of(raw, Sensor.ACCEL, "SCALED_IMU"), of(raw, Sensor.TEMPERATURE, "SCALED_IMU")

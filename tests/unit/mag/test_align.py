@@ -87,6 +87,7 @@ def information_at_truth(attitudes: Rotation) -> Any:
     return whole[:12, :12] - np.outer(whole[:12, 12], whole[12, :12]) / whole[12, 12]
 
 
+@pytest.mark.long
 def test_angle_and_offset_attain_the_joint_bound() -> None:
     rng = np.random.default_rng(2)
     runs, angle, offset, all_of_it, nees = 60, 0.0, 0.0, 0.0, 0.0

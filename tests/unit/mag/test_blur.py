@@ -118,6 +118,7 @@ def test_a_compass_that_does_not_average_is_not_blurred() -> None:
     assert rates.sharp()[0]
 
 
+@pytest.mark.long
 def test_nothing_sharp_is_a_refusal(compass: Any, tumbling: Any) -> None:
     u, t, gyro_t, gyro = tumbling
     samples = compass.read(u, np.random.default_rng(1))

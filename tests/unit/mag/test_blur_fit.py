@@ -34,6 +34,7 @@ def nearly_noiseless():
     return [[deviations(fit, truth) for fit, truth in fits(seed, 55.0, 0.0002, 12.0)] for seed in SEEDS]
 
 
+@pytest.mark.long
 def test_the_stated_uncertainty_of_a_nearly_noise_free_compass_is_true(nearly_noiseless) -> None:
     """With the noise alone the rms of error over sd is 2.1, the largest 10, and 72 % of the intervals hold."""
     found = np.array(nearly_noiseless)[:, 0]
@@ -48,6 +49,7 @@ def test_the_stated_uncertainty_of_a_compass_in_whole_milligauss_is_true_and_no_
     assert 0.91 < np.mean(np.abs(found) < 1.96) < 0.99
 
 
+@pytest.mark.long
 def test_the_stated_uncertainty_of_a_noisy_compass_is_true() -> None:
     """Noise of 5 mG at 55 deg/s, where nothing but that noise counts."""
     found = np.array([deviations(fit, truth) for seed in SEEDS for fit, truth in fits(seed, 55.0, 0.5, 30.0)])

@@ -30,6 +30,7 @@ def errors(fit: Any, truth: Ellipsoid) -> Any:
     return np.concatenate([found.offset - truth.offset, six_numbers(found.shape - truth.shape)])
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("count", "tilt", "runs"), [(100, None, 80), (1000, None, 40), (100, 45.0, 80), (1000, 45.0, 40)]
 )
@@ -53,6 +54,7 @@ def test_reaches_the_bound_and_states_it(compass: Any, count: int, tilt: float |
     assert held / (12 * runs) == pytest.approx(0.95, abs=2.5 * math.sqrt(0.95 * 0.05 / (9 * runs)))
 
 
+@pytest.mark.long
 def test_intervals_hold_with_five_residuals(compass: Any) -> None:
     rng, held, used = np.random.default_rng(11), 0, 0
     truth = np.concatenate([compass.truth.offset, correction(compass.truth, None).matrix.ravel()])
@@ -229,6 +231,7 @@ def test_refuses_by_name_what_is_not_determined(make: Any, words: list[str], pri
     assert set(fit.undetermined) <= set(parameter_names())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("tilt", [3.0, 5.0, 8.0])
 def test_never_a_wrong_answer_from_a_small_movement(compass: Any, tilt: float) -> None:
     """Either refused with the movement that is missing, or right within its own uncertainty."""
@@ -272,6 +275,7 @@ def test_bisquare_costs_five_percent_of_variance() -> None:
     assert estimate_variance(residuals, np.ones(len(residuals))) == pytest.approx(1.0, rel=0.01)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(6))
 def test_garbage_is_refused_without_a_warning(seed: int) -> None:
     """Warnings are errors here: heavy tails, magnitudes far apart, four points again and again."""

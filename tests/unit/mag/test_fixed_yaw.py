@@ -45,6 +45,7 @@ def test_the_offset_is_found_exactly_and_the_matrix_is_kept(mounting):
     assert fit.quality["offset_moved"] == pytest.approx(float(np.linalg.norm(offset - before.offset)))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("fitted", [True, False])
 def test_its_interval_holds_the_truth_where_everything_errs_as_stated(fitted):
     """1000 vehicles whose heading, tilt, field and soft iron err as the model of the uncertainty has them."""

@@ -70,6 +70,7 @@ def test_a_perfect_attitude_gives_what_plain_least_squares_give():
     assert np.abs(fit.model.offset - (made.mag.values - body).mean(axis=0)).max() < 1.0
 
 
+@pytest.mark.long
 def test_soft_iron_that_the_flight_shows_is_found():
     made = fly(Truth(matrix=SOFT, tilt=np.radians(40.0)), rng(5))
     fit = fit_flight(made.mag, made.turning, field=FIELD)
@@ -102,6 +103,7 @@ def test_spikes_and_holes_do_not_move_it(plain):
     assert fit.quality["n_outliers"] >= len(values[::37]) - 1
 
 
+@pytest.mark.long
 def test_a_flight_straight_ahead_does_not_determine_the_offset_beside_an_unknown_field():
     made = fly(Truth(turns=0.0, tilt=np.radians(2.5), wander=0.01, noise=5.0), rng(7))
     fit = fit_flight(made.mag, Turning(made.turning.gyro, None), soft_iron="auto")
@@ -176,6 +178,7 @@ def test_a_crash_ends_the_flight():
     assert flown(60.0, f, level) == 60.0  # a hard landing is none
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("compensated", [False, True])
 def test_a_compensation_is_advised_only_where_none_is_in_force(compensated):
     made = fly(Truth(motor=np.array([0.3, -0.2, 0.4])), rng(21))

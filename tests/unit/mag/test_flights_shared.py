@@ -20,6 +20,7 @@ def one(shared_data, name, method, instance=0, **options):
     return METHODS[method].run(recording, {"instance": instance, **options})[0]
 
 
+@pytest.mark.long
 def test_the_offset_of_the_biased_flight(shared_data):
     biased = one(shared_data, "sitl_flights/bias.bin", "mag-flight")
     clean = one(shared_data, "sitl_flights/bias.bin", "mag-flight", instance=1)
@@ -29,6 +30,7 @@ def test_the_offset_of_the_biased_flight(shared_data):
         assert (np.abs(error) < 3.0 * np.array(fit.native["offset_body_sd"])).all()
 
 
+@pytest.mark.long
 def test_the_soft_iron_of_the_mixed_flight(shared_data):
     fit = one(shared_data, "sitl_flights/mix.bin", "mag-flight")
     truth = np.array([[0.95, -0.04, 0.05], [-0.04, 1.08, 0.06], [0.05, 0.06, 1.1]])
@@ -42,6 +44,7 @@ def test_the_motors_of_the_driven_flight(shared_data):
     assert np.allclose(fit.native["interference"], [0.3, -0.2, 0.4], atol=0.012)
 
 
+@pytest.mark.long
 def test_no_compensation_where_there_is_nothing(shared_data):
     fit = one(shared_data, "sitl_flights/null.bin", "mag-motor")
     assert fit.status == FitStatus.OK
@@ -54,6 +57,7 @@ def test_a_corrupt_compensation_is_the_cause(shared_data):
     assert "COMPASS_MOT_X = nan" in fit.message
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", [0, 2])
 def test_a_flight_with_its_motors_compensated_is_not_sent_to_compensate_them(shared_data, kind):
     recording = logs.read(str(shared_data / "sitl_flights/vib_motor_temp.bin"))

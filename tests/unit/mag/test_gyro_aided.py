@@ -67,6 +67,7 @@ def test_offset_matrix_mounting_and_the_bias_of_the_gyroscope():
     assert any("scale" in text for text in fit.warnings)
 
 
+@pytest.mark.long
 def test_the_stated_uncertainty_holds():
     squares = []
     for seed in range(8):
@@ -82,12 +83,14 @@ def test_a_little_waving_gives_the_offset_that_an_ellipsoid_cannot():
     assert np.abs((fit.model.offset - OFFSET) / fit.sd[:3]).max() < 4.0
 
 
+@pytest.mark.long
 def test_the_delay_of_the_compass_is_found():
     fit = fit_gyro_aided(*moved(np.random.default_rng(4), delay=0.05))
     assert fit.native["delay"] == pytest.approx(0.05, abs=4.0 * fit.native["delay_sd"])
     assert fit.native["delay_sd"] < 0.003
 
 
+@pytest.mark.long
 def test_a_gyroscope_that_is_off_is_estimated_too():
     wrong = np.array([[0.95, 0.02, 0.0], [-0.01, 1.06, 0.0], [0.0, 0.015, 0.97]])
     fit = fit_gyro_aided(*moved(np.random.default_rng(5), gyro_matrix=wrong, mag_sd=0.1))
@@ -97,6 +100,7 @@ def test_a_gyroscope_that_is_off_is_estimated_too():
     assert np.abs((fit.model.offset - OFFSET) / fit.sd[:3]).max() < 4.0
 
 
+@pytest.mark.long
 @settings(max_examples=3)
 @given(seed=st.integers(0, 2**31), factor=st.floats(0.3, 3.0), shift=st.floats(-40.0, 40.0))
 def test_turning_scaling_and_shifting_the_data_moves_the_answer_accordingly(seed, factor, shift):

@@ -39,10 +39,12 @@ def test_the_term_is_found_and_the_current_chosen(driven):
     assert fit.native["held_out_rms_after"] < 0.6 * fit.native["held_out_rms_before"]
 
 
+@pytest.mark.long
 def test_the_constant_offset_is_not_taken_for_it(driven):
     assert np.abs(np.array(driven[1].native["offset_beside"]) - Truth().offset).max() < 1.0
 
 
+@pytest.mark.long
 def test_the_term_is_given_behind_the_correction_in_force(driven):
     made, bare = driven
     half = TriadModel(np.array([1.0, 2.0, 3.0]), 0.5 * np.eye(3))
@@ -53,6 +55,7 @@ def test_the_term_is_given_behind_the_correction_in_force(driven):
     assert np.array_equal(fit.model.matrix, half.matrix)
 
 
+@pytest.mark.long
 def test_nothing_is_proposed_where_there_is_nothing():
     made = fly(Truth(), np.random.default_rng(22))
     fit = fit_motor(made.mag, made.turning, made.drives, field=FIELD)
@@ -61,6 +64,7 @@ def test_nothing_is_proposed_where_there_is_nothing():
     assert "no compensation" in fit.message
 
 
+@pytest.mark.long
 def test_a_compass_without_calibration_is_said():
     made = fly(Truth(offset=np.array([45.0, 15.0, 47.0]), motor=TERM, heading_error=STEADY), np.random.default_rng(23))
     fit = fit_motor(made.mag, made.turning, made.drives[:1], field=FIELD, in_force=TriadModel())
@@ -69,6 +73,7 @@ def test_a_compass_without_calibration_is_said():
     assert fit.native["proposed"]
 
 
+@pytest.mark.long
 def test_a_term_that_the_logs_attitude_does_not_want_is_told_and_not_proposed():
     made = fly(Truth(motor=TERM, heading_error=0.3), np.random.default_rng(25))
     fit = fit_motor(made.mag, made.turning, made.drives[:1], field=FIELD)
@@ -80,6 +85,7 @@ def test_a_term_that_the_logs_attitude_does_not_want_is_told_and_not_proposed():
     assert f"({fit.native['candidates']['current']['interference'][0]:.3g} +- " in fit.message
 
 
+@pytest.mark.long
 def test_coefficients_and_their_sd_are_told_whether_or_not_they_are_proposed(driven):
     still = fly(Truth(), np.random.default_rng(22))
     for fit in (driven[1], fit_motor(still.mag, still.turning, still.drives, field=FIELD)):
@@ -87,6 +93,7 @@ def test_coefficients_and_their_sd_are_told_whether_or_not_they_are_proposed(dri
         assert fit.message.count("+-") >= 6
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("fit_of", [fit_motor, fit_flight])
 def test_an_attitude_that_spins_over_a_steady_compass_is_unusable(fit_of):
     made = fly(Truth(offset=np.zeros(3), turns=0.0), np.random.default_rng(24))

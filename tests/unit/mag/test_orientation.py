@@ -39,6 +39,7 @@ def test_twenty_four_rotations_with_names_that_say_them() -> None:
     assert {"yaw_90", "roll_180", "roll_180_yaw_90", "pitch_180", "roll_90", "pitch_270"} <= names
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("mounting", RIGHT_ANGLES, ids=lambda m: m.name)
 @pytest.mark.parametrize("dip_known", [True, False])
 def test_every_mounting_is_found(mounting: Any, dip_known: bool) -> None:
@@ -109,6 +110,7 @@ MIRRORS = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("words", MIRRORS)
 @pytest.mark.parametrize(("tilt", "dip"), [(180.0, DIP), (45.0, DIP), (180.0, -0.9), (180.0, 0.2)])
 @pytest.mark.parametrize("stated", [np.eye(3), rotation_matrix(0, 0, 270)], ids=["none", "yaw_270"])

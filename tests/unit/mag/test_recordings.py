@@ -19,6 +19,7 @@ from mavcal.calib.recording import Sensor
 pytestmark = pytest.mark.shared
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("name", "reference", "published", "residual"),
     [
@@ -79,6 +80,7 @@ def test_tumbling_ardupilot(shared_data: Path) -> None:
     assert np.abs((fit.values - truth) / fit.sd).max() < 4.5
 
 
+@pytest.mark.long
 def test_tumbling_px4(shared_data: Path) -> None:
     """Raw samples of 2 mG noise; the field strength is the one that the bench holds."""
     field = EarthField.from_elements(48.236, 1.1, norm_sd=0.02)

@@ -117,6 +117,7 @@ def _angle(matrix: Any) -> float:
     return float(np.linalg.norm(Rotation.from_matrix(u @ vt).as_rotvec()))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("centre", "tilt"), [("circle", 0.0), ("mean", 0.0), ("circle", 0.3)])
 def test_the_covariance_holds(centre: str, tilt: float) -> None:
     rng = np.random.default_rng(3)
@@ -129,6 +130,7 @@ def test_the_covariance_holds(centre: str, tilt: float) -> None:
     assert np.mean(nees) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / (12 * 40)))
 
 
+@pytest.mark.long
 def test_the_mean_of_rings_gives_the_measured_angle() -> None:
     """METHODS S3: 400 samples a face of 3 mG at dip 66: the mean 0.017 deg rms, the ring fit 0.024."""
     rng = np.random.default_rng(4)
@@ -246,6 +248,7 @@ def test_native_forms_are_the_model() -> None:
     assert "mag_0[4][4]" in fit.native["c_array"]
 
 
+@pytest.mark.long
 @settings(max_examples=examples(15))
 @given(
     shift=st.tuples(*[st.floats(-100.0, 100.0)] * 3),

@@ -142,6 +142,7 @@ def test_a_reference_is_never_written(autopilot):
     assert not plan.changes
 
 
+@pytest.mark.long
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["tumble", "turntable"])
 def test_the_compass_of_a_real_ardupilot_lies_along_its_accelerometer(shared_data, name):

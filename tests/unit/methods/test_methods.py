@@ -286,6 +286,7 @@ def test_the_table_of_the_specification(shared_data):
     assert np.array(accel.native["residual_sd"]) * np.sqrt(47 / 49) == pytest.approx([7.0, 7.0, 4.4], abs=0.05)
 
 
+@pytest.mark.sampled
 @pytest.mark.shared
 @pytest.mark.parametrize(
     ("name", "centre", "tolerance"),
@@ -302,6 +303,7 @@ def test_magnetometers_in_counts(shared_data, name, centre, tolerance):
     assert fit.unit == "counts"
 
 
+@pytest.mark.long
 @pytest.mark.shared
 def test_the_real_ardupilot(shared_data):
     captures = shared_data / "sitl_captures"
@@ -322,6 +324,7 @@ def test_the_real_ardupilot(shared_data):
     assert mag.model.offset == pytest.approx([-9.0, 5.5, -3.5], abs=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.shared
 def test_the_real_px4(shared_data):
     captures = shared_data / "px4_captures"

@@ -66,6 +66,7 @@ def test_chunks_do_not_matter(monkeypatch):
     assert overlapping_deviation(y, RATE, octaves(3000)).adev == pytest.approx(whole.adev, rel=1e-12)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("N", "B", "K"), [(0.01, 0.0, 0.0), (0.01, 0.005, 0.0), (0.01, 0.0, 0.003)])
 def test_each_noise_is_found_within_its_sd(N, B, K):
     rng = np.random.default_rng(3)
@@ -78,6 +79,7 @@ def test_each_noise_is_found_within_its_sd(N, B, K):
     assert np.mean(upper) > 0.85
 
 
+@pytest.mark.long
 def test_white_noise_is_known_as_well_as_it_can_be():
     rng = np.random.default_rng(4)
     n = 4096

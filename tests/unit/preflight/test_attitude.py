@@ -68,6 +68,7 @@ def test_an_accelerometer_that_is_off_is_told_once() -> None:
     assert [c.id for c in report.checks if c.verdict == Verdict.FAIL] == [CheckId.ACCEL_FORCE]
 
 
+@pytest.mark.long
 @pytest.mark.shared
 def test_a_real_estimator_that_remembers_does_not_pass(shared_data: Path) -> None:
     """ArduCopter after new accelerometer offsets and no restart: ATTITUDE stays more than 2 deg off."""

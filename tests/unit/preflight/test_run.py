@@ -24,6 +24,7 @@ def test_a_healthy_vehicle_passes(seed: int) -> None:
     assert [check.id for check in report.checks] == list(CheckId)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_fault_fails_the_right_check_alone(fault: Fault, seed: int) -> None:

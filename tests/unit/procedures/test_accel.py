@@ -97,6 +97,7 @@ def test_a_pose_that_contradicts_the_others_is_named_and_taken_again(bench):
     assert (deviations(procedure.outcome.results[0], made.accels[0]) < 4.5).all()
 
 
+@pytest.mark.long
 def test_poses_that_never_agree_end_with_the_cause(bench):
     made = held(bench, [*FACES, *OBLIQUE, (20, -60), (60, 10), (-30, -40), (130, 40), (-130, -20), (110, -5), (-45, 0)])
     recording = made.record()
@@ -142,6 +143,7 @@ def test_a_noisy_accelerometer_is_held_longer(bench):
     assert first_pose_at(slow) > first_pose_at(quick) + 2
 
 
+@pytest.mark.long
 @settings(
     deadline=None, max_examples=5, phases=WITHOUT_SHRINKING, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

@@ -34,6 +34,7 @@ def assert_true(fit, values, rows):
     assert (np.abs(error) < 4.5).all(), error
 
 
+@pytest.mark.long
 def test_six_faces_of_ardupilot(shared_data):
     fits = results(shared_data / "sitl_captures" / "six_faces.tlog", "accel")
     injected, clean = fits[Sensor.ACCEL, 0], fits[Sensor.ACCEL, 1]
@@ -51,6 +52,7 @@ def test_bench_faces_of_px4(shared_data):
     assert fit.temperature == pytest.approx(34.0)
 
 
+@pytest.mark.long
 def test_tumbling_ardupilot(shared_data):
     field = earth_field(-35.363, 149.165, 584.0, 2025.8)  # where SITL starts
     fit = results(shared_data / "sitl_captures" / "tumble.tlog", "mag", field=field)[Sensor.MAG, 0]
@@ -62,6 +64,7 @@ def test_tumbling_ardupilot(shared_data):
     assert fit.quality["orientation"]["verdict"] == "as_stated"
 
 
+@pytest.mark.long
 def test_tumbling_px4(shared_data):
     field = EarthField(np.array([21.7, 1.3, 43.0]))
     (fit,) = results(shared_data / "px4_captures" / "bench_tumble.tlog", "mag", field=field, uncertainty=0.1).values()
@@ -72,6 +75,7 @@ def test_tumbling_px4(shared_data):
     assert_true(fit, truth, slice(3, 12))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("path", "t_ref", "gyro", "accel_drift", "gyro_drift"),
     [
@@ -108,6 +112,7 @@ def test_gyro_at_rest_of_px4_has_no_offset(shared_data):
     assert np.degrees(fit.sd[:3].max()) <= 0.01
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("path", ["sitl_captures/turntable.tlog", "px4_captures/bench_turn.tlog"])
 def test_a_turntable_is_no_rest(shared_data, path):
     recording = undo(read_tlog(shared_data / path))

@@ -84,6 +84,7 @@ def test_the_worst_accelerometer_counts():
     assert hold.error == pytest.approx(0.1 * math.sqrt(6.0 / 5.0) / math.sqrt(6.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("ticks", "scatter", "goal", "complete"),
     [

@@ -61,6 +61,7 @@ def test_hard_and_soft_iron_of_every_compass_are_found_within_their_uncertainty(
         assert abs(fit.quality["field_ratio"] - 1.0) < 0.05
 
 
+@pytest.mark.long
 def test_it_ends_early_and_later_where_more_is_asked(clean):
     recording = clean().tumble(90.0).record()
     quick, _ = run(recording, uncertainty=0.5)
@@ -155,6 +156,7 @@ def test_without_a_place_the_scale_is_left_open_and_said_so(clean):
     assert abs(np.linalg.det(fit.model.matrix) - 1.0) < 1e-9
 
 
+@pytest.mark.long
 def test_the_operator_may_finish_early_and_the_result_says_so(clean):
     recording = clean().tumble(60.0).record()
     procedure = MagProcedure(SPEC.validated({"uncertainty": 0.02}), CONTEXT)
@@ -191,6 +193,7 @@ def test_a_compass_without_noise_may_rest_before_it_is_turned():
             assert track.coverage.count == 0
 
 
+@pytest.mark.long
 def test_one_bad_compass_does_not_keep_the_good_one_for_ever(clean):
     bad = replace(clean().mags[0], noise=6.0)
     procedure, _ = run(clean(mags=(clean().mags[0], bad)).tumble(80.0).record(), patience=60.0)
@@ -199,6 +202,7 @@ def test_one_bad_compass_does_not_keep_the_good_one_for_ever(clean):
     assert math.isclose(procedure.elapsed, 60.0, abs_tol=3.0)
 
 
+@pytest.mark.long
 @settings(
     deadline=None, max_examples=4, phases=WITHOUT_SHRINKING, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

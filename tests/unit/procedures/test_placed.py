@@ -163,6 +163,7 @@ def test_six_rings_give_the_compass_and_its_mounting():
     assert len([p for p in turns if p.stable]) == 6
 
 
+@pytest.mark.long
 def test_rings_of_a_compass_that_is_mounted_otherwise_find_its_rotation():
     quarter = Rotation.from_euler("Z", 90.0, degrees=True).as_matrix()
     truth = replace(MAG, sensitivity=MAG.sensitivity @ quarter.T)

@@ -180,6 +180,7 @@ def test_every_axis_that_is_not_in_the_drift_has_no_sd_beyond_the_goal(warm):
         assert max(fit.quality["drift_sd"]) <= goal
 
 
+@pytest.mark.long
 @settings(
     deadline=None, max_examples=3, phases=WITHOUT_SHRINKING, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
@@ -211,6 +212,7 @@ def test_a_temperature_that_is_repeated_does_not_grow_old(bench):
         assert np.abs(error - error.mean(axis=0)).max() < 0.1 * np.abs(truth[:, 0]).max()  # a tenth of a degree
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("rest", [0.4, 5.0, 30.0, 115.0])
 def test_how_long_it_rests_before_it_warms_up_changes_no_drift(bench, rest):
     def curve(t):

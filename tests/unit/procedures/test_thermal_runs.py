@@ -40,6 +40,7 @@ def one_unit_drifts(shared_data: Path):
     return recording, parameters, outcome.results
 
 
+@pytest.mark.long
 @pytest.mark.shared
 def test_the_unit_that_drifts_is_written_although_the_other_one_cannot_be(one_unit_drifts):
     recording, parameters, results = one_unit_drifts
@@ -72,6 +73,7 @@ def test_the_second_unit_alone_is_refused_with_its_reason(one_unit_drifts):
     assert "below what the stream resolves" in plan.blockers[0]
 
 
+@pytest.mark.long
 def test_a_simulated_unit_below_the_resolution_does_not_keep_the_other_one_from_being_written(bench):
     """The same in simulation: the second unit stands still within one step of a stream of 1 mrad/s."""
     moves = replace(bench().gyros[0], thermal=TRUTH)
@@ -126,6 +128,7 @@ def px4_warmed_up(shared_data: Path):
     return whole, parameters, outcome.results, fingerprint(recording.identity, parameters)
 
 
+@pytest.mark.long
 @pytest.mark.shared
 def test_what_px4_did_not_keep_over_its_restart_is_not_written(px4_warmed_up):
     whole, parameters, results, of = px4_warmed_up

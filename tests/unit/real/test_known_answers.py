@@ -58,6 +58,7 @@ def test_ferraris_finds_a_sensor_that_was_put_in():
     np.testing.assert_allclose(answer["K_ga"], 0.0, atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.shared
 @pytest.mark.parametrize("part", [inertial, others], ids=lambda part: part.__name__.rpartition(".")[2])
 def test_every_known_answer_is_met(part, shared_data):

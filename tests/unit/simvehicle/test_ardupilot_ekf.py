@@ -39,6 +39,7 @@ def calibrate(b: Any) -> None:
         b.set(f"INS_ACCOFFS_{axis}", value)
 
 
+@pytest.mark.long
 def test_the_attitude_remembers_the_offsets_that_it_learned_upright(vehicle: Any) -> None:
     for pose in ("nose_up", "left", "level"):
         hold(vehicle, pose, 40.0)

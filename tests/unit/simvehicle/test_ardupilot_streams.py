@@ -20,6 +20,7 @@ def test_nothing_is_streamed_unasked(bench: Any) -> None:
     assert len(b.take("HEARTBEAT")) == 5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("asked_us", "hz"), [(20000, 50.0), (10000, 100.0), (5000, 200.0), (4000, 250.0), (6667, 166.7), (3125, 333.3)]
 )

@@ -404,6 +404,7 @@ def test_level_turns_the_board_so_that_the_present_pose_reads_level(bench: Any) 
     assert b.vehicle.sensors.imu(0, now).accel[0] == pytest.approx([0, 0, -9.80665], abs=0.05)
 
 
+@pytest.mark.long
 def test_a_barometer_calibration_never_ends_and_blocks_the_others(bench: Any) -> None:
     b = settled(bench)
     b.command(241, 0, 0, 1)

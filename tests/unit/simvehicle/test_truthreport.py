@@ -38,6 +38,7 @@ def test_a_bias_wanders_from_the_one_drawn_and_a_reboot_does_not_bring_it_back(b
     assert truth_report(b.vehicle)["gyros"][0]["offset"] == pytest.approx(before, abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_truth_of_a_span_is_what_samples_of_that_span_have_in_them(bench: Any) -> None:
     b = bench("ardupilot", thermal=False)
     b.run(400.0)

@@ -65,6 +65,7 @@ def test_exact_data_give_the_exact_sensor():
     assert fit.values == pytest.approx(TRUTH, abs=2e-6)
 
 
+@pytest.mark.long
 def test_errors_are_those_of_the_covariance():
     rng = np.random.default_rng(2)
     fits = [fit_accel_thermal(*held(rng, hold=2.0), t_ref=35.0, cross_sd=None) for _ in range(40)]
@@ -160,6 +161,7 @@ def test_a_scale_that_moves_is_reported():
     assert not any("scale moves" in w for w in still.warnings)
 
 
+@pytest.mark.long
 @settings(max_examples=5)
 @given(scale=st.floats(0.1, 1e4), seed=st.integers(0, 100))
 def test_counts_find_their_own_scale(scale, seed):

@@ -134,6 +134,7 @@ def test_exact_data_give_the_exact_polynomial(degree):
     assert fit.model.offset == pytest.approx([0.1, 0.2, 0.3], abs=1e-8)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("temperature", [warm_up, up_and_down])
 @pytest.mark.parametrize("wander", [0.0, 0.05])
 def test_errors_stay_within_their_sd_under_white_noise_and_under_a_walk(temperature, wander):
@@ -156,6 +157,7 @@ def test_errors_stay_within_their_sd_under_white_noise_and_under_a_walk(temperat
     assert np.mean(inside) > 0.93
 
 
+@pytest.mark.long
 def test_white_noise_attains_the_bound():
     rng = np.random.default_rng(4)
     n = 2000

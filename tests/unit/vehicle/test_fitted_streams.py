@@ -57,6 +57,7 @@ async def test_a_simulated_vehicle_slower_or_faster_than_the_wall_is_asked_for_n
     assert await granted(ardupilot) == 1.0
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("buffer_bytes", [512.0, 2048.0, 8192.0])
 @pytest.mark.parametrize("carried", [0.4, 0.6, 0.87])
 async def test_a_full_port_is_asked_for_what_it_carries(

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,6 +16,7 @@ PLAIN = st.none() | st.booleans() | st.floats(allow_nan=False) | NAMES
 ORDERS = st.dictionaries(NAMES, PLAIN | PATHS | st.lists(PATHS, max_size=2) | st.dictionaries(NAMES, PATHS, max_size=2))
 
 
+@pytest.mark.long
 @settings(max_examples=examples(25))
 @given(ORDERS)
 def test_an_order_that_goes_to_a_worker_and_back_is_the_same(order):

@@ -57,6 +57,7 @@ def streamed(values: dict[str, Value], autopilot: str, sensors: set[Sensor], sta
     return Recording(tuple(kept.values()))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 @pytest.mark.parametrize("kind", FITS)
 def test_plan_and_proof_are_those_of_the_whole_list(autopilot: str, kind: str, make_fit) -> None:

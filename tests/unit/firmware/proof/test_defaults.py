@@ -113,6 +113,7 @@ def started(ardupilot_parameters, px4_parameters, ardupilot_fingerprint, px4_fin
     return start
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("autopilot", "kind", "before"), STARTS)
 @pytest.mark.parametrize("seed", range(2))
 def test_what_was_written_to_a_vehicle_as_it_starts_stays(started, autopilot, kind, before, seed):
@@ -128,6 +129,7 @@ def test_what_was_written_to_a_vehicle_as_it_starts_stays(started, autopilot, ki
         assert any(p.verdict == ProofVerdict.PROVED for p in result.parameters)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("autopilot", "kind", "before"), STARTS)
 def test_what_had_no_effect_is_still_found(started, autopilot, kind, before):
     """The other side: the same vehicles, with the new values stored and the old ones in force."""
@@ -152,6 +154,7 @@ IMPOSSIBLE = {
 """Parameters whose old value, alone beside the new ones, is no correction at all. PX4 takes no scale of zero."""
 
 
+@pytest.mark.long
 def test_every_parameter_whose_old_value_fits_beside_no_new_one_is_known(started):
     found = set()
     for autopilot, kind, before in STARTS:
@@ -178,6 +181,7 @@ def test_a_drive_that_is_not_streamed_leaves_a_motor_gain_open(started, make_fit
     assert "BATTERY_STATUS" in result.parameters[0].text
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", TRUTH)
 @pytest.mark.parametrize("autopilot", MODULES)
 def test_on_a_simulated_vehicle_that_never_booted_before(autopilot, kind, started):

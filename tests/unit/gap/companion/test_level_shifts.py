@@ -48,6 +48,7 @@ def test_the_largest_step_is_where_the_level_changes():
     assert steps_of(compass(1)).largest < 0.75 * steps.largest
 
 
+@pytest.mark.long
 def test_a_magnet_that_is_put_on_and_taken_off_is_two_steps():
     report = diagnose(beside_a_nominal_one(compass(1, magnet=1.0), compass(2)), effects=EFFECTS, nested=False)
     assert [e.id for e in report.effects] == ["mag_step"] * 2

@@ -52,6 +52,7 @@ def nominal():
     return recording(1)
 
 
+@pytest.mark.long
 def test_its_delays_are_found_with_their_size(nominal):
     found = {e.id: e for e in learned(nominal).effects}
     for name in ("gyro_delay", "mag_delay"):
@@ -93,6 +94,7 @@ def test_a_bias_is_not_carried_over_but_one_as_large_is_no_gap():
     assert [e.id for e in report.effects] == ["gyro_bias"]
 
 
+@pytest.mark.long
 def test_it_is_the_first_nominal_table_with_a_pose(nominal):
     bare = recording(5, pose=False)
     assert posed(recording(2), [bare, nominal]) is nominal

@@ -58,6 +58,7 @@ def test_what_both_flights_show_is_no_gap(simulated):
     assert report.effects == ()
 
 
+@pytest.mark.long
 def test_what_only_the_real_flight_shows_is_found_in_its_own_size(simulated):
     problem = dataclasses.replace(beside(flight(3, both), simulated), minimum_gain=MinimumGain())
     report = diagnose(problem, nested=False)
@@ -83,6 +84,7 @@ def drifting(trace):
     return np.column_stack(late) - trace.ideal
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("gap", [turned, drifting])
 def test_what_all_sensors_share_in_both_flights_is_no_gap(gap):
     first, second = (problem_of(np.random.default_rng(s), (Sensor.ACCEL, Sensor.MAG), gap) for s in (1, 2))

@@ -66,6 +66,7 @@ def test_rivals_exist_and_every_effect_says_what_excites_it_and_what_helps():
         assert effect.plain, effect.id
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effect", catalogue(), ids=lambda effect: effect.id)
 @pytest.mark.parametrize("seconds", [70.0, 0.6])
 def test_what_it_gives_has_the_shape_that_its_parameters_say(effect, seconds):

@@ -19,6 +19,7 @@ def without_a_mean(rng: np.random.Generator, n: int) -> np.ndarray:
     return rng.permuted(np.concatenate([half, -half]), axis=0)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("frequency", [2.0, 4.9, 20.0, 43.0])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("seed", range(4))

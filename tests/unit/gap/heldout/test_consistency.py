@@ -72,6 +72,7 @@ def test_an_effect_holds_on_every_block_or_not_at_all() -> None:
     assert not holds([40.0, 25.0, 3.0, 60.0], passed=False)
 
 
+@pytest.mark.long
 def test_what_is_an_error_of_the_trajectory_is_not_told() -> None:
     """The compass fits the attitude that was logged: only beside the other one is it turned."""
     tilt = np.array([6.0, -4.0, 5.0])

@@ -85,6 +85,7 @@ def test_once_the_time_is_over_shapes_stay_where_all_data_have_them(chosen):
     assert [gate.passed for gate in quick.gates] == [gate.passed for gate in whole.gates]
 
 
+@pytest.mark.long
 def test_where_everything_is_tolerated_there_is_nothing_to_shrink(chosen):
     found, contest = chosen
     assert held_out(found, contest, list(keys(found).values())) is None
@@ -98,6 +99,7 @@ def nearly_level(problem):
     )
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_effect_whose_place_another_one_mostly_takes_is_asked_for_no_more_than_it_adds(seed):
     problem = nearly_level(problem_of(np.random.default_rng(seed), (Sensor.GYRO,)))

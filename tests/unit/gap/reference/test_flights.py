@@ -33,11 +33,13 @@ def test_biases_read_as_injected_against_the_other_instance_and_along_the_trajec
         assert mean == pytest.approx(expected, abs=near), (trace.sensor, trace.instances, trace.against)
 
 
+@pytest.mark.long
 def test_currents_of_the_motors_are_inside_the_trajectory(flights):
     state = best_trajectory(corrected(flights("vib_motor_temp"))).state
     assert state.constants[3:6] == pytest.approx([0.3, -0.2, 0.4], abs=0.012)
 
 
+@pytest.mark.long
 def test_an_attitude_is_estimated_better_than_the_firmware_does(flights):
     null = flights("null")
     found = best_trajectory(corrected(null))

@@ -75,6 +75,7 @@ def error_deg(found):
     return np.degrees((turn.inv() * found.state.attitude).as_rotvec())
 
 
+@pytest.mark.long
 def test_a_bias_that_the_log_hides_is_found():
     problem = build(flight(bias=(0.3, -0.2, 0.15), gyro_bias=(0.01, -0.015, 0.008)))
     assert problem.reference.kind == ReferenceKind.ESTIMATOR
@@ -83,6 +84,7 @@ def test_a_bias_that_the_log_hides_is_found():
     assert traces[Sensor.GYRO].residual.mean(axis=0) == pytest.approx([0.01, -0.015, 0.008], abs=5e-4)
 
 
+@pytest.mark.long
 def test_the_attitude_is_as_good_as_it_is_said_to_be():
     found = best_trajectory(flight())
     error = error_deg(found)
@@ -91,12 +93,14 @@ def test_the_attitude_is_as_good_as_it_is_said_to_be():
     assert found.state.constants[9] == pytest.approx(0.12, abs=0.01)
 
 
+@pytest.mark.long
 def test_the_field_of_the_motors_is_no_attitude():
     found = best_trajectory(flight(per_ampere=(0.3, -0.2, 0.4)))
     assert found.state.constants[3:6] == pytest.approx([0.3, -0.2, 0.4], abs=0.03)
     assert np.abs(error_deg(found).mean(axis=0)).max() < 0.5
 
 
+@pytest.mark.long
 def test_a_compass_that_is_late_bends_neither_the_field_nor_the_attitude():
     late = moved(flight(), Sensor.MAG, 0.06)
     found = best_trajectory(late)
@@ -149,6 +153,7 @@ def warmed(recording, instance, gyro, accel, seconds=SECONDS):
     return recording.with_channels([*map(drift, recording.channels), temperature])
 
 
+@pytest.mark.long
 def test_biases_that_follow_the_temperature_do_not_bend_the_trajectory():
     gyro, accel = [3e-4, -2e-4, 1.5e-4], [8e-3, -5e-3, 12e-3]
     found = best_trajectory(warmed(flight(), 0, gyro, accel))
@@ -157,12 +162,14 @@ def test_biases_that_follow_the_temperature_do_not_bend_the_trajectory():
     assert found.state.constants[ACCEL_DRIFT][:3] / WARM == pytest.approx(accel, abs=3e-3)
 
 
+@pytest.mark.long
 def test_a_temperature_that_drives_nothing_frees_nothing():
     found = best_trajectory(warmed(flight(), 0, np.zeros(3), np.zeros(3)))
     assert found.imu.warm.any()
     assert np.abs(found.state.constants[GYRO_DRIFT.start :]).max() < 1e-6
 
 
+@pytest.mark.long
 def test_a_bias_that_wanders_does_not_bend_the_trajectory():
     recording, each = flight(), 2e-3
     rng = np.random.default_rng(11)
@@ -178,6 +185,7 @@ def test_a_bias_that_wanders_does_not_bend_the_trajectory():
     assert found.state.walk[GYRO_BIAS] == pytest.approx(1e-3)  # of 1e-5, 1e-4, 1e-3 and 1e-2 the nearest
 
 
+@pytest.mark.long
 def test_a_bias_that_stays_is_given_no_more_freedom():
     assert np.array_equal(best_trajectory(flight(gyro_bias=(0.01, -0.015, 0.008))).state.walk, WALK)
 
@@ -201,6 +209,7 @@ def test_the_determinant_is_that_of_the_whole_matrix():
     assert normal.log_determinant == pytest.approx(np.linalg.slogdet(whole)[1])
 
 
+@pytest.mark.long
 def test_of_two_gyroscopes_the_trajectory_turns_with_the_one_that_is_not_late():
     whole = flight(instances=2)
     first = best_trajectory(whole).instance
@@ -212,6 +221,7 @@ def test_of_two_gyroscopes_the_trajectory_turns_with_the_one_that_is_not_late():
     assert best_trajectory(whole.with_channels(map(delayed, whole.channels))).instance != first
 
 
+@pytest.mark.long
 def test_no_axes_are_turned_to_explain_a_crash():
     whole = flight(instances=2)
     crash = [
@@ -225,6 +235,7 @@ def test_no_axes_are_turned_to_explain_a_crash():
     assert np.array_equal(state.walk, WALK)
 
 
+@pytest.mark.long
 def test_the_delay_of_the_firmwares_own_filters_is_no_delay_of_other_sensors():
     late = np.sqrt(2.0) / (2.0 * np.pi * 5.0)
     real = moved(moved(flight(), Sensor.GYRO, late), Sensor.ACCEL, late)
@@ -251,6 +262,7 @@ def test_the_unit_with_the_smaller_errors_drives_the_trajectory():
     assert {(t.instances, t.against) for t in pairs} == {((0,), 1)}
 
 
+@pytest.mark.long
 def test_a_hole_does_not_bend_the_trajectory():
     whole = flight()
     cut = [c.take((c.t < 25.0) | (c.t > 31.0)) if c.sensor != Sensor.VELOCITY else c for c in whole.channels]
@@ -302,6 +314,7 @@ def thinned(recording, step):
     )
 
 
+@pytest.mark.long
 def test_a_re_estimated_reference_is_asked_only_for_what_it_follows():
     traces = by_sensor(build(thinned(flight(), 2)))
     assert not traces[Sensor.ACCEL].rate_known
@@ -323,6 +336,7 @@ def test_an_acceleration_is_followed_as_far_as_is_said(times, missed):
     assert np.sqrt(2.0 * np.mean(off**2)) == pytest.approx(missed, rel=0.02)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seconds", [0.02, 0.2, 1.0])
 def test_the_error_of_slow_samples_adds_up_as_far_as_is_said(seconds):
     """A band of rates up to 1 Hz, summed over 20 s, beside what samples so far apart make of it."""
@@ -338,6 +352,7 @@ def test_the_error_of_slow_samples_adds_up_as_far_as_is_said(seconds):
     assert grown < 1.2 * float(slow.sampling[0]) * np.sqrt(lasting)
 
 
+@pytest.mark.long
 def test_gyroscopes_of_a_slow_log_are_compared_with_each_other_only():
     gyros = [t for t in build(thinned(flight(instances=2), 2)).traces if t.sensor == Sensor.GYRO]
     assert gyros

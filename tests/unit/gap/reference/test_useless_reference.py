@@ -73,6 +73,7 @@ def test_a_trajectory_that_contradicts_its_own_inertial_unit_throughout_is_usele
     assert "degrees" not in verdict_sentence(report)
 
 
+@pytest.mark.long
 def test_a_poorer_position_is_of_no_use_either() -> None:
     report = gap.run(resting(1, gps_noise=10.0), nested=False)
     assert report.verdict is GapVerdict.REFERENCE
@@ -80,6 +81,7 @@ def test_a_poorer_position_is_of_no_use_either() -> None:
     assert report.inputs.att_sigma_deg > USELESS_DEG
 
 
+@pytest.mark.long
 def test_two_units_tell_of_each_other_what_needs_no_attitude() -> None:
     report = diagnosed(2)
     assert report.verdict is GapVerdict.REFERENCE
@@ -94,11 +96,13 @@ def test_two_units_tell_of_each_other_what_needs_no_attitude() -> None:
     assert "SIM_ACC" in exported(report, resting(2), Target.SITL).text
 
 
+@pytest.mark.long
 def test_nothing_to_export_is_told_with_its_reason() -> None:
     with pytest.raises(Exception, match="no sensor could be compared with the reference"):
         exported(diagnosed(1), resting(1), Target.SITL)
 
 
+@pytest.mark.long
 def test_a_companion_with_a_useless_reference_teaches_nothing_of_single_sensors() -> None:
     problem = build(flight(), None, [resting(1)])
     assert any("nothing was learned of single sensors" in w for w in problem.warnings)

@@ -71,6 +71,7 @@ def test_noise_that_a_filter_has_shaped_has_no_cause_of_its_own():
     assert noise_score(flicker, filtered).gain == 0.0
 
 
+@pytest.mark.long
 def test_a_late_sensor_with_noise_of_its_own_is_no_filter():
     problem = problem_of(np.random.default_rng(6), (Sensor.GYRO,))
     trace = problem.traces[0]

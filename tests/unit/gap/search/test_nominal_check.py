@@ -48,6 +48,7 @@ def test_only_a_tone_of_the_same_sensor_is_asked_for():
     assert not nominal_has_tone(step, [trace_with(1.0)])
 
 
+@pytest.mark.long
 def test_a_hum_of_the_nominal_recording_is_not_reported():
     real = problem_of(np.random.default_rng(3), (Sensor.MAG,), hum(1.0))
     assert "mag_tone" in {e.id for e in diagnose(real, nested=False).effects}

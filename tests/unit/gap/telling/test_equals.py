@@ -32,6 +32,7 @@ def effect_of(offset, *, kind=ReferenceKind.ESTIMATOR, only=None):
     return effect
 
 
+@pytest.mark.long
 def test_an_offset_of_both_across_gravity_names_the_tilt_of_both():
     effect = effect_of(ACROSS)
     assert effect.instances == (1, 2)
@@ -39,6 +40,7 @@ def test_an_offset_of_both_across_gravity_names_the_tilt_of_both():
     assert effect.evidence.doubtful or effect.evidence.probability <= 0.5
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("offset", "more"), [(ALONG, {}), (ACROSS, {"kind": ReferenceKind.SIM}), (ACROSS, {"only": 1})]
 )

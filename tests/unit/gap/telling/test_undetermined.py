@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from mavcal.calib.gap.diagnose import _begun, diagnose
 from mavcal.calib.gap.effects import catalogue
@@ -21,6 +22,7 @@ def chosen_of(problem, few):
     return begun[1]
 
 
+@pytest.mark.long
 def test_a_temperature_beside_an_offset_is_a_choice_and_the_offset_the_one_there():
     slopes, offset = np.array([0.02, -0.01, 0.015]), np.array([0.3, 0.5, -0.4])
     problem = problem_of(

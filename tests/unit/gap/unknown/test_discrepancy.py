@@ -48,12 +48,14 @@ def test_white_noise_wins_less_than_a_draw_in_the_mean():
     assert not any(won(bets(0.0, seed=seed)) for seed in range(5))
 
 
+@pytest.mark.long
 def test_heavy_tails_that_lie_anywhere_win_nothing():
     for seed in range(6):
         heavy = SD * np.random.default_rng(seed + 900).standard_t(3.0, size=(N, 3))
         assert won(bets(heavy, seed=seed)) == []
 
 
+@pytest.mark.long
 def test_samples_that_are_loud_on_all_axes_at_once_are_no_bursts():
     for seed in range(6):
         rng = np.random.default_rng(seed)

@@ -32,6 +32,7 @@ def spike_at(row):
     return spike
 
 
+@pytest.mark.long
 def test_white_noise_leaves_nothing_over():
     assert not any(left_of(lambda t: np.zeros((len(t), 3)), seed=seed) for seed in range(40))
 

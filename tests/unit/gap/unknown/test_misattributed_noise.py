@@ -66,6 +66,7 @@ def test_heavy_tails_that_lie_anywhere_are_not_unsteady():
         assert unsteady(model_of(heavy, seed=seed)) == []
 
 
+@pytest.mark.long
 def test_steady_noise_is_not_unsteady():
     assert not any(unsteady(model_of(0.0, seed=seed)) for seed in range(100))
 

@@ -49,6 +49,7 @@ def test_a_sensor_that_reads_nothing_has_no_scale_error():
     assert any("does not follow" in why.reason for why in report.not_testable)
 
 
+@pytest.mark.long
 def test_the_other_sensors_are_diagnosed_without_it():
     rng = np.random.default_rng(9)
     dead = problem_of(rng, (Sensor.MAG,), lambda trace: -trace.ideal)
@@ -58,6 +59,7 @@ def test_the_other_sensors_are_diagnosed_without_it():
     assert [n.id for n in report.not_testable].count("mag") == 1
 
 
+@pytest.mark.long
 def test_a_difference_without_noise_is_still_explained():
     rng = np.random.default_rng(10)
     problem = problem_of(rng, (Sensor.ACCEL,), lambda trace: 1.01 * trace.ideal - trace.measured)

@@ -111,6 +111,7 @@ def test_an_offset_and_a_factor_are_shapes_where_the_catalogue_does_without(sens
     assert f"in proportion to the reading on {sensor}" in simplest(names - {factor})
 
 
+@pytest.mark.long
 def test_where_no_effect_is_an_offset_it_is_unknown_and_not_a_temperature():
     rest = tuple(e for e in by_id().values() if e.id != "gyro_bias")
     problem = problem_of(np.random.default_rng(4), (Sensor.GYRO,), lambda t: np.array([0.002, -0.001, 0.0015]))
@@ -204,6 +205,7 @@ def test_what_switches_on_and_off_is_told_from_the_tone_that_was_found(part, sig
     assert contest.score(best, beside).delta > contest.score(tone, beside).delta + 10.0
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", list(LOW))
 def test_a_low_order_is_worth_more_as_itself_than_as_a_broken_line(name):
     size = np.array([0.5, -0.3, 0.2]) * SIGMA[Sensor.ACCEL]
@@ -213,6 +215,7 @@ def test_a_low_order_is_worth_more_as_itself_than_as_a_broken_line(name):
     assert own.delta > max(s.delta for other, s in found.items() if other.startswith("function of"))
 
 
+@pytest.mark.long
 def test_noise_is_worth_no_shape():
     worst = max(s.delta for seed in range(3) for s in gains(model_of(seed=seed)).values())
     assert worst < 0.0

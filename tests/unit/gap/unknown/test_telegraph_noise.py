@@ -87,6 +87,7 @@ def test_a_constant_of_another_unit_is_no_jump_of_the_one_that_has_a_bias(seed):
     assert telegraph_noise(model, (Attribution(bias.key, 1e4, 3, 1.0, 0.9, 0.0, ()),)) == ()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("size", [0.02, 0.1])
 def test_a_walk_that_is_one_has_more_than_two_levels(size):
     for seed in range(10):
@@ -111,6 +112,7 @@ def test_a_drift_of_one_sensor_is_asked_beside_what_all_of_them_share():
     assert telegraph_noise(model, attributions) == ()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("end", [1.0, 0.7])
 def test_a_step_and_one_that_ends_are_no_jumps_to_and_fro(end):
     t = np.arange(N) / N
@@ -126,6 +128,7 @@ def test_an_effect_that_the_sensor_does_not_have_is_not_asked():
     assert [s.keys for s in telegraph_noise(model, (walk,))] == [(WALK,)]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(3))
 def test_what_follows_motors_that_are_switched_is_theirs_beside_a_relative_as_well(seed):
     # Two effects that imitate each other: what one of them gains as the last is little, what it does is much.
@@ -149,6 +152,7 @@ def test_what_follows_motors_that_are_switched_is_theirs_beside_a_relative_as_we
     assert report.effects
 
 
+@pytest.mark.long
 def test_likelihood_of_two_levels_is_that_of_all_paths():
     rng = np.random.default_rng(3)
     x = np.array([0.1, 0.9, 1.3, -0.2, 0.0, 1.1, 0.8])[:, None] + 0.1 * rng.normal(size=(7, 1))

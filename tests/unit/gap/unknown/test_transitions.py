@@ -60,6 +60,7 @@ def test_the_levels_before_and_after_give_the_size(seed):
         assert high - low < 3.0
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("at", [10.01, 10.019, 20.003])
 def test_the_moment_of_a_jump_is_no_surer_than_the_samples_beside_it(at):
     def jump(trace):
@@ -148,6 +149,7 @@ def _joint(model):
     return Joint(solved(normal.gram, normal.right)[1], normal.slices, normal)
 
 
+@pytest.mark.long
 def test_a_jump_is_no_event_that_takes_time():
     def jump(trace):
         return np.outer(trace.t > ON_S, 0.2 * SIZE)
@@ -163,6 +165,7 @@ def passed_by(trace):
     return np.outer(np.exp(-0.5 * ((trace.t - 20.0) / 0.5) ** 2), SIZE)
 
 
+@pytest.mark.long
 def test_what_passes_by_is_not_forgotten_with_its_samples():
     problem = problem_of(np.random.default_rng(4), (Sensor.ACCEL,), passed_by)
     report = diagnose(problem, nested=False)

@@ -28,12 +28,14 @@ def jumping(moments):
     return gap
 
 
+@pytest.mark.long
 def test_two_jumps_are_events_with_a_name():
     report = diagnose(problem_of(np.random.default_rng(1), (Sensor.ACCEL,), jumping(MOMENTS[:2])), nested=False)
     assert [e.id for e in report.effects] == ["accel_step"] * 2
     assert not report.unknown.flag
 
 
+@pytest.mark.long
 def test_a_sensor_that_keeps_jumping_is_unknown_and_no_jump_is_named():
     report = diagnose(problem_of(np.random.default_rng(1), (Sensor.ACCEL,), jumping(MOMENTS)), nested=False)
     assert report.unknown.flag
@@ -128,6 +130,7 @@ def test_a_wave_that_comes_and_goes_is_no_steady_tone_however_many_explain_it():
     assert not any(e.id == "accel_tone" for e in rung.effects)
 
 
+@pytest.mark.long
 def test_two_steady_tones_are_two():
     few = tuple(e for e in catalogue() if e.id in {"accel_tone", "accel_bias", "accel_noise"})
     fans = diagnose(problem_of(np.random.default_rng(6), (Sensor.ACCEL,), two_fans), effects=few, nested=False)

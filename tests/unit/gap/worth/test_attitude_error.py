@@ -49,6 +49,7 @@ def test_a_bias_beside_a_tilt_is_as_uncertain_as_the_tilt():
     assert np.median([p.se for p in params]) > 2.0 * WHITE
 
 
+@pytest.mark.long
 def test_a_reference_that_is_exact_adds_nothing():
     assert all(p.se < 1.5 * WHITE for p in estimated(kind=ReferenceKind.SIM))
 
@@ -110,6 +111,7 @@ def two_at_rest(offset, tilt_deg=1.0):
     return diagnose(replace(whole, traces=tuple(traces), worse=worse), effects=BIAS_ONLY, nested=False)
 
 
+@pytest.mark.long
 def test_of_two_units_the_one_that_is_off_along_gravity_has_the_bias_and_not_the_other():
     (effect,) = two_at_rest((0.3, -0.2, 0.15), tilt_deg=2.0).effects
     assert effect.instances == (1,)
@@ -117,6 +119,7 @@ def test_of_two_units_the_one_that_is_off_along_gravity_has_the_bias_and_not_the
     assert effect.evidence.probability > 0.7
 
 
+@pytest.mark.long
 def test_a_bias_that_a_tilt_hides_is_on_either_unit_and_the_report_says_so():
     (effect,) = two_at_rest((0.3, -0.2, 0.0)).effects
     assert effect.evidence.probability <= 0.5
@@ -125,6 +128,7 @@ def test_a_bias_that_a_tilt_hides_is_on_either_unit_and_the_report_says_so():
     assert f"instance {other} may have it instead" in effect.confusable_with[0].fix
 
 
+@pytest.mark.long
 def test_a_unit_that_differs_by_more_than_any_tilt_is_the_one():
     (effect,) = two_at_rest((0.3, -0.2, 0.0), tilt_deg=0.2).effects
     assert effect.confusable_with == ()
