@@ -18,7 +18,7 @@ _RULES = (
     ".grid{fill:none;stroke:#dfe5ea}",
     ".edge{fill:none;stroke:#6b7a86}",
 )
-SHEET = Markup(" ").join(Markup(f".drawn {rule}") for rule in _RULES)  # noqa: S704 - they are our own
+SHEET = Markup(" ").join(Markup(".drawn {}").format(rule) for rule in _RULES)
 """The style of a file, and of nothing around it in a notebook; a page has its own rules for the same classes."""
 _HEADING = 30
 
