@@ -93,6 +93,7 @@ def test_a_prompt_is_answered_and_a_job_is_cancelled(running: RunningService) ->
     assert (code, told["state"]) == (1, "cancelled")
 
 
+@pytest.mark.long
 def test_a_job_right_after_a_cancelled_one_gets_its_samples(running: RunningService, sim: SimulatedVehicle) -> None:
     """The cancelled one has asked for messages a moment ago, and puts the rates back a moment later."""
     sim.call("still")

@@ -120,6 +120,7 @@ def test_a_log_without_a_board_id_is_written_only_as_confirmed(sim, mavcal, tmp_
     assert (code, job["plan"]["changes"]) == (0, []), said
 
 
+@pytest.mark.long
 def test_a_job_of_another_vehicle_or_of_none_is_refused(sim, mavcal, tmp_path):
     sim.call("still")
     assert mavcal.ran("accept", "nothing")[0] == 1

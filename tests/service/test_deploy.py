@@ -158,6 +158,7 @@ def healthy(running: Running) -> bool:
     return httpx.get(f"{running.url}/healthz", timeout=scaled(20)).json() == {"status": "ok"}
 
 
+@pytest.mark.long
 def test_what_is_installed_starts_as_the_unit_says_and_ends_at_sigterm(installed: Installed) -> None:
     script = installed.at(installed.unit["ExecStart"][0].split()[0])
     assert script.read_text().splitlines()[0] == "#!/opt/mavcal/bin/python"

@@ -70,6 +70,7 @@ async def test_a_person_turns_a_simulated_vehicle_and_gives_it_back(tmp_path):
         control.close()
 
 
+@pytest.mark.long
 async def test_a_real_vehicle_is_turned_by_nobody(tmp_path):
     with SimulatedVehicle("px4", seed=3) as real:
         async with served(tmp_path) as api:

@@ -79,6 +79,7 @@ def within(fit: FitResult, truth: dict[str, Any], *, sd: float = 4.5) -> None:
     assert (np.abs(error[known]) < sd * fit.sd[known]).all(), (error / np.where(known, fit.sd, np.inf)).round(1)
 
 
+@pytest.mark.long
 async def test_accelerometer_on_one_axis(tmp_path: Path, sim: SimulatedVehicle) -> None:
     async with session(tmp_path, sim.url) as bench:
         truth = sim.truth()["accels"][0]
@@ -91,6 +92,7 @@ async def test_accelerometer_on_one_axis(tmp_path: Path, sim: SimulatedVehicle) 
         assert not job.plan.blockers
 
 
+@pytest.mark.sampled
 async def test_accelerometer_on_six_faces_is_written_and_checked(tmp_path: Path, sim: SimulatedVehicle) -> None:
     operator = Operator(sim)
     async with session(tmp_path, sim.url) as bench:
@@ -152,6 +154,7 @@ async def test_gyro_on_a_thread_counted_by_the_compass(tmp_path: Path, sim: Simu
         assert "scale and misalignment" in {loss.what for loss in job.plan.losses}
 
 
+@pytest.mark.sampled
 async def test_accelerometer_and_gyro_from_poses_and_movements(tmp_path: Path, sim: SimulatedVehicle) -> None:
     async with session(tmp_path, sim.url) as bench:
         truth = sim.truth()

@@ -66,6 +66,7 @@ def test_links_are_opened_refused_and_closed_and_text_stays_text(desk, tmp_path)
         desk.sees("No connection is open")
 
 
+@pytest.mark.long
 def test_with_keys_the_panel_asks_for_one_and_again_when_it_is_wrong(desk, tmp_path):
     keys = [{"name": "crew", "sha256": digest("open sesame"), "scopes": ["admin"]}]
     with service(tmp_path, MAVCAL_API_KEYS=json.dumps(keys)) as url:

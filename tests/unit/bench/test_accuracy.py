@@ -118,6 +118,7 @@ def test_seeds_are_fixed_and_differ() -> None:
     assert [one.runs(n) for n in (100, 10_000, 100_000, 1_000_000)] == [200, 200, 60, 40]
 
 
+@pytest.mark.long
 def test_the_command_prints_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["six-face", "allan", "--quick"]) == 0
     printed = capsys.readouterr().out

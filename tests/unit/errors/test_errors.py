@@ -85,6 +85,7 @@ def test_only_what_is_not_there_answers_404() -> None:
     assert [made.code for made in absent if not made.code.endswith(("-unknown", "-missing"))] == []
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("made", CLASSES, ids=NAMES)
 def test_without_a_message_an_error_says_what_its_class_means(made: type[ServiceError]) -> None:
     said = str(made())

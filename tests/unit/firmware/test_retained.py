@@ -15,6 +15,7 @@ ROWS += [px4_thermal_names(sensor, slot) for sensor in (Sensor.ACCEL, Sensor.GYR
 FLOATS = sorted({name for row in ROWS for role, name in row.items() if role not in INTEGERS})
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", FLOATS)
 def test_every_float_of_a_px4_calibration_is_kept_beyond_the_epsilon_and_only_there(name):
     default = px4_default(name)

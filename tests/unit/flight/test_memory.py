@@ -69,7 +69,7 @@ def flown() -> Recording:
     return Recording(tuple(channels), events=events, identity=Identity(autopilot="ardupilot"), source="flight.bin")
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("look", [inspect, flight_report])
 def test_a_summary_needs_little_beside_the_columns(look: Callable[[Recording], Any]) -> None:
     recording = flown()

@@ -179,7 +179,7 @@ def test_the_methods_pool_logs_and_the_line_agrees():
         METHODS["thermal-poly"].run_pooled([logs[1], table])
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("sensor", [Sensor.ACCEL, Sensor.GYRO])
 def test_the_sd_is_honest_over_many_logs(sensor):
     truth = ACCEL if sensor == Sensor.ACCEL else GYRO

@@ -91,7 +91,7 @@ def test_two_effects_at_once_do_not_become_a_walk_because_each_alone_is_worth_le
     assert set(found(report)) == {"accel_bias", "accel_scale"}
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_what_a_sensor_shows_stays_although_nobody_declared_its_noise(seed):
     problem = problem_of(np.random.default_rng(seed), (A,), lambda _trace: np.array([0.3, -0.2, 0.1]))
@@ -101,7 +101,7 @@ def test_what_a_sensor_shows_stays_although_nobody_declared_its_noise(seed):
     assert not report.unknown.flag
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_an_offset_in_hover_is_no_end_of_the_range(seed):
     trace = make(A, "hover", seconds=40.0, fs=50.0)

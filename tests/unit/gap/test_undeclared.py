@@ -32,7 +32,7 @@ def alone(seed, gap, sensor=Sensor.ACCEL):
     return diagnose(replace(problem, traces=tuple(replace(t, sigma=None) for t in problem.traces)), nested=False)
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_offset_is_no_slow_noise(seed):
     def offset(trace):

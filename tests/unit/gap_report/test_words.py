@@ -114,6 +114,7 @@ def test_sensors_are_counted(instances, said):
     assert sensor_name(replace(BIAS, instances=instances)) == said
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("known", catalogue(), ids=lambda known: known.id)
 def test_every_effect_of_the_catalogue_has_plain_words(known):
     said = effect_phrase(replace(BIAS, id=known.id))

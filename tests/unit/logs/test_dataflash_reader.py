@@ -419,6 +419,7 @@ class TestBadInput:
             assert (np.diff(channel.t) >= 0).all()
         undo(recording)
 
+    @pytest.mark.sampled
     @pytest.mark.parametrize("name", sorted({c for m in made.MESSAGES for c in m.columns.split(",")}, key=str))
     def test_a_column_whose_name_is_damaged_is_missed_or_refused(self, name):
         damaged = SMALL.replace(f",{name}".encode(), b"," + b"x" * len(name))

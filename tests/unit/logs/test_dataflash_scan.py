@@ -125,6 +125,7 @@ class TestScan:
         other = made.Message(made.IMU.type, "IMU", "QB", "TimeUS,I").definition()
         assert np.array_equal(imu_rows(FLIGHT + other), imu_rows(FLIGHT))
 
+    @pytest.mark.sampled
     @pytest.mark.parametrize("seed", range(3))
     def test_flips_and_cuts_cost_what_they_hit(self, seed):
         data = made.flight(100.0, seed=3)

@@ -41,7 +41,7 @@ def test_values_are_those_of_pymavlink(tmp_path):
     assert agrees(path) > 1200
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["df_log171_triple_imu_mag/log171.bin", "sitl_flights/null.bin"])
 def test_values_are_those_of_pymavlink_on_real_logs(shared_data, name):

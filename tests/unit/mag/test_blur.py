@@ -81,6 +81,7 @@ def test_deblurring_is_exact_for_a_steady_turn(compass: Any) -> None:
     np.testing.assert_allclose(deblurred(read[None, :], rates, model)[0], expected, atol=1e-6)
 
 
+@pytest.mark.long
 def test_blur_biases_the_fit_and_deblurring_heals_it(compass: Any, tumbling: Any) -> None:
     u, t, gyro_t, gyro = tumbling
     rng = np.random.default_rng(1)

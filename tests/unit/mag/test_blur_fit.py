@@ -43,6 +43,7 @@ def test_the_stated_uncertainty_of_a_nearly_noise_free_compass_is_true(nearly_no
     assert np.abs(found).max() < 4.0
 
 
+@pytest.mark.long
 def test_the_stated_uncertainty_of_a_compass_in_whole_milligauss_is_true_and_no_larger(nearly_noiseless) -> None:
     found = np.array(nearly_noiseless)[:, 1:]
     assert 0.8 < np.sqrt(np.mean(found**2)) < 1.2

@@ -57,7 +57,7 @@ def test_a_corrupt_compensation_is_the_cause(shared_data):
     assert "COMPASS_MOT_X = nan" in fit.message
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [0, 2])
 def test_a_flight_with_its_motors_compensated_is_not_sent_to_compensate_them(shared_data, kind):
     recording = logs.read(str(shared_data / "sitl_flights/vib_motor_temp.bin"))

@@ -165,6 +165,7 @@ def test_moments_of_a_smaller_model_hold_its_form(compass: Any, rng: np.random.G
     assert rough > noise
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(5))
 def test_a_prior_does_not_keep_the_iteration_from_settling(compass: Any, seed: int) -> None:
     """The variance that weighs samples against the prior is re-estimated: that is no rise of the cost."""

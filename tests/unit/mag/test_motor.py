@@ -28,6 +28,7 @@ def driven():
     return made, fit_motor(made.mag, made.turning, made.drives, field=FIELD)
 
 
+@pytest.mark.long
 def test_the_term_is_found_and_the_current_chosen(driven):
     fit = driven[1]
     assert fit.native["proposed"]

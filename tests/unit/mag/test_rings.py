@@ -117,7 +117,7 @@ def _angle(matrix: Any) -> float:
     return float(np.linalg.norm(Rotation.from_matrix(u @ vt).as_rotvec()))
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize(("centre", "tilt"), [("circle", 0.0), ("mean", 0.0), ("circle", 0.3)])
 def test_the_covariance_holds(centre: str, tilt: float) -> None:
     rng = np.random.default_rng(3)

@@ -22,7 +22,7 @@ def test_correction_maps_the_ellipsoid_to_the_sphere(compass: Any, rng: np.rando
     assert np.linalg.det(relative.matrix) == pytest.approx(1.0)
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("strength", [None, 49.0])
 def test_covariance_equals_that_of_many_draws(compass: Any, strength: float | None) -> None:
     rng = np.random.default_rng(3)

@@ -142,6 +142,7 @@ def nasty(name, recording, rng):
     return recording.with_channels(dataclasses.replace(c, values=spoil(c.values)) for c in recording.channels)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", PROCEDURES)
 @pytest.mark.parametrize("spoilt", ["zeros", "constant", "noise", "spikes", "holes", "nothing", "huge", "tiny"])
 def test_whatever_arrives_ends_in_a_result_or_in_one_sentence(kind, spoilt, bench):

@@ -94,6 +94,7 @@ def warm_ups(walk: float, seeds: int, *, ratios=(1.0, 1.0, 1.0)) -> np.ndarray:
     return np.array(errors)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("walk", "ratios"), [(0.005, (1.0, 1.0, 1.0)), (0.006, (0.7, 1.0, 1.4))])
 def test_the_worst_walk_hides_in_no_drift_of_a_warm_up(walk, ratios):
     """The axes of a sensor tell each other: alone, one in forty of such drifts was off by more than 4.5 sd."""

@@ -84,7 +84,7 @@ def drifting(trace):
     return np.column_stack(late) - trace.ideal
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("gap", [turned, drifting])
 def test_what_all_sensors_share_in_both_flights_is_no_gap(gap):
     first, second = (problem_of(np.random.default_rng(s), (Sensor.ACCEL, Sensor.MAG), gap) for s in (1, 2))

@@ -31,7 +31,7 @@ def loss_at(model: Model, block: Model, beta) -> float:
     return log_loss(carried(dataclasses.replace(model, terms=(dataclasses.replace(term, beta=beta),)), block))
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_it_is_the_mean_of_the_density_over_what_the_other_blocks_leave_open(seed):
     """Monte Carlo over what one block says, and the other three; beside a large effect its prior hardly moves it."""

@@ -55,6 +55,7 @@ def keys(chosen):
     return {t.hypothesis.effect.id: t.hypothesis.key for t in chosen.model.members}
 
 
+@pytest.mark.long
 def test_what_is_tolerated_is_in_every_model_and_has_no_part_in_the_gap(chosen):
     found, contest = chosen
     assert set(keys(found)) == {"accel_bias", "accel_scale"}
@@ -99,7 +100,7 @@ def nearly_level(problem):
     )
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_effect_whose_place_another_one_mostly_takes_is_asked_for_no_more_than_it_adds(seed):
     problem = nearly_level(problem_of(np.random.default_rng(seed), (Sensor.GYRO,)))

@@ -64,6 +64,7 @@ def test_one_unit_is_not_judged_and_the_reference_is_said_first() -> None:
     assert "The reference is of no use" in gap_to_html(report)
 
 
+@pytest.mark.long
 def test_a_trajectory_that_contradicts_its_own_inertial_unit_throughout_is_useless_too() -> None:
     known = diagnosed(1)
     report = replace(known, inputs=replace(known.inputs, att_sigma_deg=math.inf))

@@ -40,7 +40,7 @@ def test_an_offset_of_both_across_gravity_names_the_tilt_of_both():
     assert effect.evidence.doubtful or effect.evidence.probability <= 0.5
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("offset", "more"), [(ALONG, {}), (ACROSS, {"kind": ReferenceKind.SIM}), (ACROSS, {"only": 1})]
 )

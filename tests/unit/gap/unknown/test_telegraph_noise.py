@@ -87,7 +87,7 @@ def test_a_constant_of_another_unit_is_no_jump_of_the_one_that_has_a_bias(seed):
     assert telegraph_noise(model, (Attribution(bias.key, 1e4, 3, 1.0, 0.9, 0.0, ()),)) == ()
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("size", [0.02, 0.1])
 def test_a_walk_that_is_one_has_more_than_two_levels(size):
     for seed in range(10):

@@ -60,7 +60,7 @@ def test_the_levels_before_and_after_give_the_size(seed):
         assert high - low < 3.0
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.parametrize("at", [10.01, 10.019, 20.003])
 def test_the_moment_of_a_jump_is_no_surer_than_the_samples_beside_it(at):
     def jump(trace):
