@@ -13,6 +13,8 @@ ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "docs" / "prompts.md"
 HEAD = """# Every prompt of every procedure
 
+For: drone operators, and developers who show or translate prompts.
+
 Written by `scripts/prompts` from the code; a test says whether it is current. What stands in ‹ › is filled in while the
 job runs. A **prompt** says what to do now. A **message** is a part of a sentence: it tells progress, why a capture
 ended, what to do next, or what was left out. Prompts come from a live job as they come from a replayed log.

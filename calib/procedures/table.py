@@ -9,6 +9,8 @@ from mavcal.calib.procedures.spec import ProcedureSpec
 
 _HEAD = """# Procedures
 
+For: drone operators, and who writes a prompt of their own.
+
 Generated from the specifications in `calib/procedures` by `calib.procedures.table.markdown()`; a test compares them.
 Time is the vehicle's own. Every procedure fits every instance that streams, ends when the requested uncertainty is
 reached, and gives up with the cause when it cannot be.
