@@ -148,6 +148,7 @@ async def test_too_many_are_refused_and_a_stopped_service_begins_them_again(tmp_
         assert (await ended(a, first["id"]))["state"] == "succeeded"
 
 
+@pytest.mark.long
 async def test_a_diagnosis_that_takes_too_long_is_ended(tmp_path, monkeypatch):
     monkeypatch.setattr("mavcal.service.computations.DIAGNOSE", "tests.service.child_tasks:spin")
     table = write_table(tmp_path / "real.csv")

@@ -264,6 +264,7 @@ async def test_a_job_that_makes_no_sense_is_422_and_an_answer_reaches_the_proced
         assert span < 20.0  # not the whole range that was asked for: the answer ended it
 
 
+@pytest.mark.long
 async def test_a_change_by_somebody_else_is_plan_again_and_then_it_works(tmp_path, sim):
     async with bench(tmp_path, sim) as (a, vehicle):
         job = await reviewed(a, vehicle)

@@ -154,7 +154,7 @@ async def test_gyro_on_a_thread_counted_by_the_compass(tmp_path: Path, sim: Simu
         assert "scale and misalignment" in {loss.what for loss in job.plan.losses}
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 async def test_accelerometer_and_gyro_from_poses_and_movements(tmp_path: Path, sim: SimulatedVehicle) -> None:
     async with session(tmp_path, sim.url) as bench:
         truth = sim.truth()

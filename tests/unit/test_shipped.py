@@ -26,6 +26,7 @@ def named(source: str) -> set[str]:
     return {part for part in parts if RECORDING.fullmatch(part)} - OWN
 
 
+@pytest.mark.long
 def test_no_recording_is_named_in_shipped_code() -> None:
     assert {name: found for name, source in shipped().items() if (found := named(source))} == {}
 
