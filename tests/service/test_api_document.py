@@ -102,7 +102,6 @@ def test_every_operation_is_asked(operations: dict[str, Any]) -> None:
     assert list(operations) == ASKED
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("asked", ASKED)
 def test_every_answer_is_as_documented(addresses: dict[str, str], operations: dict[str, Any], asked: str) -> None:
     operation = operations[asked]
