@@ -28,6 +28,8 @@ ESC = made.Message(97, "ESC", "QBf", "TimeUS,Instance,RPM")
 ARM = made.Message(98, "ARM", "QB", "TimeUS,ArmState")
 VIBE = made.Message(99, "VIBE", "QBfffI", "TimeUS,IMU,VibeX,VibeY,VibeZ,Clip")
 VER = made.Message(100, "VER", "QBBB", "TimeUS,Maj,Min,Pat")
+EV = made.Message(102, "EV", "QB", "TimeUS,Id")
+CURR = made.Message(103, "CURR", "Qff", "TimeUS,Volt,Curr")
 DSF = made.Message(101, "DSF", "QI", "TimeUS,Dp")
 
 
@@ -241,6 +243,16 @@ class TestState:
         assert kinds(recording, "drop") == ["the vehicle could not write 12 messages of this log"]
         assert recording.identity.firmware == (4, 6, 1)
         assert recording.identity.uid == "24002e001951343038343936"
+
+    def test_a_log_without_arm_messages_is_armed_by_its_events(self):
+        data = with_rows((EV, {"TimeUS": times(6, 6.5, 7, 8), "Id": [10, 62, 11, 10]}))
+        told = [(e.t, e.kind) for e in read_dataflash(data).events if e.kind in ("armed", "disarmed")]
+        assert told == [(6.0, "armed"), (7.0, "disarmed"), (8.0, "armed")]
+
+    def test_one_battery_that_is_logged_twice_is_one_current(self):
+        recording = read_dataflash(with_rows((CURR, {"TimeUS": times(5.0, 5.1), "Curr": 99.0})))
+        assert {c.instance for c in recording.channels if c.sensor == Sensor.CURRENT} == {0}
+        assert recording.channel(Sensor.CURRENT).values.max() < 50.0
 
 
 class TestParameters:

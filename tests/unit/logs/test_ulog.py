@@ -51,6 +51,10 @@ def flight(parameters=None, n=40):
     return log
 
 
+def test_a_sound_log_tells_no_damage(reading):
+    assert [event for event in reading(flight()).events if event.kind == "damage"] == []
+
+
 def test_topics_have_their_unit_stage_and_time(reading):
     recording = reading(flight())
     by_source = {(c.sensor, c.source): c for c in recording.channels}

@@ -161,6 +161,8 @@ class TestInForce:
         for enable, acts in ((0, False), (1, True), (2, False)):
             parameters = BOARD | row("CAL_GYRO0", 7) | thermal("G", 0, 7) | {"TC_G_ENABLE": enable}
             assert (px4.calibration_in_force(parameters, Sensor.GYRO, 0).polynomial is not None) == acts
+        del parameters["TC_G_ENABLE"]  # never announced: nothing acts
+        assert px4.calibration_in_force(parameters, Sensor.GYRO, 0).polynomial is None
 
     def test_board_rotation_then_level(self) -> None:
         turned = BOARD | {"SENS_BOARD_ROT": 2, "SENS_BOARD_X_OFF": 90.0} | row("CAL_ACC0", 7)
