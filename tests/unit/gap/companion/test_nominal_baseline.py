@@ -59,7 +59,6 @@ def test_its_delays_are_found_with_their_size(nominal):
         assert found[name].params[0].value == pytest.approx(DELAY_S, rel=0.05)
 
 
-@pytest.mark.long
 def test_what_both_have_is_no_gap(nominal):
     report = gap.run(recording(2), None, [nominal], nested=False)
     assert report.verdict is GapVerdict.NO_GAP
