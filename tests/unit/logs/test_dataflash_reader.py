@@ -251,7 +251,7 @@ class TestState:
 
     def test_one_battery_that_is_logged_twice_is_one_current(self):
         recording = read_dataflash(with_rows((CURR, {"TimeUS": times(5.0, 5.1), "Curr": 99.0})))
-        assert {c.instance for c in recording.channels if c.sensor == Sensor.CURRENT} == {0}
+        assert [c.instance for c in recording.channels if c.sensor == Sensor.CURRENT] == [0]
         assert recording.channel(Sensor.CURRENT).values.max() < 50.0
 
 
