@@ -96,7 +96,6 @@ BODIES: dict[str, Any] = {
 }
 
 
-@pytest.mark.long
 async def test_every_request_for_a_change_is_in_the_trail_with_who_asked(tmp_path: Path) -> None:
     async with api(tmp_path, api_keys=keys(), headers=bearer("admin")) as a:
         asked = changes(tmp_path)

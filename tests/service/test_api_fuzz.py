@@ -65,7 +65,6 @@ def _quoted(segment: str) -> str:
     return "".join(f"%{b:02x}" for b in segment.encode("utf-8", "replace")) or "-"
 
 
-@pytest.mark.long
 def test_no_request_makes_the_service_fail(tmp_path: Path) -> None:
     """One service is asked everything: the start of another one costs more than all of its answers."""
 

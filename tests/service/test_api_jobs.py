@@ -243,7 +243,6 @@ NONSENSE: tuple[Any, ...] = (
 )
 
 
-@pytest.mark.long
 async def test_a_job_that_makes_no_sense_is_422_and_an_answer_reaches_the_procedure(tmp_path, sim):
     async with bench(tmp_path, sim) as (a, vehicle):
         for body in NONSENSE:
@@ -264,7 +263,6 @@ async def test_a_job_that_makes_no_sense_is_422_and_an_answer_reaches_the_proced
         assert span < 20.0  # not the whole range that was asked for: the answer ended it
 
 
-@pytest.mark.long
 async def test_a_change_by_somebody_else_is_plan_again_and_then_it_works(tmp_path, sim):
     async with bench(tmp_path, sim) as (a, vehicle):
         job = await reviewed(a, vehicle)
@@ -293,7 +291,6 @@ async def test_an_armed_vehicle_is_409_and_a_read_only_service_403(tmp_path, sim
         assert problem["type"].endswith("vehicle-armed")
 
 
-@pytest.mark.long
 async def test_a_write_that_fails_before_it_begins_says_so_in_review_and_can_be_tried_again(tmp_path, sim):
     async with bench(tmp_path, sim) as (a, vehicle):
         job = await reviewed(a, vehicle)

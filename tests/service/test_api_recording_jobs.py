@@ -95,7 +95,6 @@ async def test_a_log_is_fitted_planned_written_proved_and_taken_back(tmp_path, s
         assert stored(sim) == before
 
 
-@pytest.mark.long
 async def test_a_log_of_other_sensors_is_refused_with_the_reason(tmp_path, sim):
     async with served(tmp_path, connect=(sim.url,)) as a:
         vehicle = await a.vehicle()
@@ -130,7 +129,6 @@ async def test_what_is_of_no_vehicle_is_never_planned(tmp_path, sim):
         assert len(await a.get("/jobs")) == 1
 
 
-@pytest.mark.long
 async def test_a_log_without_a_board_id_is_written_only_as_confirmed_and_the_audit_says_so(tmp_path, sim):
     async with served(tmp_path, connect=(sim.url,)) as a:
         vehicle = await a.vehicle()

@@ -131,7 +131,6 @@ def test_recover_takes_back_what_was_killed_in_mid_write(ardupilot: SimulatedVeh
     assert "nothing is in doubt" in said
 
 
-@pytest.mark.long
 def test_the_next_calibration_recovers_first_and_then_goes_on(px4: SimulatedVehicle, mavcal: Command) -> None:
     mavcal.killed(At.ECHO_KEPT, 4, "calibrate", "gyro", "--apply")
     assert stored(px4)["SENS_IMU_AUTOCAL"] == 0

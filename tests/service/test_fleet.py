@@ -265,7 +265,6 @@ def key(name: str) -> dict[str, Any]:
     return {"headers": {"Authorization": f"Bearer {name}"}}
 
 
-@pytest.mark.long
 async def test_a_key_that_is_bound_to_tags_sees_and_touches_its_vehicles_alone(
     tmp_path: Path, sims: tuple[SimulatedVehicle, SimulatedVehicle]
 ) -> None:

@@ -126,7 +126,6 @@ async def test_a_change_by_somebody_else_before_the_accept_is_plan_again(tmp_pat
         assert (await bench.until(job.id, JobState.SUCCEEDED, JobState.REVERTED)).state == JobState.SUCCEEDED
 
 
-@pytest.mark.long
 async def test_another_calibration_during_the_capture_ends_it_with_the_name(
     tmp_path: Path, sim: SimulatedVehicle
 ) -> None:
@@ -143,7 +142,6 @@ async def test_another_calibration_during_the_capture_ends_it_with_the_name(
         assert job.segments  # what was recorded is kept
 
 
-@pytest.mark.long
 async def test_a_gyro_offset_that_changes_during_the_capture_is_told_and_the_rest_begins_again(
     tmp_path: Path, sim: SimulatedVehicle
 ) -> None:

@@ -76,7 +76,6 @@ async def ended(a: Api, job: Json) -> Json:
     return await a.until(job["id"], "succeeded", "reverted", seconds=90)
 
 
-@pytest.mark.long
 async def test_three_links_are_one_vehicle_with_one_claim(tmp_path: Path, sim: SimulatedVehicle) -> None:
     async with connected(tmp_path, *sim.urls) as (a, vehicle):
         links = await a.get("/links")
@@ -92,7 +91,6 @@ async def test_three_links_are_one_vehicle_with_one_claim(tmp_path: Path, sim: S
         assert (left["id"], len(left["links"])) == (vehicle["id"], 2)
 
 
-@pytest.mark.long
 async def test_a_write_goes_on_when_its_link_dies_or_is_closed(tmp_path: Path, sim: SimulatedVehicle) -> None:
     before = stored(sim)
     async with connected(tmp_path, *sim.urls[:2]) as (a, vehicle):

@@ -50,7 +50,6 @@ async def opened(a: Api, url: str, key: str | None = None) -> dict[str, Any]:
     return dict(await a.post("/links", {"url": url if key is None else f"{url}?signing={key}"}, 201))
 
 
-@pytest.mark.long
 async def test_two_links_are_signed_with_two_keys_and_neither_key_opens_the_other(tmp_path: Path) -> None:
     with vehicle(BOAT) as boat, vehicle(PLANE, system=2) as plane:
         async with api(tmp_path) as a:
