@@ -8,7 +8,7 @@ pytest.importorskip("playwright", reason="Playwright is not installed")
 
 from playwright.sync_api import Browser, sync_playwright
 
-from .panel import CHROMIUM, PHONE, Panel, launched
+from .panel import CHROMIUM, HAND, PHONE, Panel, launched
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -37,5 +37,12 @@ def desk(browser: Browser) -> Iterator[Panel]:
 @pytest.fixture
 def phone(browser: Browser) -> Iterator[Panel]:
     panel = Panel(browser, PHONE)
+    yield panel
+    panel.close()
+
+
+@pytest.fixture
+def hand(browser: Browser) -> Iterator[Panel]:
+    panel = Panel(browser, HAND)
     yield panel
     panel.close()

@@ -21,6 +21,8 @@ from tests.patience import patience, scaled
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
 PHONE = {"width": 360, "height": 740}
+HAND = {"width": 390, "height": 844}
+"""The phone of somebody who holds a vehicle; a whole step fits on it without scrolling."""
 DESK = {"width": 1280, "height": 860}
 KEPT = {"parameters": {"INS_GYR_CAL": 0}, "thermal": False}
 """A vehicle that keeps what is written to its gyros."""

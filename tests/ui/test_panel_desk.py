@@ -10,9 +10,8 @@ from playwright.sync_api import expect
 from mavcal.client import Client
 from tests.ui.rooms import connected, flown
 
-from .panel import KEPT, service, shot, sim, until
+from .panel import HAND, KEPT, service, shot, sim, until
 
-PHONE = {"width": 390, "height": 844}
 ANNOUNCED = """() => {
   const said = document.querySelector(".prompt .say").textContent;
   const live = "[aria-live=assertive], [aria-live=polite], [role=status], [role=alert]";
@@ -30,55 +29,55 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Clien
 
 
 @pytest.mark.long
-def test_propellers_are_named_before_and_a_look_waits_for_the_job_that_runs(phone, place):
+def test_propellers_are_named_before_and_a_look_waits_for_the_job_that_runs(hand, place):
     url, client = place
     vehicle = connected(client, sim(speed=3, system_id=1, hand="off"))
-    phone.open(url, f"#/vehicle/{vehicle}")
+    hand.open(url, f"#/vehicle/{vehicle}")
     for tile in ("Accelerometer", "Compass"):
-        expect(phone.page.get_by_role("region", name=tile)).to_contain_text("propellers off")
-    phone.calibrate("Accelerometer").click()
-    phone.sees("1 of 10 poses", 90, ".prompt")
-    assert phone.page.evaluate(ANNOUNCED) == 1
-    cancel = phone.page.get_by_role("button", name="Cancel").bounding_box()
+        expect(hand.page.get_by_role("region", name=tile)).to_contain_text("propellers off")
+    hand.calibrate("Accelerometer").click()
+    hand.sees("1 of 10 poses", 90, ".prompt")
+    assert hand.page.evaluate(ANNOUNCED) == 1
+    cancel = hand.page.get_by_role("button", name="Cancel").bounding_box()
     assert cancel is not None
-    assert cancel["width"] < PHONE["width"] / 2  # the way out is not what a thumb falls on
-    job = phone.place.rsplit("/", 1)[1]
-    phone.open(url, f"#/vehicle/{vehicle}/preflight")
-    phone.sees("It takes 10 to 30 s", inside="main")
-    phone.sees("Accelerometer goes on: look when it has ended", inside="main")
-    expect(phone.page.get_by_role("button", name="Look now")).to_be_disabled()
+    assert cancel["width"] < HAND["width"] / 2  # the way out is not what a thumb falls on
+    job = hand.place.rsplit("/", 1)[1]
+    hand.open(url, f"#/vehicle/{vehicle}/preflight")
+    hand.sees("It takes 10 to 30 s", inside="main")
+    hand.sees("Accelerometer goes on: look when it has ended", inside="main")
+    expect(hand.page.get_by_role("button", name="Look now")).to_be_disabled()
     client.cancel_job(job)
-    expect(phone.page.get_by_role("button", name="Look now")).to_be_enabled()
+    expect(hand.page.get_by_role("button", name="Look now")).to_be_enabled()
 
 
 @pytest.mark.long
-def test_a_compass_at_one_known_heading_is_started_with_that_heading(phone, place):
+def test_a_compass_at_one_known_heading_is_started_with_that_heading(hand, place):
     url, client = place
     vehicle = connected(client, sim(speed=8, system_id=2, seed=4, config=KEPT))
-    phone.open(url, f"#/vehicle/{vehicle}")
-    phone.page.get_by_text("More: level horizon and other methods").click()
-    method = phone.page.locator(".methods li").filter(has=phone.page.locator("form"))
+    hand.open(url, f"#/vehicle/{vehicle}")
+    hand.page.get_by_text("More: level horizon and other methods").click()
+    method = hand.page.locator(".methods li").filter(has=hand.page.locator("form"))
     expect(method).to_have_count(1)
     method.get_by_role("button", name="Start").click()
-    assert phone.place == f"#/vehicle/{vehicle}"  # the heading has to be given
-    shot(phone, "fixed-yaw")
+    assert hand.place == f"#/vehicle/{vehicle}"  # the heading has to be given
+    shot(hand, "fixed-yaw")
     method.get_by_role("spinbutton").fill("0")
     method.get_by_role("button", name="Start").click()
     until(lambda: any(job.kind == "mag-fixed-yaw" for job in client.list_jobs(vehicle_id=vehicle)), 30, "it begins")
-    phone.wait_for_state("Ready for your review", 90)
-    phone.sees("Heading is wrong by up to", inside=".headline")
-    assert phone.page.locator(".mounting-choice").count() == 0  # its mounting was taken for granted
+    hand.wait_for_state("Ready for your review", 90)
+    hand.sees("Heading is wrong by up to", inside=".headline")
+    assert hand.page.locator(".mounting-choice").count() == 0  # its mounting was taken for granted
     assert client.list_jobs(vehicle_id=vehicle, kind="mag-fixed-yaw")[0].options["heading"] == 0.0
 
 
 @pytest.mark.long
-def test_a_log_is_told_on_three_screens_of_a_phone(phone, place):
+def test_a_log_is_told_on_three_screens_of_a_phone(hand, place):
     url, client = place
     log = client.upload_recording(flown(), name="flight.csv").id
-    phone.open(url, f"#/log/{log}")
-    phone.sees("What is worth fitting", 60)
-    phone.page.wait_for_timeout(2000)
-    shot(phone, "log-flight")
-    assert phone.page.evaluate("document.documentElement.scrollHeight") <= 3 * PHONE["height"]
-    phone.page.get_by_text("Its sensors over time").click()  # the rest is folded, not gone
-    expect(phone.page.locator(".charts figure").first).to_be_visible()
+    hand.open(url, f"#/log/{log}")
+    hand.sees("What is worth fitting", 60)
+    hand.page.wait_for_timeout(2000)
+    shot(hand, "log-flight")
+    assert hand.page.evaluate("document.documentElement.scrollHeight") <= 3 * HAND["height"]
+    hand.page.get_by_text("Its sensors over time").click()  # the rest is folded, not gone
+    expect(hand.page.locator(".charts figure").first).to_be_visible()

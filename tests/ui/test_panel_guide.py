@@ -1,4 +1,4 @@
-"""The job page in the phone: one screen of a phone, poses, silence, what was left out, and the way out."""
+"""The job page in the hand: one screen of a hand, poses, silence, what was left out, and the way out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from tests.ui.rooms import connected
 
 from .panel import KEPT, Panel, service, shot, sim, until
 
-PHONE = {"width": 390, "height": 844}
 FITS = """() => {
   const box = (selector) => document.querySelector(selector)?.getBoundingClientRect();
   const boxes = [".prompt", ".stage", ".faces, .compass-list", ".dock button"].map(box);
@@ -58,12 +57,12 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Cli
         yield url, client
 
 
-def test_an_accelerometer_in_the_hand(phone, running):
+def test_an_accelerometer_in_the_hand(hand, running):
     url, client = running
     vehicle = connected(client, sim(speed=3, system_id=1, config=KEPT))
     job = client.start_job(vehicle, kind="accel").id
-    phone.open(url, f"#/job/{job}")
-    page = phone.page
+    hand.open(url, f"#/job/{job}")
+    page = hand.page
     page.wait_for_selector(".faces li")
     page.evaluate(FRAMES)
     expect(page.locator(".faces li")).to_have_count(10)  # six faces and four tilts, each with a tile of its own
@@ -75,10 +74,10 @@ def test_an_accelerometer_in_the_hand(phone, running):
     def captured() -> bool:
         fits = page.evaluate(FITS)
         if fits is None:
-            return "Waiting for you" not in phone.text(".job-head") and "Measuring" not in phone.text(".job-head")
+            return "Waiting for you" not in hand.text(".job-head") and "Measuring" not in hand.text(".job-head")
         if not fits:
-            shot(phone, "accel-does-not-fit")
-        assert fits, phone.text(".prompt")
+            shot(hand, "accel-does-not-fit")
+        assert fits, hand.text(".prompt")
         said, seen = page.evaluate(
             "['.say', '.seen'].map((s) => document.querySelector('.prompt ' + s)?.textContent ?? '')"
         )
@@ -86,14 +85,14 @@ def test_an_accelerometer_in_the_hand(phone, running):
             stale.append(f"{said} / {seen}")
         if "low" in said or "half down" in said:
             shown.add(said)
-            shot(phone, "accel-tilted")
-        shot(phone, f"accel-{page.locator('.faces .done').count()}")
+            shot(hand, "accel-tilted")
+        shot(hand, f"accel-{page.locator('.faces .done').count()}")
         return False
 
     until(captured, 240, "the capture ends")
     assert stale == []
     assert any("a third down" in said and "side low" in said for said in shown), shown
-    phone.wait_for_state("Ready for your review", 90)
+    hand.wait_for_state("Ready for your review", 90)
     client.choose_hand(vehicle, hand="mouse")  # it stays as it is until somebody has looked
     client.turn_vehicle(vehicle, attitude=[1.0, 0.0, 0.0, 0.0])  # level alone proves less than the last tilt does
     page.locator(".dock button.primary").click()
@@ -103,29 +102,29 @@ def test_an_accelerometer_in_the_hand(phone, running):
         said = page.evaluate("document.querySelector('.prompt .say')?.textContent ?? ''")
         if said.startswith("Hold it still") and page.evaluate("!!document.querySelector('.dock .why')"):
             proofs.add(said)
-            shot(phone, f"accel-proof-{len(proofs)}")
+            shot(hand, f"accel-proof-{len(proofs)}")
             assert page.locator(".stage attitude-scene").count() == 1, "a pose has its picture"
-            assert "unproved" in phone.text(".dock .why")
+            assert "unproved" in hand.text(".dock .why")
             assert page.locator("details[open] table").count() == 0, "the table is folded"
             assert ", then" not in said
             client.choose_hand(vehicle, hand="auto")
-        return "Done" in phone.text(".job-head .badge")
+        return "Done" in hand.text(".job-head .badge")
 
     until(proved, 240, "the write ends")
     assert proofs, "poses prove the rest, one at a time"
     assert not any(said.count("nose") + said.count("side") > 1 for said in proofs), proofs
-    seen_in_every_frame(phone)
-    shot(phone, "accel-done")
-    phone.press("Take back")
+    seen_in_every_frame(hand)
+    shot(hand, "accel-done")
+    hand.press("Take back")
     expect(page.locator(".dock button.primary")).to_have_count(1)
     expect(page.locator(".dock button")).to_have_count(2)
-    shot(phone, "accel-undo")
-    phone.press("Yes, write the old values")
-    phone.wait_for_state("Taken back", 120)
-    phone.sees("The old values are back and read", inside=".outcome.good")
-    assert "not proved" not in phone.text("main")
-    shot(phone, "accel-undone")
-    assert phone.complaints == []
+    shot(hand, "accel-undo")
+    hand.press("Yes, write the old values")
+    hand.wait_for_state("Taken back", 120)
+    hand.sees("The old values are back and read", inside=".outcome.good")
+    assert "not proved" not in hand.text("main")
+    shot(hand, "accel-undone")
+    assert hand.complaints == []
 
 
 SEEN = """() => [...document.querySelectorAll(".faces canvas")].map((canvas) => {
@@ -163,12 +162,12 @@ def test_no_pose_is_seen_from_its_edge_alone_and_the_picture_is_whole_at_a_desk(
     desk.close()
 
 
-def test_a_compass_in_the_hand(phone, running):
+def test_a_compass_in_the_hand(hand, running):
     url, client = running
     vehicle = connected(client, sim(speed=2, system_id=2, seed=4, config=KEPT))
     job = client.start_job(vehicle, kind="mag").id
-    phone.open(url, f"#/job/{job}")
-    page = phone.page
+    hand.open(url, f"#/job/{job}")
+    page = hand.page
     page.evaluate(FRAMES)
     page.wait_for_selector(".compass-card")
     primary: list[str] = []
@@ -177,52 +176,52 @@ def test_a_compass_in_the_hand(phone, running):
         fits = page.evaluate(FITS)
         if fits is None:
             return page.locator(".guide.compass").count() == 0
-        assert fits, phone.text(".prompt")
+        assert fits, hand.text(".prompt")
         middle = page.locator(".stage .middle attitude-scene").count()
         assert middle == 1 or page.evaluate(FITS) is None, "the vehicle turns with the sphere"
-        shot(phone, "compass")
+        shot(hand, "compass")
         if page.locator(".dock .why").count():
-            shot(phone, "compass-finish")
+            shot(hand, "compass-finish")
             primary.extend(page.locator(".dock button.primary").all_inner_texts())
         return False
 
     until(captured, 240, "the capture ends")
     assert "Finish" not in primary, "not while the asked uncertainty is not reached"
-    phone.wait_for_state("Ready for your review", 90)
+    hand.wait_for_state("Ready for your review", 90)
     page.locator(".dock button.primary").first.click()
-    phone.wait_for_state("Done", 240)
-    seen_in_every_frame(phone)
+    hand.wait_for_state("Done", 240)
+    seen_in_every_frame(hand)
 
 
-def test_a_silent_vehicle_leaves_the_poses_as_they_are_and_counts_down(phone, running):
+def test_a_silent_vehicle_leaves_the_poses_as_they_are_and_counts_down(hand, running):
     url, client = running
     with SimulatedVehicle("ardupilot", speed=3, system_id=3) as vehicle:
         known = connected(client, vehicle.url)
         job = client.start_job(known, kind="accel").id
-        phone.open(url, f"#/job/{job}")
-        phone.sees("1 of 10 poses", 90, ".prompt")
-    phone.sees("is silent", 60, ".prompt")
-    phone.sees("Vehicle silent", 10, ".connection.warn")
-    assert phone.page.locator(".faces .done").count() == 1
-    assert phone.page.locator(".now .notice").count() == 0, "it is said once"
-    first = phone.text(".prompt .seen")
-    until(lambda: phone.text(".prompt .seen") != first, 10, "it counts")
+        hand.open(url, f"#/job/{job}")
+        hand.sees("1 of 10 poses", 90, ".prompt")
+    hand.sees("is silent", 60, ".prompt")
+    hand.sees("Vehicle silent", 10, ".connection.warn")
+    assert hand.page.locator(".faces .done").count() == 1
+    assert hand.page.locator(".now .notice").count() == 0, "it is said once"
+    first = hand.text(".prompt .seen")
+    until(lambda: hand.text(".prompt .seen") != first, 10, "it counts")
     assert "gives up in" in first
-    assert "left" not in phone.text(".prompt .advance")
-    shot(phone, "silent")
-    phone.press("Cancel")
-    phone.sees("Stop the accelerometer calibration? Nothing has been written.", inside=".dock")
-    shot(phone, "cancel")
-    phone.press("Go on")
-    assert phone.page.locator(".prompt").count() == 1
-    phone.press("Cancel")
-    phone.press("Stop it")
-    phone.wait_for_state("Cancelled", 30)
-    phone.sees("Nothing was written", inside=".outcome")
-    shot(phone, "cancelled")
+    assert "left" not in hand.text(".prompt .advance")
+    shot(hand, "silent")
+    hand.press("Cancel")
+    hand.sees("Stop the accelerometer calibration? Nothing has been written.", inside=".dock")
+    shot(hand, "cancel")
+    hand.press("Go on")
+    assert hand.page.locator(".prompt").count() == 1
+    hand.press("Cancel")
+    hand.press("Stop it")
+    hand.wait_for_state("Cancelled", 30)
+    hand.sees("Nothing was written", inside=".outcome")
+    shot(hand, "cancelled")
 
 
-def test_a_dead_gyro_is_the_headline_of_everything(phone, running):
+def test_a_dead_gyro_is_the_headline_of_everything(hand, running):
     url, client = running
     with SimulatedVehicle("ardupilot", speed=6, system_id=4, config=KEPT) as dead:
         vehicle, operator = connected(client, dead.url), Operator(dead)
@@ -237,28 +236,28 @@ def test_a_dead_gyro_is_the_headline_of_everything(phone, running):
                 return now.state in {"review", "succeeded", "failed"}
 
             until(obeyed, 240, f"the {kind} is measured")
-            phone.open(url, f"#/job/{job}")
-            phone.wait_for_state("Ready for your review", 30)
-            phone.sees("Gyro 1 is left out", inside=".outcome.bad")
-            phone.sees("It is frozen", inside=".outcome.bad")
-            assert phone.inside_viewport(".left-out")
-            shot(phone, f"dead-{kind}-review")
+            hand.open(url, f"#/job/{job}")
+            hand.wait_for_state("Ready for your review", 30)
+            hand.sees("Gyro 1 is left out", inside=".outcome.bad")
+            hand.sees("It is frozen", inside=".outcome.bad")
+            assert hand.inside_viewport(".left-out")
+            shot(hand, f"dead-{kind}-review")
             if kind == "gyro":
-                phone.sees("4 of 4 pass for what is written", inside=".review")
-                phone.page.locator(".dock button.primary").click()
-                phone.wait_for_state("Done in part", 120)
-                phone.sees("Gyro 1 is left out", inside=".outcome.bad")
-                shot(phone, "dead-gyro-done")
-        phone.open(url, f"#/vehicle/{vehicle}")
-        expect(phone.page.locator(".tile.bad").first).to_contain_text("Gyro 1 was left out: it is frozen")
-        shot(phone, "dead-tile")
+                hand.sees("4 of 4 pass for what is written", inside=".review")
+                hand.page.locator(".dock button.primary").click()
+                hand.wait_for_state("Done in part", 120)
+                hand.sees("Gyro 1 is left out", inside=".outcome.bad")
+                shot(hand, "dead-gyro-done")
+        hand.open(url, f"#/vehicle/{vehicle}")
+        expect(hand.page.locator(".tile.bad").first).to_contain_text("Gyro 1 was left out: it is frozen")
+        shot(hand, "dead-tile")
 
 
-def test_a_service_that_has_gone_says_what_is_known(phone, tmp_path):
+def test_a_service_that_has_gone_says_what_is_known(hand, tmp_path):
     with service(tmp_path, "--connect", sim(speed=3, hand="off")) as url:
-        phone.open(url)
-        phone.calibrate("Accelerometer").click()
-        phone.sees("1 of 10 poses", 90, ".prompt")
-    phone.sees("Service not reached since", 30, ".now .notice")
-    assert "go on" not in phone.text("body")
-    shot(phone, "service-gone")
+        hand.open(url)
+        hand.calibrate("Accelerometer").click()
+        hand.sees("1 of 10 poses", 90, ".prompt")
+    hand.sees("Service not reached since", 30, ".now .notice")
+    assert "go on" not in hand.text("body")
+    shot(hand, "service-gone")

@@ -8,9 +8,8 @@ from playwright.sync_api import expect
 from mavcal.client import Client
 from tests.ui.rooms import connected, reviewed
 
-from .panel import Panel, service, shot, sim, until
+from .panel import HAND, Panel, service, shot, sim, until
 
-PHONE = {"width": 390, "height": 844}
 DESK = {"width": 1280, "height": 800}
 TURNED = {
     "thermal": False,
@@ -24,7 +23,7 @@ TURNED = {
 pytestmark = [pytest.mark.timeout(300), pytest.mark.long]
 
 
-@pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
+@pytest.mark.parametrize("size", [HAND, DESK], ids=["phone", "desk"])
 def test_a_mounting_is_found_shown_chosen_and_confirmed(browser, tmp_path, size):
     name = f"mounting-{size['width']}"
     with service(tmp_path) as url, Client(url) as client:
