@@ -41,6 +41,10 @@ class Sensor(StrEnum):
     PLACE = "place"  # north east down of a local origin, m
     VIBRATION = "vibration"  # level that the autopilot measured on an accelerometer: x y z, or one number, m/s2
     GYRO_VIBRATION = "gyro_vibration"  # the same of a gyroscope, rad/s
+    CONTROL = "control"  # what the mixer is given: roll pitch yaw -1..1, throttle 0..1
+    MIXER = "mixer"  # what scales the mixer: lift_max, voltage ratio, thrust limit
+    VOLTAGE = "voltage"  # of the battery, V
+    HEIGHT = "height"  # above the ground, measured downwards, m
 
 
 _LOOKED_AT = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
@@ -248,6 +252,9 @@ class Recording:
 
     `reference` holds what is not of the vehicle's own sensors: what a simulated or ideal sensor read at the same time
     (ACCEL, GYRO, MAG), and the pose of a reference (ATTITUDE, PLACE, VELOCITY). No calibration touches it.
+
+    `dynamics` holds what the autopilot knows of its own flight: CONTROL, MIXER, VOLTAGE, HEIGHT, and the estimator's
+    ATTITUDE, VELOCITY and PLACE. Only the diagnosis of the airframe (:mod:`calib.airframe`) reads it.
     """
 
     channels: tuple[Channel, ...]
@@ -257,6 +264,7 @@ class Recording:
     identity: Identity = field(default_factory=Identity)
     source: str = ""
     reference: tuple[Channel, ...] = ()
+    dynamics: tuple[Channel, ...] = ()
 
     def instances(self, sensor: Sensor) -> tuple[int, ...]:
         """The instances of `sensor` that have samples, ascending."""
@@ -292,6 +300,7 @@ class Recording:
             events=tuple(e for e in self.events if start <= e.t < end),
             segments=tuple(s for s in self.segments if s.start < end and s.end > start),
             reference=tuple(c.between(start, end) for c in self.reference),
+            dynamics=tuple(c.between(start, end) for c in self.dynamics),
         )
 
     def with_channels(self, channels: Iterable[Channel]) -> Recording:
@@ -368,6 +377,7 @@ def join(chunks: Iterable[Recording]) -> Recording:
         identity=parts[-1].identity,
         source=parts[0].source,
         reference=_concatenated_by_key(c for p in parts for c in p.reference),
+        dynamics=_concatenated_by_key(c for p in parts for c in p.dynamics),
     )
 
 

@@ -15,6 +15,7 @@ from cattrs import Converter
 from cattrs.gen import make_dict_unstructure_fn, override
 from numpy.typing import NDArray
 
+from mavcal.calib.airframe.answer import AirframePart, Domain
 from mavcal.calib.converter import make_converter
 from mavcal.calib.recording import Sensor
 from mavcal.calib.summary import Summary
@@ -87,6 +88,12 @@ class ParameterEstimate:
     se: float
     ci95: tuple[float, float]
     unit: str
+    value_real: float | None = None
+    value_sim: float | None = None
+    """Of the two flights, where both were held against a model; they may share a bias that the ratio has not."""
+    ratio: float | None = None
+    ratio_ci95: tuple[float, float] | None = None
+    """Real by simulated: the claim of an airframe's effect."""
 
 
 @dataclass(frozen=True)
@@ -133,16 +140,21 @@ class Gates:
 
 @dataclass(frozen=True)
 class EffectEstimate:
-    """An effect that was found. Instances count from 1."""
+    """An effect that was found. Instances count from 1; those of a weak motor are motors.
+
+    `sensor` is None where no sensor is wrong: `domain` says airframe or environment. `sim_patch` holds names of the
+    simulator; tables of a file stand under ``frame_json`` and ``sdf``.
+    """
 
     id: str
-    sensor: Sensor
+    sensor: Sensor | None
     instances: tuple[int, ...]
     params: tuple[ParameterEstimate, ...]
     evidence: EffectEvidence
     confusable_with: tuple[Rival, ...] = ()
     gates: Gates = Gates()
-    sim_patch: Mapping[str, float] = field(default_factory=dict)
+    sim_patch: Mapping[str, Any] = field(default_factory=dict)
+    domain: Domain = Domain.SENSOR
 
 
 @dataclass(frozen=True)
@@ -298,6 +310,8 @@ class GapReport:
     multiple_testing: MultipleTesting = MultipleTesting(0, 0.005)
     warnings: tuple[str, ...] = ()
     series: tuple[SeriesFit, ...] = ()
+    airframe: AirframePart | None = None
+    """None: the recordings do not say what the motors were told."""
     left_out: tuple[str, ...] = ()
     """Stages that were not finished, so that the diagnosis ended in time (:class:`calib.gap.progress.GapStage`)."""
 
@@ -340,7 +354,7 @@ class GapReport:
 
 def _rows(effect: EffectEstimate) -> Iterator[tuple[str, ...]]:
     """A row a parameter; the effect is named in the first one."""
-    sensor = f"{effect.sensor} {'+'.join(map(str, effect.instances))}".strip()
+    sensor = f"{effect.sensor or effect.domain} {'+'.join(map(str, effect.instances))}".strip()
     first = (effect.id, sensor, f"{effect.evidence.probability:.3f}")
     for one in effect.params or (None,):
         if one is None:
@@ -366,6 +380,9 @@ def _made() -> Converter:
         return {**data, "reference": {**moved, "useless": inputs.useless}}
 
     made.register_unstructure_hook(Inputs, write_inputs)
+    made.register_unstructure_hook(
+        AirframePart, make_dict_unstructure_fn(AirframePart, made, traces=override(omit=True))
+    )
     made.register_unstructure_hook(GapReport, make_dict_unstructure_fn(GapReport, made, series=override(omit=True)))
     return made
 

@@ -13,6 +13,7 @@ from pyulog.core import ULog
 from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 
 from mavcal.calib.errors import UnreadableError
+from mavcal.calib.firmware.px4.dynamics import dynamics_channels
 from mavcal.calib.firmware.px4.flight import arming_events, flight_channels, truth_channels
 from mavcal.calib.firmware.px4.topics import US, WANTED, inertial_channels
 from mavcal.calib.logs.ordered import in_order, moving
@@ -98,6 +99,7 @@ def read_ulog(path: Path | str) -> Recording:
         inertial, events = inertial_channels(topics, timeline.final())
         kept = _ordered((*inertial, *flight_channels(topics, identity.vehicle_type)), start, events)
         truth = _ordered(truth_channels(topics), start, events)
+        dynamics = _ordered(dynamics_channels(topics), start, events)
     if not kept:
         raise UnreadableError(f"{file.name} is a ULog without a sensor, attitude or position: nothing to read")
     return Recording(
@@ -107,6 +109,7 @@ def read_ulog(path: Path | str) -> Recording:
         identity=identity,
         source=file.name,
         reference=truth,
+        dynamics=dynamics,
     )
 
 

@@ -16,6 +16,7 @@ from mavcal.calib.firmware.faults import parameter_faults
 from mavcal.calib.logs.dataflash.batch import batch_channels
 from mavcal.calib.logs.dataflash.channels import SensorChannels
 from mavcal.calib.logs.dataflash.clock import Clock
+from mavcal.calib.logs.dataflash.dynamics import dynamics_channels
 from mavcal.calib.logs.dataflash.log import DataFlash
 from mavcal.calib.logs.dataflash.offsets import learned_offsets
 from mavcal.calib.logs.dataflash.said import counted_events, identity_of, parameter_entries, spoken_events
@@ -106,6 +107,7 @@ def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Re
         identity=identity,
         source=source,
         reference=reference,
+        dynamics=dynamics_channels(log, clock),
     )
 
 

@@ -30,6 +30,10 @@ MOST: Final[Mapping[Sensor, Array]] = {
     Sensor.MOTOR: np.array([1.0]),
     Sensor.ROTOR_SPEED: np.array([5000.0]),
     Sensor.VIBRATION: np.full(3, 1000.0),
+    Sensor.CONTROL: np.full(4, 10.0),
+    Sensor.MIXER: np.full(3, 10.0),
+    Sensor.VOLTAGE: np.array([1000.0]),
+    Sensor.HEIGHT: np.array([1e4]),
 }
 """No vehicle does more (unit of the channel): what does is damage."""
 FIX_3D: Final = 3
@@ -69,12 +73,12 @@ def reference_channels(log: Log, clock: Clock) -> list[Channel]:
         table = log.get(name)
         if table is not None and all(column in table for column in columns):
             values = np.column_stack(table.columns(*columns))
-            values = _unit(values) if sensor is Sensor.ATTITUDE else values
-            found.append(_made(sensor, table, clock.times(table), values, unit))
+            values = unit_quaternions(values) if sensor is Sensor.ATTITUDE else values
+            found.append(channel_of(sensor, table, clock.times(table), values, unit))
     return [channel for channel in found if len(channel)]
 
 
-def _made(
+def channel_of(
     sensor: Sensor, table: Table, t: Array, values: Array, unit: str, *, instance: int = 0, quantum: float = 0.0
 ) -> Channel:
     """A channel of the rows that can be true, in the order of time."""
@@ -90,7 +94,7 @@ def _made(
     return Channel(sensor, instance, t, values, unit, Stage.RAW, table.name, quantum, rounding)
 
 
-def _unit(q: Array) -> Array:
+def unit_quaternions(q: Array) -> Array:
     """The quaternions (N, 4) at length 1; nan where there is none."""
     length = np.linalg.norm(q, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -101,13 +105,13 @@ def _attitude(log: Log, clock: Clock) -> Channel | None:
     table = log.get("ATT")
     if table is not None and all(name in table for name in ("Roll", "Pitch", "Yaw")):
         roll, pitch, yaw = (np.radians(column) for column in table.columns("Roll", "Pitch", "Yaw"))
-        return _made(Sensor.ATTITUDE, table, clock.times(table), quaternion_from_euler(roll, pitch, yaw), "1")
+        return channel_of(Sensor.ATTITUDE, table, clock.times(table), quaternion_from_euler(roll, pitch, yaw), "1")
     for name in ("XKQ", "NKQ", "AHR2"):
         table = log.get(name)
         if table is not None and all(column in table for column in _QUATERNION):
             rows = table["C"] == 0 if "C" in table else slice(None)
             q = np.column_stack([column[rows] for column in table.columns(*_QUATERNION)])
-            return _made(Sensor.ATTITUDE, table, clock.times(table)[rows], _unit(q.astype(np.float64)), "1")
+            return channel_of(Sensor.ATTITUDE, table, clock.times(table)[rows], unit_quaternions(q.astype(np.float64)), "1")
     return None
 
 
@@ -118,11 +122,11 @@ def _gps(table: Table, clock: Clock, number: int) -> list[Channel]:
         t = clock.times(rows)
         if all(name in rows for name in ("Lat", "Lng", "Alt")):
             place = rows.arrays(("Lat", "Lng", "Alt"))[0]
-            found.append(_made(Sensor.POSITION, rows, t, place, "deg deg m", instance=instance))
+            found.append(channel_of(Sensor.POSITION, rows, t, place, "deg deg m", instance=instance))
         if all(name in rows for name in ("Spd", "GCrs", "VZ")):
             speed, course, down = rows.arrays(("Spd", "GCrs", "VZ"))[0].T
             velocity = np.column_stack([speed * np.cos(np.radians(course)), speed * np.sin(np.radians(course)), down])
-            found.append(_made(Sensor.VELOCITY, rows, t, velocity, "m/s", instance=instance))
+            found.append(channel_of(Sensor.VELOCITY, rows, t, velocity, "m/s", instance=instance))
     return found
 
 
@@ -137,7 +141,7 @@ def _currents(log: Log, clock: Clock) -> list[Channel]:
             for instance, rows in instances(table, number):
                 current = rows["Curr"] * (quantum or 1.0)
                 found.append(
-                    _made(Sensor.CURRENT, rows, clock.times(rows), current, "A", instance=instance, quantum=quantum)
+                    channel_of(Sensor.CURRENT, rows, clock.times(rows), current, "A", instance=instance, quantum=quantum)
                 )
         if found:
             break
@@ -156,7 +160,7 @@ def _throttle(log: Log, clock: Clock) -> Channel | None:
             return None
     whole = table.format.letter(column) in WHOLE
     scale = 1000.0 if whole else 100.0 if "NavRoll" in table else 1.0  # planes log per cent
-    return _made(Sensor.THROTTLE, table, clock.times(table), table[column] / scale, "1", quantum=1e-3 if whole else 0.0)
+    return channel_of(Sensor.THROTTLE, table, clock.times(table), table[column] / scale, "1", quantum=1e-3 if whole else 0.0)
 
 
 def _motors(log: Log, clock: Clock, parameters: Mapping[str, float], vehicle_type: int | None) -> Channel | None:
@@ -177,7 +181,7 @@ def _motors(log: Log, clock: Clock, parameters: Mapping[str, float], vehicle_typ
     if not drives:
         return None
     low, high = chosen[0].low, chosen[0].high
-    return _made(Sensor.MOTOR, table, clock.times(table), np.column_stack(drives), "1", quantum=1.0 / (high - low))
+    return channel_of(Sensor.MOTOR, table, clock.times(table), np.column_stack(drives), "1", quantum=1.0 / (high - low))
 
 
 def _vibration(log: Log, clock: Clock) -> list[Channel]:
@@ -189,7 +193,7 @@ def _vibration(log: Log, clock: Clock) -> list[Channel]:
     t, levels = clock.times(table), table.arrays(columns)[0]
     unit = table["IMU"] if "IMU" in table else np.zeros(len(t), dtype=np.intp)
     return [
-        _made(Sensor.VIBRATION, table, t[unit == number], levels[unit == number], "m/s2", instance=number)
+        channel_of(Sensor.VIBRATION, table, t[unit == number], levels[unit == number], "m/s2", instance=number)
         for number in np.unique(unit).tolist()
         if 0 <= number < INSTANCES
     ]
@@ -213,4 +217,4 @@ def _rotors(log: Log, clock: Clock) -> Channel | None:
         return None
     grid = rotors[0][0]
     columns = [values[np.maximum(np.searchsorted(times, grid, side="right") - 1, 0)] for times, values in rotors]
-    return _made(Sensor.ROTOR_SPEED, table, grid, np.column_stack(columns), "Hz")
+    return channel_of(Sensor.ROTOR_SPEED, table, grid, np.column_stack(columns), "Hz")
