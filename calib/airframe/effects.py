@@ -1,0 +1,179 @@
+"""The catalogue: each effect of airframe, actuators and air, and what it does to the parameters of a flight.
+
+An effect has amplitudes; it multiplies, divides or shifts parameters of :class:`calib.airframe.physics.Layout`. What the
+simulator's flight has too is no gap: amplitudes are those of the real flight beside the simulated one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.airframe.answer import Domain
+from mavcal.calib.airframe.physics import AXES, Layout
+
+Array = NDArray[np.float64]
+
+
+class Act(StrEnum):
+    """How an amplitude changes a parameter."""
+
+    TIMES = "times"  # multiplied by 1 + share * amplitude
+    OVER = "over"  # divided by 1 + amplitude
+    PLUS = "plus"  # amplitude * share is added
+
+
+@dataclass(frozen=True)
+class Change:
+    """What one amplitude does to one parameter."""
+
+    amplitude: int
+    parameter: str
+    act: Act
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class AirframeEffect:
+    """One block of the contest.
+
+    `id` is the effect's name in a report, `block` that of this form of it. `names` and `sd` are the amplitudes and
+    their prior standard deviations; `base` the parameter whose ratio or difference is the claim. `odds` are those of
+    its presence before a flight is seen.
+    """
+
+    id: str
+    block: str
+    names: tuple[str, ...]
+    sd: tuple[float, ...]
+    changes: tuple[Change, ...]
+    base: tuple[str, ...]
+    domain: Domain = Domain.AIRFRAME
+    odds: float = 0.05
+    exclusive: str = ""
+    nameless: bool = False
+    slew: bool = False
+    motor: int | None = None
+    torque: bool = False
+    """Whether only torque shows it."""
+
+
+ODDS: Final = 0.05
+"""Of each effect before a flight is seen. Source: mixtures of one to four of twenty effects (AIRFRAME 6) have a mean of
+about one."""
+
+
+def catalogue(layout: Layout, *, rotors_damp: bool, hover_gain: Sequence[float]) -> tuple[AirframeEffect, ...]:
+    """Every effect for a vehicle of that many motors.
+
+    Parameters
+    ----------
+    layout
+        Of the vehicle.
+    rotors_damp
+        Whether the drag of the rotors damps turns too (their own motion with the arm), as in ArduPilot's simulator
+        and in the air; PX4's SIH has a constant of its own.
+    hover_gain
+        Angular acceleration at a full differential command (3,), rad/s2: the scale of trims.
+    """
+    return tuple(_made(layout, rotors_damp, hover_gain))
+
+
+def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[AirframeEffect]:
+    relative, plus = Act.TIMES, Act.PLUS
+    gains = tuple(Change(0, f"gain_{a}", relative) for a in AXES)
+    yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k")
+    yield _one("thrust_expo", "expo", 0.2, (Change(0, "expo", plus),), "expo")
+    drag = [Change(0, "c1", relative), Change(0, "cz", relative)]
+    if rotors_damp:
+        drag += [Change(0, f"damping_{a}", relative) for a in AXES]
+        drag += [Change(0, f"flap_{a}", relative) for a in "xy"]
+    yield _one("rotor_drag", "c1", 0.6, tuple(drag), "c1")
+    yield _one("body_drag", "c2", 0.6, (Change(0, "c2", relative),), "c2")
+    yield _one("inflow", "cz", 0.3, (Change(0, "cz", plus),), "cz")
+    yield _one("translational_lift", "ch", 0.01, (Change(0, "ch", plus),), "ch")
+    for axes in ("xy", "x", "y", "z"):
+        yield _inertia(axes)
+    cg = (Change(0, "cg_x", plus), Change(1, "cg_y", plus))
+    yield AirframeEffect("cg_offset", "cg_offset", ("x", "y"), (0.05, 0.05), cg, ("cg_x", "cg_y"), torque=True)
+    for i in range(1, layout.motors + 1):
+        for form in ("weak", "pulse"):
+            yield AirframeEffect(
+                "motor_weak", f"motor_{form}_{i}", ("s",), (0.1,), (Change(0, f"{form}_{i}", plus),), (f"{form}_{i}",),
+                odds=ODDS / (2 * layout.motors), exclusive=f"motor_{i}", motor=i, torque=True,
+            )  # fmt: skip
+    trims = tuple(Change(k, f"torque_{a}", plus) for k, a in enumerate(AXES))
+    trim_sd = tuple(0.02 * abs(g) for g in gain)
+    yield AirframeEffect(
+        "torque_bias", "torque_bias", AXES, trim_sd, trims, tuple(f"torque_{a}" for a in AXES), torque=True
+    )
+    yield _one("yaw_coefficient", "s", 0.3, (Change(0, "gain_z", relative),), "gain_z", torque=True)
+    damping = tuple(Change(k, f"damping_{a}", relative) for k, a in enumerate(AXES))
+    base = tuple(f"damping_{a}" for a in AXES)
+    yield AirframeEffect("angular_damping", "angular_damping", AXES, (0.6,) * 3, damping, base, torque=True)
+    yield _one("battery_sag", "exponent", 1.5, (Change(0, "sag", plus),), "sag")
+    yield _one("motor_lag", "tau_up", 0.03, (Change(0, "tau", plus),), "tau", torque=True, exclusive="motor_lag")
+    yield AirframeEffect(
+        "motor_lag", "motor_slew", (), (), (), (), odds=ODDS, exclusive="motor_lag", slew=True, torque=True
+    )
+    yield _one("actuator_delay", "delay", 0.01, (Change(0, "delay", plus),), "delay", torque=True)
+
+
+def _one(
+    id_: str, name: str, sd: float, changes: tuple[Change, ...], base: str, *, torque: bool = False, exclusive: str = ""
+) -> AirframeEffect:
+    return AirframeEffect(id_, id_, (name,), (sd,), changes, (base,), torque=torque, exclusive=exclusive)
+
+
+def _inertia(axes: str) -> AirframeEffect:
+    """The moment of inertia of one axis, or of roll and pitch alike: it divides whatever turns the vehicle."""
+    changes = tuple(
+        Change(0, f"{what}_{a}", Act.OVER) for a in axes for what in ("gain", "damping", "torque", "flap")
+        if not (what == "flap" and a == "z")
+    )  # fmt: skip
+    return AirframeEffect(
+        "inertia", f"inertia_{axes}", ("ratio",), (0.3,), changes, tuple(f"gain_{a}" for a in axes),
+        odds=ODDS / 2.0, torque=True,
+    )  # fmt: skip
+
+
+def applied(layout: Layout, theta: Array, effects: Sequence[AirframeEffect], amplitudes: Array) -> tuple[Array, Array]:
+    """Parameters of the real flight (P,) from those of the simulated one, and their derivative (P, P + K).
+
+    The derivative is by `theta` first, then by the amplitudes of `effects` in their order.
+    """
+    count = len(theta)
+    factor, shift = np.ones(count), np.zeros(count)
+    by_amplitude = np.zeros((count, len(amplitudes)))
+    place = 0
+    for effect in effects:
+        for change in effect.changes:
+            at, value = place + change.amplitude, float(amplitudes[place + change.amplitude])
+            row = layout.place[change.parameter]
+            if change.act is Act.PLUS:
+                shift[row] += change.share * value
+                by_amplitude[row, at] += change.share
+            elif change.act is Act.TIMES:
+                own = 1.0 + change.share * value
+                factor[row] *= own
+                by_amplitude[row, at] += np.nan_to_num(change.share / own)
+            else:
+                own = max(1.0 + value, 0.05)
+                factor[row] /= own
+                by_amplitude[row, at] += -1.0 / own
+        place += len(effect.names)
+    scaled = theta * factor
+    plus = np.zeros_like(by_amplitude)
+    place = 0
+    for effect in effects:
+        for change in effect.changes:
+            if change.act is Act.PLUS:
+                plus[layout.place[change.parameter], place + change.amplitude] += change.share
+        place += len(effect.names)
+    derivative = (by_amplitude - plus) * scaled[:, None] + plus
+    return scaled + shift, np.hstack([np.diag(factor), derivative])

@@ -1,0 +1,355 @@
+"""One flight against the forward model: Gauss-Newton in whitened cosine bins, and what the flight says of every parameter.
+
+The residual's own spectrum whitens it (Whittle): turbulence, the estimator's errors and the noise of the sensors are
+learned, not declared. The result is a :class:`FlightFit`, the log-likelihood about the best point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+from scipy.ndimage import binary_dilation, uniform_filter1d
+
+from mavcal.calib.airframe.flown import REST_AGREES, FlownFlight
+from mavcal.calib.airframe.geometry import arms
+from mavcal.calib.airframe.physics import TORQUE_ONLY, Airframe, Layout
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FORCE_BAND_HZ: Final = 10.0
+TORQUE_BAND_HZ: Final = 20.0
+"""Source: AIRFRAME 5.3; above lies vibration, and the firmware's filters."""
+SLOW_HZ: Final = 0.1
+"""Below this a torque is a trim, and is judged over the whole flight; above it, only while the vehicle is made to turn.
+Chosen, not measured: turns last a second or two."""
+_USUAL_S: Final = 2.0
+_EXCITED: Final = 8.0
+"""Times the usual change of the differential commands from which on a turn is commanded. Chosen, not measured: far
+beyond what gusts make the controller do."""
+_TURN_S: Final = 0.4
+"""Widening of a commanded turn on either side: what the vehicle does after it. Chosen, not measured."""
+_ROUNDS: Final = 8
+_WHITE_ROUNDS: Final = 4
+"""Rounds with one variance a channel, before its spectrum is learned."""
+_SHORTEST: Final = 0.01
+"""Part of a step below which the point stands."""
+_ENDS: Final = {"tau": (-0.02, 0.5), "delay": (-0.03, 0.2), "expo": (-0.5, 1.2), "k": (5.0, 200.0), "cg_x": (-0.5, 0.5),
+                "cg_y": (-0.5, 0.5), "spin_up": (-0.1, 0.3)}  # fmt: skip
+"""Beyond these a vehicle does not fly, or the formula has no meaning. Source: AIRFRAME 2, sizes on real drones."""
+_CONVERGED: Final = 0.02
+"""Change of the best point, in standard errors, below which it stands."""
+_WINDOW: Final = 0.15
+"""Part of a frequency over which a spectrum is averaged on either side. Chosen, not measured."""
+_LEAST_BINS: Final = 8
+_STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "asymmetry": 1e-2, "expo": 1e-3}
+PRIORS: Final[Mapping[str, tuple[float, float]]] = {
+    "k": (25.0, 20.0), "expo": (0.5, 0.4), "sag": (0.0, 1.5), "c1": (0.3, 0.5), "cz": (0.3, 0.7), "c2": (0.02, 0.05),
+    "ch": (0.0, 0.03), "climb": (0.0, 0.1), "wind_north": (0.0, 8.0), "wind_east": (0.0, 8.0), "bias": (0.0, 0.5),
+    "lever": (0.0, 0.1), "gain_x": (150.0, 200.0), "gain_y": (150.0, 200.0), "gain_z": (8.0, 20.0),
+    "damping": (1.0, 5.0), "torque": (0.0, 20.0), "cg": (0.0, 0.3), "spin_up": (0.0, 0.1), "flap": (0.0, 0.3),
+    "cross": (0.0, 1.0), "tau": (0.02, 0.05), "asymmetry": (0.0, 0.5), "delay": (0.005, 0.02), "weak": (0.0, 0.15),
+    "pulse": (0.0, 0.15), "scale": (0.0, 0.003), "bias_z": (0.0, 0.03),
+}  # fmt: skip
+"""Mean and standard deviation of each parameter, or of its family, before a flight is seen. Source: the sizes on real
+small drones in AIRFRAME 2 and 2.1, doubled."""
+
+
+KINDS: Final[Mapping[str, tuple[int, ...]]] = {"force": (0, 1, 2), "roll": (3,), "pitch": (4,), "yaw": (5,)}
+"""Kinds of reference, and their columns of force and torque."""
+SAG_SPAN: Final = 0.03
+"""Part of the voltage over which it must change so that thrust can tell of it. Source: half of the 6 % that a name asks
+for (AIRFRAME 5.8)."""
+UNSEEN_BIAS: Final = 0.1
+"""Offset of an accelerometer, m/s2, that nobody saw at rest. Source: what a six-face calibration leaves (PEERS)."""
+
+
+def _step(name: str) -> float:
+    return _STEPS.get(name, 1e-3 * max(prior_of(name)[1], 1e-3))
+
+
+def prior_of(name: str) -> tuple[float, float]:
+    """Mean and standard deviation of one parameter."""
+    return PRIORS[name] if name in PRIORS else PRIORS[name.rsplit("_", 1)[0]]
+
+
+@dataclass(frozen=True, eq=False)
+class FlightFit:
+    """What a flight says: the best `theta` (P,), and the log-likelihood's curvature there (P, P) without the priors.
+
+    `gradient` (P,) is that of the log-likelihood at `theta`. `spectra` are variances of the whitened bins; `residual`
+    (N, 6) of force and torque, nan where it is not used. `free` (P,) are the parameters that were fitted. `sizes` (P, P)
+    by kind are mean square changes of the signal by one unit of the parameters, in parts of the signal's own.
+    """
+
+    layout: Layout
+    theta: Array
+    curvature: Array
+    gradient: Array
+    free: Mask
+    residual: Array
+    spectra: tuple[Array, ...]
+    sizes: Mapping[str, Array]
+    loglik: float
+    samples: int
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of all parameters with their priors (P, P)."""
+        prior = np.diag([1.0 / prior_of(n)[1] ** 2 for n in self.layout.names])
+        return np.asarray(np.linalg.inv(self.curvature + prior))
+
+    def value(self, name: str) -> float:
+        """One parameter."""
+        return float(self.theta[self.layout.place[name]])
+
+    def sd(self, name: str) -> float:
+        """Its standard error."""
+        k = self.layout.place[name]
+        return float(np.sqrt(self.covariance[k, k]))
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """One column of force and torque, in which rows it is judged (0 all, 1 lifts, 2 turns), and in which cosine bins."""
+
+    column: int
+    rows: int
+    picked: NDArray[np.intp]
+
+
+def excited(flight: FlownFlight) -> tuple[Mask, Mask]:
+    """Where turns are commanded, and where climbs are (N,): there a controller in the loop biases least.
+
+    Elsewhere commands answer gusts: the commands that fight a gust explain it away (AIRFRAME 5.4).
+    """
+    x, y, spin = arms(flight.geometry.motors)
+    ways = [np.abs(_moving(flight, flight.c @ of_axis / len(x))) for of_axis in (x, y, spin, np.ones(len(x)))]
+    rows = [w > _EXCITED * max(float(np.median(w[flight.usable])), 1e-4) for w in ways]
+    width = max(int(_TURN_S * flight.fs), 1)
+    turns, lifts = rows[0] | rows[1] | rows[2], rows[3]
+    return tuple(np.asarray(binary_dilation(r, iterations=width)) for r in (turns, lifts))  # type: ignore[return-value]
+
+
+def _moving(flight: FlownFlight, told: Array) -> Array:
+    return np.asarray(told - uniform_filter1d(told, max(int(_USUAL_S * flight.fs), 1)))
+
+
+class FlightLikelihood:
+    """The whitened residual of one flight as a function of the parameters."""
+
+    def __init__(self, airframe: Airframe, usable: Mask, *, torque: bool) -> None:
+        self.airframe, self.usable = airframe, usable
+        flight = airframe.flight
+        n = len(flight.t)
+        hz = np.arange(n) * flight.fs / (2.0 * n)
+        self.torque = torque
+        turns, lifts = excited(flight)
+        self._rows = (usable, usable & lifts, usable & turns)
+        low = hz <= self._highest(Sensor.ACCEL)
+        self._views = [_View(0, 0, np.flatnonzero(low)), _View(1, 0, np.flatnonzero(low))]
+        self._views += [_View(2, 1, np.flatnonzero(low & (hz >= SLOW_HZ))), _View(2, 0, np.flatnonzero(hz < SLOW_HZ))]
+        if torque:
+            fast = np.flatnonzero((hz >= SLOW_HZ) & (hz <= self._highest(Sensor.GYRO)))
+            self._views += [_View(k, 2, fast) for k in range(3, 6)]
+            self._views += [_View(k, 0, np.flatnonzero(hz < SLOW_HZ)) for k in range(3, 6)]
+        self._measured = np.hstack(airframe.measured)
+
+    def _highest(self, sensor: Sensor) -> float:
+        """Highest frequency that is judged, Hz."""
+        flight = self.airframe.flight
+        corner = flight.cutoff_hz.get(sensor, 0.0)
+        band = FORCE_BAND_HZ if sensor is Sensor.ACCEL else TORQUE_BAND_HZ
+        return min(band, corner or band, 0.45 * flight.inertial_hz, 0.45 * flight.command_hz)
+
+    @cached_property
+    def possible(self) -> Mask:
+        """Parameters that this flight's signals depend on at all (P,)."""
+        names = self.airframe.layout.names
+        return np.array([(self.torque or n not in TORQUE_ONLY) and n != "asymmetry" for n in names]) & self._felt
+
+    @property
+    def _felt(self) -> Mask:
+        """Without the exponent of a voltage that does not change."""
+        sags = self.airframe.voltage_span >= SAG_SPAN
+        return np.array([n != "sag" or sags for n in self.airframe.layout.names])
+
+    def prior(self, name: str) -> tuple[float, float]:
+        """Of one parameter, with what the accelerometer read at rest."""
+        if name in self._at_rest:
+            return self._at_rest[name]
+        return prior_of(name)
+
+    @cached_property
+    def _at_rest(self) -> Mapping[str, tuple[float, float]]:
+        """Offset and scale of the accelerometer as gravity at rest allows them."""
+        flight = self.airframe.flight
+        mean = None if flight.rest is None else flight.rest.means.get(flight.unit)
+        if mean is None:
+            return {"bias_z": (0.0, UNSEEN_BIAS), "scale": (0.0, 0.003)}
+        off = float(np.linalg.norm(mean)) - flight.gravity
+        if abs(off) < REST_AGREES:
+            return {"bias_z": (-off, flight.rest.sd if flight.rest else REST_AGREES)}
+        return {"bias_z": (0.0, abs(off)), "scale": (off / flight.gravity, abs(off) / flight.gravity)}
+
+    def sizes(self, columns: list[Array]) -> dict[str, Array]:
+        """By kind, the change of the signal (P, P) that these derivatives in bins make, in parts of its own size."""
+        measured = self.bins(self._measured)
+        made: dict[str, Array] = {}
+        for kind, which in KINDS.items():
+            views = [k for k, v in enumerate(self._views) if v.column in which]
+            if views:
+                size = sum(float((measured[k] ** 2).sum()) for k in views)
+                made[kind] = sum(columns[k] @ columns[k].T for k in views) / max(size, 1e-12)
+        return made
+
+    def loglik(self, theta: Array, spectra: tuple[Array, ...]) -> float:
+        """Of a point with the noise given, nats."""
+        bins = self.bins(self.residual(theta))
+        return -0.5 * sum(float((np.log(s) + b**2 / s).sum()) for b, s in zip(bins, spectra, strict=True))
+
+    def bins(self, rows: Array) -> list[Array]:
+        """Cosine bins of each channel of (N, 6) or of a stack (P, N, 6)."""
+        clean = np.nan_to_num(rows)
+        found = [
+            dct(np.where(kept[:, None], clean[..., columns], 0.0), axis=-2, norm="ortho", overwrite_x=True)
+            for kept, columns in zip(self._rows, (slice(0, 6), slice(2, 3), slice(3, 6)), strict=True)
+        ]
+        first = (0, 2, 3)
+        return [found[v.rows][..., v.picked, v.column - first[v.rows]] for v in self._views]
+
+    def residual(self, theta: Array) -> Array:
+        """Measured minus predicted (N, 6)."""
+        return self._measured - np.hstack(self.airframe.predicted(theta))
+
+    def jacobian(self, theta: Array, free: Mask) -> list[Array]:
+        """Derivative of the prediction by each free parameter, in bins (P, K) a channel."""
+        base = np.hstack(self.airframe.predicted(theta))
+        columns: list[list[Array]] = [[] for _ in self._views]
+        for k in np.flatnonzero(free):
+            step = _step(self.airframe.layout.names[k])
+            moved = theta.copy()
+            moved[k] += step
+            change = (np.hstack(self.airframe.predicted(moved)) - base) / step
+            for out, found in zip(columns, self.bins(change), strict=True):
+                out.append(found)
+        return [np.array(c) for c in columns]
+
+
+def fitted(
+    likelihood: FlightLikelihood,
+    start: Array,
+    fixed: Mapping[str, float] | None = None,
+    rounds: int = _ROUNDS,
+    *,
+    expand: bool = True,
+) -> FlightFit:
+    """The best point with the priors, from `start`; parameters of `fixed` keep those values."""
+    layout = likelihood.airframe.layout
+    theta = start.copy()
+    free = np.ones(len(theta), dtype=bool)
+    for name, value in (fixed or {}).items():
+        theta[layout.place[name]], free[layout.place[name]] = value, False
+    free &= likelihood.possible
+    mean, sd = (np.array([likelihood.prior(n)[i] for n in layout.names]) for i in (0, 1))
+    for turn in range(rounds):
+        bins = likelihood.bins(likelihood.residual(theta))
+        # a misfit at the start would pass for noise of its own spectrum, and stay
+        white = turn < _WHITE_ROUNDS < rounds
+        spectra = [np.full(len(b), float((b**2).mean())) for b in bins] if white else spectra_of(bins)
+        columns = likelihood.jacobian(theta, free)
+        curvature, gradient = _normal(columns, bins, spectra)
+        penalty = 1.0 / sd[free] ** 2
+        hessian = curvature + np.diag(penalty)
+        step = np.linalg.solve(hessian, gradient - penalty * (theta[free] - mean[free]))
+        theta, part = _descended(likelihood, theta, free, step, spectra, (mean, sd))
+        moved = part * float(np.abs(step * np.sqrt(np.diag(hessian))).max())
+        if moved < _CONVERGED and not white:
+            break
+    if expand:
+        return expanded(likelihood, theta, free)
+    count = len(theta)
+    blank = np.zeros((count, count))
+    return FlightFit(layout, theta, blank, blank[0], free, np.empty((0, 6)), (), {}, 0.0, 0)
+
+
+def _descended(
+    likelihood: FlightLikelihood, theta: Array, free: Mask, step: Array, spectra: list[Array], prior: tuple[Array, Array]
+) -> tuple[Array, float]:
+    """The point after the longest part of the step that does not lose likelihood, and that part."""
+    mean, sd = prior
+    low, high = (np.array([_ENDS.get(n, (-np.inf, np.inf))[k] for n in likelihood.airframe.layout.names]) for k in (0, 1))
+
+    def loss(at: Array) -> float:
+        bins = likelihood.bins(likelihood.residual(at))
+        own = sum(float((b**2 / s).sum()) for b, s in zip(bins, spectra, strict=True))
+        return own + float((((at - mean) / sd) ** 2)[free].sum())
+
+    before, part = loss(theta), 1.0
+    while part > _SHORTEST:
+        moved = theta.copy()
+        moved[free] += part * step
+        moved = np.clip(moved, low, high)
+        if loss(moved) <= before:
+            return moved, part
+        part *= 0.4
+    return theta, 0.0
+
+
+def expanded(likelihood: FlightLikelihood, theta: Array, free: Mask, spectra: list[Array] | None = None) -> FlightFit:
+    """The log-likelihood about `theta`, with its own spectra or with those given."""
+    residual = likelihood.residual(theta)
+    bins = likelihood.bins(residual)
+    spectra = spectra_of(bins) if spectra is None else spectra
+    columns = likelihood.jacobian(theta, free)
+    curvature, gradient = _normal(columns, bins, spectra)
+    count = len(theta)
+    whole, slope = np.zeros((count, count)), np.zeros(count)
+    whole[np.ix_(free, free)], slope[free] = curvature, gradient
+    sizes = {}
+    for kind, inner in likelihood.sizes(columns).items():
+        sizes[kind] = np.zeros((count, count))
+        sizes[kind][np.ix_(free, free)] = inner
+    loglik = -0.5 * sum(float((np.log(s) + b**2 / s).sum()) for b, s in zip(bins, spectra, strict=True))
+    return FlightFit(
+        layout=likelihood.airframe.layout,
+        theta=theta,
+        curvature=whole,
+        gradient=slope,
+        free=free,
+        residual=np.where(likelihood.usable[:, None], residual, np.nan),
+        spectra=tuple(spectra),
+        sizes=sizes,
+        loglik=loglik,
+        samples=sum(len(b) for b in bins),
+    )
+
+
+def spectra_of(bins: list[Array]) -> list[Array]:
+    """Variance of every bin, averaged over its neighbours in proportion to the frequency."""
+    return [_smooth(b**2) for b in bins]
+
+
+def _smooth(power: Array) -> Array:
+    """Means over windows that grow with the bin's number; small ones at the low end, where a flight has few bins."""
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    k = np.arange(len(power))
+    half = np.maximum(_LEAST_BINS, (_WINDOW * k)).astype(np.intp)
+    low, high = np.maximum(k - half, 0), np.minimum(k + half + 1, len(power))
+    return np.asarray(np.maximum((total[high] - total[low]) / (high - low), 1e-12 * max(power.max(), 1e-300)))
+
+
+def _normal(columns: list[Array], bins: list[Array], spectra: list[Array]) -> tuple[Array, Array]:
+    curvature = sum((c / s) @ c.T for c, s in zip(columns, spectra, strict=True))
+    gradient = sum((c / s) @ b for c, b, s in zip(columns, bins, spectra, strict=True))
+    return np.asarray(curvature), np.asarray(gradient)
+
+
+

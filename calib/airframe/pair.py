@@ -1,0 +1,187 @@
+"""Two flights as evidence: what the real one has beside the simulated one, for :mod:`calib.inference`.
+
+Both are held against one model. Its parameters are common (what both flights show is an error of the model, and no
+gap); wind, offsets of the sensors and the place of the unit are each flight's own. An effect changes parameters of the
+real flight. The model is right to so many per cent only (:data:`DISCREPANCY`), which no length of flight can improve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.airframe.effects import AirframeEffect, applied
+from mavcal.calib.airframe.fit import SAG_SPAN, FlightFit, FlightLikelihood, expanded, fitted, prior_of
+from mavcal.calib.inference.model import Block, Model, Posterior, Term, laplace
+from mavcal.calib.inference.quadratic import Quadratic
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+OWN: Final = ("wind", "bias", "lever", "scale")
+"""Families of parameters that are each flight's own."""
+_EVEN: Final = 1e-6
+_LOOSEST: Final = 1e-4
+"""Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
+DISCREPANCY: Final = {"force": 0.003, "roll": 0.015, "pitch": 0.015, "yaw": 0.015}
+"""To what part of the measured signal's size the model is right, by kind of reference. Measured on nulls."""
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One flight: its likelihood and its expansion."""
+
+    likelihood: FlightLikelihood
+    fit: FlightFit
+
+    @cached_property
+    def own(self) -> Mask:
+        """Which parameters are this flight's own, or were not fitted at all."""
+        names = self.fit.layout.names
+        return np.array([n.rsplit("_", 1)[0] in OWN or n in OWN for n in names])
+
+    @cached_property
+    def says(self) -> Quadratic:
+        """Of the common parameters; this flight's own are integrated out."""
+        names = self.fit.layout.names
+        mean, sd = (np.array([self.likelihood.prior(n)[i] for n in names]) for i in (0, 1))
+        whole = Quadratic(self.fit.theta, self.fit.gradient, self.fit.curvature, 0.0)
+        return whole.without(self.own, mean, sd)
+
+    @cached_property
+    def discrepancy(self) -> Array:
+        """Precision (P, P) of the common parameters beyond which the model's own errors do not reach.
+
+        A change of the parameters that moves the signal by :data:`DISCREPANCY` of its size is one standard deviation.
+        """
+        precision = np.diag([_LOOSEST / prior_of(n)[1] ** 2 for n in self.fit.layout.names])
+        for kind, inner in self.fit.sizes.items():
+            precision = precision + inner / DISCREPANCY[kind] ** 2
+        return np.asarray(precision[np.ix_(~self.own, ~self.own)])
+
+
+@dataclass(frozen=True, eq=False)
+class PairEvidence:
+    """The :class:`calib.inference.model.Evidence` of a real flight beside a simulated one.
+
+    `slewed` is the real flight's side with its rate limit, where one was found.
+    """
+
+    real: Side
+    sim: Side
+    effects: tuple[AirframeEffect, ...]
+    slewed: Side | None = None
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """Of the effects."""
+        return tuple(Block(e.block, e.sd, e.odds, e.nameless, e.exclusive) for e in self.effects)
+
+    @cached_property
+    def _common(self) -> tuple[Array, Array, Array]:
+        """Places of the common parameters, and their priors."""
+        layout = self.sim.fit.layout
+        rows = np.flatnonzero(~self.sim.own)
+        mean, sd = (np.array([prior_of(layout.names[r])[i] for r in rows]) for i in (0, 1))
+        # no motor is weak in both flights, and a voltage that stays tells nothing of a simulator's sag
+        still = self.sim.likelihood.airframe.voltage_span < SAG_SPAN
+        none = {"asymmetry", *(("sag",) if still else ())}
+        even = [layout.names[r] in none or layout.names[r].startswith(("weak", "pulse")) for r in rows]
+        return rows, mean, np.where(even, _EVEN * sd, sd)
+
+    def chosen(self, model: Model) -> tuple[AirframeEffect, ...]:
+        """The effects of a model, in the catalogue's order."""
+        return tuple(e for e in self.effects if e.block in model)
+
+    def _side(self, model: Model) -> Side:
+        slew = any(e.slew for e in self.chosen(model))
+        return self.slewed if slew and self.slewed is not None else self.real
+
+    @cached_property
+    def _reals(self) -> dict[bool, Quadratic]:
+        made = {False: self.real.says.with_discrepancy(self.real.discrepancy)}
+        if self.slewed is not None:
+            better = self.slewed.says.with_discrepancy(self.slewed.discrepancy)
+            # both are expansions of one flight: their difference at their own centres is what the limit gains
+            gain = self.slewed.likelihood.loglik(self.slewed.fit.theta, self.real.fit.spectra)
+            gain -= self.real.likelihood.loglik(self.real.fit.theta, self.real.fit.spectra)
+            made[True] = replace(better, constant=better.constant + gain)
+        return made
+
+    def posterior(self, model: Model) -> Posterior:
+        """Of the model with these effects."""
+        chosen = self.chosen(model)
+        rows, mean, sd = self._common
+        layout = self.sim.fit.layout
+        side = self._side(model)
+        count, width = len(layout.names), sum(len(e.names) for e in chosen)
+
+        def as_real(z: Array) -> tuple[Array, Array]:
+            theta = np.zeros(count)
+            theta[rows] = z[: len(rows)]
+            found, slope = applied(layout, theta, chosen, z[len(rows) :])
+            kept = np.concatenate([rows, count + np.arange(width)])
+            return found[rows], slope[np.ix_(rows, kept)]
+
+        def as_sim(z: Array) -> tuple[Array, Array]:
+            return z[: len(rows)], np.hstack([np.eye(len(rows)), np.zeros((len(rows), width))])
+
+        terms = (Term(self._reals[side is self.slewed and side is not None], as_real), Term(self.sim.says, as_sim))
+        of_effects = [s for e in chosen for s in e.sd]
+        start = np.concatenate([self.sim.fit.theta[rows], np.zeros(width)])
+        value, z, covariance = laplace(
+            terms, start, np.concatenate([mean, np.zeros(width)]), np.concatenate([sd, of_effects])
+        )
+        places, at = {}, len(rows)
+        for effect in chosen:
+            places[effect.block] = slice(at, at + len(effect.names))
+            at += len(effect.names)
+        return Posterior(value, z, covariance, places)
+
+    def parameters(self, model: Model, posterior: Posterior) -> tuple[Array, Array]:
+        """Common parameters of the real and of the simulated flight (P,) under a model; own ones as they were fitted."""
+        rows, _, _ = self._common
+        layout = self.sim.fit.layout
+        sim = self.sim.fit.theta.copy()
+        sim[rows] = posterior.amplitudes[: len(rows)]
+        found, _ = applied(layout, sim, self.chosen(model), posterior.amplitudes[len(rows) :])
+        real = self._side(model).fit.theta.copy()
+        real[rows] = found[rows]
+        return real, sim
+
+    def refined(self, model: Model) -> PairEvidence:
+        """Both flights expanded about that model's best point, with the noise that is left there."""
+        real, sim = self.parameters(model, self.posterior(model))
+        side = self._side(model)
+        there = _about(side, real)
+        here = _about(self.sim, sim)
+        if side is self.real:
+            return replace(self, real=there, sim=here)
+        return replace(self, sim=here, slewed=there)
+
+
+def _about(side: Side, theta: Array) -> Side:
+    """The flight expanded about `theta`, once its own parameters have been fitted to it."""
+    layout = side.fit.layout
+    fixed = {n: float(theta[k]) for k, n in enumerate(layout.names) if not side.own[k]}
+    own = fitted(side.likelihood, theta, fixed, rounds=2, expand=False)
+    free = np.ones(len(theta), dtype=bool) & side.likelihood.possible
+    return Side(side.likelihood, expanded(side.likelihood, own.theta, free))
+
+
+def sides(likelihoods: Sequence[FlightLikelihood]) -> list[Side]:
+    """Each flight fitted by itself, without a weak motor, and then expanded with everything."""
+    found = []
+    for likelihood in likelihoods:
+        layout = likelihood.airframe.layout
+        flight = likelihood.airframe.flight
+        start = layout.start(float(np.median(flight.c)), flight.gravity)
+        held = {n: 0.0 for n in layout.names if n.rsplit("_", 1)[0] in {"weak", "pulse"}} | {"asymmetry": 0.0}
+        first = fitted(likelihood, start, held, expand=False)
+        found.append(Side(likelihood, expanded(likelihood, first.theta, likelihood.possible)))
+    return found

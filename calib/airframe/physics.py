@@ -1,0 +1,308 @@
+"""The forward model of a multicopter: force and torque from commands and motion, one formula an effect (AIRFRAME 2).
+
+Force is the specific force at the inertial unit, m/s2; torque is the angular acceleration, rad/s2. Both are divided by
+mass or inertia: only ratios can be seen. A parameter vector is one flight's airframe; :class:`Layout` names its places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from mavcal.calib.airframe.flown import FlownFlight
+from mavcal.calib.airframe.geometry import arms
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+AXES: Final = ("x", "y", "z")
+_FALLING_ROUNDS: Final = 3
+"""Rounds after which a lag that differs for falling commands is known to a thousandth. Measured on doublets."""
+_PLAIN: Final = (
+    "k", "expo", "sag", "c1", "cz", "c2", "ch", "climb", "wind_north", "wind_east", "bias_x", "bias_y", "bias_z",
+    "lever_x", "lever_y", "lever_z", "gain_x", "gain_y", "gain_z", "damping_x", "damping_y", "damping_z", "torque_x",
+    "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "cross_x", "cross_y", "cross_z", "tau",
+    "asymmetry", "delay", "scale",
+)  # fmt: skip
+FORCE_ONLY: Final = frozenset(
+    {"cz", "c1", "c2", "ch", "climb", "scale", "wind_north", "wind_east", *(f"{n}_{a}" for n in ("bias", "lever") for a in AXES)}
+)
+TORQUE_ONLY: Final = frozenset(
+    {*(f"{n}_{a}" for n in ("gain", "damping", "torque", "cross") for a in AXES), "cg_x", "cg_y", "spin_up", "flap_x",
+     "flap_y"}
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names of the parameters of an airframe with `motors` motors, in their order.
+
+    ====================  ==============================================================================================
+    k                     thrust over mass of all motors at full command, m/s2
+    expo                  curve of one motor: (1 - expo) x + expo x^2
+    sag                   exponent of V/V0
+    c1, cz                drag that is linear in the air velocity, 1/s at hover: in the rotor plane, along the axis
+    c2                    drag that is quadratic in it, 1/m
+    ch, climb             lift by horizontal speed, 1/m; thrust lost by the square of the climb, 1/m
+    gain_x y z            angular acceleration at a full differential command, rad/s2
+    damping_x y z         1/s
+    torque_x y z          constant, rad/s2
+    cg_x, cg_y            centre of mass forward and right of the motors' centre, arms
+    spin_up               reaction of the rotors' own inertia, s
+    flap_x, flap_y        torque by air velocity, rad/s2 per m/s
+    cross_x y z           torque by products of rates
+    tau, asymmetry        lag of the motors, s; relative difference between down and up
+    delay                 of the commands, s
+    scale                 of the accelerometer, relative
+    weak_1 ..., pulse_1   of one motor beside the others, relative: its thrust, or the pulse that it obeys
+    ====================  ==============================================================================================
+    """
+
+    motors: int
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Every parameter."""
+        return (*_PLAIN, *(f"{name}_{i + 1}" for name in ("weak", "pulse") for i in range(self.motors)))
+
+    @cached_property
+    def place(self) -> Mapping[str, int]:
+        """Where each stands."""
+        return {name: k for k, name in enumerate(self.names)}
+
+    def start(self, hover: float, gravity: float) -> Array:
+        """A plain airframe that hovers at the mean command `hover`."""
+        theta = np.zeros(len(self.names))
+        for name, value in (("expo", 0.5), ("c1", 0.3), ("c2", 0.02), ("damping_x", 1.0), ("damping_y", 1.0)):
+            theta[self.place[name]] = value
+        theta[self.place["k"]] = gravity / max(0.5 * hover + 0.5 * hover**2, 0.05)
+        for axis, gain in zip(AXES, (100.0, 100.0, 5.0), strict=True):
+            theta[self.place[f"gain_{axis}"]] = gain
+        return theta
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a family of vehicles or simulators does in its own way; common to both flights of a pair.
+
+    `drag_by_rotor`: linear drag grows with the rotors' speed; `yaw_by_command`: the yaw reaction goes with command
+    times thrust, as in ArduPilot's simulator.
+    """
+
+    drag_by_rotor: bool = True
+    yaw_by_command: bool = False
+
+
+class Airframe:
+    """The forward model on one flight.
+
+    Parameters
+    ----------
+    flight
+        Commands and motion.
+    kind
+        See :class:`Kind`.
+    full_voltage
+        At which k is stated, V; None: voltage has no effect.
+    spin_low
+        Pulse at which a motor starts to turn, in spans of c: what a weak pulse loses at c = 0.
+    slew
+        Fastest change of a motor's command, 1/s; None: without limit.
+    """
+
+    def __init__(
+        self,
+        flight: FlownFlight,
+        kind: Kind,
+        full_voltage: float | None,
+        spin_low: float = 0.1875,
+        slew: float | None = None,
+    ) -> None:
+        self.flight, self.kind, self._spin_low, self.slew = flight, kind, spin_low, slew
+        self.full_voltage = full_voltage
+        self.layout = Layout(flight.c.shape[1])
+        self._dt = 1.0 / flight.fs
+        self._x, self._y, self._spin = arms(flight.geometry.motors)
+        self._lever = max(np.abs(self._x).max(), np.abs(self._y).max())
+        known = full_voltage is not None and bool(np.isfinite(flight.voltage).all())
+        self._log_v = np.log(np.maximum(flight.voltage, 1.0) / full_voltage) if known else np.zeros(len(flight.t))
+        self._body = _body_from_local(flight.q)
+        self._down = self._body[:, :, 2]
+        self._acceleration = np.gradient(flight.rate, self._dt, axis=0)
+        w = flight.rate
+        self._products = np.column_stack([w[:, 1] * w[:, 2], w[:, 2] * w[:, 0], w[:, 0] * w[:, 1]])
+        self._filters = {s: two_pole(flight.cutoff_hz.get(s, 0.0), flight.fs) for s in (Sensor.ACCEL, Sensor.GYRO)}
+
+    @property
+    def measured(self) -> tuple[Array, Array]:
+        """Force (N, 3), m/s2, and torque (N, 3), rad/s2."""
+        return self.flight.force, self._acceleration
+
+    @property
+    def voltage_span(self) -> float:
+        """By how much the voltage changes in flight, 5th to 95th percentile, in parts; 0 where it is not known."""
+        return float(np.expm1(np.ptp(np.percentile(self._log_v, (5.0, 95.0)))))
+
+    def predicted(self, theta: Array) -> tuple[Array, Array]:
+        """Force and torque (N, 3) as the filtered sensors would show them."""
+        thrust, turning, spinning = self.thrusts(theta)
+        force, torque = self._force(theta, thrust), self._torque(theta, thrust, turning, spinning)
+        force = filtered(force, self._filters[Sensor.ACCEL]) + self._at_unit(theta)
+        force = force * (1.0 + theta[self.layout.place["scale"]])
+        return force, filtered(torque, self._filters[Sensor.GYRO]) + self._by_rates(theta)
+
+    def thrusts(self, theta: Array) -> tuple[Array, Array, Array]:
+        """Normalised thrust (N, n) of each motor, what turns the vehicle about z, and the rotors' relative speeds."""
+        of = self._of(theta)
+        weak, pulse = (np.array([of(f"{n}_{i + 1}") for i in range(self.layout.motors)]) for n in ("weak", "pulse"))
+        told = self._delayed(of("delay"))
+        if self.slew is not None:
+            told = slewed(told, self.slew * self._dt)
+        x = lagged(told, of("tau"), of("asymmetry"), self._dt)
+        if pulse.any():
+            x = np.clip(x * (1.0 + pulse) + pulse * self._spin_low, 0.0, None)
+        expo = of("expo")
+        unit = x * (1.0 - expo) + expo * x**2
+        thrust = unit * np.exp(of("sag") * self._log_v)[:, None] * (1.0 + weak)
+        return thrust, (thrust * x if self.kind.yaw_by_command else thrust), np.sqrt(np.clip(unit, 0.0, None))
+
+    def _of(self, theta: Array):  # type: ignore[no-untyped-def]
+        place = self.layout.place
+        return lambda name: float(theta[place[name]])
+
+    def _delayed(self, delay: float) -> Array:
+        steps = delay / self._dt
+        whole = int(np.floor(steps))
+        part = steps - whole
+        c = self.flight.c
+        return (1.0 - part) * _shifted(c, whole) + part * _shifted(c, whole + 1)
+
+    def air_velocity(self, theta: Array) -> Array:
+        """Velocity through the air, body axes (N, 3)."""
+        of = self._of(theta)
+        moving = self.flight.velocity - np.array([of("wind_north"), of("wind_east"), 0.0])
+        return np.einsum("nij,nj->ni", self._body, moving)
+
+    def _force(self, theta: Array, thrust: Array) -> Array:
+        of = self._of(theta)
+        k = of("k")
+        v = self.air_velocity(theta)
+        mean = thrust.mean(axis=1)
+        drive = np.ones(len(mean))
+        if self.kind.drag_by_rotor:
+            drive = np.sqrt(np.clip(thrust, 0.0, None)).mean(axis=1) / np.sqrt(self.flight.gravity / max(k, 1.0))
+        f = -of("c2") * v * np.abs(v)
+        f[:, :2] -= of("c1") * drive[:, None] * v[:, :2]
+        climb = np.clip(-v[:, 2], 0.0, None)
+        f[:, 2] -= k * mean + of("cz") * drive * v[:, 2] + of("ch") * (v[:, 0] ** 2 + v[:, 1] ** 2)
+        f[:, 2] += of("climb") * climb**2
+        return np.asarray(f)
+
+    def _at_unit(self, theta: Array) -> Array:
+        """What the unit's place and its offsets add: from the measured rates, which are filtered already."""
+        of = self._of(theta)
+        lever = np.array([of(f"lever_{a}") for a in AXES])
+        w = self.flight.rate
+        turn = np.cross(self._acceleration, lever) + np.cross(w, np.cross(w, lever))
+        return np.asarray(turn + np.array([of(f"bias_{a}") for a in AXES]))
+
+    def _torque(self, theta: Array, thrust: Array, turning: Array, spinning: Array) -> Array:
+        of = self._of(theta)
+        # a flat body: its moment about z is the sum of the others; the rotors' drag acts off a shifted centre of mass
+        about_z = 1.0 / max(of("k") / max(of("gain_x"), 1.0) + of("k") / max(of("gain_y"), 1.0), 1e-3)
+        y, x = self._y - of("cg_y"), self._x - of("cg_x")
+        n = self.layout.motors
+        v = self.air_velocity(theta)
+        roll = -of("gain_x") * (thrust @ y) / (n * self._lever) + of("torque_x") - of("flap_x") * v[:, 1]
+        pitch = of("gain_y") * (thrust @ x) / (n * self._lever) + of("torque_y") + of("flap_y") * v[:, 0]
+        yaw = of("gain_z") * (turning @ self._spin) / n + of("torque_z")
+        yaw -= about_z * of("c1") * (of("cg_y") * v[:, 0] - of("cg_x") * v[:, 1])
+        yaw += of("gain_z") * of("spin_up") * np.gradient(spinning @ self._spin, self._dt) / n
+        return np.column_stack([roll, pitch, yaw])
+
+    def _by_rates(self, theta: Array) -> Array:
+        of = self._of(theta)
+        damping = np.array([of(f"damping_{a}") for a in AXES])
+        cross = np.array([of(f"cross_{a}") for a in AXES])
+        return np.asarray(-damping * self.flight.rate + cross * self._products)
+
+
+def lagged(c: Array, tau: float, asymmetry: float, dt: float) -> Array:
+    """A first-order lag of `tau` s; falling commands take ``1 + asymmetry`` times as long."""
+    if tau <= 0.0:
+        return c + (-tau) * np.gradient(c, dt, axis=0) if tau < 0.0 else c
+    if asymmetry == 0.0:
+        now, before, kept = _first_order(tau, dt)
+        return np.asarray(lfilter([now, before], [1.0, -kept], c, axis=0, zi=(1.0 - now) * c[:1])[0])
+    state = lagged(c, tau, 0.0, dt)
+    for _ in range(_FALLING_ROUNDS):
+        falling = np.minimum(np.gradient(state, dt, axis=0), 0.0)
+        state = lagged(c - asymmetry * tau * falling, tau, 0.0, dt)
+    return state
+
+
+def _first_order(tau: float, dt: float) -> tuple[float, float, float]:
+    """Weights of this command, the one before and the state before: exact where commands change linearly."""
+    kept = float(np.exp(-dt / tau))
+    ramp = (1.0 - kept) * tau / dt
+    return 1.0 - ramp, ramp - kept, kept
+
+
+def slewed(c: Array, most: float) -> Array:
+    """`c` (N, n) that changes by at most `most` a row."""
+    out = np.empty_like(c)
+    state = out[0] = c[0]
+    for row in range(1, len(c)):
+        state = out[row] = state + np.clip(c[row] - state, -most, most)
+    return out
+
+
+def two_pole(corner_hz: float, fs: float) -> tuple[Array, Array] | None:
+    """Numerator and denominator of the firmwares' ``LowPassFilter2p`` at the rate `fs`; None where nothing is filtered.
+
+    Both firmwares use a Butterworth filter of the second order through the bilinear transform.
+    """
+    if not 0.0 < corner_hz < 0.49 * fs:
+        return None
+    ohm = np.tan(np.pi * corner_hz / fs)
+    c = 1.0 + 2.0 * np.cos(np.pi / 4.0) * ohm + ohm**2
+    b0 = ohm**2 / c
+    return np.array([b0, 2.0 * b0, b0]), np.array(
+        [1.0, 2.0 * (ohm**2 - 1.0) / c, (1.0 - 2.0 * np.cos(np.pi / 4.0) * ohm + ohm**2) / c]
+    )
+
+
+def filtered(values: Array, taps: tuple[Array, Array] | None) -> Array:
+    """`values` (N, k) through the filter, at rest in its first value."""
+    if taps is None:
+        return values
+    b, a = taps
+    zi1 = (b[2] - a[2])[None] if np.ndim(b[2]) else np.array([b[2] - a[2]])
+    zi = np.vstack([(1.0 - b[0]) * values[:1], zi1[:, None] * values[:1]])
+    return np.asarray(lfilter(b, a, values, axis=0, zi=zi)[0])
+
+
+def _shifted(values: Array, steps: int) -> Array:
+    if steps == 0:
+        return values
+    rows = np.clip(np.arange(len(values)) - steps, 0, len(values) - 1)
+    return np.asarray(values[rows])
+
+
+def _body_from_local(q: Array) -> Array:
+    """Rotations (N, 3, 3) that take local vectors to body axes."""
+    w, x, y, z = q.T
+    local = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return np.asarray(local.transpose(2, 1, 0))
