@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.airframe.answer import Domain
+from mavcal.calib.airframe.nameless import GROUPS, PREFIX, SIZES
 from mavcal.calib.airframe.physics import AXES, Layout
 
 Array = NDArray[np.float64]
@@ -121,7 +122,29 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     yield AirframeEffect(
         "motor_lag", "motor_slew", (), (), (), (), odds=ODDS, exclusive="motor_lag", slew=True, torque=True
     )
+    wind = (Change(0, "wind_north", plus), Change(1, "wind_east", plus))
+    yield AirframeEffect(
+        "wind", "wind", ("north", "east"), (4.0, 4.0), wind, ("wind_north", "wind_east"), Domain.ENVIRONMENT, odds=1.0
+    )
     yield _one("actuator_delay", "delay", 0.01, (Change(0, "delay", plus),), "delay", torque=True)
+
+
+def nameless(layout: Layout) -> tuple[AirframeEffect, ...]:
+    """The groups of :mod:`calib.airframe.nameless` that the layout has columns of."""
+    made = []
+    for group in GROUPS:
+        own = [n for n in layout.free if n.startswith(f"{PREFIX}{group.id}:")]
+        if own:
+            sd = SIZES["torque" if "torque" in group.id else "force"]
+            changes = tuple(Change(k, name, Act.PLUS) for k, name in enumerate(own))
+            domain = Domain.ENVIRONMENT if group.of_air else Domain.AIRFRAME
+            made.append(
+                AirframeEffect(
+                    group.id, group.id, tuple(own), (sd,) * len(own), changes, (), domain, ODDS, nameless=True,
+                    torque="torque" in group.id,
+                )  # fmt: skip
+            )
+    return tuple(made)
 
 
 def _one(

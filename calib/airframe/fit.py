@@ -18,6 +18,7 @@ from scipy.ndimage import binary_dilation, uniform_filter1d
 
 from mavcal.calib.airframe.flown import REST_AGREES, FlownFlight
 from mavcal.calib.airframe.geometry import arms
+from mavcal.calib.airframe.nameless import PREFIX, SIZES
 from mavcal.calib.airframe.physics import TORQUE_ONLY, Airframe, Layout
 from mavcal.calib.recording import Sensor
 
@@ -64,6 +65,13 @@ small drones in AIRFRAME 2 and 2.1, doubled."""
 
 KINDS: Final[Mapping[str, tuple[int, ...]]] = {"force": (0, 1, 2), "roll": (3,), "pitch": (4,), "yaw": (5,)}
 """Kinds of reference, and their columns of force and torque."""
+RIGHT_TO: Final[Mapping[str, float]] = {"force": 0.003, "roll": 0.015, "pitch": 0.015, "yaw": 0.015}
+"""To what part of a signal the model is right. Measured on nulls: the spread of parameters between flights of one
+simulator with the estimator's velocity (docs/measured/gap.md)."""
+ANSWERED: Final = 0.3
+"""Part of what gusts do that the controller's answer may hide in the parameters. Measured on nulls in turbulence."""
+GUST_HZ: Final = 2.0
+"""Frequency below which gusts are answered. Source: velocity and attitude loops of both firmwares close below 2 Hz."""
 SAG_SPAN: Final = 0.03
 """Part of the voltage over which it must change so that thrust can tell of it. Source: half of the 6 % that a name asks
 for (AIRFRAME 5.8)."""
@@ -77,6 +85,8 @@ def _step(name: str) -> float:
 
 def prior_of(name: str) -> tuple[float, float]:
     """Mean and standard deviation of one parameter."""
+    if name.startswith(PREFIX):
+        return 0.0, SIZES["torque" if "torque" in name else "force"]
     return PRIORS[name] if name in PRIORS else PRIORS[name.rsplit("_", 1)[0]]
 
 
@@ -85,8 +95,8 @@ class FlightFit:
     """What a flight says: the best `theta` (P,), and the log-likelihood's curvature there (P, P) without the priors.
 
     `gradient` (P,) is that of the log-likelihood at `theta`. `spectra` are variances of the whitened bins; `residual`
-    (N, 6) of force and torque, nan where it is not used. `free` (P,) are the parameters that were fitted. `sizes` (P, P)
-    by kind are mean square changes of the signal by one unit of the parameters, in parts of the signal's own.
+    (N, 6) of force and torque, nan where it is not used. `free` (P,) are the parameters that were fitted. `trusted` (P, P)
+    is the precision beyond which the model's own errors do not reach (:meth:`FlightLikelihood.trusted`).
     """
 
     layout: Layout
@@ -96,7 +106,7 @@ class FlightFit:
     free: Mask
     residual: Array
     spectra: tuple[Array, ...]
-    sizes: Mapping[str, Array]
+    trusted: Array
     loglik: float
     samples: int
 
@@ -150,7 +160,7 @@ class FlightLikelihood:
         flight = airframe.flight
         n = len(flight.t)
         hz = np.arange(n) * flight.fs / (2.0 * n)
-        self.torque = torque
+        self.torque, self._hz = torque, hz
         turns, lifts = excited(flight)
         self._rows = (usable, usable & lifts, usable & turns)
         low = hz <= self._highest(Sensor.ACCEL)
@@ -173,7 +183,7 @@ class FlightLikelihood:
     def possible(self) -> Mask:
         """Parameters that this flight's signals depend on at all (P,)."""
         names = self.airframe.layout.names
-        return np.array([(self.torque or n not in TORQUE_ONLY) and n != "asymmetry" for n in names]) & self._felt
+        return np.array([(self.torque or (n not in TORQUE_ONLY and "torque" not in n)) and n != "asymmetry" for n in names]) & self._felt
 
     @property
     def _felt(self) -> Mask:
@@ -199,16 +209,22 @@ class FlightLikelihood:
             return {"bias_z": (-off, flight.rest.sd if flight.rest else REST_AGREES)}
         return {"bias_z": (0.0, abs(off)), "scale": (off / flight.gravity, abs(off) / flight.gravity)}
 
-    def sizes(self, columns: list[Array]) -> dict[str, Array]:
-        """By kind, the change of the signal (P, P) that these derivatives in bins make, in parts of its own size."""
+    def trusted(self, columns: list[Array], residual: list[Array]) -> Array:
+        """Precision (F, F) of the free parameters beyond which the model's own errors do not reach.
+
+        A change of the parameters is one standard deviation where it moves a signal by :data:`RIGHT_TO` of its size, or
+        by :data:`ANSWERED` of what the model leaves open below :data:`GUST_HZ`.
+        """
         measured = self.bins(self._measured)
-        made: dict[str, Array] = {}
+        total = np.zeros((len(columns[0]), len(columns[0])))
         for kind, which in KINDS.items():
             views = [k for k, v in enumerate(self._views) if v.column in which]
             if views:
                 size = sum(float((measured[k] ** 2).sum()) for k in views)
-                made[kind] = sum(columns[k] @ columns[k].T for k in views) / max(size, 1e-12)
-        return made
+                slow = sum(float((residual[k][self._hz[self._views[k].picked] < GUST_HZ] ** 2).sum()) for k in views)
+                error = RIGHT_TO[kind] ** 2 * size + ANSWERED**2 * slow
+                total += sum(columns[k] @ columns[k].T for k in views) / max(error, 1e-12)
+        return total
 
     def loglik(self, theta: Array, spectra: tuple[Array, ...]) -> float:
         """Of a point with the noise given, nats."""
@@ -225,6 +241,10 @@ class FlightLikelihood:
         first = (0, 2, 3)
         return [found[v.rows][..., v.picked, v.column - first[v.rows]] for v in self._views]
 
+    @cached_property
+    def _free_bins(self) -> list[Array]:
+        return self.bins(self.airframe.free_signals)
+
     def residual(self, theta: Array) -> Array:
         """Measured minus predicted (N, 6)."""
         return self._measured - np.hstack(self.airframe.predicted(theta))
@@ -233,7 +253,12 @@ class FlightLikelihood:
         """Derivative of the prediction by each free parameter, in bins (P, K) a channel."""
         base = np.hstack(self.airframe.predicted(theta))
         columns: list[list[Array]] = [[] for _ in self._views]
+        first = len(theta) - len(self.airframe.free)
         for k in np.flatnonzero(free):
+            if k >= first:
+                for out, found in zip(columns, self._free_bins, strict=True):
+                    out.append(found[k - first])
+                continue
             step = _step(self.airframe.layout.names[k])
             moved = theta.copy()
             moved[k] += step
@@ -277,7 +302,7 @@ def fitted(
         return expanded(likelihood, theta, free)
     count = len(theta)
     blank = np.zeros((count, count))
-    return FlightFit(layout, theta, blank, blank[0], free, np.empty((0, 6)), (), {}, 0.0, 0)
+    return FlightFit(layout, theta, blank, blank[0], free, np.empty((0, 6)), (), blank, 0.0, 0)
 
 
 def _descended(
@@ -313,10 +338,8 @@ def expanded(likelihood: FlightLikelihood, theta: Array, free: Mask, spectra: li
     count = len(theta)
     whole, slope = np.zeros((count, count)), np.zeros(count)
     whole[np.ix_(free, free)], slope[free] = curvature, gradient
-    sizes = {}
-    for kind, inner in likelihood.sizes(columns).items():
-        sizes[kind] = np.zeros((count, count))
-        sizes[kind][np.ix_(free, free)] = inner
+    trusted = np.zeros((count, count))
+    trusted[np.ix_(free, free)] = likelihood.trusted(columns, bins)
     loglik = -0.5 * sum(float((np.log(s) + b**2 / s).sum()) for b, s in zip(bins, spectra, strict=True))
     return FlightFit(
         layout=likelihood.airframe.layout,
@@ -326,7 +349,7 @@ def expanded(likelihood: FlightLikelihood, theta: Array, free: Mask, spectra: li
         free=free,
         residual=np.where(likelihood.usable[:, None], residual, np.nan),
         spectra=tuple(spectra),
-        sizes=sizes,
+        trusted=trusted,
         loglik=loglik,
         samples=sum(len(b) for b in bins),
     )

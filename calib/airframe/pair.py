@@ -1,8 +1,8 @@
 """Two flights as evidence: what the real one has beside the simulated one, for :mod:`calib.inference`.
 
 Both are held against one model. Its parameters are common (what both flights show is an error of the model, and no
-gap); wind, offsets of the sensors and the place of the unit are each flight's own. An effect changes parameters of the
-real flight. The model is right to so many per cent only (:data:`DISCREPANCY`), which no length of flight can improve.
+gap); offsets of the sensors and the place of the unit are each flight's own. An effect changes parameters of the
+real flight. The model is right to so many per cent only (:data:`calib.airframe.fit.RIGHT_TO`), which no length of flight can improve.
 """
 
 from __future__ import annotations
@@ -17,20 +17,18 @@ from numpy.typing import NDArray
 
 from mavcal.calib.airframe.effects import AirframeEffect, applied
 from mavcal.calib.airframe.fit import SAG_SPAN, FlightFit, FlightLikelihood, expanded, fitted, prior_of
+from mavcal.calib.airframe.nameless import PREFIX
 from mavcal.calib.inference.model import Block, Model, Posterior, Term, laplace
 from mavcal.calib.inference.quadratic import Quadratic
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-OWN: Final = ("wind", "bias", "lever", "scale")
+OWN: Final = ("bias", "lever", "scale")
 """Families of parameters that are each flight's own."""
 _EVEN: Final = 1e-6
 _LOOSEST: Final = 1e-4
 """Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
-DISCREPANCY: Final = {"force": 0.003, "roll": 0.015, "pitch": 0.015, "yaw": 0.015}
-"""To what part of the measured signal's size the model is right, by kind of reference. Measured on nulls."""
-
 
 @dataclass(frozen=True, eq=False)
 class Side:
@@ -55,14 +53,9 @@ class Side:
 
     @cached_property
     def discrepancy(self) -> Array:
-        """Precision (P, P) of the common parameters beyond which the model's own errors do not reach.
-
-        A change of the parameters that moves the signal by :data:`DISCREPANCY` of its size is one standard deviation.
-        """
-        precision = np.diag([_LOOSEST / prior_of(n)[1] ** 2 for n in self.fit.layout.names])
-        for kind, inner in self.fit.sizes.items():
-            precision = precision + inner / DISCREPANCY[kind] ** 2
-        return np.asarray(precision[np.ix_(~self.own, ~self.own)])
+        """Precision (P, P) of the common parameters beyond which the model's own errors do not reach."""
+        loosest = np.diag([_LOOSEST / prior_of(n)[1] ** 2 for n in self.fit.layout.names])
+        return np.asarray((self.fit.trusted + loosest)[np.ix_(~self.own, ~self.own)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +84,7 @@ class PairEvidence:
         # no motor is weak in both flights, and a voltage that stays tells nothing of a simulator's sag
         still = self.sim.likelihood.airframe.voltage_span < SAG_SPAN
         none = {"asymmetry", *(("sag",) if still else ())}
-        even = [layout.names[r] in none or layout.names[r].startswith(("weak", "pulse")) for r in rows]
+        even = [layout.names[r] in none or layout.names[r].startswith(("weak", "pulse", PREFIX)) for r in rows]
         return rows, mean, np.where(even, _EVEN * sd, sd)
 
     def chosen(self, model: Model) -> tuple[AirframeEffect, ...]:
@@ -181,7 +174,8 @@ def sides(likelihoods: Sequence[FlightLikelihood]) -> list[Side]:
         layout = likelihood.airframe.layout
         flight = likelihood.airframe.flight
         start = layout.start(float(np.median(flight.c)), flight.gravity)
-        held = {n: 0.0 for n in layout.names if n.rsplit("_", 1)[0] in {"weak", "pulse"}} | {"asymmetry": 0.0}
+        held = {n: 0.0 for n in layout.names if n.rsplit("_", 1)[0] in {"weak", "pulse"} or n.startswith(PREFIX)}
+        held |= {"asymmetry": 0.0}
         first = fitted(likelihood, start, held, expand=False)
         found.append(Side(likelihood, expanded(likelihood, first.theta, likelihood.possible)))
     return found

@@ -17,6 +17,7 @@ from scipy.signal import lfilter
 
 from mavcal.calib.airframe.flown import FlownFlight
 from mavcal.calib.airframe.geometry import arms
+from mavcal.calib.airframe.nameless import columns_of, names_of
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -65,11 +66,13 @@ class Layout:
     """
 
     motors: int
+    free: tuple[str, ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Every parameter."""
-        return (*_PLAIN, *(f"{name}_{i + 1}" for name in ("weak", "pulse") for i in range(self.motors)))
+        """Every parameter; those of nameless effects last."""
+        each = (f"{name}_{i + 1}" for name in ("weak", "pulse") for i in range(self.motors))
+        return (*_PLAIN, *each, *self.free)
 
     @cached_property
     def place(self) -> Mapping[str, int]:
@@ -123,10 +126,10 @@ class Airframe:
         full_voltage: float | None,
         spin_low: float = 0.1875,
         slew: float | None = None,
+        torque: bool = True,
     ) -> None:
         self.flight, self.kind, self._spin_low, self.slew = flight, kind, spin_low, slew
         self.full_voltage = full_voltage
-        self.layout = Layout(flight.c.shape[1])
         self._dt = 1.0 / flight.fs
         self._x, self._y, self._spin = arms(flight.geometry.motors)
         self._lever = max(np.abs(self._x).max(), np.abs(self._y).max())
@@ -137,7 +140,22 @@ class Airframe:
         self._acceleration = np.gradient(flight.rate, self._dt, axis=0)
         w = flight.rate
         self._products = np.column_stack([w[:, 1] * w[:, 2], w[:, 2] * w[:, 0], w[:, 0] * w[:, 1]])
+        self.free = columns_of(flight, self._over_ground(), self._body, torque=torque)
+        self.layout = Layout(flight.c.shape[1], names_of(self.free))
         self._filters = {s: two_pole(flight.cutoff_hz.get(s, 0.0), flight.fs) for s in (Sensor.ACCEL, Sensor.GYRO)}
+
+    def _over_ground(self) -> Array:
+        return np.asarray(np.einsum("nij,nj->ni", self._body, self.flight.velocity))
+
+    @cached_property
+    def free_signals(self) -> Array:
+        """What one unit of each nameless parameter does (F, N, 6), filtered as the sensors are."""
+        made = [c.spread() for c in self.free]
+        for rows in made:
+            for at, sensor in ((slice(0, 3), Sensor.ACCEL), (slice(3, 6), Sensor.GYRO)):
+                if rows[:, at].any():
+                    rows[:, at] = filtered(rows[:, at], self._filters[sensor])
+        return np.array(made)
 
     @property
     def measured(self) -> tuple[Array, Array]:
@@ -152,10 +170,16 @@ class Airframe:
     def predicted(self, theta: Array) -> tuple[Array, Array]:
         """Force and torque (N, 3) as the filtered sensors would show them."""
         thrust, turning, spinning = self.thrusts(theta)
-        force, torque = self._force(theta, thrust), self._torque(theta, thrust, turning, spinning)
+        rotors = self._rotors(theta, thrust)
+        force, torque = self._force(theta, rotors), self._torque(theta, turning, spinning, rotors)
         force = filtered(force, self._filters[Sensor.ACCEL]) + self._at_unit(theta)
         force = force * (1.0 + theta[self.layout.place["scale"]])
-        return force, filtered(torque, self._filters[Sensor.GYRO]) + self._by_rates(theta)
+        torque = filtered(torque, self._filters[Sensor.GYRO]) + self._by_rates(theta)
+        nameless = theta[len(theta) - len(self.free) :]
+        if nameless.any():
+            beyond = np.tensordot(nameless, self.free_signals, axes=1)
+            return force + beyond[:, :3], torque + beyond[:, 3:]
+        return force, torque
 
     def thrusts(self, theta: Array) -> tuple[Array, Array, Array]:
         """Normalised thrust (N, n) of each motor, what turns the vehicle about z, and the rotors' relative speeds."""
@@ -189,19 +213,22 @@ class Airframe:
         moving = self.flight.velocity - np.array([of("wind_north"), of("wind_east"), 0.0])
         return np.einsum("nij,nj->ni", self._body, moving)
 
-    def _force(self, theta: Array, thrust: Array) -> Array:
+    def _rotors(self, theta: Array, thrust: Array) -> tuple[Array, Array, Array]:
+        """Specific forces of each rotor along x, y and z, (N, n) each, which act where it is."""
         of = self._of(theta)
-        k = of("k")
-        v = self.air_velocity(theta)
-        mean = thrust.mean(axis=1)
-        drive = np.ones(len(mean))
+        k, v, n = of("k"), self.air_velocity(theta), self.layout.motors
+        drive = np.ones_like(thrust)
         if self.kind.drag_by_rotor:
-            drive = np.sqrt(np.clip(thrust, 0.0, None)).mean(axis=1) / np.sqrt(self.flight.gravity / max(k, 1.0))
-        f = -of("c2") * v * np.abs(v)
-        f[:, :2] -= of("c1") * drive[:, None] * v[:, :2]
-        climb = np.clip(-v[:, 2], 0.0, None)
-        f[:, 2] -= k * mean + of("cz") * drive * v[:, 2] + of("ch") * (v[:, 0] ** 2 + v[:, 1] ** 2)
-        f[:, 2] += of("climb") * climb**2
+            drive = np.sqrt(np.clip(thrust, 0.0, None) * (max(k, 1.0) / self.flight.gravity))
+        across = (-of("c1") / n) * drive
+        climb = of("climb") * np.clip(-v[:, 2], 0.0, None) ** 2
+        along = (-k / n) * thrust - (of("cz") / n) * drive * v[:, 2:] + climb[:, None] / n
+        return across * v[:, :1], across * v[:, 1:2], along
+
+    def _force(self, theta: Array, rotors: tuple[Array, Array, Array]) -> Array:
+        of, v = self._of(theta), self.air_velocity(theta)
+        f = np.column_stack([each.sum(axis=1) for each in rotors]) - of("c2") * v * np.abs(v)
+        f[:, 2] -= of("ch") * (v[:, 0] ** 2 + v[:, 1] ** 2)
         return np.asarray(f)
 
     def _at_unit(self, theta: Array) -> Array:
@@ -212,18 +239,18 @@ class Airframe:
         turn = np.cross(self._acceleration, lever) + np.cross(w, np.cross(w, lever))
         return np.asarray(turn + np.array([of(f"bias_{a}") for a in AXES]))
 
-    def _torque(self, theta: Array, thrust: Array, turning: Array, spinning: Array) -> Array:
-        of = self._of(theta)
-        # a flat body: its moment about z is the sum of the others; the rotors' drag acts off a shifted centre of mass
-        about_z = 1.0 / max(of("k") / max(of("gain_x"), 1.0) + of("k") / max(of("gain_y"), 1.0), 1e-3)
-        y, x = self._y - of("cg_y"), self._x - of("cg_x")
-        n = self.layout.motors
-        v = self.air_velocity(theta)
-        roll = -of("gain_x") * (thrust @ y) / (n * self._lever) + of("torque_x") - of("flap_x") * v[:, 1]
-        pitch = of("gain_y") * (thrust @ x) / (n * self._lever) + of("torque_y") + of("flap_y") * v[:, 0]
+    def _torque(self, theta: Array, turning: Array, spinning: Array, rotors: tuple[Array, Array, Array]) -> Array:
+        of, v = self._of(theta), self.air_velocity(theta)
+        n, k, lever = self.layout.motors, of("k"), self._lever
+        x, y = self._x - of("cg_x"), self._y - of("cg_y")
+        # mass by inertia of an axis is its gain by k; a flat body has I_z = I_x + I_y
+        by_x, by_y = of("gain_x") / (k * lever), of("gain_y") / (k * lever)
+        by_z = 1.0 / (1.0 / max(by_x, 1e-3) + 1.0 / max(by_y, 1e-3)) if self.kind.drag_by_rotor else 0.0
+        roll = by_x * (rotors[2] @ y) + of("torque_x") - of("flap_x") * v[:, 1]
+        pitch = -by_y * (rotors[2] @ x) + of("torque_y") + of("flap_y") * v[:, 0]
         yaw = of("gain_z") * (turning @ self._spin) / n + of("torque_z")
-        yaw -= about_z * of("c1") * (of("cg_y") * v[:, 0] - of("cg_x") * v[:, 1])
         yaw += of("gain_z") * of("spin_up") * np.gradient(spinning @ self._spin, self._dt) / n
+        yaw += by_z * (rotors[1] @ x - rotors[0] @ y)
         return np.column_stack([roll, pitch, yaw])
 
     def _by_rates(self, theta: Array) -> Array:
