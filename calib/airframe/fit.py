@@ -162,7 +162,8 @@ class FlightLikelihood:
         hz = np.arange(n) * flight.fs / (2.0 * n)
         self.torque, self._hz = torque, hz
         turns, lifts = excited(flight)
-        self._rows = (usable, usable & lifts, usable & turns)
+        self.turns, self.lifts = usable & turns, usable & lifts
+        self._rows = (usable, self.lifts, self.turns)
         low = hz <= self._highest(Sensor.ACCEL)
         self._views = [_View(0, 0, np.flatnonzero(low)), _View(1, 0, np.flatnonzero(low))]
         self._views += [_View(2, 1, np.flatnonzero(low & (hz >= SLOW_HZ))), _View(2, 0, np.flatnonzero(hz < SLOW_HZ))]

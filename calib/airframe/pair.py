@@ -26,7 +26,8 @@ Mask = NDArray[np.bool_]
 
 OWN: Final = ("bias", "lever", "scale")
 """Families of parameters that are each flight's own."""
-_EVEN: Final = 1e-6
+_ONLY_REAL: Final = ("weak_", "pulse_", PREFIX)
+"""Parameters that the simulated flight is without."""
 _LOOSEST: Final = 1e-4
 """Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
 
@@ -76,16 +77,20 @@ class PairEvidence:
         return tuple(Block(e.block, e.sd, e.odds, e.nameless, e.exclusive) for e in self.effects)
 
     @cached_property
+    def _places(self) -> Array:
+        """Places of the parameters that both flights have in common."""
+        return np.flatnonzero(~self.sim.own)
+
+    @cached_property
     def _common(self) -> tuple[Array, Array, Array]:
-        """Places of the common parameters, and their priors."""
-        layout = self.sim.fit.layout
-        rows = np.flatnonzero(~self.sim.own)
-        mean, sd = (np.array([prior_of(layout.names[r])[i] for r in rows]) for i in (0, 1))
+        """Those of them that are not zero for certain, among the common ones, and their priors."""
+        names = [self.sim.fit.layout.names[r] for r in self._places]
         # no motor is weak in both flights, and a voltage that stays tells nothing of a simulator's sag
         still = self.sim.likelihood.airframe.voltage_span < SAG_SPAN
         none = {"asymmetry", *(("sag",) if still else ())}
-        even = [layout.names[r] in none or layout.names[r].startswith(("weak", "pulse", PREFIX)) for r in rows]
-        return rows, mean, np.where(even, _EVEN * sd, sd)
+        rows = np.array([k for k, n in enumerate(names) if n not in none and not n.startswith(_ONLY_REAL)])
+        mean, sd = (np.array([prior_of(names[r])[i] for r in rows]) for i in (0, 1))
+        return rows, mean, sd
 
     def chosen(self, model: Model) -> tuple[AirframeEffect, ...]:
         """The effects of a model, in the catalogue's order."""
@@ -94,6 +99,10 @@ class PairEvidence:
     def _side(self, model: Model) -> Side:
         slew = any(e.slew for e in self.chosen(model))
         return self.slewed if slew and self.slewed is not None else self.real
+
+    def side_of(self, model: Model) -> Side:
+        """The real flight's side under a model."""
+        return self._side(model)
 
     @cached_property
     def _reals(self) -> dict[bool, Quadratic]:
@@ -110,41 +119,44 @@ class PairEvidence:
         """Of the model with these effects."""
         chosen = self.chosen(model)
         rows, mean, sd = self._common
-        layout = self.sim.fit.layout
-        side = self._side(model)
-        count, width = len(layout.names), sum(len(e.names) for e in chosen)
+        places, layout = self._places, self.sim.fit.layout
+        slewed = self._side(model) is self.slewed
+        count, width, common = len(layout.names), sum(len(e.names) for e in chosen), len(places)
 
         def as_real(z: Array) -> tuple[Array, Array]:
             theta = np.zeros(count)
-            theta[rows] = z[: len(rows)]
+            theta[places[rows]] = z[: len(rows)]
             found, slope = applied(layout, theta, chosen, z[len(rows) :])
-            kept = np.concatenate([rows, count + np.arange(width)])
-            return found[rows], slope[np.ix_(rows, kept)]
+            kept = np.concatenate([places[rows], count + np.arange(width)])
+            return found[places], slope[np.ix_(places, kept)]
 
         def as_sim(z: Array) -> tuple[Array, Array]:
-            return z[: len(rows)], np.hstack([np.eye(len(rows)), np.zeros((len(rows), width))])
+            theta, slope = np.zeros(common), np.zeros((common, len(rows) + width))
+            theta[rows], slope[rows, np.arange(len(rows))] = z[: len(rows)], 1.0
+            return theta, slope
 
-        terms = (Term(self._reals[side is self.slewed and side is not None], as_real), Term(self.sim.says, as_sim))
+        terms = (Term(self._reals[slewed], as_real), Term(self.sim.says, as_sim))
         of_effects = [s for e in chosen for s in e.sd]
-        start = np.concatenate([self.sim.fit.theta[rows], np.zeros(width)])
+        start = np.concatenate([self.sim.fit.theta[places[rows]], np.zeros(width)])
         value, z, covariance = laplace(
             terms, start, np.concatenate([mean, np.zeros(width)]), np.concatenate([sd, of_effects])
         )
-        places, at = {}, len(rows)
+        where, at = {}, len(rows)
         for effect in chosen:
-            places[effect.block] = slice(at, at + len(effect.names))
+            where[effect.block] = slice(at, at + len(effect.names))
             at += len(effect.names)
-        return Posterior(value, z, covariance, places)
+        return Posterior(value, z, covariance, where)
 
     def parameters(self, model: Model, posterior: Posterior) -> tuple[Array, Array]:
         """Common parameters of the real and of the simulated flight (P,) under a model; own ones as they were fitted."""
         rows, _, _ = self._common
-        layout = self.sim.fit.layout
+        places, layout = self._places, self.sim.fit.layout
         sim = self.sim.fit.theta.copy()
-        sim[rows] = posterior.amplitudes[: len(rows)]
+        sim[places] = 0.0
+        sim[places[rows]] = posterior.amplitudes[: len(rows)]
         found, _ = applied(layout, sim, self.chosen(model), posterior.amplitudes[len(rows) :])
         real = self._side(model).fit.theta.copy()
-        real[rows] = found[rows]
+        real[places] = found[places]
         return real, sim
 
     def refined(self, model: Model) -> PairEvidence:

@@ -23,6 +23,7 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 AXES: Final = ("x", "y", "z")
+_REMEMBERED: Final = 4
 _FALLING_ROUNDS: Final = 3
 """Rounds after which a lag that differs for falling commands is known to a thousandth. Measured on doublets."""
 _PLAIN: Final = (
@@ -128,24 +129,25 @@ class Airframe:
         slew: float | None = None,
         torque: bool = True,
     ) -> None:
-        self.flight, self.kind, self._spin_low, self.slew = flight, kind, spin_low, slew
+        self.flight, self.kind, self.spin_low, self.slew = flight, kind, spin_low, slew
         self.full_voltage = full_voltage
+        self._limited: dict[float, Array] = {}
         self._dt = 1.0 / flight.fs
         self._x, self._y, self._spin = arms(flight.geometry.motors)
         self._lever = max(np.abs(self._x).max(), np.abs(self._y).max())
         known = full_voltage is not None and bool(np.isfinite(flight.voltage).all())
         self._log_v = np.log(np.maximum(flight.voltage, 1.0) / full_voltage) if known else np.zeros(len(flight.t))
-        self._body = _body_from_local(flight.q)
-        self._down = self._body[:, :, 2]
+        self.body_from_local = _body_from_local(flight.q)
+        
         self._acceleration = np.gradient(flight.rate, self._dt, axis=0)
         w = flight.rate
         self._products = np.column_stack([w[:, 1] * w[:, 2], w[:, 2] * w[:, 0], w[:, 0] * w[:, 1]])
-        self.free = columns_of(flight, self._over_ground(), self._body, torque=torque)
+        self.free = columns_of(flight, self._over_ground(), self.body_from_local, torque=torque)
         self.layout = Layout(flight.c.shape[1], names_of(self.free))
         self._filters = {s: two_pole(flight.cutoff_hz.get(s, 0.0), flight.fs) for s in (Sensor.ACCEL, Sensor.GYRO)}
 
     def _over_ground(self) -> Array:
-        return np.asarray(np.einsum("nij,nj->ni", self._body, self.flight.velocity))
+        return np.asarray(np.einsum("nij,nj->ni", self.body_from_local, self.flight.velocity))
 
     @cached_property
     def free_signals(self) -> Array:
@@ -185,12 +187,10 @@ class Airframe:
         """Normalised thrust (N, n) of each motor, what turns the vehicle about z, and the rotors' relative speeds."""
         of = self._of(theta)
         weak, pulse = (np.array([of(f"{n}_{i + 1}") for i in range(self.layout.motors)]) for n in ("weak", "pulse"))
-        told = self._delayed(of("delay"))
-        if self.slew is not None:
-            told = slewed(told, self.slew * self._dt)
+        told = self._told(of("delay"))
         x = lagged(told, of("tau"), of("asymmetry"), self._dt)
         if pulse.any():
-            x = np.clip(x * (1.0 + pulse) + pulse * self._spin_low, 0.0, None)
+            x = np.clip(x * (1.0 + pulse) + pulse * self.spin_low, 0.0, None)
         expo = of("expo")
         unit = x * (1.0 - expo) + expo * x**2
         thrust = unit * np.exp(of("sag") * self._log_v)[:, None] * (1.0 + weak)
@@ -199,6 +199,16 @@ class Airframe:
     def _of(self, theta: Array):  # type: ignore[no-untyped-def]
         place = self.layout.place
         return lambda name: float(theta[place[name]])
+
+    def _told(self, delay: float) -> Array:
+        """What the motors are told, late and within their rate; the last few are remembered, as a limit takes long."""
+        if self.slew is None:
+            return self._delayed(delay)
+        if delay not in self._limited:
+            if len(self._limited) > _REMEMBERED:
+                self._limited.clear()
+            self._limited[delay] = slewed(self._delayed(delay), self.slew * self._dt)
+        return self._limited[delay]
 
     def _delayed(self, delay: float) -> Array:
         steps = delay / self._dt
@@ -211,7 +221,7 @@ class Airframe:
         """Velocity through the air, body axes (N, 3)."""
         of = self._of(theta)
         moving = self.flight.velocity - np.array([of("wind_north"), of("wind_east"), 0.0])
-        return np.einsum("nij,nj->ni", self._body, moving)
+        return np.einsum("nij,nj->ni", self.body_from_local, moving)
 
     def _rotors(self, theta: Array, thrust: Array) -> tuple[Array, Array, Array]:
         """Specific forces of each rotor along x, y and z, (N, n) each, which act where it is."""

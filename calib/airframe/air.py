@@ -1,0 +1,97 @@
+"""What the day did: turbulence that every accelerometer feels, and jumps of the estimator or of the GPS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+
+from mavcal.calib.airframe.flown import FlownFlight
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+BAND_HZ: Final = (0.1, 2.0)
+"""Where gusts push a small multicopter. Source: AIRFRAME 2, 0.1 to 1 m/s2 rms below 2 Hz."""
+_FLOOR: Final = 0.02
+"""m/s2 below which a flight's open force is not called turbulence. Source: the estimator's velocity error of 0.02 to
+0.05 m/s through a drag of 0.25 /s leaves 0.01 (AIRFRAME 5.3)."""
+_LOUDER: Final = 2.0
+"""Times as much open force as in the simulated flight from which on the air is named. Chosen, not measured."""
+_SHARED: Final = 0.5
+"""Correlation of two units' open forces from which on both feel the same. Source: equal parts of common and own."""
+JUMP: Final = 0.6
+"""m/s by which the estimator's velocity may differ from the integrated force over :data:`_OVER_S` before it counts as
+a jump. Chosen, not measured: a reset moves it by a metre per second or more."""
+_OVER_S: Final = 0.4
+_AROUND_S: Final = 1.5
+
+
+@dataclass(frozen=True)
+class Turbulence:
+    """Root mean square of the open force in :data:`BAND_HZ`, m/s2, of both flights; `shared` by both units, None: one."""
+
+    real: float
+    sim: float
+    shared: float | None
+
+    @property
+    def of_air(self) -> bool:
+        """Whether the real flight's air is the louder one, as far as units can tell."""
+        return self.real > max(_LOUDER * self.sim, _FLOOR) and (self.shared is None or self.shared > _SHARED)
+
+
+def turbulence(flight: FlownFlight, open_force: Array, sim_flight: FlownFlight, sim_open_force: Array) -> Turbulence:
+    """Of the forces (N, 3) that the model leaves open in the real and the simulated flight; nan rows are left out."""
+    real = _banded(flight, open_force)
+    shared = None
+    for other in flight.others.values():
+        beside = _banded(flight, open_force + (other - flight.force))
+        a, b = (x[flight.usable].ravel() for x in (real, beside))
+        shared = float(np.corrcoef(a, b)[0, 1]) if a.std() > 0.0 and b.std() > 0.0 else None
+        break
+    return Turbulence(_rms(real, flight.usable), _rms(_banded(sim_flight, sim_open_force), sim_flight.usable), shared)
+
+
+def _banded(flight: FlownFlight, force: Array) -> Array:
+    sos = butter(2, BAND_HZ, "bandpass", fs=flight.fs, output="sos")
+    return np.asarray(sosfiltfilt(sos, np.nan_to_num(force), axis=0))
+
+
+def _rms(values: Array, rows: Mask) -> float:
+    return float(np.sqrt((values[rows] ** 2).mean()))
+
+
+@dataclass(frozen=True)
+class Jump:
+    """The estimator's velocity changed by `size` m/s at `t` s, and no accelerometer felt it."""
+
+    t: float
+    size: float
+
+
+def jumps(flight: FlownFlight, body: Array) -> tuple[Jump, ...]:
+    """Where velocity and integrated force part: resets of the estimator, glitches of the GPS."""
+    local = np.einsum("nji,nj->ni", body, flight.force) + np.array([0.0, 0.0, flight.gravity])
+    speed = np.cumsum(local, axis=0) / flight.fs
+    steps = round(_OVER_S * flight.fs)
+    gone = (flight.velocity[steps:] - flight.velocity[:-steps]) - (speed[steps:] - speed[:-steps])
+    size = np.linalg.norm(gone, axis=1)
+    found: list[Jump] = []
+    while size.max(initial=0.0) > JUMP and len(found) < 20:
+        at = int(size.argmax())
+        found.append(Jump(float(flight.t[at + steps // 2]), float(size[at])))
+        around = round(_AROUND_S * flight.fs)
+        size[max(at - around, 0) : at + around] = 0.0
+    return tuple(sorted(found, key=lambda j: j.t))
+
+
+def outside(flight: FlownFlight, found: tuple[Jump, ...]) -> Mask:
+    """Rows (N,) away from every jump."""
+    kept = np.ones(len(flight.t), dtype=bool)
+    for jump in found:
+        kept &= np.abs(flight.t - jump.t) > _AROUND_S
+    return kept

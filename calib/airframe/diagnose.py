@@ -1,0 +1,235 @@
+"""Two flights to an answer: commands, grid, fits, one posterior over effects, and how far the flight is predicted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.airframe.air import Jump, jumps, outside, turbulence
+from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands
+from mavcal.calib.airframe.commands import commands_of
+from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
+from mavcal.calib.airframe.fit import FlightLikelihood
+from mavcal.calib.airframe.flown import FlownFlight, Unflown, flown, needed_log
+from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, NoAirframe
+from mavcal.calib.airframe.geometry import geometry_of
+from mavcal.calib.airframe.heldout import held_out
+from mavcal.calib.airframe.nameless import GROUPS
+from mavcal.calib.airframe.pair import PairEvidence, Side, sides
+from mavcal.calib.airframe.physics import AXES, Airframe, Kind
+from mavcal.calib.airframe.slew import with_limit
+from mavcal.calib.airframe.told import effects_of, needed_manoeuvres
+from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
+from mavcal.calib.inference.search import Answer, search
+from mavcal.calib.recording import Recording
+
+Array = NDArray[np.float64]
+
+LIKELY: Final = 0.5
+"""Probability from which an effect is reported. Source: even odds."""
+_SPIN_LOW: Final = 0.1875
+"""Where a motor starts, in spans of its command, with ArduPilot's defaults: MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95."""
+_TRACE_HZ: Final = 25.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Flight:
+    """One recording made ready."""
+
+    flight: FlownFlight
+    parameters: dict[str, float]
+    jumps: tuple[Jump, ...]
+
+
+def airframe_gap(
+    real: Recording,
+    sim: Recording,
+    *,
+    without: Collection[str] = (),
+    frame: str | None = None,
+    ended: Callable[[], bool] = lambda: False,
+) -> AirframeAnswer | NoAirframe:
+    """What the real vehicle's airframe, actuators and air have beside the simulated ones.
+
+    Parameters
+    ----------
+    real, sim
+        Flights of the vehicle and of its simulator; they need not fly the same trajectory.
+    without
+        Ids of effects that are left out of the catalogue.
+    frame
+        A frame of :data:`calib.airframe.geometry.NAMED` for recordings that do not say theirs.
+    ended
+        Whether time is up: the best answer so far is given.
+    """
+    made = []
+    for which, recording in (("real", real), ("simulated", sim)):
+        one = _ready(recording, frame)
+        if isinstance(one, NoAirframe):
+            return replace(one, reason=f"{which} recording: {one.reason}")
+        made.append(one)
+    ours, theirs = made
+    if len(ours.flight.geometry.motors) != len(theirs.flight.geometry.motors):
+        counts = " and ".join(str(len(m.flight.geometry.motors)) for m in made)
+        return NoAirframe(f"the vehicles have {counts} motors", "a simulator of the same frame")
+    return _diagnosed(ours, theirs, frozenset(without), ended)
+
+
+def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
+    parameters = {name: float(value) for name, value in recording.parameters.final().items()}
+    geometry = geometry_of(parameters, frame)
+    if geometry is None:
+        return NoAirframe("no multicopter frame is told that has a model here", "FRAME_CLASS and FRAME_TYPE of a quad, hexa or octa, CA_ROTORn_*, or --frame")
+    commands = commands_of(recording, geometry)
+    if commands is None or commands.rate_hz <= 0.0:
+        return NoAirframe("no commands of the motors are logged", needed_log(recording))
+    found = flown(recording, geometry, commands)
+    if isinstance(found, Unflown):
+        return NoAirframe(found.reason, found.need)
+    probe = Airframe(found, Kind(), None, torque=False)
+    jumped = jumps(found, probe.body_from_local)
+    kept = replace(found, usable=found.usable & outside(found, jumped))
+    if kept.usable.mean() < 0.5:
+        return NoAirframe(f"only {100 * kept.usable.mean():.0f} % of the flight can be judged", needed_log(recording))
+    return _Flight(kept, parameters, jumped)
+
+
+def _kinds(sim: _Flight) -> tuple[Kind, ...]:
+    """How the simulator may make its forces; several are told apart by its own flight."""
+    if sim.flight.ardupilot and any(name.startswith("SIM_") for name in sim.parameters):
+        return (Kind(drag_by_rotor=True, yaw_by_command=True),)
+    if any(name.startswith("SIH_") for name in sim.parameters):
+        return (Kind(drag_by_rotor=False, yaw_by_command=False),)
+    return (Kind(drag_by_rotor=True), Kind(drag_by_rotor=False), Kind(drag_by_rotor=True, yaw_by_command=True))
+
+
+def _likelihood(one: _Flight, kind: Kind, volts: float | None, *, torque: bool) -> FlightLikelihood:
+    low = one.parameters.get("MOT_SPIN_MIN", 0.0)
+    span = one.parameters.get("MOT_SPIN_MAX", 1.0) - low
+    spin_low = low / span if span > 0.0 else _SPIN_LOW
+    airframe = Airframe(one.flight, kind, volts, spin_low, torque=torque)
+    return FlightLikelihood(airframe, one.flight.usable, torque=torque)
+
+
+def _diagnosed(
+    real: _Flight, sim: _Flight, without: frozenset[str], ended: Callable[[], bool]
+) -> AirframeAnswer | NoAirframe:
+    torque = all(min(f.flight.command_hz, f.flight.inertial_hz) >= TORQUE_HZ for f in (real, sim))
+    known = bool(np.isfinite(sim.flight.voltage).all() and np.isfinite(real.flight.voltage).all())
+    volts = float(np.median(sim.flight.voltage)) if known else None
+    theirs, kind = _best_kind(sim, volts, torque=torque)
+    ours = sides([_likelihood(real, kind, volts, torque=torque)])[0]
+    for which, side in (("real", ours), ("simulated", theirs)):
+        if reason := unusable(side.likelihood):
+            return NoAirframe(f"{which} recording: {reason}", "a flight within the motors' limits")
+    untestable = missing(ours.likelihood, theirs.likelihood)
+    slewed = with_limit(ours, theirs) if torque and "motor_lag" not in without else None
+    effects = _testable(theirs, kind, untestable, without, slewed=slewed is not None)
+    evidence = PairEvidence(ours, theirs, effects, None if slewed is None else slewed[0])
+    answer = search(evidence, ended=ended)
+    return _answer(answer, real, sim, untestable, None if slewed is None else slewed[1])
+
+
+def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side, Kind]:
+    found = []
+    for kind in _kinds(sim):
+        likelihood = _likelihood(sim, kind, volts, torque=torque)
+        found.append((sides([likelihood])[0], kind))
+    return max(found, key=lambda f: f[0].fit.loglik)
+
+
+def _testable(
+    sim: Side, kind: Kind, untestable: Sequence[Missing], without: frozenset[str], *, slewed: bool
+) -> tuple[AirframeEffect, ...]:
+    gone = {m.id for m in untestable} | without
+    layout = sim.fit.layout
+    gains = [sim.fit.value(f"gain_{axis}") for axis in AXES]
+    named = catalogue(layout, rotors_damp=kind.drag_by_rotor, hover_gain=gains)
+    torque = sim.likelihood.torque
+    kept = [e for e in named if e.id not in gone and (slewed or not e.slew) and (torque or not e.torque)]
+    return (*kept, *(e for e in nameless(layout) if torque or not e.torque))
+
+
+def _answer(
+    answer: Answer, real: _Flight, sim: _Flight, untestable: tuple[Missing, ...], slew: float | None
+) -> AirframeAnswer:
+    evidence = answer.evidence
+    assert isinstance(evidence, PairEvidence)
+    found = effects_of(answer, evidence, slew, least=LIKELY)
+    parted = held_out(answer, evidence, found)
+    side = evidence.side_of(answer.best.model)
+    loud = turbulence(real.flight, side.fit.residual[:, :3], sim.flight, evidence.sim.fit.residual[:, :3])
+    unknown, share, chance = _unnamed(answer, found)
+    theta, _ = evidence.parameters(answer.best.model, answer.best.posterior)
+    layout = side.fit.layout
+    commands = real.flight.commands
+    part = AirframePart(
+        geometry=real.flight.geometry,
+        commands=Commands(commands.source, round(commands.rate_hz, 1), commands.check_us, float(real.flight.limited.mean())),
+        rollout=parted.rollouts,
+        wind=(float(theta[layout.place["wind_north"]]), float(theta[layout.place["wind_east"]])),
+        manoeuvres=needed_manoeuvres(found, untestable),
+        traces=_traces(side, evidence, answer),
+        facts=_facts(side),
+    )
+    return AirframeAnswer(
+        found=found,
+        missing=untestable,
+        part=part,
+        tested=len(answer.blocks),
+        turbulence=loud,
+        jumps=real.jumps,
+        unknown=unknown,
+        unknown_share=share,
+        nameless=chance,
+        heldout=parted.nats,
+    )
+
+
+def _unnamed(answer: Answer, found: Sequence[FoundEffect]) -> tuple[str, float, float]:
+    """What has no name, its share of the evidence, and how probable it is."""
+    of_air = {g.id for g in GROUPS if g.of_air}
+    texts = {g.id: g.text for g in GROUPS}
+    ids = [b.name for b in answer.blocks if b.nameless and b.name not in of_air]
+    chance = answer.probability(*ids)
+    inside = [name for name in answer.best.model if name in texts and name not in of_air]
+    if chance < LIKELY or not inside:
+        return "", 0.0, chance
+    lost = {name: _lost(answer, name) for name in inside}
+    total = sum(lost.values()) + math.fsum(f.nats for f in found)
+    return "; ".join(texts[n] for n in sorted(inside, key=lambda n: -lost[n])), sum(lost.values()) / max(total, 1e-9), chance
+
+
+def _lost(answer: Answer, name: str) -> float:
+    """Nats that the best model loses without a block."""
+    without = [v.log_weight for v in answer.kept if name not in v.model]
+    found = answer.evidence.posterior(answer.best.model - {name})
+    least = answer.best.posterior.log_evidence - found.log_evidence
+    return max(least if not without else min(least, answer.best.log_weight - max(without)), 0.0)
+
+
+def _facts(side: Side) -> dict[str, float]:
+    """Numbers of the real airframe by themselves, for whoever wants to know them."""
+    names = ("k", "expo", "c1", "cz", "c2", *(("gain_x", "gain_y", "gain_z") if side.likelihood.torque else ()))
+    return {name: float(f"{side.fit.value(name):.4g}") for name in names}
+
+
+def _traces(side: Side, evidence: PairEvidence, answer: Answer) -> tuple[AirframeTrace, ...]:
+    airframe = side.likelihood.airframe
+    theta, before = evidence.parameters(answer.best.model, answer.best.posterior)
+    before = np.where(evidence.sim.own, theta, before)
+    step = max(round(airframe.flight.fs / _TRACE_HZ), 1)
+    measured, patched = airframe.measured, airframe.predicted(theta)
+    plain = evidence.real.likelihood.airframe.predicted(before)
+    kinds = (("force", "m/s2"), ("torque", "rad/s2"))
+    rows = slice(None, None, step)
+    return tuple(
+        AirframeTrace(kind, unit, airframe.flight.t[rows], measured[k][rows], plain[k][rows], patched[k][rows])
+        for k, (kind, unit) in enumerate(kinds)
+        if k == 0 or side.likelihood.torque
+    )

@@ -1,0 +1,128 @@
+"""How far the gap shrinks on stretches that took no part in the fit; it reports, and changes no answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.airframe.answer import Rollout
+from mavcal.calib.airframe.fit import FlightLikelihood, expanded
+from mavcal.calib.airframe.found import FoundEffect, HeldOut
+from mavcal.calib.airframe.pair import PairEvidence, Side
+from mavcal.calib.airframe.rollout import Predicted, folds, rollouts
+from mavcal.calib.inference.model import Model
+from mavcal.calib.inference.search import Answer
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RUNS_M_S: Final = 3.0
+"""Speed over ground from which on a stretch is a run: the kind of manoeuvre that is held out as a whole. Source:
+AIRFRAME 5.8, where drag shows."""
+_LEAST: Final = 0.1
+"""Part of the flight that a manoeuvre must take so that it is held out. Chosen, not measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parted:
+    """Rollouts and nats on held-out stretches; `nats` is None where there is nothing to add."""
+
+    rollouts: tuple[Rollout, ...]
+    nats: HeldOut | None
+
+
+def held_out(answer: Answer, evidence: PairEvidence, found: Sequence[FoundEffect]) -> Parted:
+    """Errors of the predicted flight with the simulator's airframe, and with one effect more each."""
+    model = answer.best.model
+    side = evidence.side_of(model)
+    steps = _steps(evidence, model, found)
+    airframe = side.likelihood.airframe
+    torque = side.likelihood.torque
+    made = [_fold(evidence, side, model, steps, rows) for rows in folds(airframe)]
+    blocks = rollouts(airframe, [(m.rows, m.predictions) for m in made], torque=torque)
+    speed = np.hypot(airframe.flight.velocity[:, 0], airframe.flight.velocity[:, 1])
+    runs = speed > RUNS_M_S
+    if _LEAST < runs[airframe.flight.usable].mean() < 1.0 - _LEAST:
+        apart = _fold(evidence, side, model, steps, runs)
+        blocks += rollouts(airframe, [(runs, apart.predictions)], torque=torque, part="runs")
+    return Parted(blocks, _nats(made, steps))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fold:
+    """Rows that were held out, predictions without them, and nats a sample of each prediction and of a free fit."""
+
+    rows: Mask
+    predictions: tuple[Predicted, ...]
+    nats: tuple[float, ...]
+    samples: int
+
+
+def _steps(evidence: PairEvidence, model: Model, found: Sequence[FoundEffect]) -> tuple[tuple[str, Model], ...]:
+    """The simulator's airframe, then one effect more each; the air is known on both sides from the beginning."""
+    air = frozenset(e.block for e in evidence.chosen(model) if e.domain == "environment")
+    steps: list[tuple[str, Model]] = [("", air)]
+    for effect in found:
+        own = frozenset(
+            e.block for e in evidence.chosen(model)
+            if e.id == effect.id and (not effect.motors or e.motor in effect.motors)
+        )  # fmt: skip
+        if own and not own <= steps[-1][1]:
+            steps.append((effect.id, steps[-1][1] | own))
+    rest = model - steps[-1][1]
+    if rest:
+        steps.append(("unknown", steps[-1][1] | rest))
+    return tuple(steps)
+
+
+def _fold(
+    evidence: PairEvidence, side: Side, model: Model, steps: Sequence[tuple[str, Model]], rows: Mask
+) -> _Fold:
+    """Everything fitted again without `rows`, at the noise of the whole flight."""
+    inside, outside = (_on(side, kept) for kept in (~rows, rows))
+    fit = expanded(inside, side.fit.theta, inside.possible, list(side.fit.spectra))
+    apart = replace(evidence, real=Side(inside, fit)) if side is evidence.real else replace(
+        evidence, slewed=Side(inside, fit)
+    )  # fmt: skip
+    posterior = apart.posterior(model)
+    predictions, nats = [], []
+    spectra = side.fit.spectra
+    free = outside.loglik(side.fit.theta, spectra)
+    samples = max(int((rows & side.likelihood.usable).sum()) * (6 if side.likelihood.torque else 3), 1)
+    for name, some in steps:
+        theta = _with(apart, side, model, some, posterior.amplitudes)
+        slewed = any(e.slew for e in evidence.chosen(some))
+        likelihood = outside if slewed or side is evidence.real else _on(evidence.real, rows)
+        predictions.append(Predicted(name, *likelihood.airframe.predicted(theta)))
+        nats.append((free - likelihood.loglik(theta, spectra)) / samples)
+    return _Fold(rows, tuple(predictions), tuple(nats), samples)
+
+
+def _on(side: Side, rows: Mask) -> FlightLikelihood:
+    return FlightLikelihood(side.likelihood.airframe, side.likelihood.usable & rows, torque=side.likelihood.torque)
+
+
+def _with(evidence: PairEvidence, side: Side, model: Model, some: Model, amplitudes: Array) -> Array:
+    """Parameters of the real flight with only `some` of the model's effects at their amplitudes."""
+    chosen = evidence.chosen(model)
+    kept = amplitudes.copy()
+    at = len(amplitudes) - sum(len(e.names) for e in chosen)
+    for effect in chosen:
+        if effect.block not in some:
+            kept[at : at + len(effect.names)] = 0.0
+        at += len(effect.names)
+    real, _ = evidence.parameters(model, replace(evidence.posterior(model), amplitudes=kept))
+    own = side.own
+    return np.where(own, side.fit.theta, real)
+
+
+def _nats(made: Sequence[_Fold], steps: Sequence[tuple[str, Model]]) -> HeldOut | None:
+    if len(steps) < 2:
+        return None
+    total = sum(m.samples for m in made)
+    each = [sum(m.nats[k] * m.samples for m in made) / total for k in range(len(steps))]
+    return HeldOut(each[0], each[-1], tuple((steps[k][0], each[k]) for k in range(1, len(steps))))

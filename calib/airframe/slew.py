@@ -1,0 +1,78 @@
+"""A limit on how fast a motor's command may change: an exact shape, found on a grid and then refined (AIRFRAME 4.1)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.airframe.fit import FlightLikelihood, expanded, fitted
+from mavcal.calib.airframe.nameless import PREFIX
+from mavcal.calib.airframe.pair import Side
+from mavcal.calib.airframe.physics import Airframe
+
+Array = NDArray[np.float64]
+
+_RATES: Final = (6.0, 4.0, 3.0, 2.5, 2.0, 1.7, 1.4, 1.2, 1.0, 0.8, 0.6, 0.5, 0.4)
+"""Limits that are tried, 1/s. Source: the range of AIRFRAME 6, 0.5 to 4, and beyond."""
+_REACHED: Final = 99.8
+"""Percentile of the commands' own rates that a limit has to lie below so that it shows. Chosen, not measured."""
+_SPREADS: Final = (0.2, 0.1, 0.05)
+"""Parts of a limit by which it is refined, each about a flight that was fitted again. Source: the grid's own steps."""
+_ROUNDS: Final = 5
+_WORTH: Final = 10.0
+"""Nats that a limit must gain before the flight is fitted with it. Chosen, not measured: the contest decides."""
+
+
+def with_limit(side: Side, sim: Side) -> tuple[Side, float] | None:
+    """The real flight's side with the rate limit that suits it best, and the limit, 1/s; None: none is reached.
+
+    Limits are compared at the simulator's own airframe: a fit without a limit has lost it already.
+    """
+    likelihood = side.likelihood
+    airframe = likelihood.airframe
+    rates = np.abs(np.diff(airframe.flight.c, axis=0)) * airframe.flight.fs
+    fastest = float(np.percentile(rates, _REACHED))
+    tried = [r for r in _RATES if r < fastest]
+    if not tried or not likelihood.torque:
+        return None
+    theta = np.where(sim.own, side.fit.theta, sim.fit.theta)
+    free = likelihood.airframe.layout
+    theta[len(theta) - len(free.free) :] = 0.0
+
+    found = {rate: _limited(likelihood, rate).loglik(theta, side.fit.spectra) for rate in tried}
+    best = max(found, key=lambda rate: found[rate])
+    if found[best] - likelihood.loglik(theta, side.fit.spectra) < _WORTH:
+        return None
+    for spread in _SPREADS:
+        made = _limited(likelihood, best)
+        theta = fitted(made, theta, _held(made), rounds=_ROUNDS, expand=False).theta
+        best = _better(likelihood, theta, side, best, spread)
+    made = _limited(likelihood, best)
+    fit = fitted(made, theta, _held(made), expand=False)
+    return Side(made, expanded(made, fit.theta, made.possible)), best
+
+
+def _held(likelihood: FlightLikelihood) -> dict[str, float]:
+    """What stays zero while a flight is fitted by itself."""
+    names = likelihood.airframe.layout.names
+    return {n: 0.0 for n in names if n.startswith(("weak_", "pulse_", PREFIX)) or n == "asymmetry"}
+
+
+def _better(likelihood: FlightLikelihood, theta: Array, side: Side, best: float, spread: float) -> float:
+    """The limit of most likelihood within `spread` of the best one, by the parabola through three."""
+    rates = [best * (1.0 - spread), best, best * (1.0 + spread)]
+    gains = [_limited(likelihood, rate).loglik(theta, side.fit.spectra) for rate in rates]
+    bend = gains[0] - 2.0 * gains[1] + gains[2]
+    if bend >= 0.0:
+        return rates[int(np.argmax(gains))]
+    return float(np.clip(best - 0.5 * best * spread * (gains[2] - gains[0]) / bend, rates[0], rates[2]))
+
+
+def _limited(likelihood: FlightLikelihood, rate: float | None) -> FlightLikelihood:
+    airframe = likelihood.airframe
+    other = Airframe(
+        airframe.flight, airframe.kind, airframe.full_voltage, slew=rate, torque=likelihood.torque
+    )
+    return FlightLikelihood(other, likelihood.usable, torque=likelihood.torque)

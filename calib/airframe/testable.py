@@ -1,0 +1,107 @@
+"""Which effects two flights can show at all, and what would be needed for the others (AIRFRAME 5.8)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mavcal.calib.airframe.fit import FlightLikelihood
+from mavcal.calib.airframe.flown import LOG_BITS, PROFILE_BITS
+
+TORQUE_HZ: Final = 90.0
+"""Rate of commands and gyroscope from which on torque is judged. Source: AIRFRAME 5.7, torque needs 100 Hz; a log at
+loop rate may miss a row in ten."""
+COMMAND_HZ: Final = 40.0
+"""Rate of commands from which on the shape of thrust is judged. Source: AIRFRAME 5.7, 50 Hz told curve and lag."""
+_RUN: Final = 3.0
+_FAST: Final = 7.5
+_CLIMB: Final = 1.0
+_LIFT_SPAN: Final = 0.15
+_SAG_SPAN: Final = 0.06
+_LEAST_TURNS: Final = 0.03
+_MOST_LIMITED: Final = 0.2
+"""Numbers of AIRFRAME 5.8: speed both ways, m/s; speed for a square law (8 m/s reached in part of a flight); climbs;
+span of the collective command; of the voltage; part of a flight in which it is made to turn; part at a limit."""
+_EXTRA: Final[Mapping[str, tuple[str, str]]] = {
+    "ground_effect": ("no height above the ground to 5 cm below 1.5 rotor radii", "3 s of hover below 1.5 rotor radii with a rangefinder"),
+    "air_density": ("the altitude changes by less than 300 m", "a climb of 300 m or more"),
+    "payload_step": ("no step of mass is looked for in one flight", "two flights, with and without the load"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Missing:
+    """An effect that these flights could not have shown, why, and what would be needed."""
+
+    id: str
+    reason: str
+    need: str
+
+
+TORQUE_IDS: Final = (
+    "motor_weak", "inertia", "cg_offset", "torque_bias", "yaw_coefficient", "angular_damping", "motor_lag", "actuator_delay",
+)  # fmt: skip
+
+
+def missing(real: FlightLikelihood, sim: FlightLikelihood) -> tuple[Missing, ...]:
+    """Everything that cannot be tested with both flights."""
+    return tuple(_missing(real, sim))
+
+
+def _missing(real: FlightLikelihood, sim: FlightLikelihood) -> Iterator[Missing]:
+    for id_, (reason, need) in _EXTRA.items():
+        yield Missing(id_, reason, need)
+    pair = {"real": real, "simulated": sim}
+    log = LOG_BITS if real.airframe.flight.ardupilot else PROFILE_BITS
+    rates = {w: min(f.airframe.flight.command_hz, f.airframe.flight.inertial_hz) for w, f in pair.items()}
+    slow = min(rates, key=lambda w: rates[w])
+    if rates[slow] < TORQUE_HZ:
+        for id_ in TORQUE_IDS:
+            reason = f"commands or gyroscope of the {slow} flight at {rates[slow]:.0f} Hz: torque needs 100 Hz"
+            yield Missing(id_, reason, f"{log}: commands and gyroscope at 100 Hz or more")
+    else:
+        for which, one in pair.items():
+            turning = float(one.turns.mean())
+            if turning < _LEAST_TURNS:
+                need = "sharp roll and pitch doublets and yaw steps, or a chirp of SID_AXIS 10 to 12"
+                for id_ in ("inertia", "yaw_coefficient", "angular_damping", "motor_lag", "actuator_delay"):
+                    reason = f"the {which} vehicle is made to turn in {100 * turning:.0f} % of its flight only"
+                    yield Missing(id_, f"{reason}: commands answer gusts", need)
+                break
+    if rates[slow] < COMMAND_HZ:
+        yield Missing(
+            "thrust_expo", f"commands of the {slow} flight at {rates[slow]:.0f} Hz: a curve needs 40 Hz", log
+        )
+    for which, one in pair.items():
+        flight = one.airframe.flight
+        rows = flight.usable
+        level = np.hypot(*flight.velocity[rows, :2].T)
+        lift = flight.c[rows].mean(axis=1)
+        span = float(np.ptp(np.percentile(lift, (5.0, 95.0))))
+        fast, usual = float(np.percentile(level, 98.0)), float(np.percentile(level, 90.0))
+        climb = float(np.percentile(np.abs(flight.velocity[rows, 2]), 97.0))
+        if span < _LIFT_SPAN and rates[slow] >= COMMAND_HZ and one.lifts.mean() < 0.02:
+            yield Missing("thrust_expo", f"the {which} flight's throttle spans {span:.2f}", "throttle steps of 0.3")
+        if usual < _RUN * 0.8:
+            need = f"runs out and back at {_RUN:.0f} m/s and more, along x and y"
+            yield Missing("rotor_drag", f"the {which} vehicle flies at {usual:.1f} m/s", need)
+        if fast < _FAST:
+            need = "runs at two speeds, the faster one at 8 m/s or more"
+            for id_ in ("body_drag", "translational_lift"):
+                yield Missing(id_, f"the {which} vehicle reaches {fast:.1f} m/s", need)
+        if climb < _CLIMB:
+            yield Missing("inflow", f"the {which} vehicle climbs at {climb:.1f} m/s", "climbs and descents at 2 to 4 m/s")
+    if real.airframe.voltage_span < _SAG_SPAN:
+        span = 100.0 * real.airframe.voltage_span
+        yield Missing("battery_sag", f"the voltage changes by {span:.1f} %", "a flight that empties the battery by 6 % in voltage")
+
+
+def unusable(one: FlightLikelihood) -> str | None:
+    """Why a whole flight says nothing: too much of it at a limit; None: it can be judged."""
+    limited = float(one.airframe.flight.limited.mean())
+    if limited > _MOST_LIMITED:
+        return f"a motor is at its limit in {100 * limited:.0f} % of the flight"
+    return None

@@ -1,0 +1,31 @@
+"""What to fly so that effects part, by effect (AIRFRAME 5.6, 5.10)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+STANDARD_FLIGHT: Final = (
+    "rest 10 s with logging; hover 10 s at 5 m; three climbs and descents at 2 to 4 m/s; out and back at 4 and 8 m/s "
+    "along x and along y; four yaw steps of 90 degrees; 5 s of sharp roll and pitch doublets; hover; a slow landing; "
+    "rest 5 s"
+)
+"""The 90 s that show every effect. Source: AIRFRAME 5.10."""
+FIXES: Final[Mapping[str, str]] = {
+    "thrust_scale": "throttle steps over 0.3, and 10 s of rest before arming for the accelerometer's own scale",
+    "thrust_expo": "throttle steps over 0.3: climbs and descents at 2 to 4 m/s",
+    "motor_lag": "sharp roll and pitch doublets, or a chirp to 10 Hz (SID_AXIS 10 to 12)",
+    "actuator_delay": "sharp roll and pitch doublets, or a chirp to 10 Hz (SID_AXIS 10 to 12)",
+    "motor_weak": "roll and pitch doublets and a hover at two throttles",
+    "rotor_drag": "runs out and back at 4 and 8 m/s along x and y",
+    "body_drag": "runs out and back at 4 and 8 m/s along x and y",
+    "inflow": "climbs and descents at 2 to 4 m/s",
+    "translational_lift": "level runs at 8 m/s and more",
+    "inertia": "sharp doublets about the axis",
+    "cg_offset": "a hover at two throttles: a shifted centre of mass turns with the thrust",
+    "torque_bias": "a hover at two throttles: a constant torque does not change with the thrust",
+    "yaw_coefficient": "four yaw steps of 90 degrees: damping tells reaction from inertia",
+    "angular_damping": "fast turns about the axis, beside doublets",
+    "battery_sag": "a flight over the whole battery with the same hover before and after",
+    "wind": "runs out and back, and a turn through all headings",
+}
