@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate, Rival
 
-DAY = ": a finding about the day, not exported"
 _AXES = {"x": "roll", "y": "pitch", "z": "yaw"}
 _FINEST = 4
 """Most decimals of a number in a sentence. Chosen, not measured: finer than any of these effects is known."""
@@ -20,13 +19,12 @@ _Params = Mapping[str, ParameterEstimate]
 
 @dataclass(frozen=True)
 class Claim:
-    """One parameter as a person reads it: the difference of the two flights, its 95 % interval, and both sides."""
+    """One parameter as a person reads it: real against simulated, its 95 % interval, and both sides where known."""
 
     label: str
     difference: str
     interval: str
-    real: str
-    sim: str
+    sides: str
 
 
 @dataclass(frozen=True)
@@ -86,18 +84,20 @@ def wind_from(north: float, east: float) -> tuple[float, float]:
 
 
 def _claim(p: ParameterEstimate, label: str, unit: str) -> Claim:
-    real, sim = (_side(value, unit) for value in (p.value_real, p.value_sim))
+    sides = _both(p, unit)
     if p.unit == "1" and p.ratio is not None:
         value, low, high = ratio_of(p)
-        return Claim(label, f"{_rounded(value, low, high, least=2)} times", _range(low, high, least=2), real, sim)
-    said = _rounded(p.value, *p.ci95)
-    signed = said if p.value < 0.0 or p.value_sim is None else f"+{said}"
-    return Claim(label, f"{signed}{_unit(p.unit)}", _range(*p.ci95), real, sim)
+        return Claim(label, f"{_rounded(value, low, high, least=2)} times", _range(low, high, least=2), sides)
+    sign = "+" if p.value > 0.0 and p.value_sim is not None else ""
+    return Claim(label, f"{sign}{_rounded(p.value, *p.ci95)}{_unit(p.unit)}", _range(*p.ci95), sides)
 
 
-def _side(value: float | None, unit: str) -> str:
-    """Empty where it is not known, or has no unit of its own: then the ratio is all there is to say."""
-    return f"{value:.3g}{_unit(unit)}" if unit and value is not None and math.isfinite(value) else ""
+def _both(p: ParameterEstimate, unit: str) -> str:
+    """``real 0.392, simulated 0.245 1/s``; empty where they are not known, or mean nothing beside their ratio."""
+    real, sim = p.value_real, p.value_sim
+    if not unit or real is None or sim is None or not (math.isfinite(real) and math.isfinite(sim)):
+        return ""
+    return f"real {real:.3g}, simulated {sim:.3g}{_unit(unit)}"
 
 
 def _unit(unit: str) -> str:
@@ -219,7 +219,7 @@ def _sag(p: _Params, _: EffectEstimate) -> str:
 
 
 def _ground(p: _Params, _: EffectEstimate) -> str:
-    return f"near the ground the real vehicle has {_more(p['a'], _PER_CENT, '% of thrust', 'more', 'less')}{DAY}"
+    return f"near the ground the real vehicle has {_more(p['a'], _PER_CENT, '% of thrust', 'more', 'less')}"
 
 
 def _payload(p: _Params, _: EffectEstimate) -> str:
@@ -231,21 +231,21 @@ def _payload(p: _Params, _: EffectEstimate) -> str:
 def _density(p: _Params, _: EffectEstimate) -> str:
     value, low, high = ratio_of(p["s"])
     said = f"{_rounded(value, low, high, least=2)} times as dense{_bracketed(low, high, least=2)}"
-    return f"the air was {said}{DAY}"
+    return f"the air was {said}"
 
 
 def _wind(p: _Params, _: EffectEstimate) -> str:
     north, east = (one.value if one.value_real is None else one.value_real for one in (p["north"], p["east"]))
     speed, direction = wind_from(north, east)
-    return f"wind of {speed:.1f} m/s from {direction:.0f} deg{DAY}"
+    return f"wind of {speed:.1f} m/s from {direction:.0f} deg"
 
 
 def _rough(p: _Params, _: EffectEstimate) -> str:
-    return f"the air was {'rougher' if p['sigma'].value >= 0.0 else 'calmer'} by {_size(p['sigma'])} m/s2 rms{DAY}"
+    return f"the air was {'rougher' if p['sigma'].value >= 0.0 else 'calmer'} by {_size(p['sigma'])} m/s2 rms"
 
 
 def _event(what: str, unit: str) -> Callable[[_Params, EffectEstimate], str]:
-    return lambda p, _: f"{what} of {_size(p['size'])} {unit} at {p['t'].value:.1f} s{DAY}"
+    return lambda p, _: f"{what} of {_size(p['size'])} {unit} at {p['t'].value:.1f} s"
 
 
 def _size(p: ParameterEstimate) -> str:

@@ -57,7 +57,9 @@ def quantity_name(rollout: Rollout) -> str:
 
 
 def closed_words(rollout: Rollout) -> str:
-    """``94 % closed (91 to 96 %)``; in words where that says nothing."""
+    """``94 % closed (91 to 96 %)``; in words where that says nothing, empty where there is no effect to close it."""
+    if not rollout.sequence and rollout.closed is None:
+        return ""
     if rollout.closed is None or not math.isfinite(rollout.closed):
         return "the part that is closed is not known"
     said = f"{100.0 * rollout.closed:.0f} % closed"
@@ -67,8 +69,16 @@ def closed_words(rollout: Rollout) -> str:
 
 
 def error_words(rollout: Rollout) -> str:
-    """``0.81 to 0.32 m/s, floor 0.29``."""
-    return f"{rollout.before:.3g} to {rollout.after:.3g} {rollout.unit}, floor {rollout.floor:.3g}"
+    """``0.82 m/s, 0.14 with the effects, floor 0.10``; without effects only the first and the last."""
+    changed = f", {sized(rollout, rollout.after)} with the effects" if rollout.sequence else ""
+    return f"{sized(rollout, rollout.before)} {rollout.unit}{changed}, floor {sized(rollout, rollout.floor)}"
+
+
+def sized(rollout: Rollout, error: float) -> str:
+    """An error with as many decimals as the largest one needs for three digits."""
+    if not (math.isfinite(error) and rollout.before > 0.0):
+        return "not known"
+    return f"{error:.{max(0, 2 - math.floor(math.log10(rollout.before)))}f}"
 
 
 def rollout_sentence(part: AirframePart) -> str:
@@ -77,5 +87,9 @@ def rollout_sentence(part: AirframePart) -> str:
     told = main or list(part.rollout[:1])
     if not told:
         return ""
-    parts = [f"{quantity_name(r)} {error_words(r)}: {closed_words(r)}" for r in told]
-    return f"Error of the predicted flight on data that were held out: {'; '.join(parts)}."
+    parts = [f"{quantity_name(r).capitalize()}: {error_words(r)}{_after(closed_words(r))}" for r in told]
+    return f"Error of the predicted flight, on data that were held out. {'. '.join(parts)}."
+
+
+def _after(said: str) -> str:
+    return f"; {said}" if said else ""

@@ -63,9 +63,12 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     explained = report.verdict in {GapVerdict.EXPLAINED, GapVerdict.PARTLY_EXPLAINED}
     named = explained or report.inputs.useless or _domains(report) - {Domain.SENSOR}
     if listed and named and report.effects:
-        likely = [effect_phrase(e) for e in report.effects if not e.evidence.doubtful]
+        sure = [e for e in report.effects if not e.evidence.doubtful]
+        likely = [effect_phrase(e) for e in sure if e.domain is not Domain.ENVIRONMENT]
+        of_day = [airframe_effects.phrase(e) for e in sure if e.domain is Domain.ENVIRONMENT]
         doubtful = [effect_phrase(e) for e in report.effects if e.evidence.doubtful]
         said += f" Found: {'; '.join(likely)}." if likely else ""
+        said += f" Of the day, and not exported: {'; '.join(of_day)}." if of_day else ""
         said += f" In doubt, since something else is likelier: {'; '.join(doubtful)}." if doubtful else ""
     return said
 
@@ -112,7 +115,9 @@ def not_compared(report: GapReport) -> str:
 
 def effect_phrase(effect: EffectEstimate) -> str:
     """``a constant offset of accelerometer 1 (accel_bias)``; of airframe and air what was found, with its size."""
-    if effect.domain is not Domain.SENSOR:
+    if effect.domain is Domain.ENVIRONMENT:
+        return f"{airframe_effects.phrase(effect)}: a finding about the day, not exported"
+    if effect.domain is Domain.AIRFRAME:
         return airframe_effects.phrase(effect)
     known = by_id().get(effect.id)
     if known is None:  # of a report that another version wrote
