@@ -11,6 +11,8 @@ from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate, Rival
 _AXES = {"x": "roll", "y": "pitch", "z": "yaw"}
 _FINEST = 4
 """Most decimals of a number in a sentence. Chosen, not measured: finer than any of these effects is known."""
+_ROUND = 1e-3
+"""Powers of ten that a half interval may lie below one and count as it: ends that are added are not exact."""
 _PER_CENT, _MS = 100.0, 1000.0
 _FAST = 10.0
 """m/s at which the lift of forward flight is told. Chosen, not measured: a brisk flight of a small multicopter."""
@@ -107,7 +109,7 @@ def _unit(unit: str) -> str:
 def _decimals(low: float, high: float, least: int = 0) -> int:
     """As many as half the interval has a digit for."""
     half = 0.5 * abs(high - low)
-    return min(max(-math.floor(math.log10(half)), least), _FINEST) if 0.0 < half < math.inf else max(2, least)
+    return min(max(-math.floor(math.log10(half) + _ROUND), least), _FINEST) if 0.0 < half < math.inf else max(2, least)
 
 
 def _rounded(value: float, low: float, high: float, *, least: int = 0) -> str:
@@ -142,7 +144,10 @@ def _more(p: ParameterEstimate, scale: float, unit: str, more: str, less: str) -
 
 
 def _joined(parts: Iterable[str]) -> str:
-    *most, last = parts
+    """``a, b and c``. Raises KeyError where no parameter is there."""
+    *most, last = list(parts) or [""]
+    if not last:
+        raise KeyError("no parameter")
     return f"{', '.join(most)} and {last}" if most else last
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.answer import AirframeTrace, Rollout
 from mavcal.calib.drawing import Chart, limits_of, svg, text
 from mavcal.calib.fit import AXES
-from mavcal.calib.gap_report.airframe_words import closed_words, quantity_name, sized
+from mavcal.calib.gap_report.airframe_words import closed_words, part_name, quantity_name, sized
 from mavcal.calib.gap_report.colours import AFTER, BEFORE, FLOOR, MODEL
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ _POINTS = 300
 """Points of a line: more than the picture has pixels."""
 _LEAST = 16  # samples for a picture
 _WIDTH, _HEIGHT = 294, 190
-_LEFT, _BARS, _TALL, _TOP = 112.0, 128.0, 21.0, 42.0
+_LEFT, _BARS, _TALL, _TOP = 120.0, 122.0, 21.0, 42.0
 _LONGEST = 19
 """Letters of a name beside its bar."""
 
@@ -84,8 +84,7 @@ def rollout_plot(rollout: Rollout) -> Markup:
     """Error as it is, what each effect takes off it, what is left, and the floor: bars in the unit of the error."""
     steps = list(_steps(rollout))
     top = max(max(begin, end) for _, begin, end, _ in steps)
-    part = "" if rollout.part == "blocks" else f"{rollout.part.replace('_', ' ')} held out"
-    told = ", ".join(words for words in (closed_words(rollout), part) if words)
+    told = ", ".join(filter(None, (closed_words(rollout), part_name(rollout))))
     title = f"{quantity_name(rollout).capitalize()}, {rollout.unit}"
     out = [text(4, 14, title, kind="title"), text(4, 30, told, kind="legend")]
     for k, (name, begin, end, colour) in enumerate(steps):
@@ -104,7 +103,7 @@ def _steps(rollout: Rollout) -> Iterator[tuple[str, float, float, str]]:
     level = rollout.before
     for step in rollout.sequence:
         if math.isfinite(step.error):
-            yield f"with {step.add.replace('_', ' ')}", level, step.error, MODEL
+            yield step.add.replace("_", " "), level, step.error, MODEL
             level = step.error
     if rollout.sequence:
         yield "with all effects", 0.0, rollout.after, AFTER
