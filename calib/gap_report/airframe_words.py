@@ -18,6 +18,15 @@ _GROUPS = {
     Domain.ENVIRONMENT: "The air and the events of the day",
 }
 
+_COMMANDS = {
+    "rcou": "the logged outputs (RCOU)",
+    "rate_mixer": "rebuilt from RATE and MOTB",
+    "actuator_motors": "actuator_motors as logged",
+    "controls": "rebuilt from the logged controls",
+    "table": "the columns motor_1 and on",
+}
+"""By source (:class:`calib.airframe.answer.Commands`)."""
+
 
 def effects_of(report: GapReport, *domains: Domain) -> tuple[EffectEstimate, ...]:
     """The effects of these domains."""
@@ -32,7 +41,8 @@ def groups(report: GapReport) -> Sequence[tuple[str, Sequence[EffectEstimate]]]:
 
 def commands_sentence(commands: Commands) -> str:
     """Whence the motors' commands come, how fast, and how good they are."""
-    said = f"Commands of the motors: {commands.source.replace('_', ' ')} at {commands.rate_hz:.4g} Hz"
+    whence = _COMMANDS.get(commands.source, commands.source)
+    said = f"Commands of the motors: {whence} at {commands.rate_hz:.4g} Hz"
     check = commands.check_us
     said += "; nothing to check them against" if check is None else f"; {check:.2g} us from the logged outputs (median)"
     if commands.masked > 0.0:

@@ -90,7 +90,7 @@ def test_the_predicted_flight_is_a_table_and_what_to_fly_follows(said):
     assert rows[2].endswith("94 % closed (91 to 96 %)")
     assert len({row.index(" %") for row in rows[1:]}) == 1
     assert beginning(lines, "To decide between what is left, fly:")
-    assert beginning(lines, "Commands of the motors: RATE and MOTB at 400 Hz")
+    assert beginning(lines, "Commands of the motors: rebuilt from RATE and MOTB at 400 Hz")
     assert not beginning(lines, "How far the gap shrinks")  # of sensors, which nothing is wrong with
 
 

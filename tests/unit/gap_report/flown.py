@@ -38,7 +38,7 @@ from tests.unit.gap.export.making import report
 
 Array = NDArray[np.float64]
 PLUS = Geometry("quad", "plus", (Motor(0, 1, 1), Motor(0, -1, 1), Motor(1, 0, -1), Motor(-1, 0, -1)), "parameters")
-REBUILT = Commands("RATE and MOTB", 400.0, 0.5, 0.021)
+REBUILT = Commands("rate_mixer", 400.0, 0.5, 0.021)
 DOMAINS: Mapping[str, Domain] = {
     **dict.fromkeys(
         ("thrust_scale", "thrust_expo", "motor_lag", "actuator_delay", "motor_weak", "rotor_drag", "body_drag",
@@ -159,7 +159,7 @@ def windy_null() -> GapReport:
     gone = NotTestable(
         "motor_lag", "commands are known at 10 Hz only", "LOG_BITMASK bits 0 and 18 (fast attitude, fast IMU)"
     )
-    slow = replace(REBUILT, source="RCOU", rate_hz=10.0, check_us=None, masked=0.0)
+    slow = replace(REBUILT, source="rcou", rate_hz=10.0, check_us=None, masked=0.0)
     part = AirframePart(PLUS, slow, rollouts(), (-1.09, -4.0), traces=traces((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     whole = replace(_explained(WIND, TURBULENCE), verdict=GapVerdict.NO_GAP)
     return replace(whole, airframe=part, not_testable=(gone,))

@@ -260,8 +260,9 @@ def test_a_patch_leaves_tables_of_a_file_to_the_export():
 @pytest.mark.parametrize(
     ("commands", "said"),
     [
-        (Commands("RATE and MOTB", 400.0, 0.5, 0.021), "RATE and MOTB at 400 Hz; 0.5 us from the logged outputs"),
-        (Commands("actuator_motors", 125.0, None, 0.0), "actuator motors at 125 Hz; nothing to check them against."),
+        (Commands("rate_mixer", 400.0, 0.5, 0.021), "RATE and MOTB at 400 Hz; 0.5 us from the logged outputs (median)"),
+        (Commands("actuator_motors", 125.0, None, 0.0), "logged at 125 Hz; nothing to check them against."),
+        (Commands("another source", 50.0, None, 0.0), ": another source at 50 Hz"),
     ],
 )
 def test_commands_are_told_in_one_sentence(commands, said):

@@ -206,7 +206,7 @@ def test_an_effect_of_the_airframe_is_a_card_with_its_ratio_and_what_decides():
 def test_what_was_needed_and_how_the_commands_were_known_is_on_the_page():
     page = re.sub(r"\s+", " ", gap_to_html(windy_null()))
     assert "LOG_BITMASK bits 0 and 18" in page
-    assert "Commands of the motors: RCOU at 10 Hz; nothing to check them against." in page
+    assert "Commands of the motors: the logged outputs (RCOU) at 10 Hz; nothing to check them against." in page
     assert "Wind of 4.1 m/s from 75 deg: a finding about the day, not exported" in page
 
 
