@@ -129,7 +129,8 @@ def _rotor(place: _Place, radius: float, weak: Mapping[int, float]) -> Iterator[
         yield _turning(place.x, place.y, radius * (0.74 - 0.22 * k), spin, colour)
     yield _number(place.x, place.y + 5.0, "+".join(map(str, place.numbers)), "var(--page)" if sick else "var(--ink)")
     for n in sick:
-        change = f"{100.0 * (weak[n] - 1.0):+.1f} %"
+        which = f"{n}: " if len(place.numbers) > 1 else ""
+        change = f"{which}{100.0 * (weak[n] - 1.0):+.1f} %"
         yield text(place.x, place.y - radius - 5.0, change, anchor="middle", kind="legend")
 
 

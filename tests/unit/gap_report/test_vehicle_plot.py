@@ -77,6 +77,7 @@ def test_motors_above_each_other_share_a_disc():
     assert "3+7" in [e.text for e in ElementTree.fromstring(drawn).iter("text")]
     [sick] = filled(drawn)
     assert "motor 7, turns counter-clockwise, 0.92 times" in sick
+    assert "7: -7.9 %" in drawn
     assert "motor 3, turns clockwise and" in sick
 
 
