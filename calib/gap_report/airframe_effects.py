@@ -7,12 +7,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate, Rival
+from mavcal.calib.gap_report.intervals import after_number, bracketed, more_or_less, range_of, ratio_of, rounded, times
 
 _AXES = {"x": "roll", "y": "pitch", "z": "yaw"}
-_FINEST = 4
-"""Most decimals of a number in a sentence. Chosen, not measured: finer than any of these effects is known."""
-_ROUND = 1e-3
-"""Powers of ten that a half interval may lie below one and count as it: ends that are added are not exact."""
 _PER_CENT, _MS = 100.0, 1000.0
 _FAST = 10.0
 """m/s at which the lift of forward flight is told. Chosen, not measured: a brisk flight of a small multicopter."""
@@ -72,14 +69,6 @@ def rival_phrase(rival: Rival) -> str:
     return f"{plain_name(rival.id)}{alike}; what decides: {rival.fix}"
 
 
-def ratio_of(p: ParameterEstimate) -> tuple[float, float, float]:
-    """Real by simulated and its 95 % interval, of a relative parameter."""
-    if p.ratio is None:
-        return 1.0 + p.value, 1.0 + p.ci95[0], 1.0 + p.ci95[1]
-    low, high = p.ratio_ci95 or (math.nan, math.nan)
-    return p.ratio, low, high
-
-
 def wind_from(north: float, east: float) -> tuple[float, float]:
     """Speed, m/s, and the direction that it comes from, degrees from north; of where the air moves to."""
     return math.hypot(north, east), math.degrees(math.atan2(-east, -north)) % 360.0
@@ -89,9 +78,9 @@ def _claim(p: ParameterEstimate, label: str, unit: str) -> Claim:
     sides = _both(p, unit)
     if p.unit == "1" and p.ratio is not None:
         value, low, high = ratio_of(p)
-        return Claim(label, f"{_rounded(value, low, high, least=2)} times", _range(low, high, least=2), sides)
+        return Claim(label, f"{rounded(value, low, high, least=2)} times", range_of(low, high, least=2), sides)
     sign = "+" if p.value > 0.0 and p.value_sim is not None else ""
-    return Claim(label, f"{sign}{_rounded(p.value, *p.ci95)}{_unit(p.unit)}", _range(*p.ci95), sides)
+    return Claim(label, f"{sign}{rounded(p.value, *p.ci95)}{after_number(p.unit)}", range_of(*p.ci95), sides)
 
 
 def _both(p: ParameterEstimate, unit: str) -> str:
@@ -99,48 +88,7 @@ def _both(p: ParameterEstimate, unit: str) -> str:
     real, sim = p.value_real, p.value_sim
     if not unit or real is None or sim is None or not (math.isfinite(real) and math.isfinite(sim)):
         return ""
-    return f"real {real:.3g}, simulated {sim:.3g}{_unit(unit)}"
-
-
-def _unit(unit: str) -> str:
-    return "" if unit in {"", "1"} else f" {unit}"
-
-
-def _decimals(low: float, high: float, least: int = 0) -> int:
-    """As many as half the interval has a digit for."""
-    half = 0.5 * abs(high - low)
-    return min(max(-math.floor(math.log10(half) + _ROUND), least), _FINEST) if 0.0 < half < math.inf else max(2, least)
-
-
-def _rounded(value: float, low: float, high: float, *, least: int = 0) -> str:
-    return f"{value:.{_decimals(low, high, least)}f}"
-
-
-def _range(low: float, high: float, *, least: int = 0) -> str:
-    """``1.54 to 1.66``; empty where a value was taken as it is."""
-    if not (math.isfinite(low) and math.isfinite(high)):
-        return "not determined by itself"
-    decimals = _decimals(low, high, least)
-    return f"{low:.{decimals}f} to {high:.{decimals}f}" if high > low else ""
-
-
-def _bracketed(low: float, high: float, *, least: int = 0) -> str:
-    said = _range(low, high, least=least)
-    return f" ({said})" if said else ""
-
-
-def _times(p: ParameterEstimate, what: str) -> str:
-    """``1.60 times the rotor drag (1.54 to 1.66)``."""
-    value, low, high = ratio_of(p)
-    return f"{_rounded(value, low, high, least=2)} times {what}{_bracketed(low, high, least=2)}"
-
-
-def _more(p: ParameterEstimate, scale: float, unit: str, more: str, less: str) -> str:
-    """``40 ms later (35 to 45)``: the size of an absolute difference, and the word for its sign."""
-    sign = math.copysign(scale, p.value)
-    low, high = sorted(sign * edge for edge in p.ci95)
-    amount = _rounded(sign * p.value, low, high)
-    return f"{amount}{_unit(unit)} {more if p.value >= 0.0 else less}{_bracketed(low, high)}"
+    return f"real {real:.3g}, simulated {sim:.3g}{after_number(unit)}"
 
 
 def _joined(parts: Iterable[str]) -> str:
@@ -152,52 +100,53 @@ def _joined(parts: Iterable[str]) -> str:
 
 
 def _has(name: str, what: str) -> Callable[[_Params, EffectEstimate], str]:
-    return lambda p, _: f"the real vehicle has {_times(p[name], what)}"
+    return lambda p, _: f"the real vehicle has {times(p[name], what)}"
 
 
 def _has_by_axis(what: str) -> Callable[[_Params, EffectEstimate], str]:
     def told(p: _Params, _: EffectEstimate) -> str:
         shown = [axis for axis in _AXES if axis in p]
-        first = [_times(p[axis], f"the {what} in {_AXES[axis]}") for axis in shown[:1]]
-        return f"the real vehicle has {_joined(first + [_times(p[a], f'that in {_AXES[a]}') for a in shown[1:]])}"
+        first = [times(p[axis], f"the {what} in {_AXES[axis]}") for axis in shown[:1]]
+        return f"the real vehicle has {_joined(first + [times(p[a], f'that in {_AXES[a]}') for a in shown[1:]])}"
 
     return told
 
 
 def _expo(p: _Params, _: EffectEstimate) -> str:
-    return f"the thrust curve of the real vehicle has an expo that is {_more(p['expo'], 1.0, '', 'higher', 'lower')}"
+    amount = more_or_less(p["expo"], 1.0, "", "higher", "lower")
+    return f"the thrust curve of the real vehicle has an expo that is {amount}"
 
 
 def _lag(p: _Params, _: EffectEstimate) -> str:
     if (slew := p.get("slew")) is not None:
         if slew.value_real is None:
-            return f"the thrust of the real motors changes {_more(slew, 1.0, '1/s', 'faster', 'slower')}"
-        most = _rounded(slew.value_real, *slew.ci95)
+            return f"the thrust of the real motors changes {more_or_less(slew, 1.0, '1/s', 'faster', 'slower')}"
+        most = rounded(slew.value_real, *slew.ci95)
         return f"the thrust of the real motors changes by at most {most} of the full command a second"
     ways = {"tau_up": "speed up", "tau_down": "slow down"}
-    parts = [f"{_more(p[n], _MS, 'ms', 'longer', 'less')} to {way}" for n, way in ways.items() if n in p]
+    parts = [f"{more_or_less(p[n], _MS, 'ms', 'longer', 'less')} to {way}" for n, way in ways.items() if n in p]
     return f"the real motors take {_joined(parts)}"
 
 
 def _delay(p: _Params, _: EffectEstimate) -> str:
-    return f"commands reach the real motors {_more(p['delay'], _MS, 'ms', 'later', 'earlier')}"
+    return f"commands reach the real motors {more_or_less(p['delay'], _MS, 'ms', 'later', 'earlier')}"
 
 
 def _weak(p: _Params, effect: EffectEstimate) -> str:
     value, low, high = ratio_of(p["s"])
     sign = -1.0 if value < 1.0 else 1.0
     low, high = sorted(_PER_CENT * sign * (edge - 1.0) for edge in (low, high))
-    amount = _rounded(_PER_CENT * abs(value - 1.0), low, high)
+    amount = rounded(_PER_CENT * abs(value - 1.0), low, high)
     which = effect.instances[0] if effect.instances else round(p["motor"].value)
-    return f"motor {which} is {amount} % {'weak' if value < 1.0 else 'strong'}{_bracketed(low, high)}"
+    return f"motor {which} is {amount} % {'weak' if value < 1.0 else 'strong'}{bracketed(low, high)}"
 
 
 def _inflow(p: _Params, _: EffectEstimate) -> str:
-    return f"each m/s of climb costs the real vehicle {_more(p['cz'], 1.0, 'm/s2', 'more', 'less')}"
+    return f"each m/s of climb costs the real vehicle {more_or_less(p['cz'], 1.0, 'm/s2', 'more', 'less')}"
 
 
 def _lift(p: _Params, _: EffectEstimate) -> str:
-    amount = _more(p["ch"], _FAST**2, "m/s2", "more", "less")
+    amount = more_or_less(p["ch"], _FAST**2, "m/s2", "more", "less")
     return f"level flight at {_FAST:g} m/s lifts the real vehicle by {amount}"
 
 
@@ -205,37 +154,35 @@ def _centre(p: _Params, _: EffectEstimate) -> str:
     words = {"x": ("further forward", "further back"), "y": ("further right", "further left")}
     moved = {n: p[n] for n in words if n in p}
     sure = {n: one for n, one in moved.items() if one.ci95[0] * one.ci95[1] > 0.0} or moved
-    parts = [_more(one, _PER_CENT, "% of an arm", *words[n]) for n, one in sure.items()]
+    parts = [more_or_less(one, _PER_CENT, "% of an arm", *words[n]) for n, one in sure.items()]
     return f"the centre of gravity of the real vehicle is {_joined(parts)}"
 
 
 def _torque(p: _Params, _: EffectEstimate) -> str:
-    parts = [
-        f"{_rounded(p[a].value, *p[a].ci95)} rad/s2 in {_AXES[a]}{_bracketed(*p[a].ci95)}" for a in _AXES if a in p
-    ]
+    parts = [f"{rounded(p[a].value, *p[a].ci95)} rad/s2 in {_AXES[a]}{bracketed(*p[a].ci95)}" for a in _AXES if a in p]
     return f"a steady torque turns the real vehicle: {_joined(parts)}"
 
 
 def _sag(p: _Params, _: EffectEstimate) -> str:
     if (exponent := p.get("exponent")) is not None:
-        amount = _more(exponent, 1.0, "", "more", "less")
+        amount = more_or_less(exponent, 1.0, "", "more", "less")
         return f"thrust follows the voltage of the real battery with an exponent of {amount}"
-    return f"its sagging battery leaves the real vehicle {_times(p['s'], 'the thrust')}"
+    return f"its sagging battery leaves the real vehicle {times(p['s'], 'the thrust')}"
 
 
 def _ground(p: _Params, _: EffectEstimate) -> str:
-    return f"near the ground the real vehicle has {_more(p['a'], _PER_CENT, '% of thrust', 'more', 'less')}"
+    return f"near the ground the real vehicle has {more_or_less(p['a'], _PER_CENT, '% of thrust', 'more', 'less')}"
 
 
 def _payload(p: _Params, _: EffectEstimate) -> str:
     value, low, high = ratio_of(p["s"])
-    said = f"{_rounded(value, low, high, least=2)} times as heavy{_bracketed(low, high, least=2)}"
+    said = f"{rounded(value, low, high, least=2)} times as heavy{bracketed(low, high, least=2)}"
     return f"at {p['t'].value:.1f} s the real vehicle became {said}"
 
 
 def _density(p: _Params, _: EffectEstimate) -> str:
     value, low, high = ratio_of(p["s"])
-    said = f"{_rounded(value, low, high, least=2)} times as dense{_bracketed(low, high, least=2)}"
+    said = f"{rounded(value, low, high, least=2)} times as dense{bracketed(low, high, least=2)}"
     return f"the air was {said}"
 
 
@@ -254,7 +201,7 @@ def _event(what: str, unit: str) -> Callable[[_Params, EffectEstimate], str]:
 
 
 def _size(p: ParameterEstimate) -> str:
-    return _rounded(abs(p.value), *p.ci95)
+    return rounded(abs(p.value), *p.ci95)
 
 
 def _sides(*rows: tuple[str, str, str]) -> Mapping[str, tuple[str, str]]:

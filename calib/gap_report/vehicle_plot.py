@@ -11,8 +11,9 @@ from markupsafe import Markup
 from mavcal.calib.airframe.answer import AirframePart, Geometry
 from mavcal.calib.drawing import svg, text
 from mavcal.calib.gap.schema import EffectEstimate
-from mavcal.calib.gap_report.airframe_effects import ratio_of, wind_from
+from mavcal.calib.gap_report.airframe_effects import wind_from
 from mavcal.calib.gap_report.colours import BEFORE, MODEL
+from mavcal.calib.gap_report.intervals import ratio_of
 
 NARROW, WIDE, HEIGHT = 316, 440, 346
 """Size, px, without and with notes beside the vehicle."""
