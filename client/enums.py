@@ -237,6 +237,10 @@ class Sensor(StrEnum):
     PLACE = "place"
     VIBRATION = "vibration"
     GYRO_VIBRATION = "gyro_vibration"
+    CONTROL = "control"
+    MIXER = "mixer"
+    VOLTAGE = "voltage"
+    HEIGHT = "height"
 
 
 class SensorCheckId(StrEnum):

@@ -1264,7 +1264,7 @@ export interface SegmentsEvent {
 }
 
 /** What a channel measures; the comment gives the columns and the unit. */
-export type Sensor = "accel" | "gyro" | "mag" | "temperature" | "current" | "throttle" | "motor" | "rotor_speed" | "attitude" | "position" | "velocity" | "place" | "vibration" | "gyro_vibration";
+export type Sensor = "accel" | "gyro" | "mag" | "temperature" | "current" | "throttle" | "motor" | "rotor_speed" | "attitude" | "position" | "velocity" | "place" | "vibration" | "gyro_vibration" | "control" | "mixer" | "voltage" | "height";
 
 /** What a sensor should read after a write. */
 export type SensorCheckId = "gyro_zero" | "accel_gravity" | "accel_direction" | "level" | "attitude";

@@ -327,7 +327,7 @@ def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alp
     shared = any(by_id()[effect.id].shared for effect in effects)
     if unknown.flag or not task.problem.minimum_gain.lasting or shared:
         return found
-    named = {effect.sensor.value for effect in effects}
+    named = {effect.sensor.value for effect in effects if effect.sensor is not None}
     return tuple(one for one in found if one.channel.partition(".")[0] in named)
 
 

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from mavcal.calib import pages
+from mavcal.calib.airframe.answer import AirframePart, Domain
 from mavcal.calib.gap.schema import GapReport
-from mavcal.calib.gap_report import words
+from mavcal.calib.gap_report import airframe_effects, airframe_words, words
+from mavcal.calib.gap_report.flight_plots import LEGEND, rollout_plots, trace_plots
 from mavcal.calib.gap_report.series_plots import allan_plot, of_effect, overlay, shape_plot, spectrum_plot, strip
 from mavcal.calib.gap_report.table_plots import waterfall, where_map
+from mavcal.calib.gap_report.vehicle_plot import vehicle_plot
 
 _MOST_SHAPES = 12
 _MOST_SERIES = 9
@@ -28,16 +31,22 @@ def gap_to_html(report: GapReport, *, title: str = "Sim-to-real gap") -> str:
     title
         Title of the page, such as the name of the recording.
     """
+    sensors = airframe_words.effects_of(report, Domain.SENSOR)
     return pages.page(
         "mavcal.calib.gap_report",
         "report.html",
         title=title,
         report=report,
         pictures=_pictures(report),
-        rivals=[(effect, rival) for effect in report.effects for rival in effect.confusable_with],
+        sensors=sensors,
+        vehicle=[group for group in airframe_words.groups(report) if group[1][0].domain is not Domain.SENSOR],
+        rivals=[(effect, rival) for effect in sensors for rival in effect.confusable_with],
         facts=_facts(report),
         most_where=_MOST_WHERE,
         words=words,
+        airframe_effects=airframe_effects,
+        airframe_words=airframe_words,
+        legend=LEGEND,
     )
 
 
@@ -51,10 +60,15 @@ class _Pictures:
     spectra: Sequence[Markup]
     strip: Sequence[Markup]
     overlays: Sequence[Markup]
+    vehicle: Markup
+    traces: Sequence[Sequence[Markup]]
+    """One row a trace: force, torque."""
+    rollouts: Sequence[Markup]
 
 
 def _pictures(report: GapReport) -> _Pictures:
     series = report.series[:_MOST_SERIES]
+    airframe = report.airframe or AirframePart()
     return _Pictures(
         waterfall=Markup() if report.shrink is None else waterfall(report.shrink),
         where=where_map(report.where),
@@ -62,6 +76,9 @@ def _pictures(report: GapReport) -> _Pictures:
         spectra=_drawn(draw(fit) for fit in series for draw in (spectrum_plot, allan_plot)),
         strip=strip(series, report.effects),
         overlays=_drawn(overlay(fit) for fit in series),
+        vehicle=vehicle_plot(airframe, report.effects),
+        traces=[drawn for trace in airframe.traces if (drawn := trace_plots(trace))],
+        rollouts=rollout_plots(airframe.rollout),
     )
 
 
@@ -70,7 +87,7 @@ def _drawn(pictures: Iterable[Markup]) -> list[Markup]:
 
 
 def _shapes(report: GapReport) -> Iterable[Markup]:
-    shown = [effect.id for effect in report.effects]
+    shown = [effect.id for effect in airframe_words.effects_of(report, Domain.SENSOR)]
     shown += [name for series in report.series for name in series.parts]  # shapes that are not of the catalogue too
     for name in list(dict.fromkeys(shown))[:_MOST_SHAPES]:
         series = of_effect(report.series, name)
@@ -81,11 +98,14 @@ def _shapes(report: GapReport) -> Iterable[Markup]:
 def _facts(report: GapReport) -> Sequence[tuple[str, str]]:
     """What was compared, by name."""
     inputs, tests = report.inputs, report.multiple_testing
+    flown = report.airframe
+    of_flight = () if flown is None else tuple((n.replace("_", " "), words.number(v)) for n, v in flown.facts.items())
     return (
         ("reference", f"{inputs.reference_kind}: {inputs.reference_text}"),
         ("attitude error of the reference", f"{words.number(inputs.att_sigma_deg)} degrees"),
         ("recording", f"{words.number(inputs.duration_s)} s at up to {words.number(inputs.fs_hz)} samples a second"),
         ("tests made", f"{tests.m}; chance of any false report {words.number(tests.alpha_family)}"),
+        *of_flight,
         ("sha256 of the real recording", inputs.real_sha256 or "not known"),
         ("sha256 of the simulated recording", inputs.sim_sha256 or "none"),
         ("sha256 of the diagnoser", inputs.diagnoser_sha256),

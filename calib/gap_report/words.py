@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.schema import (
@@ -15,6 +16,7 @@ from mavcal.calib.gap.schema import (
     LocatedGap,
     Shrink,
 )
+from mavcal.calib.gap_report import airframe_effects
 
 _ENDLESS = 1e300
 NATS = "One nat a sample: a reading is 2.7 times less likely than noise alone would make it."
@@ -31,6 +33,19 @@ _VERDICTS = {
     GapVerdict.NO_GAP: "No difference beyond the noise was found.",
     GapVerdict.NOT_TESTABLE: "These recordings do not allow an answer.",
 }
+_FLIGHTS = {
+    GapVerdict.EXPLAINED: (
+        "The real vehicle flies differently from the simulated one, and known effects explain the difference."
+    ),
+    GapVerdict.UNKNOWN: "The real flight differs from the simulated one, and no known effect explains it.",
+    GapVerdict.REFERENCE: "What differs in the sensors is the reference's; the vehicle itself flies differently.",
+}
+"""Verdicts where the airframe was compared, as far as they say another thing then."""
+_BOTH = (
+    "The real vehicle flies differently from the simulated one and its sensors read differently; known effects explain "
+    "the difference."
+)
+_DAY_ONLY = "The vehicle and its sensors are as simulated as far as these flights show; only the day differed."
 _UNFINISHED = {
     GapVerdict.PARTLY_EXPLAINED: "Known effects explain part of the difference; there was no time to try them all.",
     GapVerdict.NOT_TESTABLE: "There was no time for an answer.",
@@ -40,18 +55,37 @@ _UNFINISHED = {
 
 def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     """The answer in one or two sentences, the effects `listed` or not."""
-    said = _useless(report) if report.inputs.useless else _VERDICTS[report.verdict]
+    said = _useless(report) if report.inputs.useless else _verdict(report)
     if set(report.left_out) - {GapStage.BLOCKS.value}:
         said = _UNFINISHED.get(report.verdict, said)
     if report.verdict is GapVerdict.REFERENCE and not report.effects and not report.inputs.useless:
         said = "No difference beyond the error of the reference was found."
-    named = report.inputs.useless or report.verdict in {GapVerdict.EXPLAINED, GapVerdict.PARTLY_EXPLAINED}
+    explained = report.verdict in {GapVerdict.EXPLAINED, GapVerdict.PARTLY_EXPLAINED}
+    named = explained or report.inputs.useless or _domains(report) - {Domain.SENSOR}
     if listed and named and report.effects:
-        likely = [effect_phrase(e) for e in report.effects if not e.evidence.doubtful]
+        sure = [e for e in report.effects if not e.evidence.doubtful]
+        likely = [effect_phrase(e) for e in sure if e.domain is not Domain.ENVIRONMENT]
+        of_day = [airframe_effects.phrase(e) for e in sure if e.domain is Domain.ENVIRONMENT]
         doubtful = [effect_phrase(e) for e in report.effects if e.evidence.doubtful]
         said += f" Found: {'; '.join(likely)}." if likely else ""
+        said += f" Of the day, and not exported: {'; '.join(of_day)}." if of_day else ""
         said += f" In doubt, since something else is likelier: {'; '.join(doubtful)}." if doubtful else ""
     return said
+
+
+def _domains(report: GapReport) -> set[Domain]:
+    return {effect.domain for effect in report.effects}
+
+
+def _verdict(report: GapReport) -> str:
+    """The verdict, of what was compared: sensors, the flight, or both."""
+    domains = _domains(report)
+    if domains == {Domain.ENVIRONMENT} and report.verdict in {GapVerdict.EXPLAINED, GapVerdict.NO_GAP}:
+        return _DAY_ONLY
+    if domains >= {Domain.AIRFRAME, Domain.SENSOR} and report.verdict is GapVerdict.EXPLAINED:
+        return _BOTH
+    of_flight = Domain.AIRFRAME in domains or (report.airframe is not None and report.verdict is GapVerdict.UNKNOWN)
+    return _FLIGHTS.get(report.verdict, _VERDICTS[report.verdict]) if of_flight else _VERDICTS[report.verdict]
 
 
 def _useless(report: GapReport) -> str:
@@ -66,6 +100,8 @@ def _useless(report: GapReport) -> str:
         return said
     if not report.effects and not report.unknown.flag:
         return f"{said} Compared with each other, the units of the vehicle show no difference beyond the noise."
+    if _domains(report) - {Domain.SENSOR}:
+        return f"{said} What follows is what units show against each other, and what the flight shows of the vehicle."
     return f"{said} What follows is only what units of the vehicle show against each other."
 
 
@@ -78,7 +114,11 @@ def not_compared(report: GapReport) -> str:
 
 
 def effect_phrase(effect: EffectEstimate) -> str:
-    """``a constant offset of accelerometer 1 (accel_bias)``."""
+    """``a constant offset of accelerometer 1 (accel_bias)``; of airframe and air what was found, with its size."""
+    if effect.domain is Domain.ENVIRONMENT:
+        return f"{airframe_effects.phrase(effect)}: a finding about the day, not exported"
+    if effect.domain is Domain.AIRFRAME:
+        return airframe_effects.phrase(effect)
     known = by_id().get(effect.id)
     if known is None:  # of a report that another version wrote
         return f"{effect.id.replace('_', ' ')}, {sensor_name(effect)} ({effect.id})"
@@ -92,12 +132,15 @@ def held_out(effect: EffectEstimate) -> str:
 
 
 def sim_patch(effect: EffectEstimate) -> str:
-    """Parameters of ArduPilot's simulator that make the effect; empty: it has none."""
-    return ", ".join(f"{name} {value:.6g}" for name, value in effect.sim_patch.items() if value)
+    """Parameters of the simulator that make the effect; empty: it has none. Tables of a file are left to the export."""
+    numbers = {n: v for n, v in effect.sim_patch.items() if isinstance(v, int | float)}
+    return ", ".join(f"{name} {value:.6g}" for name, value in numbers.items() if value)
 
 
 def sensor_name(effect: EffectEstimate) -> str:
-    """``accelerometer 1``, ``magnetometers 1, 2, 3``."""
+    """``accelerometer 1``, ``magnetometers 1, 2, 3``; the domain where no sensor is wrong."""
+    if effect.sensor is None:
+        return effect.domain.value
     name = _SENSORS.get(effect.sensor.value, effect.sensor.value)
     numbers = ", ".join(map(str, effect.instances))
     return f"{name}{'s' if len(effect.instances) > 1 else ''} {numbers}"

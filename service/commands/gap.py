@@ -137,13 +137,15 @@ def command(
 
 
 def _show(report: GapReport, verified: Verified | None) -> None:
+    from mavcal.calib.airframe.answer import Domain
+    from mavcal.calib.gap_report.airframe_words import effects_of
     from mavcal.calib.gap_report.words import closed_sentence, not_compared, regime, verdict_sentence
+    from mavcal.service.commands.gap_told import flight_lines
 
     click.echo(f"{report.verdict.value}: {verdict_sentence(report, listed=False)}")
     if missing := not_compared(report):
         click.echo(missing)
-    for effect in report.effects:
-        _show_effect(effect)
+    _show_effects(report)
     if report.unknown.flag:
         click.echo(f"not explained: {report.unknown.shape or 'a rest'} ({100 * report.unknown.share:.0f} % of the gap)")
     for found in report.where[:_MOST_WHERE]:
@@ -151,8 +153,11 @@ def _show(report: GapReport, verified: Verified | None) -> None:
             f"where: {found.channel} of instance {found.instance}, {regime(found)}: rms {found.rms:.3g} {found.unit}, "
             f"{found.nats_per_sample:.3g} nats a sample"
         )
-    if report.effects:
+    if effects_of(report, Domain.SENSOR):
         click.echo(closed_sentence(report.shrink))
+    if report.airframe is not None:
+        for line in flight_lines(report.airframe):
+            click.echo(line)
     if verified is not None:
         _show_verified(verified)
     for gone in report.not_testable[:_MOST_UNTESTABLE]:
@@ -164,14 +169,31 @@ def _show(report: GapReport, verified: Verified | None) -> None:
         click.echo(f"! {warning}")
 
 
-def _show_effect(effect: Any) -> None:
+def _show_effects(report: GapReport) -> None:
+    """Those of airframe and air with a heading each; those of sensors too where they are not alone."""
+    from mavcal.calib.airframe.answer import Domain
+    from mavcal.calib.gap_report.airframe_words import groups
+    from mavcal.service.commands.gap_told import effect_lines
+
+    grouped = report.airframe is not None or any(effect.domain is not Domain.SENSOR for effect in report.effects)
+    for heading, effects in groups(report):
+        if grouped:
+            click.echo(f"{heading}:")
+        for effect in effects:
+            if effect.domain is Domain.SENSOR:
+                _show_effect(effect, "  " if grouped else "")
+            else:
+                click.echo("\n".join(effect_lines(effect)))
+
+
+def _show_effect(effect: Any, indent: str) -> None:
     from mavcal.calib.gap_report.words import chance, effect_phrase, with_error
 
-    click.echo(f"{effect_phrase(effect)}, probability {chance(effect.evidence.probability)}")
+    click.echo(f"{indent}{effect_phrase(effect)}, probability {chance(effect.evidence.probability)}")
     for parameter in effect.params:
-        click.echo(f"  {parameter.name:16} {with_error(parameter.value, parameter.se, parameter.unit)}")
+        click.echo(f"{indent}  {parameter.name:16} {with_error(parameter.value, parameter.se, parameter.unit)}")
     for rival in effect.confusable_with:
-        click.echo(f"  could be {rival.id}; told apart by: {rival.fix}")
+        click.echo(f"{indent}  could be {rival.id}; told apart by: {rival.fix}")
 
 
 def _show_verified(verified: Verified) -> None:

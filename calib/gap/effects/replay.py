@@ -82,6 +82,8 @@ def _complete(described: CatalogueEffect, found: EffectEstimate) -> bool:
 def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:
     """Effects on the trace's sensor, and minus one for those on the instance that it is compared with."""
     for effect in effects:
+        if effect.sensor is None:  # of airframe or air: it moves no sensor's reading
+            continue
         if effect.sensor is not trace.sensor and not by_id()[effect.id].shared:
             continue
         if trace.instances[0] + 1 in effect.instances:

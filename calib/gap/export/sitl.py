@@ -163,6 +163,8 @@ def _present(known: Mapping[str, float]) -> dict[tuple[Sensor, int], SensorError
 def _of_sensor(values: dict[str, float], not_held: list[str], effect: EffectEstimate, sensors: SensorEffects) -> None:
     """The parameters of an effect's families, of the sensors with all effects."""
     families = _FAMILIES.get(effect.id, ())
+    if effect.sensor is None:
+        return
     for n in effect.instances if families else ():
         if n > _INSTANCES[effect.sensor]:
             not_held.append(f"{named(effect)}: the simulator has {_INSTANCES[effect.sensor]} instances")

@@ -7,7 +7,7 @@ A fit of a raw recording leaves the mounting to the firmware, so ``R^T`` stands 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -76,8 +76,8 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
         raise FirmwareError("no effect of the report is a calibration: there is nothing to write to the vehicle")
     left = [f"{named(e)}: no calibration takes it away" for e in report.effects if e not in chosen]
     doubtful = [e for e in chosen if e.evidence.doubtful]
-    unsure = {(e.sensor, n) for e in doubtful for n in e.instances}
-    keys = sorted({(e.sensor, n) for e in chosen for n in e.instances} - unsure)
+    unsure = _units(doubtful)
+    keys = sorted(_units(chosen) - unsure)
     if not keys:
         raise FirmwareError(
             f"{'; '.join(map(doubt_text, doubtful))}: nothing is written to a vehicle that is less likely than not"
@@ -94,6 +94,11 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
         left.append(f"something unknown, beside which all was estimated: {report.unknown.shape}")
     fits = [_fit(report, real, [e for e in chosen if e.sensor is s and n in e.instances], s, n) for s, n in keys]
     return compose(fits, parameters, fingerprint(real.identity, parameters)), tuple(left)
+
+
+def _units(effects: Iterable[EffectEstimate]) -> set[tuple[Sensor, int]]:
+    """Sensors and instances that the effects are on."""
+    return {(e.sensor, n) for e in effects if e.sensor is not None for n in e.instances}
 
 
 def _fit(

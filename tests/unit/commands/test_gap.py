@@ -15,6 +15,7 @@ from mavcal.calib.gap.schema import GapVerdict, LocatedGap, NotTestable, Regime,
 from mavcal.service.commands import gap
 from mavcal.service.commands.gap import LIMIT_S, command
 from tests.unit.gap.export.making import effect, report
+from tests.unit.gap_report.flown import DOMAINS, WEAK, WIND, drag_flight, weak_motor, windy_null
 
 BIAS = effect("accel_bias", bias=(0.3, 0.0, -0.1))
 CELL = LocatedGap("accel.x", 2, Regime("temperature", (20.0, 24.0), "degC"), 0.125, 0.5, "m/s2", 1e-9)
@@ -48,6 +49,60 @@ def test_an_effect_is_told_with_its_parameters_and_its_rivals(said):
     assert shown[0].split() == ["bias.x", "0.3000", "+-", "0.003", "m/s2"]
     assert "accel_rotation" in shown[3]
     assert shown[3].endswith("turn it")
+
+
+def test_airframe_sensors_and_day_stand_in_groups_after_the_verdict(said):
+    flight = drag_flight()
+    lines = said(replace(flight, effects=(BIAS, WIND, *flight.effects)))
+    assert lines[0].startswith("explained: The real vehicle flies differently from the simulated one and its sensors")
+    heads = [line for line in lines if line.endswith(":") and not line.startswith(" ")]
+    assert heads[:3] == ["Airframe:", "Sensors:", "The air and the events of the day:"]
+    found = [line for line in lines if line.startswith("  ") and line[2] != " "]
+    assert [line.split()[0] for line in found[:4]] == ["The", "The", "a", "Wind"]
+    assert "accel_bias" in found[2]
+
+
+def test_sensors_alone_have_no_headings(said):
+    assert "Sensors:" not in said(report(BIAS))
+
+
+def test_an_effect_of_the_airframe_is_told_with_its_ratio_and_what_decides(said):
+    lines = said(weak_motor())
+    first = lines.index("  Motor 3 is 7.9 % weak (7.4 to 8.4)")
+    told = " ".join(" ".join(line.split()) for line in lines[first + 1 : first + 7])
+    assert told.startswith("motor_weak, probability 97 %; holds on held-out data")
+    assert "thrust of the motor in hover: 0.921 times (0.916 to 0.926)" in told
+    assert "could also be a shifted centre of gravity, 86 % alike; what decides: hover at two thrusts" in told
+
+
+def test_a_doubtful_effect_of_the_airframe_says_so(said):
+    guess = replace(WEAK, evidence=replace(WEAK.evidence, probability=0.4))
+    [line] = [line for line in said(replace(weak_motor(), effects=(guess,))) if "motor_weak, prob" in line]
+    assert "likelier" in line
+
+
+def test_the_predicted_flight_is_a_table_and_what_to_fly_follows(said):
+    lines = said(weak_motor())
+    first = beginning(lines, "Predicted flight")[0]
+    rows = lines[lines.index(first) + 1 :][:6]
+    assert rows[0].split() == ["error", "before", "after", "floor"]
+    assert rows[2].split()[:8] == ["velocity", "after", "1", "s,", "m/s", "0.820", "0.143", "0.100"]
+    assert rows[2].endswith("94 % closed (91 to 96 %)")
+    assert len({row.index(" %") for row in rows[1:]}) == 1
+    assert beginning(lines, "To decide between what is left, fly:")
+    assert beginning(lines, "Commands of the motors: rebuilt from RATE and MOTB at 400 Hz")
+    assert not beginning(lines, "How far the gap shrinks")  # of sensors, which nothing is wrong with
+
+
+@pytest.mark.parametrize("flight", [weak_motor, drag_flight, windy_null])
+def test_lines_of_a_flight_fit_a_terminal(said, flight):
+    lines = [line for line in said(flight())[1:] if not line.startswith("not testable")]
+    assert max(map(len, lines)) <= 80
+
+
+def test_no_effect_of_the_airframe_needs_the_sensor_that_it_has_not(said):
+    bare = [replace(WEAK, id=name, domain=domain, params=()) for name, domain in DOMAINS.items()]
+    assert "None" not in "\n".join(said(report(*bare)))
 
 
 def test_how_far_the_gap_shrinks_is_said_where_there_are_effects(said):

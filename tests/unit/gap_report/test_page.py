@@ -29,6 +29,7 @@ from mavcal.calib.gap_report.table_plots import waterfall
 from mavcal.calib.gap_report.words import regime
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.export.making import effect, report
+from tests.unit.gap_report.flown import WIND, drag_flight, weak_motor, windy_null
 
 EVIL = '<script>alert("x")</script>'
 
@@ -177,3 +178,60 @@ def test_a_condition_that_never_changes_has_one_number():
 def test_numbers_without_a_unit_have_none():
     page = gap_to_html(dataclasses.replace(report(), power=(Power("accel_scale", "scale.x", 0.0086, "1"),)))
     assert "0.0086</td>" in page
+
+
+def test_a_flight_has_its_vehicle_its_prediction_and_its_traces():
+    page = gap_to_html(weak_motor())
+    for heading in (
+        "The vehicle", "What to fly next", "How far the predicted flight improves", "Real, simulated, patched flight",
+    ):  # fmt: skip
+        assert f"<h2>{heading}</h2>" in page
+    assert "<h2>Which effects</h2>" not in page  # no sensor is wrong
+    assert len(pictures(page)) == 1 + 5 + 6  # from above, horizons, axes of force and torque
+    for picture in pictures(page):
+        ElementTree.fromstring(picture)
+        assert "nan" not in picture
+
+
+def test_an_effect_of_the_airframe_is_a_card_with_its_ratio_and_what_decides():
+    card = gap_to_html(weak_motor()).split('<article class="effect">')[1].split("</article>")[0]
+    said = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", card))
+    assert "Motor 3 is 7.9 % weak (7.4 to 8.4) airframe" in said
+    assert "probability 97 %" in said
+    assert "0.921 times (0.916 to 0.926)" in said
+    assert "a shifted centre of gravity, 86 % alike; what decides: hover at two thrusts" in said
+    assert "SIM_ENGINE_MUL 0.96" in said
+
+
+def test_what_was_needed_and_how_the_commands_were_known_is_on_the_page():
+    page = re.sub(r"\s+", " ", gap_to_html(windy_null()))
+    assert "LOG_BITMASK bits 0 and 18" in page
+    assert "Commands of the motors: the logged outputs (RCOU) at 10 Hz; nothing to check them against." in page
+    assert "Wind of 4.1 m/s from 75 deg: a finding about the day, not exported" in page
+
+
+def test_sensors_and_airframe_stand_beside_each_other():
+    bias = effect("accel_bias", bias=(0.3, 0.0, 0.0))
+    both = dataclasses.replace(drag_flight(), effects=(*drag_flight().effects, WIND, bias))
+    page = gap_to_html(both)
+    assert "<h2>Which effects</h2>" in page
+    assert page.count('<article class="effect">') == 3
+    labels = re.findall(r'class="domain">(\w+)', page)
+    assert labels == ["airframe", "airframe", "environment"]
+
+
+def test_the_page_of_sensors_alone_says_nothing_of_the_airframe():
+    page = gap_to_html(a_report())
+    assert "<h2>The vehicle</h2>" not in page
+    assert 'class="domain"' not in page
+    assert "What the real sensors read" in page
+
+
+def test_names_from_a_flight_are_escaped():
+    part = dataclasses.replace(weak_motor().airframe, manoeuvres=(EVIL,), facts={EVIL: 1.0})
+    assert "<script" not in gap_to_html(dataclasses.replace(weak_motor(), airframe=part))
+
+
+@pytest.mark.parametrize("flight", [weak_motor, drag_flight, windy_null])
+def test_a_page_of_a_flight_is_small(flight):
+    assert len(gap_to_html(flight())) < 130_000

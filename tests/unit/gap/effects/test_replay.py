@@ -11,6 +11,7 @@ from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.export.making import effect
 from tests.unit.gap.synthetic import SIGMA, problem_of
+from tests.unit.gap_report.flown import WEAK, WIND
 
 BIAS = np.array([0.3, -0.2, 0.15])
 
@@ -67,3 +68,10 @@ def test_an_end_of_the_range_clips_the_ideal_reading() -> None:
     problem, lost = with_effects(a_problem(), [effect("accel_saturation", limit=5.0)])
     assert lost == ()
     np.testing.assert_allclose(problem.traces[0].ideal, np.clip(a_problem().traces[0].ideal, -5.0, 5.0))
+
+
+def test_what_the_airframe_does_moves_no_sensor() -> None:
+    problem = a_problem()
+    again, lost = with_effects(problem, (WEAK, WIND))
+    assert lost == ()
+    np.testing.assert_array_equal(again.traces[0].ideal, problem.traces[0].ideal)

@@ -28,6 +28,7 @@ from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate import SensorErrors
 from tests.unit.gap.export.making import effect
 from tests.unit.gap.synthetic import problem_of
+from tests.unit.gap_report.flown import WEAK, WIND
 
 TRACES = {t.sensor: t for t in problem_of(np.random.default_rng(4), (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)).traces}
 SHAPED = [
@@ -161,3 +162,10 @@ def test_an_effect_is_spoken_of_by_its_instances() -> None:
     assert doubt_text(SHAPED[1]).startswith("mag_hard_iron of instance 1: it has a probability of 0.99")
     assert vector(SHAPED[1], "hard_iron").tolist() == [-6.0, 4.0, -3.0]
     assert value(SHAPED[1], "no_such") == 0.0
+
+
+def test_an_effect_of_the_airframe_is_of_no_sensor() -> None:
+    found = sensors_with((effect("accel_bias", bias=(0.3, 0.0, 0.0)), WEAK, WIND))
+    assert set(found.errors) == {(Sensor.ACCEL, 1)}
+    assert found.rest == (WEAK, WIND)
+    assert [named(e) for e in found.rest] == ["motor_weak of motor 3", "wind"]

@@ -1,0 +1,64 @@
+"""Numbers as a report says them beside their 95 % intervals: ratios, differences, no digit that nobody knows."""
+
+from __future__ import annotations
+
+import math
+
+from mavcal.calib.gap.schema import ParameterEstimate
+
+_FINEST = 4
+"""Most decimals of a number in a sentence. Chosen, not measured: finer than any of these effects is known."""
+_ROUND = 1e-3
+"""Powers of ten that a half interval may lie below one and count as it: ends that are added are not exact."""
+
+
+def ratio_of(p: ParameterEstimate) -> tuple[float, float, float]:
+    """Real by simulated and its 95 % interval, of a relative parameter."""
+    if p.ratio is None:
+        return 1.0 + p.value, 1.0 + p.ci95[0], 1.0 + p.ci95[1]
+    low, high = p.ratio_ci95 or (math.nan, math.nan)
+    return p.ratio, low, high
+
+
+def after_number(unit: str) -> str:
+    """The unit as it follows a number; empty where it has none."""
+    return "" if unit in {"", "1"} else f" {unit}"
+
+
+def _decimals(low: float, high: float, least: int = 0) -> int:
+    """As many as half the interval has a digit for."""
+    half = 0.5 * abs(high - low)
+    return min(max(-math.floor(math.log10(half) + _ROUND), least), _FINEST) if 0.0 < half < math.inf else max(2, least)
+
+
+def rounded(value: float, low: float, high: float, *, least: int = 0) -> str:
+    """A number with the decimals that its interval leaves it, `least` of them at least."""
+    return f"{value:.{_decimals(low, high, least)}f}"
+
+
+def range_of(low: float, high: float, *, least: int = 0) -> str:
+    """``1.54 to 1.66``; empty where a value was taken as it is."""
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return "not determined by itself"
+    decimals = _decimals(low, high, least)
+    return f"{low:.{decimals}f} to {high:.{decimals}f}" if high > low else ""
+
+
+def bracketed(low: float, high: float, *, least: int = 0) -> str:
+    """The interval to stand behind a number, in brackets."""
+    said = range_of(low, high, least=least)
+    return f" ({said})" if said else ""
+
+
+def times(p: ParameterEstimate, what: str) -> str:
+    """``1.60 times the rotor drag (1.54 to 1.66)``."""
+    value, low, high = ratio_of(p)
+    return f"{rounded(value, low, high, least=2)} times {what}{bracketed(low, high, least=2)}"
+
+
+def more_or_less(p: ParameterEstimate, scale: float, unit: str, more: str, less: str) -> str:
+    """``40 ms later (35 to 45)``: the size of an absolute difference, and the word for its sign."""
+    sign = math.copysign(scale, p.value)
+    low, high = sorted(sign * edge for edge in p.ci95)
+    amount = rounded(sign * p.value, low, high)
+    return f"{amount}{after_number(unit)} {more if p.value >= 0.0 else less}{bracketed(low, high)}"
