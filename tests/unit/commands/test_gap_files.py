@@ -10,7 +10,14 @@ import pytest
 from mavcal.calib.gap.export import Target
 from mavcal.calib.recording import Sensor
 from mavcal.service.commands import gap_files
-from mavcal.service.commands.gap_files import check_exports, check_folders, read_files, write, write_exports
+from mavcal.service.commands.gap_files import (
+    Remedy,
+    check_exports,
+    check_folders,
+    read_files,
+    write,
+    write_exports,
+)
 from tests.unit.gap.export.making import effect, report
 
 READING = {"mapping": {}, "sim_mapping": {}, "unit_accel": "g", "rate": None}
@@ -99,7 +106,7 @@ FOUND = report(effect("accel_bias", bias=(0.3, 0.0, -0.1)))
 
 def exports(table, outs, target=None, found=FOUND, instance=1):
     files = read_files(table("real.csv"), None, [], None, READING)
-    return write_exports(found, files, outs, target, instance)
+    return write_exports(found, files, outs, Remedy(target, instance))
 
 
 def test_the_remedy_is_written_for_each_and_told(table, tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,17 +11,9 @@ from mavcal.calib.airframe.answer import Domain, Geometry
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.export.airframe import sih, sitl
 from mavcal.calib.gap.export.airframe.frame import frame_of
-from mavcal.calib.gap.export.airframe.wanted import wanted_of
-from mavcal.calib.gap.export.state import named
+from mavcal.calib.gap.export.airframe.wanted import missing, wanted_of
 from mavcal.calib.gap.schema import EffectEstimate
 
-_KNOWN = frozenset(
-    {
-        *("thrust_scale", "thrust_expo", "motor_lag", "motor_weak", "rotor_drag", "body_drag", "inertia", "cg_offset"),
-        *("torque_bias", "yaw_coefficient", "angular_damping", "battery_sag"),
-    }
-)
-"""Effects that :class:`Wanted` reads."""
 _MILLIAMPERE_HOURS = 1e-3
 """Ah in a mAh. Source: definition."""
 
@@ -80,6 +73,7 @@ def airframe_patch(
         raise InvalidInputError(f"the mass is {mass:g} kg: it must be above 0")
     chosen = airframe_effects(effects)
     wanted = wanted_of(chosen)
+    simulator = {name: float(v) for name, v in simulator.items() if math.isfinite(float(v))}
     if is_sih(simulator):
         reasons, made = sih.REASONS, sih.sih_settings(wanted, simulator, mass=mass)
     else:
@@ -87,11 +81,8 @@ def airframe_patch(
         stock = frame_of(frame, simulator, geometry)
         reasons = sitl.REASONS
         made = sitl.sitl_settings(wanted, stock, simulator, mass=mass, capacity=charge if charge > 0.0 else None)
-    missing = [f"{named(e)}: {reasons[e.id]}" for e in chosen if e.id in reasons]
-    missing += [
-        f"{named(e)}: the simulator has no setting for it" for e in chosen if e.id not in reasons and e.id not in _KNOWN
-    ]
-    return Patch(made.frame, made.parameters, tuple(dict.fromkeys((*missing, *made.lost))), tuple(made.notes))
+    lost = tuple(dict.fromkeys((*missing(chosen, reasons), *made.lost)))
+    return Patch(made.frame, made.parameters, lost, tuple(made.notes))
 
 
 def own_patches(

@@ -20,6 +20,7 @@ REASONS: Mapping[str, str] = {
 }
 """What the simulator has nothing for. Source: AIRFRAME 4.1."""
 _MASK_BITS = 32
+"""Outputs that SIM_ENGINE_FAIL can name. Source: ArduPilot's SITL_State.cpp, a 32-bit mask."""
 _LASTING = 3_600_000.0
 """Time, ms, that stands for a torque without end. Chosen, not measured: longer than a flight."""
 _ALIKE = 0.02

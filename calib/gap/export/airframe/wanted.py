@@ -15,6 +15,14 @@ from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate
 
 Triple = tuple[float, float, float]
 
+_READ = frozenset(
+    {
+        *("thrust_scale", "thrust_expo", "motor_lag", "motor_weak", "rotor_drag", "body_drag", "inertia", "cg_offset"),
+        *("torque_bias", "yaw_coefficient", "angular_damping", "battery_sag"),
+    }
+)
+"""Effects that :class:`Wanted` has a place for."""
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -69,6 +77,15 @@ def wanted_of(effects: Iterable[EffectEstimate]) -> Wanted:
         sags=reader.effect("battery_sag") is not None,
         refused=tuple(dict.fromkeys(reader.refused)),
     )
+
+
+def missing(effects: Iterable[EffectEstimate], reasons: Mapping[str, str]) -> tuple[str, ...]:
+    """In words, those of `effects` that a simulator has nothing for; `reasons` by effect id."""
+    found = []
+    for effect in effects:
+        if effect.id in reasons or effect.id not in _READ:
+            found.append(f"{named(effect)}: {reasons.get(effect.id, 'the simulator has no setting for it')}")
+    return tuple(found)
 
 
 def ratio_of(parameter: ParameterEstimate) -> float | None:
