@@ -64,7 +64,7 @@ _MOST_UNTESTABLE = 8
     "frame",
     default=None,
     metavar="FILE",
-    help="The frame's file (JSON) that ArduPilot's simulator flew with, which the remedy changes; else the stock frame.",
+    help="The frame (JSON) that ArduPilot's simulator flew with, on which the remedy builds; else the stock one.",
 )
 @click.option(
     "--mass",

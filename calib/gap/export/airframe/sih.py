@@ -60,7 +60,7 @@ def sih_settings(wanted: Wanted, simulator: Mapping[str, float], *, mass: float 
         after[name] *= ratio * grow
     for name in _CROSS:
         after[name] *= grow
-    after["SIH_KDW"] = _damper(before, after, wanted, grow, made)
+    after["SIH_KDW"] = before["SIH_KDW"] * grow * _damper(wanted, made)
     after["SIH_T_TAU"] = _lag(before, wanted, made)
     if wanted.rotor_drag != 1.0:
         made.notes.append("SIH_KDV acts along the world's three axes alike")
@@ -68,21 +68,15 @@ def sih_settings(wanted: Wanted, simulator: Mapping[str, float], *, mass: float 
     return made
 
 
-def _damper(
-    before: Mapping[str, float], after: Mapping[str, float], wanted: Wanted, grow: float, made: Settings
-) -> float:
-    """One coefficient for all axes: the mean of what the wanted axes need."""
-    needed = {
-        axis: before["SIH_KDW"] / before[name] * ratio * after[name]
-        for axis, name, ratio in zip("xyz", _INERTIA, wanted.damping, strict=True)
-        if ratio is not None
-    }
+def _damper(wanted: Wanted, made: Settings) -> float:
+    """One ratio for all axes: the mean of those that are wanted."""
+    needed = {axis: ratio for axis, ratio in zip("xyz", wanted.damping, strict=True) if ratio is not None}
     if not needed:
-        return before["SIH_KDW"] * grow
+        return 1.0
     found = sum(needed.values()) / len(needed)
     if any(abs(v - found) > _ALIKE * found for v in needed.values()):
         listed = ", ".join(f"{axis} {v:.3g}" for axis, v in needed.items())
-        made.lost.append(f"angular_damping: SIH_KDW is one for all axes; wanted are {listed} N m s")
+        made.lost.append(f"angular_damping: SIH_KDW is one for all axes; wanted are its multiples {listed}")
     if len(needed) < len(_INERTIA):
         made.lost.append(f"angular_damping: SIH_KDW also acts about {', '.join(sorted(set('xyz') - set(needed)))}")
     return found

@@ -177,9 +177,9 @@ def _damping(target: Frame, frame: Frame, wanted: Wanted, made: Settings) -> Fra
     """What the rotors do not damp is left to ``refRotRate``, one number for all axes."""
     if all(ratio is None for ratio in wanted.damping):
         return target
-    before, rotors = frame.rotor_damping + frame.own_damping, target.rotor_damping
+    rotors = target.rotor_damping
     axes = [i for i, ratio in enumerate(wanted.damping) if ratio is not None]
-    total = np.array([before[i] * (wanted.damping[i] or 1.0) for i in axes])
+    total = np.array([(rotors[i] + frame.own_damping) * (wanted.damping[i] or 1.0) for i in axes])
     own = float(np.mean(total - rotors[axes]))
     if own <= 0.0:
         made.lost.append(
@@ -190,7 +190,7 @@ def _damping(target: Frame, frame: Frame, wanted: Wanted, made: Settings) -> Fra
     elif np.any(np.abs(rotors[axes] + own - total) > _ALIKE * total):
         listed = ", ".join(f"{'xyz'[i]} {w:.3g}" for i, w in zip(axes, total, strict=True))
         made.lost.append(f"angular_damping: refRotRate is one for all axes; wanted are {listed} 1/s")
-    if len(axes) < len(wanted.damping) and abs(own - frame.own_damping) > _ALIKE * before.min():
+    if len(axes) < len(wanted.damping) and abs(own - frame.own_damping) > _ALIKE * float(rotors.min()):
         rest = ", ".join("xyz"[i] for i in range(len(wanted.damping)) if i not in axes)
         made.lost.append(f"angular_damping: refRotRate also acts about {rest}")
     return _with(target, refRotRate=OWN_DAMPING / own if own > 0.0 else 0.0)

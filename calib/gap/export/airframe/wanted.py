@@ -28,9 +28,12 @@ _READ = frozenset(
 class Wanted:
     """Ratios are 1 and what is to be added is 0 where nothing is asked.
 
+    Each is the effect's own, beside what follows from the others: a weaker thrust turns the vehicle less as well, and
+    the rotors' drag and the inertia change the damping.
+
     `lag` are the time constants up and down, s, to be added; `slew` the limit of the command's rate, 1/s, itself.
     `weak` has the thrust ratio at the hover command by motor (from 1), `cg` is forward and right in arms, `torque` in
-    rad/s2. `damping` is the ratio of the whole damping of an axis, None where nothing is asked of it. `sag` is the
+    rad/s2. `damping` is the ratio of an axis' damping, None where nothing is asked of it. `sag` is the
     ratio of the voltage's fall; `sags` whether anything is asked of the battery. `refused` says what cannot be used.
     """
 
@@ -54,12 +57,10 @@ class Wanted:
 def wanted_of(effects: Iterable[EffectEstimate]) -> Wanted:
     """What `effects` (of the airframe) ask; others among them ask nothing."""
     reader = _Reader(tuple(effects))
-    lag = reader.effect("motor_lag")
-    named_lag = lag is not None and any(p.name.startswith("tau") for p in lag.params)
     return Wanted(
         thrust=reader.ratio("thrust_scale", "s"),
         expo=reader.added("thrust_expo", "expo"),
-        lag=(reader.added("motor_lag", "tau_up"), reader.added("motor_lag", "tau_down")) if named_lag else None,
+        lag=reader.lag(),
         slew=reader.real("motor_lag", "slew"),
         weak=reader.weak(),
         rotor_drag=reader.ratio("rotor_drag", "c1"),
@@ -117,6 +118,11 @@ class _Reader:
     def added(self, effect_id: str, name: str) -> float:
         found = self._parameter(effect_id, name)
         return 0.0 if found is None else found.value
+
+    def lag(self) -> tuple[float, float] | None:
+        """Up and down; one that is not told apart is that of both."""
+        told = [name for name in ("tau_up", "tau_down") if self.has("motor_lag", name)]
+        return (self.added("motor_lag", told[0]), self.added("motor_lag", told[-1])) if told else None
 
     def real(self, effect_id: str, name: str) -> float | None:
         """The real value: a simulator's own may be one that its flight cannot show, as a limit never reached."""

@@ -114,8 +114,11 @@ def test_damping_beyond_the_rotors_is_left_to_the_rotation_rate() -> None:
         assert after[f"angular_damping.{axis}"] == pytest.approx(1.5 * STOCK[f"angular_damping.{axis}"], rel=1e-4)
     assert made.lost == ()
     assert set(made.frame_json) == {"refRotRate"}
-    both, after = patched(airframe("rotor_drag", c1=0.6), airframe("angular_damping", x=1.0, y=1.0, z=1.0))
-    assert after["angular_damping.y"] == pytest.approx(STOCK["angular_damping.y"], rel=1e-4)
+    cleaner = airframe("rotor_drag", c1=0.6)
+    followed = patched(cleaner)[1]["angular_damping.y"]
+    assert followed == pytest.approx(0.6 * 1.93 + 0.058, abs=0.01)
+    both, after = patched(cleaner, airframe("angular_damping", x=1.6, y=1.6, z=1.6))
+    assert after["angular_damping.y"] == pytest.approx(1.6 * followed, rel=1e-4)
     assert after["rotor_drag.c1"] == pytest.approx(0.6 * STOCK["rotor_drag.c1"], rel=1e-4)
     assert both.lost == ()
 
