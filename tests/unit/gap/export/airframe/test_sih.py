@@ -70,8 +70,8 @@ def test_one_damper_is_for_all_axes() -> None:
     ("effect_id", "name"),
     [
         ("thrust_expo", "expo"), ("actuator_delay", "delay"), ("motor_weak", "s"), ("body_drag", "c2"),
-        ("inflow", "cz"), ("translational_lift", "ch"), ("cg_offset", "x"), ("torque_bias", "z"), ("battery_sag", "exponent"),
-        ("payload_step", "s"),
+        ("inflow", "cz"), ("translational_lift", "ch"), ("cg_offset", "x"), ("torque_bias", "z"),
+        ("battery_sag", "exponent"), ("payload_step", "s"),
     ],
 )  # fmt: skip
 def test_what_the_simulator_cannot_do_is_named(effect_id: str, name: str) -> None:
