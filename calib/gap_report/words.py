@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.progress import GapStage
@@ -93,14 +92,9 @@ def held_out(effect: EffectEstimate) -> str:
 
 
 def sim_patch(effect: EffectEstimate) -> str:
-    """Settings of the simulator that make the effect: parameters, then keys of its files; empty: it has none."""
-    plain = {name: v for name, v in effect.sim_patch.items() if not isinstance(v, Mapping)}
-    keys = [(name, v) for table in effect.sim_patch.values() if isinstance(table, Mapping) for name, v in table.items()]
-    return ", ".join(f"{name} {_setting(v)}" for name, v in [*((n, v) for n, v in plain.items() if v), *keys])
-
-
-def _setting(value: float | Sequence[float]) -> str:
-    return f"{value:.6g}" if isinstance(value, int | float) else f"[{', '.join(f'{v:.6g}' for v in value)}]"
+    """Parameters of the simulator that make the effect; empty: it has none. Tables of a file are left to the export."""
+    numbers = {n: v for n, v in effect.sim_patch.items() if isinstance(v, int | float)}
+    return ", ".join(f"{name} {value:.6g}" for name, value in numbers.items() if value)
 
 
 def sensor_name(effect: EffectEstimate) -> str:

@@ -184,13 +184,15 @@ def _of_simulator(
         return sih_text(patched, lost), lost
     elsewhere = _elsewhere(patched.parameters, "the parameter file (--for sitl, .parm)")
     lost = (*patched.lost, *elsewhere, *others, *air)
-    return frame_text({**(frame or {}), **patched.frame_json}, patched.notes, lost), lost
+    stock = () if frame is not None else (STOCK_FRAME,)
+    return frame_text({**(frame or {}), **patched.frame_json}, (*stock, *patched.notes), lost), lost
 
 
 def _elsewhere(settings: Mapping[str, Any], where: str) -> tuple[str, ...]:
     return (f"{', '.join(settings)}: in {where}",) if settings else ()
 
 
+STOCK_FRAME = "on top of the stock frame: where the simulator flew with another one, --sim-frame states it"
 _WHY_NOT = {
     GapVerdict.NO_GAP: "there is no gap",
     GapVerdict.UNKNOWN: "no effect of the catalogue explains the gap",

@@ -191,12 +191,12 @@ def _present(known: Mapping[str, float]) -> dict[tuple[Sensor, int], SensorError
 
 def _of_sensor(values: dict[str, float], not_held: list[str], effect: EffectEstimate, sensors: SensorEffects) -> None:
     """The parameters of an effect's families, of the sensors with all effects."""
-    families, sensor = _FAMILIES.get(effect.id, ()), effect.sensor
-    if sensor is None:
+    families = _FAMILIES.get(effect.id, ())
+    if effect.sensor is None:
         return
     for n in effect.instances if families else ():
-        if n > _INSTANCES[sensor]:
-            not_held.append(f"{named(effect)}: the simulator has {_INSTANCES[sensor]} instances")
+        if n > _INSTANCES[effect.sensor]:
+            not_held.append(f"{named(effect)}: the simulator has {_INSTANCES[effect.sensor]} instances")
             continue
         suite = SensorSuite(*(_shown(sensors.of(s, n), s) for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)))
         try:
@@ -205,7 +205,7 @@ def _of_sensor(values: dict[str, float], not_held: list[str], effect: EffectEsti
             not_held.append(f"{named(effect)}: {error}")
             continue
         wanted = [family.replace("#", str(n)) for family in families]
-        values |= {name: v for name, v in made.values.items() if _belongs(name, wanted, sensor)}
+        values |= {name: v for name, v in made.values.items() if _belongs(name, wanted, effect.sensor)}
 
 
 def _shown(errors: SensorErrors, sensor: Sensor) -> SensorErrors:

@@ -50,10 +50,10 @@ def vector(effect: EffectEstimate, name: str) -> Array:
 
 
 def named(effect: EffectEstimate) -> str:
-    """The effect as it is spoken of in a file: ``accel_bias of instance 1``, ``motor_weak of motor 3``."""
+    """The effect as it is spoken of in a file: ``accel_bias of instance 1``."""
     numbers = ", ".join(map(str, effect.instances))
     if effect.sensor is None:
-        return f"{effect.id} of motor{'s' if len(effect.instances) > 1 else ''} {numbers}" if numbers else effect.id
+        return f"{effect.id} of motor {numbers}" if numbers else effect.id
     return f"{effect.id} of instance{'s' if len(effect.instances) > 1 else ''} {numbers}"
 
 
@@ -105,7 +105,7 @@ def sensors_with(
     groups: dict[tuple[Sensor, int], list[EffectEstimate]] = {}
     rest = []
     for effect in effects:
-        if term_of(effect) is None or effect.sensor is None:
+        if effect.sensor is None or term_of(effect) is None:
             rest.append(effect)
             continue
         for instance in effect.instances:

@@ -7,7 +7,7 @@ A fit of a raw recording leaves the mounting to the firmware, so ``R^T`` stands 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -82,8 +82,8 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
         raise FirmwareError(f"no effect of the report is a calibration: there is nothing to write to the vehicle{why}")
     left = [f"{named(e)}: no calibration takes it away" for e in effects if e not in chosen]
     doubtful = [e for e in chosen if e.evidence.doubtful]
-    unsure = {key for e in doubtful for key in _units(e)}
-    keys = sorted({key for e in chosen for key in _units(e)} - unsure)
+    unsure = _units(doubtful)
+    keys = sorted(_units(chosen) - unsure)
     if not keys and not beliefs:
         raise FirmwareError(
             f"{'; '.join(map(doubt_text, doubtful))}: nothing is written to a vehicle that is less likely than not"
@@ -107,8 +107,9 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     return _with_beliefs(plan, beliefs), (*left, *said)
 
 
-def _units(effect: EffectEstimate) -> tuple[tuple[Sensor, int], ...]:
-    return () if effect.sensor is None else tuple((effect.sensor, n) for n in effect.instances)
+def _units(effects: Iterable[EffectEstimate]) -> set[tuple[Sensor, int]]:
+    """Sensors and instances that the effects are on."""
+    return {(e.sensor, n) for e in effects if e.sensor is not None for n in e.instances}
 
 
 def _with_beliefs(plan: WritePlan, beliefs: Sequence[Change]) -> WritePlan:

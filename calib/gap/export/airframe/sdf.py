@@ -77,14 +77,14 @@ def _motor_model(wanted: Wanted, lost: list[str]) -> list[str]:
         value = DEFAULTS[name] + added
         if value < 0.0:
             lost.append(f"motor_lag: {name} would be {value:.3g} s; it stays at 0 or more")
-        lines.append(f"<{name}>{max(0.0, value):.6g}</{name}> <!-- {added:+.4g} s to the model's own -->")
+        lines.append(f"{_element(name, max(0.0, value))} <!-- {added:+.4g} s to the model's own -->")
     return lines
 
 
 def _inertial(wanted: Wanted, mass: float | None) -> list[str]:
     lines = []
     if mass is not None:
-        lines.append(f"<mass>{mass:.6g}</mass>")
+        lines.append(_element("mass", mass))
         lines.append(
             f"<!-- motorConstant, rotorDragCoefficient and inertia times {mass:.6g} over the model's own mass -->"
         )
@@ -98,9 +98,13 @@ def _inertial(wanted: Wanted, mass: float | None) -> list[str]:
 
 
 def _times(name: str, ratio: float) -> str:
-    return f"<{name}>{DEFAULTS[name] * ratio:.6g}</{name}> <!-- the model's own times {ratio:.5g} -->"
+    return f"{_element(name, DEFAULTS[name] * ratio)} <!-- the model's own times {ratio:.5g} -->"
+
+
+def _element(name: str, value: float) -> str:
+    return f"<{name}>{value:.6g}</{name}>"
 
 
 def _block(lines: Sequence[str], motor: int | None) -> str:
-    about = [] if motor is None else [f"<motorNumber>{motor - 1}</motorNumber> <!-- motor {motor} -->"]
+    about = [] if motor is None else [f"{_element('motorNumber', motor - 1)} <!-- motor {motor} -->"]
     return "\n".join([_PLUGIN, *(f"  {line}" for line in (*about, *lines)), "</plugin>"])
