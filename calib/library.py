@@ -100,8 +100,8 @@ def save_report(report: GapReport, path: Path | str, recording: Recording | None
     report
         What :func:`mavcal.calib.diagnose` returned.
     path
-        ``.html``: a page with pictures. ``.parm`` or ``.param``: SIM_* of ArduPilot's simulator. ``.sdf``: Gazebo.
-        ``.m``: MATLAB's imuSensor. ``.json``: sensor errors for ``mavcal simulate recording --params``.
+        ``.html``: a page with pictures. ``.parm`` or ``.param``: SIM_* of ArduPilot's simulator. ``.params``: SIH_*
+        of PX4's. ``.sdf``: Gazebo. ``.m``: MATLAB. ``.json``: sensor errors for ``mavcal simulate recording --params``.
     recording
         The diagnosed recording; every format but the page needs it.
 

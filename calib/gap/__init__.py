@@ -86,10 +86,13 @@ def run(
     except IncomparableError as error:
         return untestable(error.reason, error.need, digests)
     report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace)
-    return with_patches(report, simulator_of(real, sim))
+    return with_patches(report, simulator_of(real, sim), vehicle=real.parameters.final())
 
 
 def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:
-    """``SIM_*`` of the simulator that the remedy is for: of the one that was recorded; empty where none was."""
+    """Parameters of the simulator that the remedy is for: of the one that was recorded; empty where none was.
+
+    ArduPilot's has ``SIM_*``, PX4's simulation in hardware ``SIH_*``.
+    """
     found = (r.parameters.final() for r in (sim, real) if r is not None)
-    return next((p for p in found if any(name.startswith("SIM_") for name in p)), {})
+    return next((p for p in found if any(name.startswith(("SIM_", "SIH_")) for name in p)), {})

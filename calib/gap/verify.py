@@ -6,6 +6,10 @@ its errors is closed. What the new flight has is then put into the ideal reading
 diagnosed once more, with what two flights differ by anyway. What it finds is what the simulator still lacks; where
 nothing is found the gap is closed. The two flights need not be the same. Where they are (the new log is a reference for
 the real one by itself) the real sensors are compared with the simulated ones directly.
+
+An effect of the airframe is compared by its parameters alone: those of the real flight and those of the new one, both
+beside the same simulated flight. It is closed if they agree within their errors, so that real by new is 1. What the air
+did on either day is compared with nothing.
 """
 
 from __future__ import annotations
@@ -17,10 +21,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap import run
 from mavcal.calib.gap.companion.compensation import problem_of
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects.replay import with_effects
+from mavcal.calib.gap.export.airframe import airframe_effects
+from mavcal.calib.gap.export.state import sensor_effects
 from mavcal.calib.gap.problem import GapProblem, ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.ideal import recorded
@@ -123,18 +131,23 @@ def verify(
     same = direct.reference.kind is ReferenceKind.SIM and recorded(real) is None and recorded(again) is None
     lost: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
-    compared: tuple[EffectAgreement, ...] = tuple(EffectAgreement(e, None, holds=False) for e in report.effects)
+    sensors, flying = sensor_effects(report.effects), airframe_effects(report.effects)
+    compared: tuple[EffectAgreement, ...] = tuple(EffectAgreement(e, None, holds=False) for e in sensors)
+    anew = _anew(report, again, sim, nominal, alpha, same=same)
     if same:
         problem = direct
     else:
-        found = diagnose(_of_new(again, sim, nominal, alpha), alpha=alpha, nested=False)
-        compared = agreements(report.effects, found.effects)
-        problem, lost = with_effects(problem_of(real, sim, nominal, alpha), _remedied(compared, found.effects))
-        said = tuple(f"the new recording: {warning}" for warning in found.warnings)
+        new = sensor_effects(anew.effects)
+        compared = agreements(sensors, new)
+        problem, lost = with_effects(problem_of(real, sim, nominal, alpha), _remedied(compared, new))
+        said = tuple(f"the new recording: {warning}" for warning in anew.warnings)
+    flown = agreements(flying, airframe_effects(anew.effects))
     unseen = {(a.effect.id, a.effect.instances) for a in compared if a.holds and a.effect.id in lost}
     rest = _without(diagnose(problem, alpha=alpha, nested=False), unseen)
-    known = {(e.id, n) for e in report.effects for n in e.instances}
+    known = {(e.id, n) for e in sensors for n in e.instances}
     added = tuple(e for e in rest.effects if not any((e.id, n) in known for n in e.instances))
+    brought = _brought(flown, anew)
+    rest = _with(rest, (*(a.effect for a in flown if not a.holds), *brought))
     closed = {name for name, _ in unseen}
     lost = tuple(name for name in lost if name not in closed)
     warnings = tuple(f"{name} of the new flight could not be replayed on the real one" for name in lost)
@@ -142,11 +155,46 @@ def verify(
         same,
         size_of(report),
         size_of(rest),
-        tuple(_left(a, rest) for a in compared),
-        added,
+        (*(_left(a, rest) for a in compared), *map(_left_flying, flown)),
+        (*added, *brought),
         rest,
         (*rest.warnings, *said, *warnings),
     )
+
+
+def _anew(
+    report: GapReport,
+    again: Recording,
+    sim: Recording | None,
+    nominal: Sequence[Recording],
+    alpha: float,
+    *,
+    same: bool,
+) -> GapReport:
+    """The new flight beside what the real one was beside; nothing where neither sensors nor airframe ask for it."""
+    if any(e.domain is not Domain.SENSOR for e in report.effects) or report.airframe is not None:
+        found = run(again, sim, nominal, alpha=alpha, nested=False)
+        if not found.tested:
+            why = "; ".join(n.reason for n in found.not_testable) or "nothing could be tested"
+            raise InvalidInputError(f"the new recording of the simulator cannot be diagnosed by itself: {why}")
+        return found
+    if same:
+        return replace(report, effects=(), warnings=())
+    return diagnose(_of_new(again, sim, nominal, alpha), alpha=alpha, nested=False)
+
+
+def _brought(flown: Sequence[EffectAgreement], anew: GapReport) -> tuple[EffectEstimate, ...]:
+    """What the new flight's airframe has and the real one has not."""
+    known = {id(a.other) for a in flown}
+    return tuple(e for e in airframe_effects(anew.effects) if id(e) not in known)
+
+
+def _with(rest: GapReport, effects: Sequence[EffectEstimate]) -> GapReport:
+    """`rest` with `effects` that are not closed either: then there is a gap."""
+    if not effects:
+        return rest
+    verdict = GapVerdict.EXPLAINED if rest.verdict is GapVerdict.NO_GAP else rest.verdict
+    return replace(rest, effects=(*rest.effects, *effects), verdict=verdict)
 
 
 def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> GapProblem:
@@ -211,6 +259,26 @@ def _left(compared: EffectAgreement, rest: GapReport) -> Left:
     left = {p.name: p.value for p in same[0].params} if same else {p.name: 0.0 for p in effect.params}
     before = {p.name: p.value for p in effect.params}
     again = None if other is None else {p.name: p.value for p in other.params}
+    return Left(effect.id, effect.instances, share, before, left, again, compared.holds)
+
+
+def _left_flying(compared: EffectAgreement) -> Left:
+    """An effect of the airframe: real by new less 1 where it is a ratio, else real less new.
+
+    The share is that of the squares in standard errors of the first diagnosis, as evidence grows; 0 where they agree.
+    """
+    effect, other = compared.effect, compared.other
+    theirs = {} if other is None else {p.name: p for p in other.params}
+    before = {p.name: p.value for p in effect.params}
+    again = None if other is None else {name: p.value for name, p in theirs.items()}
+    left, all_of_it, rest_of_it = {}, 0.0, 0.0
+    for p in effect.params:
+        new = theirs[p.name].value if p.name in theirs else 0.0
+        left[p.name] = (1.0 + p.value) / (1.0 + new) - 1.0 if p.ratio is not None and new > -1.0 else p.value - new
+        if p.se > 0.0:
+            all_of_it += (p.value / p.se) ** 2
+            rest_of_it += (left[p.name] / p.se) ** 2
+    share = 0.0 if compared.holds else min(1.0, rest_of_it / all_of_it) if all_of_it > 0.0 else 1.0
     return Left(effect.id, effect.instances, share, before, left, again, compared.holds)
 
 

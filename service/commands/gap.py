@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mavcal.calib.gap.schema import GapReport
     from mavcal.calib.gap.verify import Verified
 
-TARGETS = ("sitl", "gazebo", "matlab", "mavcal", "vehicle")
+TARGETS = ("sitl", "frame", "sih", "gazebo", "matlab", "mavcal", "vehicle")
 """Those of ``calib.gap.export.Target``, stated here so that help does without numpy (a test compares them)."""
 LIMIT_S = 60.0
 """That of ``calib.gap.DEFAULT_LIMIT_S``, for the same reason."""
@@ -49,8 +49,8 @@ _MOST_UNTESTABLE = 8
     "exports",
     multiple=True,
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write the remedy: .parm .param (ArduPilot's SIM_*), .sdf (Gazebo), .m (MATLAB), .json (mavcal simulate); "
-    "repeated.",
+    help="Write the remedy: .parm .param (ArduPilot's SIM_*), .params (PX4's SIH_*), .sdf (Gazebo), .m (MATLAB), .json "
+    "(mavcal simulate; with --for sitl the frame of ArduPilot's simulator); repeated.",
 )
 @click.option(
     "--for",
@@ -58,6 +58,20 @@ _MOST_UNTESTABLE = 8
     type=click.Choice(TARGETS),
     default=None,
     help="Whom --export is for, whatever its ending; vehicle: the vehicle's own calibration.",
+)
+@click.option(
+    "--sim-frame",
+    "frame",
+    default=None,
+    metavar="FILE",
+    help="The frame (JSON) that ArduPilot's simulator flew with, on which the remedy builds; else the stock one.",
+)
+@click.option(
+    "--mass",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=None,
+    metavar="KG",
+    help="The real vehicle's mass, for --export: a flight shows only thrust, drag and inertia over the mass.",
 )
 @click.option(
     "--instance", type=click.IntRange(1, 9), default=1, show_default=True, help="For exports of a single instance."
@@ -92,6 +106,8 @@ def command(
     page: Path | None,
     exports: tuple[Path, ...],
     target: str | None,
+    frame: str | None,
+    mass: float | None,
     instance: int,
     limit_s: float,
     as_json: bool,
@@ -109,15 +125,26 @@ def command(
         raise click.UsageError("Missing option '--real'.")
     from mavcal.calib import gap
     from mavcal.calib.gap.schema import as_json as document_of
-    from mavcal.service.commands.gap_files import check_exports, check_folders, read_files, write_exports, write_page
+    from mavcal.service.commands.gap_files import (
+        Remedy,
+        check_exports,
+        check_folders,
+        read_files,
+        read_frame,
+        with_frame,
+        write_exports,
+        write_page,
+    )
 
     began = time.process_time()
     check_exports(exports, target)
+    remedy = Remedy(target, instance, mass, None if frame is None else read_frame(frame))
     check_folders((*exports, *(() if page is None else (page,))))
     files = read_files(real, sim, nominal, again, reading)
     with Gauge() as gauge:
         pace = gap.GapPace(lambda: time.process_time() - began, limit_s, gauge.show)
         report = gap.run(files.real, files.sim, files.nominal, inputs=files.hashes, pace=pace)
+    report = with_frame(report, files, remedy)
     document = document_of(report)
     verified = None
     if files.again is not None:
@@ -128,7 +155,7 @@ def command(
     if page is not None:
         write_page(report, f"Sim-to-real gap of {Path(real).name}", page)
     if exports:
-        document["exports"] = write_exports(report, files, exports, target, instance)
+        document["exports"] = write_exports(report, files, exports, remedy)
     if as_json:
         write_json(document)
     else:

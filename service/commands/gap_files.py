@@ -28,6 +28,19 @@ class Files:
     hashes: Mapping[str, str]
 
 
+@dataclass(frozen=True)
+class Remedy:
+    """Whom every export is for (None: its ending says), of which instance, and what is known beside the recordings.
+
+    `mass` is the real vehicle's, kg; `frame` holds the keys that ArduPilot's simulator flew with.
+    """
+
+    target: str | None = None
+    instance: int = 1
+    mass: float | None = None
+    frame: Mapping[str, Any] | None = None
+
+
 def read_files(
     real: str, sim: str | None, nominal: Sequence[str], again: str | None, reading: Mapping[str, Any]
 ) -> Files:
@@ -52,6 +65,38 @@ def read_files(
         None if again is None else other(again, mapping),
         hashes,
     )
+
+
+def read_frame(name: str) -> Mapping[str, Any]:
+    """The keys of a frame file of ArduPilot's simulator.
+
+    Raises
+    ------
+    click.BadParameter
+        If there is no such file, or it is no frame.
+    """
+    from mavcal.calib.errors import InvalidInputError
+    from mavcal.calib.gap.export import frame_from_text
+
+    try:
+        return frame_from_text(readable_file(name).read_text(encoding="utf-8"))
+    except (InvalidInputError, UnicodeDecodeError) as error:
+        raise click.BadParameter(f"{name}: {error}") from error
+
+
+def with_frame(report: GapReport, files: Files, remedy: Remedy) -> GapReport:
+    """`report` with the simulator's settings on top of the frame that it flew with, where that was given."""
+    from mavcal.calib.errors import InvalidInputError
+    from mavcal.calib.gap import simulator_of
+    from mavcal.calib.gap.export import with_patches
+
+    if remedy.frame is None:
+        return report
+    base, vehicle = simulator_of(files.real, files.sim), files.real.parameters.final()
+    try:
+        return with_patches(report, base, frame=remedy.frame, vehicle=vehicle)
+    except InvalidInputError as error:
+        raise click.BadParameter(str(error)) from error
 
 
 def _sha256(file: Path) -> str:
@@ -80,7 +125,7 @@ def check_exports(outs: Sequence[Path], target: str | None) -> None:
 
     for out in outs:
         try:
-            wanted = target_of(out.name) if target is None else Target(target)
+            wanted = target_of(out.name, target)
         except InvalidInputError as error:
             raise click.BadParameter(str(error)) from error
         forms = [f".{form}" for form in ParameterFormat]
@@ -101,18 +146,16 @@ def check_folders(outs: Sequence[Path]) -> None:
             raise click.BadParameter(f"{out} cannot be written: there is no folder {out.parent}")
 
 
-def write_exports(
-    report: GapReport, files: Files, outs: Sequence[Path], target: str | None, instance: int
-) -> list[dict[str, Any]]:
+def write_exports(report: GapReport, files: Files, outs: Sequence[Path], remedy: Remedy) -> list[dict[str, Any]]:
     """Write the remedy; for each file its name, whom it is for, and what it cannot hold."""
     from mavcal.calib.errors import CalibError
     from mavcal.calib.firmware.export import ParameterFormat
     from mavcal.calib.gap import simulator_of
-    from mavcal.calib.gap.export import Target, exported, target_of
+    from mavcal.calib.gap.export import exported, target_of
 
     written: list[dict[str, Any]] = []
     for out in outs:
-        wanted = target_of(out.name) if target is None else Target(target)
+        wanted = target_of(out.name, remedy.target)
         forms = {f".{form}": form for form in ParameterFormat}
         try:
             made = exported(
@@ -120,8 +163,10 @@ def write_exports(
                 files.real,
                 wanted,
                 base=simulator_of(files.real, files.sim),
-                instance=instance,
+                instance=remedy.instance,
                 form=forms.get(out.suffix, ParameterFormat.PARM),
+                frame=remedy.frame,
+                mass=remedy.mass,
             )
         except CalibError as error:
             click.echo(f"{out} is not written: {error}", err=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,13 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
+from mavcal.calib.gap.export.airframe import airframe_effects, own_patches
 from mavcal.calib.gap.export.state import (
     REFERENCE_TEMPERATURE,
     SensorEffects,
     doubt_text,
     named,
+    sensor_effects,
     sensors_with,
     term_of,
     value,
@@ -87,26 +90,51 @@ class SitlPatch:
     notes: tuple[str, ...] = field(default=())
 
 
-def with_patches(report: GapReport, base: Mapping[str, float] | None = None) -> GapReport:
-    """`report` whose effects carry the simulator's parameters: each its part of :func:`patch`, so that they add up.
+def with_patches(
+    report: GapReport,
+    base: Mapping[str, float] | None = None,
+    *,
+    frame: Mapping[str, Any] | None = None,
+    vehicle: Mapping[str, float] | None = None,
+) -> GapReport:
+    """`report` whose effects carry the simulator's settings: each its part of all together, so that they add up.
 
-    The constant that a drift leaves at the middle of the simulator's range belongs to the bias where there is one.
-    `base` are the ``SIM_*`` of the simulator; None: a fresh one's.
+    Those of sensors carry SIM_* of :func:`patch`. The constant that a drift leaves at the middle of the simulator's
+    range belongs to the bias where there is one. Those of the airframe carry what
+    :func:`calib.gap.export.airframe.own_patches` gives them; what the air did carries nothing.
+
+    Parameters
+    ----------
+    report
+        A diagnosis.
+    base
+        Parameters of the simulator's log; None: a fresh ArduPilot simulator's.
+    frame
+        Keys of the frame file that it was flown with; None: the stock frame.
+    vehicle
+        Parameters of the real vehicle; None: not known.
     """
     whole = patch(report, base).values
     biased = {(e.sensor, n) for e in report.effects if term_of(e) is SensorTerm.BIAS for n in e.instances}
+    flying = airframe_effects(report.effects)
+    geometry = None if report.airframe is None else report.airframe.geometry
+    own = own_patches(flying, base or {}, frame, geometry=geometry, vehicle=vehicle)
+    settings = {id(effect): part for effect, part in zip(flying, own, strict=True)}
     effects = []
     for effect in report.effects:
+        if effect.sensor is None:
+            effects.append(replace(effect, sim_patch=settings.get(id(effect), {})))
+            continue
         names = list(patch_of((effect,), report, base).values)
-        own = {(effect.sensor, n) for n in effect.instances}
-        if term_of(effect) is SensorTerm.TEMPERATURE_CURVE and biased >= own:
+        units = {(effect.sensor, n) for n in effect.instances}
+        if term_of(effect) is SensorTerm.TEMPERATURE_CURVE and biased >= units:
             names = [name for name in names if "_BIAS" not in name]
         effects.append(replace(effect, sim_patch={name: whole[name] for name in names if name in whole}))
     return replace(report, effects=tuple(effects))
 
 
 def patch(report: GapReport, base: Mapping[str, float] | None = None) -> SitlPatch:
-    """All effects of `report` as one set of parameters."""
+    """All effects of sensors in `report` as one set of parameters."""
     return patch_of(report.effects, report, base)
 
 
@@ -118,12 +146,13 @@ def patch_of(
     Parameters
     ----------
     effects
-        The effects that the simulator shall have.
+        The effects that the simulator shall have; those of no sensor are left out.
     report
         Whose they are: it says how many instances there are.
     base
         ``SIM_*`` of the simulator as it is, to which the effects are added; None: a fresh one's.
     """
+    effects = sensor_effects(effects)
     known = simulator_parameters(base)
     t_mid = 0.5 * (known.get("SIM_IMUT1_TMIN", 0.0) + known.get("SIM_IMUT1_TMAX", 2.0 * REFERENCE_TEMPERATURE))
     sensors = sensors_with(effects, _present(known), t_ref=t_mid)

@@ -57,6 +57,11 @@ def named(effect: EffectEstimate) -> str:
     return f"{effect.id} of instance{'s' if len(effect.instances) > 1 else ''} {numbers}"
 
 
+def sensor_effects(effects: Iterable[EffectEstimate]) -> tuple[EffectEstimate, ...]:
+    """Those of a sensor."""
+    return tuple(e for e in effects if e.sensor is not None)
+
+
 def doubt_text(effect: EffectEstimate) -> str:
     """That something is likelier than a doubtful effect."""
     return f"{named(effect)}: it has a probability of {effect.evidence.probability:.2f}: something else is likelier"

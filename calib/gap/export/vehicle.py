@@ -1,4 +1,4 @@
-"""A report as calibrations of the vehicle: what its firmware would have to correct so that the gap is gone.
+"""A report as parameters of the vehicle: what its firmware would have to correct or believe so that the gap is gone.
 
 The correction in force is ``truth = L (raw - o - p(T))``. With R the mounting, the diagnosis says ``R (raw - o - p) = A
 R L^-1 truth + b + dp(T)``. Hence ``truth = L R^T A^-1 R (raw - o - R^T b - p - R^T dp)``: a new model of the same form.
@@ -17,13 +17,15 @@ from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import body_from_sensor, calibration_in_force
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
-from mavcal.calib.firmware.plan import WritePlan
+from mavcal.calib.firmware.plan import Change, WritePlan, snapshot_sha256
 from mavcal.calib.fit import FitBuilder, FitResult
+from mavcal.calib.gap.export.airframe.belief import WHILE_DISARMED, belief_changes
 from mavcal.calib.gap.export.state import (
     REFERENCE_TEMPERATURE,
     TEMPERATURE_TERMS,
     doubt_text,
     named,
+    sensor_effects,
     sensors_with,
     term_of,
     value,
@@ -51,6 +53,7 @@ _STEP = 1e-3
 def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[str, ...]]:
     """The plan that takes the report's calibration effects away, and what it leaves.
 
+    What the firmware believes of its airframe (thrust curve, hover thrust, drag) is set to what the flight shows.
     Nothing is written to a sensor that has a doubtful effect among these: the others were estimated beside it.
 
     Parameters
@@ -63,22 +66,25 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     Raises
     ------
     FirmwareError
-        If the recording is not of an ArduPilot or PX4, or has no parameters. If no effect is a calibration, or all
-        of them are doubtful.
+        If the recording is not of an ArduPilot or PX4, or has no parameters. If no effect is a calibration or
+        a belief, or all of them are doubtful.
     """
     autopilot, parameters = real.identity.autopilot, real.parameters.final()
     if autopilot is None or not parameters:
         raise FirmwareError(
             "the recording does not say whose calibration it was made with: a plan needs a log with parameters"
         )
-    chosen = [e for e in report.effects if e.id in _CALIBRATIONS]
-    if not chosen:
-        raise FirmwareError("no effect of the report is a calibration: there is nothing to write to the vehicle")
-    left = [f"{named(e)}: no calibration takes it away" for e in report.effects if e not in chosen]
+    effects = sensor_effects(report.effects)
+    beliefs, said = belief_changes(report.effects, autopilot, parameters)
+    chosen = [e for e in effects if e.id in _CALIBRATIONS]
+    if not chosen and not beliefs:
+        why = f" ({'; '.join(said)})" if said else ""
+        raise FirmwareError(f"no effect of the report is a calibration: there is nothing to write to the vehicle{why}")
+    left = [f"{named(e)}: no calibration takes it away" for e in effects if e not in chosen]
     doubtful = [e for e in chosen if e.evidence.doubtful]
     unsure = _units(doubtful)
     keys = sorted(_units(chosen) - unsure)
-    if not keys:
+    if not keys and not beliefs:
         raise FirmwareError(
             f"{'; '.join(map(doubt_text, doubtful))}: nothing is written to a vehicle that is less likely than not"
         )
@@ -93,12 +99,23 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     if report.unknown.flag:
         left.append(f"something unknown, beside which all was estimated: {report.unknown.shape}")
     fits = [_fit(report, real, [e for e in chosen if e.sensor is s and n in e.instances], s, n) for s, n in keys]
-    return compose(fits, parameters, fingerprint(real.identity, parameters)), tuple(left)
+    owner = fingerprint(real.identity, parameters)
+    if fits:
+        plan = compose(fits, parameters, owner)
+    else:
+        plan = WritePlan(owner, snapshot_sha256({c.name: parameters[c.name] for c in beliefs}), ())
+    return _with_beliefs(plan, beliefs), (*left, *said)
 
 
 def _units(effects: Iterable[EffectEstimate]) -> set[tuple[Sensor, int]]:
     """Sensors and instances that the effects are on."""
     return {(e.sensor, n) for e in effects if e.sensor is not None for n in e.instances}
+
+
+def _with_beliefs(plan: WritePlan, beliefs: Sequence[Change]) -> WritePlan:
+    if not beliefs:
+        return plan
+    return replace(plan, changes=(*plan.changes, *beliefs), warnings=(*plan.warnings, WHILE_DISARMED))
 
 
 def _fit(

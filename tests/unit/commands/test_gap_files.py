@@ -10,8 +10,17 @@ import pytest
 from mavcal.calib.gap.export import Target
 from mavcal.calib.recording import Sensor
 from mavcal.service.commands import gap_files
-from mavcal.service.commands.gap_files import check_exports, check_folders, read_files, write, write_exports
-from tests.unit.gap.export.making import effect, report
+from mavcal.service.commands.gap_files import (
+    Remedy,
+    check_exports,
+    check_folders,
+    read_files,
+    read_frame,
+    with_frame,
+    write,
+    write_exports,
+)
+from tests.unit.gap.export.making import airframe, effect, report
 
 READING = {"mapping": {}, "sim_mapping": {}, "unit_accel": "g", "rate": None}
 
@@ -73,7 +82,7 @@ def test_what_is_not_there_is_not_read(table, tmp_path):
     ("name", "target"),
     [
         ("a.parm", None), ("a.param", "sitl"), ("a.sdf", None), ("a.txt", "gazebo"), ("a.m", None), ("a.json", None),
-        ("a.params", "vehicle"), ("a.parm", "vehicle"),
+        ("a.params", None), ("a.json", "sitl"), ("a.params", "vehicle"), ("a.parm", "vehicle"),
     ],
 )  # fmt: skip
 def test_an_ending_or_a_target_says_whom_a_file_is_for(tmp_path, name, target):
@@ -99,7 +108,7 @@ FOUND = report(effect("accel_bias", bias=(0.3, 0.0, -0.1)))
 
 def exports(table, outs, target=None, found=FOUND, instance=1):
     files = read_files(table("real.csv"), None, [], None, READING)
-    return write_exports(found, files, outs, target, instance)
+    return write_exports(found, files, outs, Remedy(target, instance))
 
 
 def test_the_remedy_is_written_for_each_and_told(table, tmp_path, capsys):
@@ -118,6 +127,29 @@ def test_the_target_goes_before_the_ending(table, tmp_path):
     [written] = exports(table, [tmp_path / "a.txt"], "gazebo")
     assert written["for"] == "gazebo"
     assert "<mean>" in (tmp_path / "a.txt").read_text()
+
+
+LIGHT = report(airframe("thrust_scale", s=0.8))
+
+
+def test_the_frame_that_flew_is_what_the_remedy_builds_on(table, tmp_path):
+    (tmp_path / "flown.json").write_text('# a comment\n{"mass": 2.0, "hoverThrOut": 0.4}\n')
+    remedy = Remedy("sitl", mass=2.5, frame=read_frame(str(tmp_path / "flown.json")))
+    files = read_files(table("real.csv"), None, [], None, READING)
+    [written] = write_exports(LIGHT, files, [tmp_path / "a.json"], remedy)
+    assert written["for"] == "frame"
+    assert '"hoverThrOut": 0.5' in (tmp_path / "a.json").read_text()
+    assert '"mass": 2.5' in (tmp_path / "a.json").read_text()
+    assert with_frame(LIGHT, files, remedy).effects[0].sim_patch == {"frame_json": {"hoverThrOut": 0.5}}
+    assert with_frame(LIGHT, files, Remedy()) is LIGHT
+
+
+@pytest.mark.parametrize("text", ["[]", "{", '{"mass": 0}'])
+def test_a_frame_that_is_none_is_refused(table, tmp_path, text):
+    (tmp_path / "flown.json").write_text(text)
+    files = read_files(table("real.csv"), None, [], None, READING)
+    with pytest.raises(click.BadParameter, match="the simulator's frame"):
+        with_frame(LIGHT, files, Remedy(frame=read_frame(str(tmp_path / "flown.json"))))
 
 
 def test_what_a_file_cannot_hold_or_holds_in_doubt_is_said(table, tmp_path, capsys, monkeypatch):

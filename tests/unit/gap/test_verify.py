@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib import gap
 from mavcal.calib.gap.export import Target, exported
-from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate
+from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
 from mavcal.calib.gap.telling.agreement import agreements, distance
-from mavcal.calib.gap.verify import verified_json, verify
+from mavcal.calib.gap.verify import _left_flying, verified_json, verify
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.calib.simulate import SensorErrors, SensorSuite
 from mavcal.calib.simulate.document import stated_in
-from tests.unit.gap.export.making import effect
+from tests.unit.gap.export.making import airframe, effect
 
 from .reference.test_recorded import channel
 
@@ -142,3 +144,55 @@ def test_each_of_several_events_is_compared_with_the_one_that_is_like_it() -> No
 
 def test_what_no_number_determines_is_not_the_same() -> None:
     assert not agreements([stated(0.02, float("inf"))], [stated(0.02, 1e-5)])[0].holds
+
+
+THRUST = airframe("thrust_scale", s=0.9, sim=25.0)
+
+
+def test_an_airframe_is_closed_where_the_new_flight_has_its_parameters() -> None:
+    near, far = airframe("thrust_scale", s=0.9015, sim=25.0), airframe("thrust_scale", s=0.95, sim=25.0)
+    assert [a.holds for a in agreements([THRUST], [near])] == [True]
+    [left] = map(_left_flying, agreements([THRUST], [near]))
+    assert (left.share, left.agrees) == (0.0, True)
+    assert left.left["s"] == pytest.approx(0.9 / 0.9015 - 1.0)
+    [left] = map(_left_flying, agreements([THRUST], [far]))
+    assert not left.agrees
+    assert left.left["s"] == pytest.approx(0.9 / 0.95 - 1.0)
+    assert left.share == pytest.approx((0.0526 / 0.1) ** 2, rel=0.01)
+
+
+def test_an_airframe_that_the_new_flight_does_not_show_is_left_as_a_whole() -> None:
+    lag = airframe("motor_lag", tau_up=0.03, tau_down=0.05)
+    [left] = map(_left_flying, agreements([lag], [airframe("motor_lag", tau_up=0.03, tau_down=0.02)]))
+    assert left.left == pytest.approx({"tau_up": 0.0, "tau_down": 0.03})
+    assert left.again == pytest.approx({"tau_up": 0.03, "tau_down": 0.02})
+    [gone] = map(_left_flying, agreements([lag], []))
+    assert (gone.again, gone.share, gone.agrees) == (None, 1.0, False)
+    assert gone.left == gone.before
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_what_is_left_and_brought_in_of_the_airframe_is_told_beside_the_sensors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The sensors are diagnosed; the airframe's effects are stated, as the simulated vehicle has no motors."""
+    real, sim, new = (flown(SensorSuite(), seed) for seed in (1, 2, 3))
+    wind, drag = airframe("wind", north=3.0), airframe("rotor_drag", c1=1.2)
+    report = dataclasses.replace(gap.run(real, sim, nested=False), effects=(THRUST, wind))
+
+    def diagnosed(*effects: EffectEstimate) -> Callable[..., GapReport]:
+        def run(*given: Any, **how: Any) -> GapReport:
+            found = gap.run(*given, **how)
+            return dataclasses.replace(found, effects=(*found.effects, *effects))
+
+        return run
+
+    monkeypatch.setattr("mavcal.calib.gap.verify.run", diagnosed(THRUST, airframe("wind", north=-1.0)))
+    closed = verified_json(verify(report, real, sim, new))
+    assert (closed["verdict"], closed["added"]) == ("no_gap", [])
+    assert [(e["id"], e["agrees"]) for e in closed["effects"]] == [("thrust_scale", True)]
+    monkeypatch.setattr("mavcal.calib.gap.verify.run", diagnosed(drag))
+    left = verified_json(verify(report, real, sim, new))
+    assert (left["verdict"], left["added"]) == ("explained", ["rotor_drag"])
+    assert [e["id"] for e in left["rest"]["effects"]] == ["thrust_scale", "rotor_drag"]

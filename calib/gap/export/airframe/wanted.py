@@ -1,0 +1,159 @@
+"""What the airframe's effects of a report ask of a simulator, whichever it is: ratios, and what is to be added.
+
+A ratio is real by simulated. A simulator's setting is its present one times the ratio, so that neither its quirks nor
+a bias that both flights share matter (AIRFRAME 5.11).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from mavcal.calib.gap.export.state import named
+from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate
+
+Triple = tuple[float, float, float]
+
+_READ = frozenset(
+    {
+        *("thrust_scale", "thrust_expo", "motor_lag", "motor_weak", "rotor_drag", "body_drag", "inertia", "cg_offset"),
+        *("torque_bias", "yaw_coefficient", "angular_damping", "battery_sag"),
+    }
+)
+"""Effects that :class:`Wanted` has a place for."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Ratios are 1 and what is to be added is 0 where nothing is asked.
+
+    Each is the effect's own, beside what follows from the others: a weaker thrust turns the vehicle less as well, and
+    the rotors' drag and the inertia change the damping.
+
+    `lag` are the time constants up and down, s, to be added; `slew` the limit of the command's rate, 1/s, itself.
+    `weak` has the thrust ratio at the hover command by motor (from 1), `cg` is forward and right in arms, `torque` in
+    rad/s2. `damping` is the ratio of an axis' damping, None where nothing is asked of it. `sag` is the
+    ratio of the voltage's fall; `sags` whether anything is asked of the battery. `refused` says what cannot be used.
+    """
+
+    thrust: float = 1.0
+    expo: float = 0.0
+    lag: tuple[float, float] | None = None
+    slew: float | None = None
+    weak: Mapping[int, float] = field(default_factory=dict)
+    rotor_drag: float = 1.0
+    body_drag: float = 1.0
+    inertia: Triple = (1.0, 1.0, 1.0)
+    cg: tuple[float, float] = (0.0, 0.0)
+    torque: Triple = (0.0, 0.0, 0.0)
+    yaw: float = 1.0
+    damping: tuple[float | None, float | None, float | None] = (None, None, None)
+    sag: float | None = None
+    sags: bool = False
+    refused: tuple[str, ...] = ()
+
+
+def wanted_of(effects: Iterable[EffectEstimate]) -> Wanted:
+    """What `effects` (of the airframe) ask; others among them ask nothing."""
+    reader = _Reader(tuple(effects))
+    return Wanted(
+        thrust=reader.ratio("thrust_scale", "s"),
+        expo=reader.added("thrust_expo", "expo"),
+        lag=reader.lag(),
+        slew=reader.real("motor_lag", "slew"),
+        weak=reader.weak(),
+        rotor_drag=reader.ratio("rotor_drag", "c1"),
+        body_drag=reader.ratio("body_drag", "c2"),
+        inertia=(reader.ratio("inertia", "x"), reader.ratio("inertia", "y"), reader.ratio("inertia", "z")),
+        cg=(reader.added("cg_offset", "x"), reader.added("cg_offset", "y")),
+        torque=(
+            reader.added("torque_bias", "x"),
+            reader.added("torque_bias", "y"),
+            reader.added("torque_bias", "z"),
+        ),
+        yaw=reader.ratio("yaw_coefficient", "s"),
+        damping=(reader.damping("x"), reader.damping("y"), reader.damping("z")),
+        sag=reader.ratio("battery_sag", "s") if reader.has("battery_sag", "s") else None,
+        sags=reader.effect("battery_sag") is not None,
+        refused=tuple(dict.fromkeys(reader.refused)),
+    )
+
+
+def missing(effects: Iterable[EffectEstimate], reasons: Mapping[str, str]) -> tuple[str, ...]:
+    """In words, those of `effects` that a simulator has nothing for; `reasons` by effect id."""
+    found = []
+    for effect in effects:
+        if effect.id in reasons or effect.id not in _READ:
+            found.append(f"{named(effect)}: {reasons.get(effect.id, 'the simulator has no setting for it')}")
+    return tuple(found)
+
+
+def ratio_of(parameter: ParameterEstimate) -> float | None:
+    """Real by simulated; None where it is no positive number, which no simulator can have."""
+    found = parameter.ratio if parameter.ratio is not None else 1.0 + parameter.value
+    return found if math.isfinite(found) and found > 0.0 else None
+
+
+class _Reader:
+    """Parameters of effects by name; keeps in words what could not be used."""
+
+    def __init__(self, effects: tuple[EffectEstimate, ...]) -> None:
+        self._effects = effects
+        self.refused: list[str] = []
+
+    def effect(self, effect_id: str) -> EffectEstimate | None:
+        return next((e for e in self._effects if e.id == effect_id), None)
+
+    def has(self, effect_id: str, name: str) -> bool:
+        return self._parameter(effect_id, name) is not None
+
+    def ratio(self, effect_id: str, name: str) -> float:
+        found = self._parameter(effect_id, name)
+        return 1.0 if found is None else self._usable(effect_id, found)
+
+    def damping(self, axis: str) -> float | None:
+        return self.ratio("angular_damping", axis) if self.has("angular_damping", axis) else None
+
+    def added(self, effect_id: str, name: str) -> float:
+        found = self._parameter(effect_id, name)
+        return 0.0 if found is None else found.value
+
+    def lag(self) -> tuple[float, float] | None:
+        """Up and down; one that is not told apart is that of both."""
+        told = [name for name in ("tau_up", "tau_down") if self.has("motor_lag", name)]
+        return (self.added("motor_lag", told[0]), self.added("motor_lag", told[-1])) if told else None
+
+    def real(self, effect_id: str, name: str) -> float | None:
+        """The real value: a simulator's own may be one that its flight cannot show, as a limit never reached."""
+        found = self._parameter(effect_id, name)
+        if found is None:
+            return None
+        return found.value if found.value_real is None else found.value_real
+
+    def weak(self) -> dict[int, float]:
+        found: dict[int, float] = {}
+        for effect in self._effects:
+            if effect.id != "motor_weak":
+                continue
+            size = next((p for p in effect.params if p.name == "s"), None)
+            if size is not None:
+                ratio = self._usable(named(effect), size)
+                found |= {motor: found.get(motor, 1.0) * ratio for motor in effect.instances}
+        return found
+
+    def _parameter(self, effect_id: str, name: str) -> ParameterEstimate | None:
+        effect = self.effect(effect_id)
+        found = None if effect is None else next((p for p in effect.params if p.name == name), None)
+        if found is not None and not math.isfinite(found.value):
+            self.refused.append(f"{effect_id}: {name} is not finite")
+            return None
+        return found
+
+    def _usable(self, who: str, parameter: ParameterEstimate) -> float:
+        found = ratio_of(parameter)
+        if found is None:
+            said = parameter.ratio if parameter.ratio is not None else 1.0 + parameter.value
+            self.refused.append(f"{who}: {parameter.name} would be multiplied by {said:.3g}, which is not above 0")
+            return 1.0
+        return found
