@@ -62,8 +62,8 @@ class Frame:
     motor_tau: float = _key("motorTau", 0.0)
     moment_of_inertia: Vector = (0.0, 0.0, 0.0)
     positions: Mapping[int, Vector] = field(default_factory=dict)
-    """By motor from 1; a position of zero means the default (``SIM_Frame.cpp``)."""
     yaw_factors: Mapping[int, float] = field(default_factory=dict)
+    """By motor from 1; a position or a factor of zero means the default (``SIM_Frame.cpp``)."""
 
     @property
     def inertia(self) -> Vector:
@@ -80,7 +80,9 @@ _POSITIVE = ("mass", "diagonal_size", "hoverThrOut", "refSpd", "refRotRate", "ma
 def load_frame(path: str | Path) -> Frame:
     """The frame in a JSON file. Raises ConfigurationError with what is wrong."""
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8") or "{}")
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        bare = "\n".join(line.partition("#")[0] for line in lines)  # SITL's own frame files have comments
+        document = json.loads(bare.strip() or "{}")
     except OSError as error:
         raise ConfigurationError(f"frame file {path} cannot be read: {error.strerror}") from error
     except ValueError as error:
@@ -159,5 +161,5 @@ def rotors_of(frame: Frame, frame_type: int) -> tuple[Rotor, ...]:
         angle, arm = math.radians(degrees), frame.diagonal_size  # the whole diagonal, as SITL takes it
         given = frame.positions.get(number, (0.0, 0.0, 0.0))
         place = given if any(given) else (arm * math.cos(angle), arm * math.sin(angle), 0.0)
-        found.append(Rotor(angle, spin, place, frame.yaw_factors.get(number, spin)))
+        found.append(Rotor(angle, spin, place, frame.yaw_factors.get(number) or spin))
     return tuple(found)
