@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,7 +17,7 @@ from mavcal.service.closing.link import VehicleLink
 from mavcal.service.closing.logs import find_log, read_log
 from mavcal.service.closing.mission import Mission, standard_mission
 from mavcal.service.closing.pilot import Pilot
-from mavcal.service.closing.rounds import RoundResult, WorkFolder, measured
+from mavcal.service.closing.rounds import Outcome, RoundResult, WorkFolder, measured, outcome_of
 from mavcal.service.closing.settings import SimSettings
 from mavcal.service.closing.simulator import Simulator, free_port
 from mavcal.service.errors import EndpointError
@@ -42,15 +41,6 @@ class Diagnose(Protocol):
     ) -> GapReport:
         """`frame` has the keys of the frame file that was flown; further files may be left in `folder`."""
         ...
-
-
-class Outcome(StrEnum):
-    """Why the loop ended."""
-
-    CLOSED = "closed"  # nothing material is left
-    NOTHING_TO_SET = "nothing_to_set"  # what is left cannot be set in this simulator, or is set already
-    ROUNDS_USED = "rounds_used"  # something is left after the last round
-    NOT_TESTABLE = "not_testable"  # the flights do not allow an answer
 
 
 @dataclass(frozen=True)
@@ -126,19 +116,11 @@ class Closing:
             result = self._folder.result(self._number, settings) or self._round(settings)
             results.append(result)
             self._on_done(result)
-            if not result.tested:
-                return self._ended(Outcome.NOT_TESTABLE, results)
-            if not result.left:
-                return self._ended(Outcome.CLOSED, results)
-            if result.to_set == settings:
-                return self._ended(Outcome.NOTHING_TO_SET, results)
-            if len(results) > self._plan.rounds:
-                return self._ended(Outcome.ROUNDS_USED, results)
+            outcome = outcome_of(results, self._plan.rounds)
+            if outcome is not None:
+                self._folder.tell(self._number, outcome.value, 1.0, 0.0)
+                return ClosingResult(outcome, tuple(results))
             settings = result.to_set
-
-    def _ended(self, outcome: Outcome, results: list[RoundResult]) -> ClosingResult:
-        self._folder.tell(self._number, outcome.value, 1.0, 0.0)
-        return ClosingResult(outcome, tuple(results))
 
     def _round(self, settings: SimSettings) -> RoundResult:
         log = self._folder.flown(self._number, settings)

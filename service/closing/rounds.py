@@ -9,13 +9,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from mavcal.calib.airframe.answer import Domain, Quantity
-from mavcal.calib.gap.schema import EffectEstimate, GapReport
+from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict
 from mavcal.calib.report import to_json
 from mavcal.service.closing.errors import OtherClosing
 from mavcal.service.closing.settings import SimSettings
@@ -73,6 +74,53 @@ class RoundResult:
         }
 
 
+class Outcome(StrEnum):
+    """Why the loop ended."""
+
+    CLOSED = "closed"  # nothing material is left
+    NOTHING_TO_SET = "nothing_to_set"  # what is left has no name, or cannot be set in this simulator
+    WITHOUT_EFFECT = "without_effect"  # what was set is there as before
+    ROUNDS_USED = "rounds_used"  # something is left after the last round
+    NOT_TESTABLE = "not_testable"  # the flights do not allow an answer
+
+
+_NO_MORE = (GapVerdict.NO_GAP, GapVerdict.EXPLAINED)
+_UNMOVED = 0.1
+"""Part of a value by which it must have changed to count as moved. Chosen, not measured: a remedy takes off more."""
+
+
+def outcome_of(results: Sequence[RoundResult], rounds: int) -> Outcome | None:
+    """Why there is no round after `results`; None: there is one. `rounds` may be flown with a remedy."""
+    last = results[-1]
+    if not last.left:
+        if not last.tested or last.verdict == GapVerdict.NOT_TESTABLE:
+            return Outcome.NOT_TESTABLE
+        return Outcome.CLOSED if last.verdict in _NO_MORE else Outcome.NOTHING_TO_SET
+    if last.to_set == last.settings:
+        return Outcome.NOTHING_TO_SET
+    if len(results) > 1 and _values(last) and _unmoved(_values(results[-2]), _values(last)):
+        return Outcome.WITHOUT_EFFECT
+    return Outcome.ROUNDS_USED if len(results) > rounds else None
+
+
+def _values(result: RoundResult) -> dict[tuple[str, ...], float]:
+    return {
+        (effect["id"], *map(str, effect["instances"]), name): parameter["value"]
+        for effect in result.effects
+        if effect["material"]
+        for name, parameter in effect["params"].items()
+    }
+
+
+def _unmoved(before: Mapping[tuple[str, ...], float], now: Mapping[tuple[str, ...], float]) -> bool:
+    """Whether every value is there as before; what is small beside the others does not count."""
+    least = _UNMOVED * max(map(abs, now.values()))
+    return before.keys() == now.keys() and all(
+        abs(value - before[key]) <= _UNMOVED * abs(value) or max(abs(value), abs(before[key])) < least
+        for key, value in now.items()
+    )
+
+
 def measured(number: int, report: GapReport, settings: SimSettings, log: str, *, with_frame: bool) -> RoundResult:
     """The round's result from its diagnosis; without a frame file only parameters can be set."""
     wanted = settings.patched(effect for effect in report.effects if is_material(effect))
@@ -102,8 +150,11 @@ def measured(number: int, report: GapReport, settings: SimSettings, log: str, *,
 
 
 def is_material(effect: EffectEstimate) -> bool:
-    """Whether an effect is worth another flight: likelier than all else in its place, and not the day's weather."""
-    return not effect.evidence.doubtful and effect.domain is not Domain.ENVIRONMENT
+    """Whether an effect is worth another flight: all but the day's weather.
+
+    A doubtful name is set too, as in an export: the next flight measures whether it was right.
+    """
+    return effect.domain is not Domain.ENVIRONMENT
 
 
 def _effect_json(effect: EffectEstimate) -> Json:

@@ -7,12 +7,13 @@ from typing import Any
 
 from mavcal.calib import pages
 from mavcal.calib.gap_report.words import chance, number
-from mavcal.service.closing.loop import ClosingResult, Outcome
-from mavcal.service.closing.rounds import RoundResult
+from mavcal.service.closing.loop import ClosingResult
+from mavcal.service.closing.rounds import Outcome, RoundResult
 
 _ENDS = {
     Outcome.CLOSED: "nothing material is left",
-    Outcome.NOTHING_TO_SET: "what is left cannot be set in this simulator",
+    Outcome.NOTHING_TO_SET: "what is left has no name, or cannot be set in this simulator",
+    Outcome.WITHOUT_EFFECT: "what was set is there as before, so setting it does not help",
     Outcome.ROUNDS_USED: "the rounds are used up, and something is left",
     Outcome.NOT_TESTABLE: "these flights do not allow an answer",
 }
@@ -50,16 +51,20 @@ def _effects(result: RoundResult) -> list[str]:
     found = []
     for effect in result.effects:
         values = ", ".join(f"{name} {number(p['value'])} {p['unit']}".strip() for name, p in effect["params"].items())
-        aside = "" if effect["material"] else ", left alone"
+        aside = "" if effect["material"] else ", of the day: not set"
         found.append(f"{effect['id']} ({values}), probability {chance(effect['probability'])}{aside}")
     return found
 
 
 def _changes(result: RoundResult) -> list[str]:
     return [
-        f"{name} {now}" if before is None else f"{name} {before} -> {now}"
+        f"{name} {_value(now)}" if before is None else f"{name} {_value(before)} -> {_value(now)}"
         for name, (before, now) in result.to_set.changed_from(result.settings).items()
     ]
+
+
+def _value(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def page(result: ClosingResult, title: str) -> str:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 LIMIT_S = 60.0
 """That of ``calib.gap.DEFAULT_LIMIT_S``, stated here so that help does without numpy (a test compares them)."""
-_CONNECT = "tcp:127.0.0.1:{port}"
+CONNECT = "tcp:127.0.0.1:{port}"
 _SAY_EVERY_S = 10.0
 """Where there is no terminal, progress is a line now and then."""
 _PAGE = "diagnosis.html"
@@ -40,7 +40,7 @@ _PAGE = "diagnosis.html"
 )
 @click.option(
     "--connect",
-    default=_CONNECT,
+    default=CONNECT,
     show_default=True,
     metavar="URL",
     help="Where the simulator speaks MAVLink.",
@@ -87,7 +87,8 @@ def command(*, page: Path | None, limit_s: float, as_json: bool, **options: Any)
     clock. Exit code 0 if nothing material is left, 1 if nothing could be tested, 3 if something is left.
     """
     from mavcal.service.closing.errors import ClosingError
-    from mavcal.service.closing.loop import Closing, Outcome
+    from mavcal.service.closing.loop import Closing
+    from mavcal.service.closing.rounds import Outcome
     from mavcal.service.commands.gap_files import check_folders, write
 
     check_folders(() if page is None else (page,))

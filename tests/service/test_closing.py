@@ -26,8 +26,8 @@ from mavcal.service.closing.errors import (
     SimulatorUnarmed,
     WrongCommand,
 )
-from mavcal.service.closing.loop import Closing, Outcome
-from mavcal.service.closing.rounds import RoundResult
+from mavcal.service.closing.loop import Closing
+from mavcal.service.closing.rounds import Outcome, RoundResult
 from mavcal.service.closing.settings import SimSettings
 from tests.patience import scaled
 from tests.processes import left_over
