@@ -35,6 +35,7 @@ class GroundLink:
         self._vehicle, self._endpoint = vehicle, endpoint
         self._packer = Packer(SYSTEM)
         self._listing: list[str] = []
+        self._asked: list[int] = []
         self._names = list(vehicle.parameters)
         self._due: dict[int, tuple[int, int]] = {dialect.MAVLINK_MSG_ID_HEARTBEAT: (LOOP_HZ, 0)}
         self.heard = False
@@ -91,6 +92,9 @@ class GroundLink:
             if loops >= at:
                 self._due[number] = (every, loops + every)
                 self._send(self._builders[number]())
+        for number in self._asked:  # after the acknowledgement, as the firmware does
+            self._send(self._builders[number]())
+        self._asked.clear()
         for name in self._listing[:LIST_PER_LOOP]:
             self._send_parameter(name)
         del self._listing[:LIST_PER_LOOP]
@@ -121,10 +125,9 @@ class GroundLink:
         return ACCEPTED
 
     def _request(self, p: list[float]) -> int:
-        builder = self._builders.get(int(p[0]))
-        if builder is None:
+        if int(p[0]) not in self._builders:
             return FAILED
-        self._send(builder())
+        self._asked.append(int(p[0]))
         return ACCEPTED
 
     def _set_mode(self, number: int) -> None:
