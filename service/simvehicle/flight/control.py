@@ -15,8 +15,8 @@ from mavcal.service.simvehicle.flight.parameters import FlightParameters
 _CENTI = math.radians(0.01)
 _RATE_MOST = math.radians(220.0)
 """Of a shaped target. Chosen, not measured: below the 360 deg/s of acro."""
-_D_FILTER_HZ = 20.0
-"""ATC_RAT_RLL_FLTD."""
+_FILTER_HZ = 20.0
+"""Of the wanted rate and of the slope: ATC_RAT_RLL_FLTT, ATC_RAT_RLL_FLTD."""
 _I_MOST = 0.25
 _CLIMB_I = 1.0
 """PSC_ACCZ_I."""
@@ -57,7 +57,7 @@ class RateAxis:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._integral = self._slope = 0.0
+        self._integral = self._slope = self._wanted = 0.0
         self._last: float | None = None
 
     def read(self, parameters: FlightParameters) -> None:
@@ -66,10 +66,11 @@ class RateAxis:
 
     def output(self, wanted: float, is_: float, *, hold: bool, dt: float) -> float:
         """What the mixer is given; `hold`: the integral does not grow."""
-        error = wanted - is_
+        alpha = dt / (dt + 1.0 / (2.0 * math.pi * _FILTER_HZ))
+        self._wanted += alpha * (wanted - self._wanted)
+        error = self._wanted - is_
         last = error if self._last is None else self._last
         self._last = error
-        alpha = dt / (dt + 1.0 / (2.0 * math.pi * _D_FILTER_HZ))
         self._slope += alpha * ((error - last) / dt - self._slope)
         if not hold:
             self._integral = min(max(self._integral + self._i * error * dt, -_I_MOST), _I_MOST)
@@ -77,7 +78,7 @@ class RateAxis:
 
     def reset(self) -> None:
         """Forget what was added up."""
-        self._integral = self._slope = 0.0
+        self._integral = self._slope = self._wanted = 0.0
         self._last = None
 
 

@@ -15,9 +15,9 @@ from mavcal.service.simvehicle.flight.air import Noise
 from mavcal.service.simvehicle.flight.frame import Vector
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
 
-ACCEL_NOISE, GYRO_NOISE = 0.02, 0.0015
-"""Standard deviations of a raw sample, m/s2 and rad/s. Chosen: somewhat above SITL's 0.01 and 0.0007 of uniform noise,
-of the order of a quiet vehicle after the filter."""
+ACCEL_NOISE, GYRO_NOISE = 0.0058, 0.0004
+"""Standard deviations of a raw sample, m/s2 and rad/s: those of SITL's uniform noise of +-0.01 and +-0.0007. More gyro
+noise comes back through the controller, and biases whoever fits torque to commands."""
 
 
 class LowPass:
