@@ -35,6 +35,7 @@ class Simulator:
 
     def __init__(self, arguments: Sequence[str], folder: Path) -> None:
         self._name, self._output = arguments[0], folder / OUTPUT
+        self._stopped = False
         with self._output.open("wb") as output:
             try:
                 self._process = subprocess.Popen(  # noqa: S603 - the user's own command is what was asked for
@@ -80,6 +81,8 @@ class Simulator:
 
     def stop(self) -> None:
         """End the whole group: SIGTERM, a grace, SIGKILL; harmless if repeated."""
+        if self._stopped:
+            return
         group = self._process.pid  # a session's leader gives its group its number
         self._signal(group, signal.SIGTERM)
         end = time.monotonic() + GRACE_S
@@ -88,6 +91,7 @@ class Simulator:
             time.sleep(_LOOK_S)
         self._signal(group, signal.SIGKILL)
         self._process.wait()
+        self._stopped = True
 
     @staticmethod
     def _signal(group: int, number: int) -> None:

@@ -27,6 +27,7 @@ from mavcal.service.closing.errors import (
     WrongCommand,
 )
 from mavcal.service.closing.loop import Closing
+from mavcal.service.closing.mission import standard_mission
 from mavcal.service.closing.rounds import Outcome, RoundResult
 from mavcal.service.closing.settings import SimSettings
 from tests.patience import scaled
@@ -227,3 +228,31 @@ def test_the_flight_is_that_of_the_mission(real: Recording) -> None:
     speed = real.channel(Sensor.VELOCITY).values
     assert abs(speed[:, :2]).max() == pytest.approx(2.0, abs=1.2)
     assert SHORT.seconds < 30.0
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_the_command_flies_diagnoses_and_tells(tmp_path: Path) -> None:
+    """The whole command with its own mission and its own diagnosis, up to the first round's end."""
+    flown = fly(tmp_path / "real", SimSettings({}, {"hoverThrOut": REAL}), standard_mission())
+    done = subprocess.run(
+        [PYTHON, "-m", "mavcal", "gap", "close", "--real", str(flown), "--simulator", FLYING, "--speedup", "0",
+         "--rounds", "0", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "page.html"), "--json"],
+        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode in (0, 1, 3), done.stderr
+    answer = json.loads(done.stdout)
+    assert [one["round"] for one in answer["rounds"]] == [0]
+    assert "round 0, flying" in done.stderr
+    assert answer["said"] in (tmp_path / "page.html").read_text()
+    left = {file.name for file in (tmp_path / "work" / "round-0").iterdir()}
+    assert left >= {
+        "sim.parm",
+        "frame.json",
+        "log.bin",
+        "simulator.txt",
+        "diagnosis.json",
+        "diagnosis.html",
+        "round.json",
+    }
+    assert nobody_left()

@@ -4,7 +4,7 @@ Its airframe has the equations and the key names of ArduPilot's SITL (``SIM_Fram
 firmware the mixer, filters and log messages of ArduCopter, as far as a diagnosis of the airframe asks for them. It is
 no firmware: modes, estimator and controller are the least that flies a mission in GUIDED.
 
-Order of the modules: `frame` and `parameters` (what is read from files) -> `air`, `airframe` (physics) -> `sensors`,
-`estimator`, `mixer`, `control` (firmware) -> `dataflash`, `flightlog` (what is logged) -> `vehicle` -> `ground`
-(MAVLink) -> `run`.
+Order of the modules: `frame`, `parameters` (what is read from files) -> `air`, `airframe` (physics) -> `sensors`,
+`estimator`, `mixer`, `control`, `modes` (firmware) -> `vehicle` -> `dataflash`, `flightlog` (what is logged) ->
+`ground` (MAVLink) -> `run`.
 """

@@ -58,3 +58,14 @@ class Estimate:
             z + c * w + a * y - b * x,
         )
         self.euler = euler_of(self.q)
+
+
+_METRES_PER_DEGREE = 111_319.5
+
+
+def degrees_from_metres(latitude: float, longitude: float, north: float, east: float) -> tuple[float, float]:
+    """Latitude and longitude so far north and east of a place; flat, as far as one flies here."""
+    return (
+        latitude + north / _METRES_PER_DEGREE,
+        longitude + east / (_METRES_PER_DEGREE * math.cos(math.radians(latitude))),
+    )

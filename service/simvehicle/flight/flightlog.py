@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mavcal.service.simvehicle.flight.dataflash import DataFlashWriter, Message
 from mavcal.service.simvehicle.flight.parameters import DEFAULTS
-
-if TYPE_CHECKING:
-    from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
+from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
 
 IMU = Message(163, "IMU", "QBffffffIIfBBHH", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz")
 RATE = Message(75, "RATE", "Qfffffffffffff", "TimeUS,RDes,R,ROut,PDes,P,POut,YDes,Y,YOut,ADes,A,AOut,AOutSlew")
@@ -33,7 +30,6 @@ ARM = Message(186, "ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
 EV = Message(181, "EV", "QB", "TimeUS,Id")
 MESSAGES = (IMU, RATE, RCOU, MOTB, CTUN, BAT, ATT, BARO, MAG, XKF1, XKF2, XKQ, GPS, GPA, PARM, MSG, MODE, ARM, EV)
 
-LOOP_HZ = 400
 SECOND_IMU, ESTIMATOR, HOUSEKEEPING, POSITIONING = 10, 16, 40, 80
 """Every so many loops: 40, 25, 10 and 5 Hz."""
 FIELD_MGAUSS = (230.0, 55.0, -525.0)
@@ -42,7 +38,6 @@ GPS_WEEK, GPS_START_MS = 2446, 96_000_000
 _BOARD_C = 35.0
 _AVERAGE_MOST = 0.1
 """MOTB.ThrAvMx by the hover throttle while idle (ATC_THR_MIX_MIN)."""
-_METRES_PER_DEGREE = 111_319.5
 
 
 class FlightLog:
@@ -163,11 +158,3 @@ class FlightLog:
             GPS, us, 0, fix, GPS_START_MS + ms, GPS_WEEK, 10, 1.21, latitude, longitude, alt, speed, course, vd, 0.0, 1
         )
         self._out.write(GPA, us, 0, 2.0, 0.3, 0.3, 0.05, 0.0, 1, ms, 200, alt, 0, 0)
-
-
-def degrees_from_metres(latitude: float, longitude: float, north: float, east: float) -> tuple[float, float]:
-    """Latitude and longitude so far north and east of a place; flat, as far as one flies here."""
-    return (
-        latitude + north / _METRES_PER_DEGREE,
-        longitude + east / (_METRES_PER_DEGREE * math.cos(math.radians(latitude))),
-    )

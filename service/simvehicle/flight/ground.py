@@ -12,8 +12,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle.flight.airframe import euler_of
-from mavcal.service.simvehicle.flight.flightlog import LOOP_HZ
-from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle, Guidance, Mode
+from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Mode
+from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
 from mavcal.service.simvehicle.links import SimEndpoint
 from mavcal.service.simvehicle.wire import Packer, Received, command_parameters
 

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mavcal.service.simvehicle.errors import ConfigurationError, SimulatedVehicleError
-from mavcal.service.simvehicle.flight.flightlog import LOOP_HZ, FlightLog
+from mavcal.service.simvehicle.flight.flightlog import FlightLog
 from mavcal.service.simvehicle.flight.frame import Frame, load_frame
 from mavcal.service.simvehicle.flight.ground import GroundLink
+from mavcal.service.simvehicle.flight.modes import LOOP_HZ
 from mavcal.service.simvehicle.flight.parameters import FlightParameters, load_parameters
 from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
 from mavcal.service.simvehicle.links import SimEndpoint, TcpServer, UdpIn

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from enum import Enum, IntEnum, auto
 
 from mavcal.service.simvehicle.flight import air
 from mavcal.service.simvehicle.flight.airframe import Airframe
 from mavcal.service.simvehicle.flight.control import Controller
-from mavcal.service.simvehicle.flight.estimator import Estimate
-from mavcal.service.simvehicle.flight.flightlog import LOOP_HZ, FlightLog, degrees_from_metres
+from mavcal.service.simvehicle.flight.estimator import Estimate, degrees_from_metres
 from mavcal.service.simvehicle.flight.frame import Frame, Vector, rotors_of
 from mavcal.service.simvehicle.flight.mixer import Mixer
+from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Log, Mode
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
 from mavcal.service.simvehicle.flight.sensors import InertialUnit
 
@@ -37,30 +36,13 @@ ATTITUDE_CLIMB_MIDDLE = 0.5
 """Thrust of SET_ATTITUDE_TARGET that holds the height: ArduCopter takes it as a climb rate."""
 
 
-class Mode(IntEnum):
-    """Flight modes by ArduCopter's numbers."""
-
-    STABILIZE = 0
-    GUIDED = 4
-    LAND = 9
-
-
-class Guidance(Enum):
-    """What GUIDED follows."""
-
-    HOLD = auto()
-    TAKEOFF = auto()
-    VELOCITY = auto()
-    ATTITUDE = auto()
-
-
 class FlyingVehicle:
     """One vehicle in vehicle time; :meth:`loop` is its main loop.
 
     `frame` and `parameters` say how it flies, `log` takes what it logs, `say` its texts (severity, text).
     """
 
-    def __init__(self, frame: Frame, parameters: FlightParameters, log: FlightLog, *, seed: int = 1) -> None:
+    def __init__(self, frame: Frame, parameters: FlightParameters, log: Log, *, seed: int = 1) -> None:
         self.frame, self.parameters, self._log = frame, parameters, log
         rotors = rotors_of(frame, int(parameters["FRAME_TYPE"]))
         heading = math.radians(parameters["SIM_OPOS_HDG"])

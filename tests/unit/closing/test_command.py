@@ -19,7 +19,7 @@ def test_placeholders_become_files_of_the_round_port_and_speed() -> None:
         "arducopter --model x:{frame} --defaults {here}/my.parm,{params} --speedup {speedup} --base-port {port} {log}"
     )
     assert filled(given) == [
-        "copter", "--model", "x:frame.json", "--defaults", "/home/me/my.parm,sim.parm", "--speedup", "4",
+        "arducopter", "--model", "x:frame.json", "--defaults", "/home/me/my.parm,sim.parm", "--speedup", "4",
         "--base-port", "5760", "log.bin",
     ]  # fmt: skip
 

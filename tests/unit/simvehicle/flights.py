@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mavcal.service.simvehicle.flight.flightlog import LOOP_HZ, FlightLog
+from mavcal.service.simvehicle.flight.flightlog import FlightLog
 from mavcal.service.simvehicle.flight.frame import frame_of
+from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Mode
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
-from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle, Mode
+from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
 
 TARGET_S = 0.1
 
