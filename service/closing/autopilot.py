@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -59,6 +60,8 @@ class Autopilot(ABC):
     """Thrust of an attitude that holds the height."""
     thrust_parameter: str
     """Parameter that says it; empty: it is always the same."""
+    quiet: Mapping[str, float]
+    """Parameters that end the log of a vehicle that is disarmed."""
 
     @abstractmethod
     def guide(self, to: Target) -> Any:
@@ -83,6 +86,7 @@ class ArduPilot(Autopilot):
     guided = 4
     climbs_by_itself = True
     hover_thrust, thrust_parameter = 0.5, ""
+    quiet: Mapping[str, float] = {"LOG_DISARMED": 0.0}
 
     def guide(self, to: Target) -> Any:
         """GUIDED."""
@@ -95,6 +99,7 @@ class Px4(Autopilot):
     guided = _PX4_MAIN_OFFBOARD << 16
     climbs_by_itself = False
     hover_thrust, thrust_parameter = 0.5, "MPC_THR_HOVER"
+    quiet: Mapping[str, float] = {}  # it logs from arming to disarming
 
     def guide(self, to: Target) -> Any:
         """Offboard."""

@@ -180,6 +180,12 @@ class Conversation:
         self.run(2 * TRY_S, lambda: request, until=lambda: name in self._parameters)
         return self._parameters.get(name, otherwise)
 
+    def stop_logging(self) -> None:
+        """Nothing more is to be logged: else a logger that is behind never catches up. Whoever cannot, goes on."""
+        for name, value in self.way.quiet.items():
+            real = dialect.MAV_PARAM_TYPE_REAL32
+            self.send(dialect.MAVLink_param_set_message(*self.to, name.encode(), value, real))
+
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter. Raises SimulatorUnarmed if the vehicle does not take it."""
         self.doing = f"setting {name}"

@@ -23,9 +23,8 @@ def find_log(folder: Path) -> Path:
     LogUnusable
         If there is none.
     """
-    named = folder / LOG
     below = [file for file in folder.rglob("*") if file.suffix.lower() in _ENDINGS]
-    found = [file for file in ([named] if named.is_file() else below) if _is_log(file)]
+    found = _logs(folder, below)
     if not found:
         seen = ", ".join(file.name for file in below) or "no .bin or .ulg file"
         raise LogUnusable(
@@ -33,6 +32,17 @@ def find_log(folder: Path) -> Path:
             "its working folder; ArduPilot's logs lie in logs/, PX4's in log/"
         )
     return max(found, key=lambda file: file.stat().st_mtime)
+
+
+def _logs(folder: Path, below: list[Path]) -> list[Path]:
+    named = folder / LOG
+    return [file for file in ([named] if named.is_file() else below) if _is_log(file)]
+
+
+def logged_bytes(folder: Path) -> int:
+    """How much the simulator has logged so far; 0 where nothing is to be seen."""
+    found = _logs(folder, [file for file in folder.rglob("*") if file.suffix.lower() in _ENDINGS])
+    return max((file.stat().st_size for file in found), default=0)
 
 
 def _is_log(file: Path) -> bool:

@@ -14,7 +14,7 @@ from mavcal.service.closing.command import FRAME, PARAMETERS, SimulatorCommand
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import SimulatorError, WrongCommand
 from mavcal.service.closing.link import VehicleLink
-from mavcal.service.closing.logs import find_log, read_log
+from mavcal.service.closing.logs import find_log, logged_bytes, read_log
 from mavcal.service.closing.mission import Mission, standard_mission
 from mavcal.service.closing.pilot import Pilot
 from mavcal.service.closing.rounds import Outcome, RoundResult, WorkFolder, measured, outcome_of
@@ -28,6 +28,9 @@ CONNECT = f"tcp:127.0.0.1:{PORT}"
 HEARTBEAT_S = 60.0
 """Wall seconds for a simulator to start. Chosen, not measured: Gazebo needs some 20."""
 _TELL_EVERY_S = 0.5
+_LOG_QUIET_S, _LOG_MOST_S = 0.7, 30.0
+"""Wall seconds without growth after which a log is whole, and the most that is waited. Chosen, not measured: the logger
+of ArduPilot writes many times a second."""
 
 Told = Callable[[str, float, float | None], None]
 """What is being done, the part of it that is done (0..1), and the seconds that are left, None if nobody knows."""
@@ -154,6 +157,7 @@ class Closing:
                     vehicle = Conversation(link, simulator.check, flight.told)
                     by_link = {} if plan.command.has("params") else settings.parameters
                     Pilot(vehicle, plan.mission).fly(by_link)
+                    _let_log_end(vehicle, folder)
             except SimulatorError as error:
                 raise error.with_output(simulator.last_lines()) from error
             simulator.stop()
@@ -183,6 +187,18 @@ class _FlightClock:
         share = min(done / self._seconds, 1.0)
         spent = time.monotonic() - self._began
         self._told(f"flying ({doing})", share, spent * (1.0 - share) / share if share > 0.0 else None)
+
+
+def _let_log_end(vehicle: Conversation, folder: Path) -> None:
+    """Wait until the log does not grow any more: faster than real time, a firmware's logger is seconds behind."""
+    vehicle.doing = "waiting for the log"
+    vehicle.stop_logging()
+    size, since, end = -1, time.monotonic(), time.monotonic() + _LOG_MOST_S
+    while time.monotonic() < min(since + _LOG_QUIET_S, end):
+        vehicle.pump()
+        now = logged_bytes(folder)
+        if now != size:
+            size, since = now, time.monotonic()
 
 
 def _check(plan: ClosingPlan) -> None:

@@ -211,7 +211,8 @@ class FlyingVehicle:
         self.estimate.follow(resting=not self.flying)
         self.mixer.follow(self.battery.voltage, DT)
         self._fly()
-        self._log.loop(self)
+        if self.armed or self.parameters["LOG_DISARMED"]:
+            self._log.loop(self)
         wind = self.wind.advance(DT)
         dt = DT / SUBSTEPS
         for _ in range(SUBSTEPS):
