@@ -37,7 +37,7 @@ COMMANDS = {
     "inspect": "Show what is in a recording, and whether its sensors are sound.",
     "convert": "Turn a recording into a table.",
     "gap": "Diagnose where a real sensor differs from a simulated one, and why.",
-    "simulate": "A simulated flight controller on a socket, or a synthetic recording.",
+    "simulate": "A simulated flight controller or a flying vehicle on a socket, or a synthetic recording.",
     "audit": "Check that the audit trail is as it was written.",
     "config": "Show the settings, or their schema.",
     "doctor": "Check this machine for what the service needs.",

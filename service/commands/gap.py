@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcal.service.commands.gap_close import command as close
 from mavcal.service.commands.gap_selftest import command as selftest
 from mavcal.service.commands.gauge import Gauge
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
@@ -242,4 +243,5 @@ def _show_verified(verified: Verified) -> None:
         click.echo(f"! {warning}")
 
 
+command.add_command(close, "close")
 command.add_command(selftest, "selftest")

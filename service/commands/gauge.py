@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TextIO
 
@@ -13,18 +15,22 @@ _WIDTH = 78
 """Columns of the line."""
 
 
-class Gauge:
-    """Writes to a terminal how far a diagnosis is; writes nothing where there is none.
+class Line:
+    """One line of a terminal whose text changes.
 
     Parameters
     ----------
     stream
         Where to; None: stderr.
+    quiet_s
+        Where there is no terminal, a text becomes a line of its own if so many seconds have passed since the one
+        before; None: nothing is written.
     """
 
-    def __init__(self, stream: TextIO | None = None) -> None:
+    def __init__(self, stream: TextIO | None = None, quiet_s: float | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
-        self._last = ""
+        self._quiet_s = quiet_s
+        self._last, self._when = "", -math.inf
 
     def __enter__(self) -> Self:
         return self
@@ -32,18 +38,31 @@ class Gauge:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._write("")
+        self.clear()
+
+    def write(self, text: str) -> None:
+        """In the place of what was written before."""
+        if text == self._last:
+            return
+        if self._stream.isatty():
+            self._stream.write(f"\r{text[:_WIDTH]:{_WIDTH}}\r")
+        elif text and self._quiet_s is not None and time.monotonic() - self._when > self._quiet_s:
+            self._when = time.monotonic()
+            self._stream.write(f"{text}\n")
+        self._stream.flush()
+        self._last = text
+
+    def clear(self) -> None:
+        """Make room for what stays."""
+        self.write("")
+
+
+class Gauge(Line):
+    """Writes to a terminal how far a diagnosis is; writes nothing where there is none."""
 
     def show(self, standing: GapProgress) -> None:
         """In the place of what was shown before."""
-        self._write(sentence(standing))
-
-    def _write(self, text: str) -> None:
-        if text == self._last or not self._stream.isatty():
-            return
-        self._stream.write(f"\r{text[:_WIDTH]:{_WIDTH}}\r")
-        self._stream.flush()
-        self._last = text
+        self.write(sentence(standing))
 
 
 def sentence(standing: GapProgress) -> str:

@@ -32,8 +32,9 @@ class _OfVehicle(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Those of the vehicle, then --help."""
-        from mavcal.service.simvehicle import options
+        from mavcal.service import simvehicle
 
+        options = simvehicle.flight_options if self.name == "flight" else simvehicle.options
         own = self.get_help_option(ctx)
         shown = None if own is None else own.get_help_record(ctx)
         with formatter.section("Options"):
@@ -50,6 +51,19 @@ def vehicle(arguments: tuple[str, ...]) -> int:
     from mavcal.service.simvehicle import run
 
     return run(arguments)
+
+
+@command.command(cls=_OfVehicle, options_metavar="[OPTIONS]", context_settings={"ignore_unknown_options": True})
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED, metavar="")
+def flight(arguments: tuple[str, ...]) -> int:
+    """A simulated ArduCopter that flies and writes a DataFlash log, until it is stopped.
+
+    It prints one line of JSON with its address, and its clock begins when a ground station is heard. It takes the frame
+    files and SIM_* parameters of ArduPilot's SITL, as far as they concern the airframe of a quadrotor.
+    """
+    from mavcal.service.simvehicle import fly
+
+    return fly(arguments)
 
 
 def _numbers(count: int) -> Callable[[click.Context, click.Parameter, str | None], tuple[float, ...] | None]:

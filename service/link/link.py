@@ -45,7 +45,8 @@ _MERGED_S = 0.2
 """Batches are joined over so much time at most: what is in a batch counts as received with the last of it."""
 
 
-def _transport(endpoint: Endpoint) -> Transport:
+def transport_of(endpoint: Endpoint) -> Transport:
+    """What carries the bytes of an endpoint, not yet open. Raises EndpointError for an impossible option."""
     host_port = (endpoint.host, endpoint.port)
     match endpoint.kind:
         case EndpointKind.UDPIN:
@@ -109,7 +110,7 @@ class Link:
         self._store_timestamp = store_timestamp
         self._stored_timestamp = signing.timestamp if signing else 0
         self._confirmation: asyncio.Future[None] | None = None
-        self._transport = _transport(self.endpoint)
+        self._transport = transport_of(self.endpoint)
         self._recorder: TlogRecorder | None = None
         self._reader: Reader | None = None
         self._first_state: asyncio.Future[StateChange] | None = None

@@ -27,6 +27,8 @@ __all__ = [
     "SimulatedVehicle",
     "SimulatedVehicleError",
     "StartError",
+    "flight_options",
+    "fly",
     "free_udp_port",
     "options",
     "run",
@@ -38,6 +40,21 @@ def options() -> list[tuple[str, str]]:
     from mavcal.service.simvehicle.__main__ import described
 
     return described()
+
+
+def flight_options() -> list[tuple[str, str]]:
+    """What :func:`fly` takes: each option with its values, and what it is for."""
+    from mavcal.service.simvehicle.__main__ import described
+    from mavcal.service.simvehicle.flight.run import parser
+
+    return described(parser())
+
+
+def fly(arguments: Sequence[str]) -> int:
+    """Be a simulated vehicle that flies until it is told to stop; the exit code."""
+    from mavcal.service.simvehicle.flight.run import main
+
+    return main(arguments)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -37,10 +37,10 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def described() -> list[tuple[str, str]]:
-    """Each option with its values, and what it is for."""
+def described(of: argparse.ArgumentParser | None = None) -> list[tuple[str, str]]:
+    """Each option with its values, and what it is for; of the other vehicle's command line where `of` is given."""
     found = []
-    for action in parser()._actions:
+    for action in (of or parser())._actions:
         if action.dest == "help":
             continue
         values = f"[{'|'.join(action.choices)}]" if action.choices else action.metavar or ""

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDING = re.compile(r"[\w-]+\.(bin|csv|log|mat|npz|tlog|ulg)", re.IGNORECASE)
-OWN = {"service.log", "flight.tlog", "fake.tlog", "fleet.csv", "mavcal-fleet.csv"}
+OWN = {"service.log", "flight.tlog", "fake.tlog", "fleet.csv", "mavcal-fleet.csv", "log.bin"}
 """The service's own files and addresses, and the example of an endpoint."""
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import io
 
 from mavcal.calib.gap import GapProgress, GapStage
-from mavcal.service.commands.gauge import Gauge, sentence
+from mavcal.service.commands.gauge import Gauge, Line, sentence
 
 HALF = GapProgress(GapStage.SELECTION, 0.5, 20.4)
 
@@ -38,3 +38,12 @@ def test_what_is_no_terminal_stays_empty() -> None:
     with Gauge(stream) as gauge:
         gauge.show(HALF)
     assert stream.getvalue() == ""
+
+
+def test_without_a_terminal_long_work_says_a_line_now_and_then() -> None:
+    stream = io.StringIO()
+    with Line(stream, quiet_s=60.0) as line:
+        line.write("round 0, flying: 1 % done")
+        line.write("round 0, flying: 2 % done")
+        line.clear()
+    assert stream.getvalue() == "round 0, flying: 1 % done\n"

@@ -1,0 +1,115 @@
+"""How each firmware is flown by a program: ArduPilot in GUIDED, PX4 in offboard.
+
+ArduPilot takes the thrust of SET_ATTITUDE_TARGET as a climb rate about 0.5, PX4 as thrust. PX4 enters offboard only
+while targets arrive, and has no take-off there: it is flown up.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+VELOCITY_AND_YAW = 0b1001_1100_0111
+"""type_mask: position, acceleration and yaw rate are to be ignored."""
+ATTITUDE_ONLY = 0b0000_0111
+"""type_mask: body rates are to be ignored."""
+_PX4_MAIN_OFFBOARD = 6
+_CUSTOM = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+Target = tuple[int, int]
+
+
+def velocity_target(ms: int, to: Target, north: float, east: float, down: float, *, yaw: float) -> Any:
+    """SET_POSITION_TARGET_LOCAL_NED of a velocity, m/s, and a heading, rad."""
+    zeros = (0.0, 0.0, 0.0)
+    return dialect.MAVLink_set_position_target_local_ned_message(
+        ms, *to, dialect.MAV_FRAME_LOCAL_NED, VELOCITY_AND_YAW, *zeros, north, east, down, *zeros, yaw, 0.0
+    )
+
+
+def attitude_target(ms: int, to: Target, euler: tuple[float, float, float], thrust: float) -> Any:
+    """SET_ATTITUDE_TARGET of roll, pitch, yaw, rad."""
+    cr, cp, cy = (math.cos(0.5 * angle) for angle in euler)
+    sr, sp, sy = (math.sin(0.5 * angle) for angle in euler)
+    q = [
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    ]
+    return dialect.MAVLink_set_attitude_target_message(ms, *to, ATTITUDE_ONLY, q, 0.0, 0.0, 0.0, thrust)
+
+
+def command(to: Target, number: int, *parameters: float) -> Any:
+    """COMMAND_LONG."""
+    padded = (*parameters, *(0.0,) * (7 - len(parameters)))
+    return dialect.MAVLink_command_long_message(*to, number, 0, *padded)
+
+
+class Autopilot(ABC):
+    """One firmware's way; every method gives the message to send."""
+
+    guided: int
+    """Custom mode of its heartbeat while a program flies it."""
+    climbs_by_itself: bool
+    """Whether a command takes it off; else a velocity does."""
+    hover_thrust: float
+    """Thrust of an attitude that holds the height."""
+    thrust_parameter: str
+    """Parameter that says it; empty: it is always the same."""
+    quiet: Mapping[str, float]
+    """Parameters that end the log of a vehicle that is disarmed."""
+
+    @abstractmethod
+    def guide(self, to: Target) -> Any:
+        """Have it obey a program."""
+
+    def arm(self, to: Target) -> Any:
+        """Arm."""
+        return command(to, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+
+    def take_off(self, to: Target, height: float) -> Any:
+        """Take off to `height`, m; only where it :attr:`climbs_by_itself`."""
+        return command(to, dialect.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)
+
+    def land(self, to: Target) -> Any:
+        """Land where it is."""
+        return command(to, dialect.MAV_CMD_NAV_LAND)
+
+
+class ArduPilot(Autopilot):
+    """ArduCopter."""
+
+    guided = 4
+    climbs_by_itself = True
+    hover_thrust, thrust_parameter = 0.5, ""
+    quiet: Mapping[str, float] = {"LOG_DISARMED": 0.0}
+
+    def guide(self, to: Target) -> Any:
+        """GUIDED."""
+        return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, self.guided)
+
+
+class Px4(Autopilot):
+    """PX4's multicopters."""
+
+    guided = _PX4_MAIN_OFFBOARD << 16
+    climbs_by_itself = False
+    hover_thrust, thrust_parameter = 0.5, "MPC_THR_HOVER"
+    quiet: Mapping[str, float] = {}  # it logs from arming to disarming
+
+    def guide(self, to: Target) -> Any:
+        """Offboard."""
+        return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, _PX4_MAIN_OFFBOARD)
+
+
+CLIMB = 1.5
+"""m/s, with which a vehicle is flown up that does not take off by itself."""
+
+
+def autopilot_of(heartbeat: Any) -> Autopilot:
+    """Who sent this heartbeat: PX4, else it is taken for ArduPilot."""
+    return Px4() if heartbeat.autopilot == dialect.MAV_AUTOPILOT_PX4 else ArduPilot()

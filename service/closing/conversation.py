@@ -1,0 +1,205 @@
+"""The conversation with one vehicle: what it says of itself, by its own clock, and what it is told again and again."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from mavcal.calib.wire import Message
+from mavcal.service.closing import autopilot as ways
+from mavcal.service.closing.errors import MissionLeft, SimulatorSilent, SimulatorUnarmed
+from mavcal.service.closing.link import VehicleLink
+from mavcal.service.errors import LinkDown
+
+ATTITUDE_HZ, POSITION_HZ = 50.0, 25.0
+SILENT_S = 20.0
+"""Wall seconds without a state of the vehicle after which it hangs. Chosen, not measured."""
+TRY_S = 1.0
+"""Vehicle seconds between two tries."""
+_STREAMS_S = 2.0
+_TRIM_S = 1.0
+_TEXTS = 8
+HINT = "Run the simulator by hand and look at it."
+
+
+@dataclass
+class VehicleState:
+    """What was heard last: time since its boot (s), height (m), attitude and its mean over a second (rad)."""
+
+    t: float = 0.0
+    height: float = 0.0
+    euler: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    trim: tuple[float, float] = (0.0, 0.0)
+    armed: bool = False
+    mode: int = -1
+
+
+class Conversation:
+    """With the vehicle behind `link`, whose heartbeat was heard.
+
+    `check` raises if the simulator has ended; `told` hears the seconds since the beginning and what is being done.
+    """
+
+    def __init__(self, link: VehicleLink, check: Callable[[], None], told: Callable[[float, str], None]) -> None:
+        assert link.heartbeat is not None
+        self._link, self._check, self._told = link, check, told
+        self.to = link.target
+        self.way = ways.autopilot_of(link.heartbeat)
+        self.state = VehicleState()
+        self.doing = "connecting"
+        self.flying = False
+        """While it flies it must stay armed and in the mode in which it obeys."""
+        self._texts: deque[str] = deque(maxlen=_TEXTS)
+        self._parameters: dict[str, float] = {}
+        self._heard = time.monotonic()
+        self._began = 0.0
+
+    def begin(self) -> None:
+        """Ask for the vehicle's state until it comes. Raises SimulatorSilent if it does not."""
+        streams = (
+            (dialect.MAVLINK_MSG_ID_ATTITUDE, ATTITUDE_HZ),
+            (dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, POSITION_HZ),
+        )
+        self._heard, asked = time.monotonic(), -math.inf
+        while not self.state.t:
+            if time.monotonic() - asked > _STREAMS_S:
+                asked = time.monotonic()
+                for number, hz in streams:
+                    self.send(ways.command(self.to, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / hz))
+            self._listen()
+        self._began = self.state.t
+
+    def _listen(self) -> None:
+        """Take in what has arrived."""
+        self._check()
+        if time.monotonic() - self._heard > SILENT_S:
+            raise SimulatorSilent(
+                f"the vehicle has sent no state for {SILENT_S:g} s, {self.where()}.{self.said()} {HINT}"
+            )
+        try:
+            for message in self._link.poll():
+                self._take(message)
+        except LinkDown as error:
+            self._broken(error)
+
+    def pump(self) -> None:
+        """Listen until the vehicle's clock has moved.
+
+        Raises
+        ------
+        SimulatorSilent
+            If it does not move any more.
+        MissionLeft
+            If the vehicle does something else than it is told.
+        """
+        before = self.state.t
+        while self.state.t == before:
+            self._listen()
+        self._told(self.state.t - self._began, self.doing)
+
+    def _broken(self, error: LinkDown) -> None:
+        self._check()  # a simulator that has ended is the better reason
+        raise SimulatorSilent(f"the connection broke {self.where()}: {error}.{self.said()} {HINT}") from error
+
+    def _take(self, message: Message) -> None:
+        state, name = self.state, message.get_type()
+        if name == "ATTITUDE":
+            self._move_on(message.time_boot_ms)
+            state.euler = (message.roll, message.pitch, message.yaw)
+        elif name == "LOCAL_POSITION_NED":
+            self._move_on(message.time_boot_ms)
+            state.height = -message.z
+        elif name == "HEARTBEAT":
+            state.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+            state.mode = int(message.custom_mode)
+            if self.flying:
+                self._still_ours()
+        elif name == "STATUSTEXT":
+            self._texts.append(_text(message.text))
+        elif name == "PARAM_VALUE":
+            self._parameters[_text(message.param_id)] = float(message.param_value)
+
+    def _move_on(self, ms: int) -> None:
+        state, t = self.state, 1e-3 * ms
+        share = min(max((t - state.t) / _TRIM_S, 0.0), 1.0)
+        roll, pitch = state.trim
+        state.trim = roll + share * (state.euler[0] - roll), pitch + share * (state.euler[1] - pitch)
+        state.t = t
+        self._heard = time.monotonic()
+
+    def _still_ours(self) -> None:
+        if not self.state.armed:
+            raise MissionLeft(f"the vehicle disarmed in the air {self.where()}: it has crashed.{self.said()} {HINT}")
+        if self.state.mode != self.way.guided:
+            raise MissionLeft(
+                f"the vehicle left the mode in which it is flown ({self.way.guided}) for {self.state.mode}, "
+                f"{self.where()}.{self.said()} Look for a failsafe."
+            )
+
+    def where(self) -> str:
+        """How far it is, in words."""
+        return f"{self.state.t - self._began:.0f} s into the mission ({self.doing})"
+
+    def said(self) -> str:
+        """What the vehicle said in words, as a sentence with a space before."""
+        return f" It said: {'; '.join(self._texts)}." if self._texts else " It said nothing in words."
+
+    def send(self, message: Message) -> None:
+        """Send one message."""
+        try:
+            self._link.send(message)
+        except LinkDown as error:
+            self._broken(error)
+
+    def run(
+        self,
+        seconds: float,
+        target: Callable[[], Message] | None = None,
+        every: float = TRY_S,
+        until: Callable[[], bool] = lambda: False,
+    ) -> bool:
+        """So many seconds of the vehicle's clock with a repeated message; True as soon as `until` says so."""
+        begin, last = self.state.t, -math.inf
+        while self.state.t < begin + seconds:
+            if until():
+                return True
+            if target is not None and self.state.t - last >= every:
+                last = self.state.t
+                self.send(target())
+            self.pump()
+        return until()
+
+    def parameter(self, name: str, otherwise: float) -> float:
+        """The value of a parameter of the vehicle; `otherwise` if it does not say it."""
+        request = dialect.MAVLink_param_request_read_message(*self.to, name.encode(), -1)
+        self.run(2 * TRY_S, lambda: request, until=lambda: name in self._parameters)
+        return self._parameters.get(name, otherwise)
+
+    def stop_logging(self) -> None:
+        """Nothing more is to be logged: else a logger that is behind never catches up. Whoever cannot, goes on."""
+        for name, value in self.way.quiet.items():
+            real = dialect.MAV_PARAM_TYPE_REAL32
+            self.send(dialect.MAVLink_param_set_message(*self.to, name.encode(), value, real))
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a parameter. Raises SimulatorUnarmed if the vehicle does not take it."""
+        self.doing = f"setting {name}"
+        self._parameters.pop(name, None)
+        request = dialect.MAVLink_param_set_message(*self.to, name.encode(), value, dialect.MAV_PARAM_TYPE_REAL32)
+        self.run(4 * TRY_S, lambda: request, until=lambda: name in self._parameters)
+        answer = self._parameters.get(name)
+        if answer is None or not math.isclose(answer, value, rel_tol=1e-5, abs_tol=1e-9):
+            raise SimulatorUnarmed(
+                f"the vehicle did not take {name} {value:g} over MAVLink (it answered {answer}). Has this simulator "
+                "such a parameter? Where it reads a file, give it {params}"
+            )
+
+
+def _text(value: bytes | str) -> str:
+    raw = value.encode() if isinstance(value, str) else value
+    return raw.split(b"\0")[0].decode("utf-8", "replace")

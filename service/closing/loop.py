@@ -1,0 +1,215 @@
+"""The loop: fly the simulator, diagnose the real flight against it, set what differs, fly again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from mavcal.calib.gap.schema import GapReport, as_json
+from mavcal.calib.recording import Recording
+from mavcal.service.closing.command import FRAME, PARAMETERS, SimulatorCommand
+from mavcal.service.closing.conversation import Conversation
+from mavcal.service.closing.errors import SimulatorError, WrongCommand
+from mavcal.service.closing.link import VehicleLink
+from mavcal.service.closing.logs import find_log, logged_bytes, read_log
+from mavcal.service.closing.mission import Mission, standard_mission
+from mavcal.service.closing.pilot import Pilot
+from mavcal.service.closing.rounds import Outcome, RoundResult, WorkFolder, measured, outcome_of
+from mavcal.service.closing.settings import SimSettings
+from mavcal.service.closing.simulator import Simulator, free_port
+from mavcal.service.errors import EndpointError
+from mavcal.service.link import parse_endpoint
+
+PORT = "{port}"
+CONNECT = f"tcp:127.0.0.1:{PORT}"
+HEARTBEAT_S = 60.0
+"""Wall seconds for a simulator to start. Chosen, not measured: Gazebo needs some 20."""
+_TELL_EVERY_S = 0.5
+_LOG_QUIET_S, _LOG_MOST_S = 0.7, 30.0
+"""Wall seconds without growth after which a log is whole, and the most that is waited. Chosen, not measured: the logger
+of ArduPilot writes many times a second."""
+
+Told = Callable[[str, float, float | None], None]
+"""What is being done, the part of it that is done (0..1), and the seconds that are left, None if nobody knows."""
+
+
+class Diagnose(Protocol):
+    """Says where the real flight differs from the simulated one; its effects carry what to set (`sim_patch`)."""
+
+    def __call__(
+        self, real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, told: Told
+    ) -> GapReport:
+        """`frame` has the keys of the frame file that was flown; further files may be left in `folder`."""
+        ...
+
+
+@dataclass(frozen=True)
+class ClosingPlan:
+    """What is closed: the real flight against `command`.
+
+    `rounds` counts flights with a remedy, after the first one with the settings of `start`; `connect` is an endpoint in
+    which ``{port}`` stands for the free port of a round.
+    """
+
+    real: Recording
+    real_sha256: str
+    command: SimulatorCommand
+    work: Path
+    here: Path
+    start: SimSettings = field(default_factory=SimSettings)
+    rounds: int = 3
+    connect: str = CONNECT
+    speedup: float = 4.0
+    mission: Mission = field(default_factory=standard_mission)
+    heartbeat_s: float = HEARTBEAT_S
+
+
+@dataclass(frozen=True)
+class ClosingResult:
+    """The rounds, and why there are no more."""
+
+    outcome: Outcome
+    rounds: tuple[RoundResult, ...]
+
+
+class Closing:
+    """Closes the loop of `plan`. `told` hears round, doing, share and seconds left.
+
+    Raises
+    ------
+    WrongCommand
+        If command and endpoint do not fit together.
+    OtherClosing
+        If the work folder belongs to another loop.
+    """
+
+    def __init__(
+        self,
+        plan: ClosingPlan,
+        diagnose: Diagnose,
+        told: Callable[[int, str, float, float | None], None] = lambda *_: None,
+        done: Callable[[RoundResult], None] = lambda _result: None,
+    ) -> None:
+        self._plan, self._diagnose, self._on_told, self._on_done = plan, diagnose, told, done
+        _check(plan)
+        identity = {
+            "real_sha256": plan.real_sha256,
+            "command": plan.command.text,
+            "start": {"parameters": dict(plan.start.parameters), "frame": dict(plan.start.frame)},
+        }
+        self._folder = WorkFolder(plan.work, identity)
+        self._number = 0
+        self._last_told = 0.0
+
+    def run(self) -> ClosingResult:
+        """Every round until nothing material is left, or the rounds are used up.
+
+        Raises
+        ------
+        SimulatorError
+            If the simulator cannot be flown; the rounds before are kept.
+        """
+        results: list[RoundResult] = []
+        settings = self._plan.start
+        while True:
+            self._number = len(results)
+            result = self._folder.result(self._number, settings) or self._round(settings)
+            results.append(result)
+            self._on_done(result)
+            outcome = outcome_of(results, self._plan.rounds)
+            if outcome is not None:
+                self._folder.tell(self._number, outcome.value, 1.0, 0.0)
+                return ClosingResult(outcome, tuple(results))
+            settings = result.to_set
+
+    def _round(self, settings: SimSettings) -> RoundResult:
+        log = self._folder.flown(self._number, settings)
+        if log is None:
+            log = self._fly(settings)
+            self._folder.keep_flown(self._number, settings, log)
+        folder = self._folder.round_folder(self._number)
+        sim = read_log(log)
+        self._last_told = 0.0
+        report = self._diagnose(self._plan.real, sim, frame=settings.frame, folder=folder, told=self._tell)
+        result = measured(
+            self._number, report, settings, str(log.relative_to(folder)), with_frame=self._plan.command.has("frame")
+        )
+        self._folder.keep(result, as_json(report))
+        return result
+
+    def _fly(self, settings: SimSettings) -> Path:
+        """Start the simulator, fly the mission, end the simulator; the log that it left."""
+        plan, folder = self._plan, self._folder.begin_round(self._number)
+        settings.write(folder / PARAMETERS, folder / FRAME)
+        port = free_port()
+        endpoint = parse_endpoint(plan.connect.replace(PORT, str(port)))
+        arguments = plan.command.arguments(port=port, speedup=plan.speedup, here=plan.here)
+        self._last_told = 0.0
+        self._tell("starting the simulator", 0.0, None)
+        with Simulator(arguments, folder) as simulator:
+            try:
+                with VehicleLink(endpoint) as link:
+                    link.connect(plan.heartbeat_s, simulator.check)
+                    flight = _FlightClock(plan.mission.seconds, self._tell)
+                    vehicle = Conversation(link, simulator.check, flight.told)
+                    by_link = {} if plan.command.has("params") else settings.parameters
+                    Pilot(vehicle, plan.mission).fly(by_link)
+                    _let_log_end(vehicle, folder)
+            except SimulatorError as error:
+                raise error.with_output(simulator.last_lines()) from error
+            simulator.stop()
+            try:
+                return find_log(folder)
+            except SimulatorError as error:
+                raise error.with_output(simulator.last_lines()) from error
+
+    def _tell(self, doing: str, share: float, left_s: float | None) -> None:
+        now = time.monotonic()
+        if now - self._last_told < _TELL_EVERY_S:
+            return
+        self._last_told = now
+        self._folder.tell(self._number, doing, share, left_s)
+        self._on_told(self._number, doing, share, left_s)
+
+
+class _FlightClock:
+    """How far a flight is, and how long the rest takes on the wall's clock."""
+
+    def __init__(self, seconds: float, told: Told) -> None:
+        self._seconds, self._told = seconds, told
+        self._began = time.monotonic()
+
+    def told(self, done: float, doing: str) -> None:
+        """So many seconds of the mission are done."""
+        share = min(done / self._seconds, 1.0)
+        spent = time.monotonic() - self._began
+        self._told(f"flying ({doing})", share, spent * (1.0 - share) / share if share > 0.0 else None)
+
+
+def _let_log_end(vehicle: Conversation, folder: Path) -> None:
+    """Wait until the log does not grow any more: faster than real time, a firmware's logger is seconds behind."""
+    vehicle.doing = "waiting for the log"
+    vehicle.stop_logging()
+    size, since, end = -1, time.monotonic(), time.monotonic() + _LOG_MOST_S
+    while time.monotonic() < min(since + _LOG_QUIET_S, end):
+        vehicle.pump()
+        now = logged_bytes(folder)
+        if now != size:
+            size, since = now, time.monotonic()
+
+
+def _check(plan: ClosingPlan) -> None:
+    if PORT in plan.connect and not plan.command.has("port"):
+        raise WrongCommand(
+            "the simulator's command has no {port}, so nobody knows where it listens: write {port} where its MAVLink "
+            "port belongs, or say where it is by --connect, such as udpin:127.0.0.1:14550"
+        )
+    if plan.start.frame and not plan.command.has("frame"):
+        raise WrongCommand("a frame file is given, and the simulator's command has no {frame}")
+    try:
+        parse_endpoint(plan.connect.replace(PORT, "5760"))
+    except EndpointError as error:
+        raise WrongCommand(str(error)) from error

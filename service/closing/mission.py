@@ -1,0 +1,89 @@
+"""What is flown: legs of velocity or attitude, one after the other, in seconds of the vehicle's clock.
+
+Velocities are along the heading at take-off (ahead, right, down), so that out and back lie along the body's axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Leg:
+    """So many seconds of one target: a velocity, m/s, or a lean away from the trim, deg.
+
+    `turn` is the heading from that at take-off, deg. A leg with `until_height` ends there, m, or after `seconds`.
+    """
+
+    name: str
+    seconds: float
+    ahead: float = 0.0
+    right: float = 0.0
+    down: float = 0.0
+    turn: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+    leans: bool = False
+    until_height: float | None = None
+
+
+@dataclass(frozen=True)
+class Mission:
+    """Rest, take-off, legs, landing, rest. Times in s, heights in m."""
+
+    legs: tuple[Leg, ...]
+    rest_s: float = 10.0
+    height: float = 8.0
+    rest_after_s: float = 7.0
+
+    @property
+    def seconds(self) -> float:
+        """About how long it takes, take-off and landing included."""
+        up_and_down = self.height / _UP + _LANDING_S
+        return self.rest_s + up_and_down + sum(leg.seconds for leg in self.legs) + self.rest_after_s
+
+
+_UP = 1.5
+"""Mean climb of a take-off, m/s. Source: ArduPilot's simulator."""
+_LANDING_S = 10.0
+LOW = 2.0
+"""Where the landing begins, m: from here at 0.45 m/s the last seconds are within a rotor's radius of the ground."""
+
+
+def standard_mission() -> Mission:
+    """The manoeuvres of AIRFRAME 5.10: every effect of the airframe shows in one of them."""
+    climbs = [leg for speed in (2.0, 3.0, 4.0) for leg in _out_and_back("climb", down=-speed, seconds=3.0)]
+    ahead = [leg for speed in (8.0, 4.0) for leg in _out_and_back("ahead", ahead=speed, seconds=4.0)]
+    aside = [leg for speed in (8.0, 4.0) for leg in _out_and_back("aside", right=speed, seconds=4.0)]
+    turns = [Leg("turn", 2.5, turn=90.0 * k) for k in (1, 2, 3, 4)]
+    doublets = [leg for axis in ("roll", "pitch") for _ in range(3) for leg in _doublet(axis)]
+    legs = (
+        Leg("hover", 10.0),
+        *climbs,
+        Leg("hover", 1.5),
+        *ahead,
+        Leg("hover", 1.5),
+        *aside,
+        Leg("hover", 2.0),
+        *turns,
+        Leg("hover", 1.5),
+        *doublets,
+        Leg("hover", 6.0),
+        Leg("descent", 10.0, down=2.0, until_height=LOW),
+        Leg("hover", 1.5),
+    )
+    return Mission(legs)
+
+
+def _out_and_back(name: str, *, seconds: float, ahead: float = 0.0, right: float = 0.0, down: float = 0.0) -> list[Leg]:
+    out = Leg(f"{name} out", seconds, ahead, right, down)
+    return [out, Leg(f"{name} back", seconds + 0.5 * (down == 0.0), -ahead, -right, -down)]
+
+
+def _doublet(axis: str) -> list[Leg]:
+    """20 degrees one way, 20 the other, level."""
+    leans = [(20.0, 0.35), (-20.0, 0.35), (0.0, 0.4)]
+    return [
+        Leg(f"{axis} doublet", s, roll=angle * (axis == "roll"), pitch=angle * (axis == "pitch"), leans=True)
+        for angle, s in leans
+    ]

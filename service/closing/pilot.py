@@ -1,0 +1,134 @@
+"""Flies a mission over MAVLink, by the vehicle's own clock: a simulator may run faster than the wall's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from mavcal.calib.wire import Message
+from mavcal.service.closing import autopilot as ways
+from mavcal.service.closing.conversation import HINT, TRY_S, Conversation
+from mavcal.service.closing.errors import MissionLeft, SimulatorUnarmed
+from mavcal.service.closing.mission import Leg, Mission
+
+VELOCITY_EVERY_S, LEAN_EVERY_S = 0.1, 0.02
+"""How often a target is repeated, s of the vehicle: it must not time out, and a doublet's edges must be sharp."""
+ARM_S = 150.0
+"""Vehicle seconds for arming: estimators of simulators need some 40."""
+_OBEY_S = 0.4
+_TAKEOFF_S, _LAND_S = 30.0, 60.0
+_NEARLY = 0.5
+
+
+class Pilot:
+    """Flies `mission` with the vehicle of a conversation."""
+
+    def __init__(self, vehicle: Conversation, mission: Mission) -> None:
+        self._vehicle, self._mission = vehicle, mission
+        self._heading = 0.0
+        self._trim = (0.0, 0.0)
+
+    def fly(self, settings: Mapping[str, float] | None = None) -> None:
+        """The whole mission; `settings` are parameters that are set first, over MAVLink.
+
+        Raises
+        ------
+        SimulatorSilent
+            If the vehicle falls silent.
+        SimulatorUnarmed
+            If it refuses to arm, or a parameter.
+        MissionLeft
+            If it does something else, or takes too long.
+        """
+        vehicle = self._vehicle
+        vehicle.begin()
+        for name, value in (settings or {}).items():
+            vehicle.set_parameter(name, value)
+        way = vehicle.way
+        if way.thrust_parameter:
+            way.hover_thrust = vehicle.parameter(way.thrust_parameter, way.hover_thrust)
+        vehicle.doing = "resting"
+        vehicle.run(self._mission.rest_s)
+        self._arm()
+        self._take_off()
+        for leg in self._mission.legs:
+            self._fly_leg(leg)
+        self._land()
+        vehicle.doing = "resting"
+        vehicle.run(self._mission.rest_after_s)
+
+    def _arm(self) -> None:
+        """Have it obey, then arm, again and again."""
+        vehicle, way = self._vehicle, self._vehicle.way
+        vehicle.doing, begin = "arming", vehicle.state.t
+        still = None if way.climbs_by_itself else lambda: self._velocity(0.0, 0.0, 0.0)  # else it obeys nobody
+        while not vehicle.state.armed:
+            if vehicle.state.t - begin > ARM_S:
+                raise SimulatorUnarmed(
+                    f"the vehicle did not arm within {ARM_S:g} s of its clock.{vehicle.said()} Set what it misses by "
+                    "--params, or in the simulator's own defaults"
+                )
+            vehicle.run(0.0 if still is None else TRY_S, still, VELOCITY_EVERY_S)
+            vehicle.send(way.guide(vehicle.to))
+            vehicle.run(_OBEY_S, still, VELOCITY_EVERY_S)
+            vehicle.send(way.arm(vehicle.to))
+            vehicle.run(TRY_S, still, VELOCITY_EVERY_S, lambda: vehicle.state.armed)
+        self._heading = vehicle.state.euler[2]
+
+    def _take_off(self) -> None:
+        vehicle, way, height = self._vehicle, self._vehicle.way, self._mission.height
+        vehicle.doing = "taking off"
+
+        def high() -> bool:
+            return vehicle.state.height > height - _NEARLY
+
+        if way.climbs_by_itself:
+            vehicle.run(TRY_S)
+            vehicle.send(way.take_off(vehicle.to, height))
+            there = vehicle.run(_TAKEOFF_S, until=high)
+        else:
+            there = vehicle.run(_TAKEOFF_S, lambda: self._velocity(0.0, 0.0, -ways.CLIMB), VELOCITY_EVERY_S, high)
+        if not there:
+            raise MissionLeft(
+                f"the vehicle is at {vehicle.state.height:.1f} m after {_TAKEOFF_S:g} s of take-off to {height:g} m."
+                f"{vehicle.said()} Can it carry its weight with these settings?"
+            )
+        vehicle.flying = True
+
+    def _fly_leg(self, leg: Leg) -> None:
+        vehicle, low = self._vehicle, leg.until_height
+        vehicle.doing = leg.name
+        yaw = self._heading + math.radians(leg.turn)
+        if leg.leans:
+            euler = (self._trim[0] + math.radians(leg.roll), self._trim[1] + math.radians(leg.pitch), yaw)
+            vehicle.run(leg.seconds, lambda: self._attitude(euler), LEAN_EVERY_S)
+            return
+        c, s = math.cos(self._heading), math.sin(self._heading)
+        north, east = c * leg.ahead - s * leg.right, s * leg.ahead + c * leg.right
+
+        def reached() -> bool:
+            return low is not None and vehicle.state.height < low
+
+        vehicle.run(leg.seconds, lambda: self._velocity(north, east, leg.down, yaw), VELOCITY_EVERY_S, reached)
+        self._trim = vehicle.state.trim  # of a hover before doublets: wind leans it
+
+    def _velocity(self, north: float, east: float, down: float, yaw: float | None = None) -> Message:
+        heading = self._heading if yaw is None else yaw
+        return ways.velocity_target(self._ms, self._vehicle.to, north, east, down, yaw=heading)
+
+    def _attitude(self, euler: tuple[float, float, float]) -> Message:
+        return ways.attitude_target(self._ms, self._vehicle.to, euler, self._vehicle.way.hover_thrust)
+
+    @property
+    def _ms(self) -> int:
+        return round(1e3 * self._vehicle.state.t)
+
+    def _land(self) -> None:
+        vehicle = self._vehicle
+        vehicle.doing, vehicle.flying = "landing", False
+        landing = vehicle.way.land(vehicle.to)
+        if not vehicle.run(_LAND_S, lambda: landing, _LAND_S, lambda: not vehicle.state.armed):
+            raise MissionLeft(
+                f"the vehicle is still armed {_LAND_S:g} s after the landing began, at {vehicle.state.height:.1f} m."
+                f"{vehicle.said()} {HINT}"
+            )

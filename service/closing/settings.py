@@ -1,0 +1,93 @@
+"""What is set in the simulator: parameters and keys of its frame file, given, then patched round by round."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mavcal.calib.gap.schema import EffectEstimate
+from mavcal.service.closing.errors import WrongCommand
+
+FRAME = "frame_json"
+"""Key of a patch under which the frame file's keys stand."""
+_ELSEWHERE = ("sdf",)
+"""Tables of a patch for simulators that take neither parameters nor a frame file."""
+LOGGING: Mapping[str, float] = {"LOG_BITMASK": 407189, "LOG_DISARMED": 1, "LOG_FILE_DSRMROT": 0}
+"""ArduPilot: everything that a diagnosis needs, at full rate, with the rest before and after (AIRFRAME 3.1, and the
+compass). They stand before all others, so that whoever gives other values has them."""
+
+
+@dataclass(frozen=True)
+class SimSettings:
+    """Parameters by name, and keys of the frame file, as the simulator of one round has them."""
+
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    frame: Mapping[str, Any] = field(default_factory=dict)
+
+    def patched(self, effects: Iterable[EffectEstimate]) -> SimSettings:
+        """With the `sim_patch` of every effect; values of a patch are absolute, and the last one of a name holds."""
+        parameters, frame = dict(self.parameters), dict(self.frame)
+        for effect in effects:
+            for name, value in effect.sim_patch.items():
+                if name == FRAME:
+                    frame.update(value)
+                elif name not in _ELSEWHERE:
+                    parameters[name] = float(value)
+        return SimSettings(parameters, frame)
+
+    def changed_from(self, other: SimSettings) -> dict[str, tuple[Any, Any]]:
+        """By name: the value before (None: not set) and now."""
+        before = {**other.parameters, **other.frame}
+        now = {**self.parameters, **self.frame}
+        return {name: (before.get(name), value) for name, value in now.items() if before.get(name) != value}
+
+    def write(self, parameters: Path, frame: Path) -> None:
+        """Both files, as ArduPilot's simulator reads them."""
+        lines = [f"{name} {value:.9g}" for name, value in {**LOGGING, **self.parameters}.items()]
+        parameters.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        frame.write_text(json.dumps(dict(self.frame), indent=1) + "\n", encoding="utf-8")
+
+
+def read_settings(parameters: Path | None, frame: Path | None) -> SimSettings:
+    """The settings that the first round begins with; None: nothing is set.
+
+    Raises
+    ------
+    WrongCommand
+        If a file cannot be read as one of its kind.
+    """
+    return SimSettings({} if parameters is None else _parameters(parameters), {} if frame is None else _frame(frame))
+
+
+def _parameters(file: Path) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for number, line in enumerate(_text(file).splitlines(), start=1):
+        parts = line.partition("#")[0].replace(",", " ").split()
+        if not parts:
+            continue
+        try:
+            found[parts[0]] = float(parts[1])
+        except (IndexError, ValueError) as error:
+            raise WrongCommand(f"{file.name}, line {number}: {line.strip()!r} is not NAME VALUE") from error
+    return found
+
+
+def _frame(file: Path) -> dict[str, Any]:
+    bare = "\n".join(line.partition("#")[0] for line in _text(file).splitlines())
+    try:
+        found = json.loads(bare)
+    except ValueError as error:
+        raise WrongCommand(f"{file.name} is no JSON: {error}") from error
+    if not isinstance(found, dict):
+        raise WrongCommand(f"{file.name} must hold one object with the keys of a frame file, such as mass")
+    return found
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise WrongCommand(f"{file} cannot be read: {error.strerror}") from error

@@ -1,0 +1,114 @@
+"""The simulator as a process group of its own: started in the folder of its round, watched, and ended for certain."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from mavcal.service.closing.errors import SimulatorEnded, SimulatorMissing
+from mavcal.service.lifetime import ending_with_us
+
+OUTPUT = "simulator.txt"
+"""What it wrote, in the folder of its round."""
+LAST_LINES, LAST_BYTES = 12, 4000
+GRACE_S = 5.0
+"""From SIGTERM to SIGKILL: a simulator closes its log meanwhile. Chosen, not measured."""
+_LOOK_S = 0.05
+
+
+class Simulator:
+    """A running simulator; a context manager that leaves none of its processes behind.
+
+    Raises
+    ------
+    SimulatorMissing
+        If the command cannot be started.
+    """
+
+    def __init__(self, arguments: Sequence[str], folder: Path) -> None:
+        self._name, self._output = arguments[0], folder / OUTPUT
+        self._stopped = False
+        with self._output.open("wb") as output:
+            try:
+                self._process = subprocess.Popen(  # noqa: S603 - the user's own command is what was asked for
+                    list(arguments),
+                    cwd=folder,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    env=ending_with_us(),
+                    start_new_session=True,
+                )
+            except OSError as error:
+                raise SimulatorMissing(
+                    f"{self._name} cannot be started: {error.strerror}. It runs in {folder}: give its full path, and "
+                    "name other files by {here}/FILE"
+                ) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def check(self) -> None:
+        """Raise SimulatorEnded if it has ended by itself."""
+        status = self._process.poll()
+        if status is not None:
+            how = f"by signal {-status}" if status < 0 else f"with exit code {status}"
+            raise SimulatorEnded(f"{self._name} ended {how} before its flight was over. Run the command by hand.")
+
+    def last_lines(self) -> str:
+        """The end of what it wrote."""
+        try:
+            with self._output.open("rb") as file:
+                file.seek(max(self._output.stat().st_size - LAST_BYTES, 0))
+                text = file.read().decode(errors="replace")
+        except OSError:
+            return ""
+        lines = [line.rstrip() for line in text.splitlines() if line.strip()]
+        return "\n".join(f"  {line}" for line in lines[-LAST_LINES:])
+
+    def stop(self) -> None:
+        """End the whole group: SIGTERM, a grace, SIGKILL; harmless if repeated."""
+        if self._stopped:
+            return
+        group = self._process.pid  # a session's leader gives its group its number
+        self._signal(group, signal.SIGTERM)
+        end = time.monotonic() + GRACE_S
+        while _lives(group) and time.monotonic() < end:
+            self._process.poll()  # a zombie would count as living
+            time.sleep(_LOOK_S)
+        self._signal(group, signal.SIGKILL)
+        self._process.wait()
+        self._stopped = True
+
+    @staticmethod
+    def _signal(group: int, number: int) -> None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(group, number)
+
+
+def _lives(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except (ProcessLookupError, PermissionError):
+        return False
+    return True
+
+
+def free_port() -> int:
+    """A TCP port of loopback that nobody listens on now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
