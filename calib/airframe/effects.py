@@ -69,6 +69,16 @@ ODDS: Final = 0.05
 about one."""
 
 
+IDS: Final = frozenset(
+    {
+        "thrust_scale", "thrust_expo", "rotor_drag", "body_drag", "inflow", "translational_lift", "inertia",
+        "cg_offset", "motor_weak", "torque_bias", "yaw_coefficient", "angular_damping", "battery_sag", "motor_lag",
+        "actuator_delay", "wind",
+    }
+)  # fmt: skip
+"""Every name that the catalogue can give."""
+
+
 def catalogue(layout: Layout, *, rotors_damp: bool, hover_gain: Sequence[float]) -> tuple[AirframeEffect, ...]:
     """Every effect for a vehicle of that many motors.
 

@@ -11,15 +11,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+from mavcal.calib.airframe.diagnose import airframe_gap
+from mavcal.calib.airframe.effects import IDS as AIRFRAME_IDS
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.companion.compensation import problem_of
 from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
+from mavcal.calib.gap.joined import joined
 from mavcal.calib.gap.progress import DEFAULT_LIMIT_S, GapPace, GapProgress, GapStage
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import GapReport, as_json
-from mavcal.calib.recording import Recording
+from mavcal.calib.recording import Recording, Sensor
 
 __all__ = [
     "DEFAULT_LIMIT_S",
@@ -45,8 +48,9 @@ def run(
     nested: bool = True,
     inputs: Mapping[str, str] | None = None,
     pace: GapPace | None = None,
+    frame: str | None = None,
 ) -> GapReport:
-    """The gap between a real recording and its reference.
+    """The gap between a real recording and its reference: sensors, and airframe and air where both recordings fly.
 
     Parameters
     ----------
@@ -67,6 +71,8 @@ def run(
         sha256 of the files, by role (``real``, ``sim``), for the report.
     pace
         How long it may take, and who hears how far it is; None: as long as it takes.
+    frame
+        A frame of :data:`calib.airframe.geometry.NAMED` for recordings that do not say theirs.
 
     Raises
     ------
@@ -75,17 +81,22 @@ def run(
         not exist.
     """
     effects = catalogue()
-    if unknown_ids := sorted(set(without) - {effect.id for effect in effects}):
+    if unknown_ids := sorted(set(without) - {effect.id for effect in effects} - AIRFRAME_IDS):
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(unknown_ids)}")
     selected = tuple(effect for effect in effects if effect.id not in without)
     pace = pace or GapPace()
     pace.begin(GapStage.REFERENCE)
+    flown = None
+    if sim is not None and _flies(real) and _flies(sim):
+        flown = airframe_gap(real, sim, without=without, frame=frame)
     digests = dict(inputs or {})
     try:
         problem = dataclasses.replace(problem_of(real, sim, nominal, alpha, pace), inputs=digests)
+        report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace)
     except IncomparableError as error:
-        return untestable(error.reason, error.need, digests)
-    report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace)
+        report = untestable(error.reason, error.need, digests)
+    if flown is not None:
+        report = joined(report, flown, real)
     return with_patches(report, simulator_of(real, sim), vehicle=real.parameters.final())
 
 
@@ -96,3 +107,9 @@ def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:
     """
     found = (r.parameters.final() for r in (sim, real) if r is not None)
     return next((p for p in found if any(name.startswith(("SIM_", "SIH_")) for name in p)), {})
+
+
+def _flies(recording: Recording) -> bool:
+    """Whether the recording may be of a flight: it says what motors were told."""
+    told = any(c.sensor == Sensor.MOTOR and c.values.any() for c in recording.channels)
+    return told or any(c.sensor == Sensor.CONTROL for c in recording.dynamics)

@@ -1,0 +1,190 @@
+"""One report of sensors, airframe and air: the posterior of the flights beside the contest of the sensors.
+
+The airframe is asked first. What its force explains, what both units feel alike and rest does not show is taken from
+the sensors; what only one unit shows stays a sensor's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+from scipy.stats import chi2
+
+from mavcal.calib.airframe.answer import Domain
+from mavcal.calib.airframe.diagnose import LIKELY
+from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundValue, NoAirframe
+from mavcal.calib.gap.schema import (
+    EffectEstimate,
+    EffectEvidence,
+    GapReport,
+    GapVerdict,
+    NotTestable,
+    ParameterEstimate,
+    Rival,
+    SequenceStep,
+    Shrink,
+    Unknown,
+)
+from mavcal.calib.gap.witness import not_borne_out
+from mavcal.calib.recording import Recording, Sensor
+
+_Z95: Final = 1.959964
+_LEAST_P: Final = 1e-300
+
+
+def joined(report: GapReport, answer: AirframeAnswer | NoAirframe, real: Recording) -> GapReport:
+    """The sensors' report with airframe and air.
+
+    Parameters
+    ----------
+    report
+        Of the sensors; `not_testable` where nothing could be compared.
+    answer
+        Of the airframe.
+    real
+        The recording that both are of.
+    """
+    if isinstance(answer, NoAirframe):
+        gone = NotTestable("airframe", answer.reason, answer.need)
+        return replace(report, not_testable=(*report.not_testable, gone))
+    shared = not_borne_out(report, real)
+    sensors = tuple(e for e in report.effects if e not in shared)
+    found = (*map(_estimate, answer.found), *_of_the_day(answer, shared))
+    effects = _with_shares((*found, *sensors))
+    unknown = _unknown(report, answer, sensors)
+    warnings = (*report.warnings, *(_withdrawn(e) for e in shared), *answer.warnings)
+    return replace(
+        report,
+        verdict=_verdict(report, effects, unknown, answer),
+        effects=effects,
+        where=_where(report, sensors),
+        unknown=unknown,
+        shrink=_shrink(report, answer),
+        not_testable=(*report.not_testable, *(NotTestable(m.id, m.reason, m.need) for m in _once(answer))),
+        multiple_testing=replace(report.multiple_testing, m=report.multiple_testing.m + answer.tested),
+        warnings=warnings,
+        airframe=answer.part,
+    )
+
+
+def _once(answer: AirframeAnswer) -> Iterator[NotTestable]:
+    seen: set[str] = set()
+    for one in answer.missing:
+        if one.id not in seen:
+            seen.add(one.id)
+            yield NotTestable(one.id, one.reason, one.need)
+
+
+def _estimate(found: FoundEffect) -> EffectEstimate:
+    rivals = tuple(
+        Rival(r.id, max(0.0, min(1.0, 1.0 - r.nats / max(found.nats, 1e-9))), 2.0 * r.nats, r.fix)
+        for r in found.rivals
+    )
+    evidence = EffectEvidence(
+        two_delta_loglik=2.0 * found.nats,
+        df=found.df,
+        p_adj=max(float(chi2.sf(2.0 * found.nats, max(found.df, 1))), _LEAST_P),
+        probability=found.probability,
+        share=found.share,
+    )
+    return EffectEstimate(
+        id=found.id,
+        sensor=None,
+        instances=found.motors,
+        params=tuple(map(_parameter, found.values)),
+        evidence=evidence,
+        confusable_with=rivals,
+        domain=found.domain,
+    )
+
+
+def _parameter(value: FoundValue) -> ParameterEstimate:
+    low, high = value.value - _Z95 * value.sd, value.value + _Z95 * value.sd
+    ratio = 1.0 + value.value if value.relative else None
+    interval = (1.0 + low, 1.0 + high) if value.relative else None
+    return ParameterEstimate(
+        value.name, value.value, value.sd, (low, high), value.unit, value.real, value.sim, ratio, interval
+    )
+
+
+def _of_the_day(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> Iterator[EffectEstimate]:
+    """Turbulence, and jumps of the estimator."""
+    loud = answer.turbulence
+    noisy = any(e.sensor == Sensor.ACCEL for e in shared)
+    if loud is not None and (loud.of_air or noisy):
+        sigma = math.sqrt(max(loud.real**2 - loud.sim**2, 0.0))
+        value = FoundValue("sigma", sigma, 0.1 * sigma, "m/s2", False, loud.real, loud.sim)
+        chance = 1.0 if loud.shared is not None else 0.9
+        yield _estimate(FoundEffect("turbulence", Domain.ENVIRONMENT, (), (value,), 0.0, 1, chance, 0.0))
+    if answer.jumps:
+        worst = max(answer.jumps, key=lambda j: j.size)
+        values = (
+            FoundValue("t", worst.t, 0.2, "s", False),
+            FoundValue("size", worst.size, 0.1, "m/s", False),
+        )
+        yield _estimate(FoundEffect("ekf_reset", Domain.ENVIRONMENT, (), values, 0.0, 1, 1.0, 0.0))
+
+
+def _with_shares(effects: tuple[EffectEstimate, ...]) -> tuple[EffectEstimate, ...]:
+    """Each effect's part of the evidence of all."""
+    total = math.fsum(e.evidence.two_delta_loglik for e in effects)
+    if total <= 0.0:
+        return effects
+    return tuple(
+        replace(e, evidence=replace(e.evidence, share=e.evidence.two_delta_loglik / total)) for e in effects
+    )
+
+
+def _unknown(report: GapReport, answer: AirframeAnswer, sensors: tuple[EffectEstimate, ...]) -> Unknown:
+    """What has no name in the flight; that of the sensors where a sensor's effect stands beside it."""
+    if answer.unknown and answer.nameless >= LIKELY:
+        return Unknown(True, answer.unknown_share, answer.unknown)
+    left = report.unknown
+    flown = any(w in left.shape for w in ("accel", "gyro")) and not sensors
+    return replace(left, flag=False, share=0.0, shape="") if left.flag and flown else left
+
+
+def _withdrawn(effect: EffectEstimate) -> str:
+    return (
+        f"{effect.id} is not a sensor's: the units feel it alike, and not at rest; it counts as airframe or air"
+    )
+
+
+def _where(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> tuple:  # type: ignore[type-arg]
+    kept = {str(e.sensor) for e in sensors}
+    inertial = {str(Sensor.ACCEL), str(Sensor.GYRO)}
+    return tuple(w for w in report.where if w.channel.split(".")[0] not in inertial or w.channel.split(".")[0] in kept)
+
+
+def _verdict(
+    report: GapReport, effects: tuple[EffectEstimate, ...], unknown: Unknown, answer: AirframeAnswer
+) -> GapVerdict:
+    named = [e for e in effects if e.domain is not Domain.ENVIRONMENT]
+    if named:
+        return GapVerdict.PARTLY_EXPLAINED if unknown.flag else GapVerdict.EXPLAINED
+    if unknown.flag:
+        return GapVerdict.UNKNOWN
+    return GapVerdict.NO_GAP if answer.tested else report.verdict
+
+
+def _shrink(report: GapReport, answer: AirframeAnswer) -> Shrink | None:
+    """How far the predicted flight improves, where the airframe has the gap; else that of the sensors."""
+    held = answer.heldout
+    if held is None or held.before <= 0.0 or not any(f.domain is Domain.AIRFRAME for f in answer.found):
+        return report.shrink
+    sequence = tuple(SequenceStep(name, 1.0 - left / held.before) for name, left in held.sequence)
+    closed = 1.0 - held.after / held.before
+    return Shrink(
+        before=held.before,
+        after=held.after,
+        floor=0.0,
+        floor_source="a fit without a simulator",
+        closed=closed,
+        ci95=None,
+        nested=False,
+        sequence=sequence,
+        rms=report.shrink.rms if report.shrink is not None else {},
+    )

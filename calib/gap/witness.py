@@ -1,0 +1,117 @@
+"""Is an effect of a sensor borne out by the other units and by rest, or does every unit feel it in flight only?
+
+What two inertial units see alike and rest does not is no sensor: it is the airframe or the air (AIRFRAME 5.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.gap.schema import FIRST, EffectEstimate, GapReport, SeriesFit
+from mavcal.calib.recording import Channel, Recording, Sensor
+
+Array = NDArray[np.float64]
+
+_INERTIAL: Final = (Sensor.ACCEL, Sensor.GYRO)
+_NOISE: Final = ("noise", "walk", "flicker", "vibration", "tone", "aliasing")
+"""Ends of the ids of effects that act on noise."""
+_OWN: Final = 0.25
+"""Part of a residual's variance that the difference of two units must have so that it is a unit's own noise. Chosen,
+not measured: half of what independent noise would have."""
+_FOLLOWS: Final = 0.5
+"""Slope of the difference of two units on an effect from which on the difference follows it. Source: nearer to 1, which
+is what the effect says, than to 0."""
+_SAME_TIME_S: Final = 0.003
+"""s between samples of two units that count as one moment. Source: one loop at 400 Hz."""
+_REST: Final = 0.03
+"""m/s2 by which the norm at rest may differ from gravity. Source: local gravity."""
+
+
+def not_borne_out(report: GapReport, real: Recording) -> tuple[EffectEstimate, ...]:
+    """Effects of inertial sensors that every unit shows alike, and only in flight."""
+    return tuple(
+        effect
+        for effect in report.effects
+        if effect.sensor in _INERTIAL and not _borne_out(effect, report, real)
+    )
+
+
+def _borne_out(effect: EffectEstimate, report: GapReport, real: Recording) -> bool:
+    sensor = effect.sensor
+    assert sensor is not None
+    units = {c.instance: c for c in _best(real, sensor)}
+    own = [i - FIRST for i in effect.instances if i - FIRST in units]
+    others = [i for i in units if i not in own]
+    series = [s for s in report.series if s.sensor == sensor and set(s.instances) & set(effect.instances)]
+    if not own or not series:
+        return True
+    if effect.id.endswith(_NOISE):
+        return _of_one_unit(units, own, others or own[1:], series)
+    if others:
+        return _follows(units[own[0]], units[others[0]], series[0], effect.id)
+    if sensor == Sensor.ACCEL and effect.id.endswith(("bias", "scale")):
+        return any(_off_at_rest(units[i], real) for i in own)
+    return True
+
+
+def _best(real: Recording, sensor: Sensor) -> Iterable[Channel]:
+    for instance in real.instances(sensor):
+        yield real.channel(sensor, instance)
+
+
+def _of_one_unit(units: dict[int, Channel], own: list[int], beside: list[int], series: list[SeriesFit]) -> bool:
+    """Whether the units' difference has a fair part of what is left of the effect's own unit."""
+    if not beside:
+        return True
+    difference = _difference(units[own[0]], units[beside[0]])
+    if difference is None:
+        return True
+    t, d = difference
+    inside = (t >= series[0].t[0]) & (t <= series[0].t[-1])
+    left = series[0].residual - series[0].modelled
+    if inside.sum() < 50:
+        return True
+    return bool(np.nanvar(d[inside], axis=0).sum() > _OWN * np.nanvar(left, axis=0).sum())
+
+
+def _difference(first: Channel, second: Channel) -> tuple[Array, Array] | None:
+    """First minus second unit (N, 3) at the moments that both have; None where they share too few."""
+    rows = np.clip(np.searchsorted(first.t, second.t), 1, max(len(first) - 1, 1))
+    before = np.abs(first.t[rows - 1] - second.t) < np.abs(first.t[rows] - second.t)
+    rows = rows - before
+    same = np.abs(first.t[rows] - second.t) < _SAME_TIME_S
+    if same.sum() < 50:
+        return None
+    return second.t[same], first.values[rows[same]] - second.values[same]
+
+
+def _follows(own: Channel, other: Channel, series: SeriesFit, id_: str) -> bool:
+    """Whether the difference of the units follows what the effect says of its unit."""
+    part = next((p for name, p in series.parts.items() if name.startswith(id_)), None)
+    difference = _difference(own, other)
+    if part is None or difference is None or not np.ptp(part, axis=0).any():
+        return True
+    t, d = difference
+    inside = (t >= series.t[0]) & (t <= series.t[-1])
+    says = np.column_stack([np.interp(t[inside], series.t, part[:, k]) for k in range(3)])
+    steady = np.abs(says.mean(axis=0)) > says.std(axis=0)
+    x = np.where(steady, says, says - says.mean(axis=0)).ravel()
+    y = np.where(steady, d[inside], d[inside] - d[inside].mean(axis=0)).ravel()
+    size = float(x @ x)
+    return size == 0.0 or float(x @ y) / size > _FOLLOWS
+
+
+def _off_at_rest(channel: Channel, real: Recording) -> bool:
+    """Whether gravity reads wrong before the vehicle arms for the first time; True where nothing says so."""
+    armed = next((e.t for e in real.events if e.kind == "armed"), None)
+    if armed is None:
+        return True
+    still = channel.values[(channel.t < armed - 0.5) & (channel.t > armed - 30.0)]
+    if len(still) < 20:
+        return True
+    return bool(abs(float(np.linalg.norm(np.median(still, axis=0))) - STANDARD_GRAVITY) > _REST)
