@@ -32,7 +32,7 @@ _AROUND_S: Final = 1.5
 
 @dataclass(frozen=True)
 class Turbulence:
-    """Root mean square of the open force in :data:`BAND_HZ`, m/s2, of both flights; `shared` by both units, None: one."""
+    """Root mean square of the open force in :data:`BAND_HZ`, m/s2; `shared` by both units, None: one."""
 
     real: float
     sim: float

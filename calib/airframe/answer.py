@@ -1,4 +1,4 @@
-"""Parts of a gap report that only the airframe has: domain, geometry, commands, error of the predicted flight, traces."""
+"""Parts of a gap report that only the airframe has: domain, geometry, commands, predicted flight, traces."""
 
 from __future__ import annotations
 

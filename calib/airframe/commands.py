@@ -77,7 +77,7 @@ def _logged(recording: Recording, parameters: Mapping[str, float], count: int) -
         factor = float(parameters.get("THR_MDL_FAC", 0.0))
         c = _inverted(c, factor)
     c = np.clip(c, 0.0, 1.0)
-    limited = ((c <= _AT_LIMIT) | (c >= 1.0 - _AT_LIMIT)).any(axis=1)
+    limited = np.asarray(((c <= _AT_LIMIT) | (c >= 1.0 - _AT_LIMIT)).any(axis=1))
     source = {"RCOU": "rcou", "MOT": "rcou"}.get(motor.source, motor.source)
     return MotorCommands(motor.t, c, limited, source, None)
 

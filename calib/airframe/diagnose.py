@@ -23,8 +23,8 @@ from mavcal.calib.airframe.nameless import GROUPS
 from mavcal.calib.airframe.pair import PairEvidence, Side, sides
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.slew import with_limit
-from mavcal.calib.airframe.told import effects_of, needed_manoeuvres
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
+from mavcal.calib.airframe.told import effects_of, needed_manoeuvres
 from mavcal.calib.inference.search import Answer, search
 from mavcal.calib.recording import Recording
 
@@ -84,7 +84,10 @@ def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
     parameters = {name: float(value) for name, value in recording.parameters.final().items()}
     geometry = geometry_of(parameters, frame)
     if geometry is None:
-        return NoAirframe("no multicopter frame is told that has a model here", "FRAME_CLASS and FRAME_TYPE of a quad, hexa or octa, CA_ROTORn_*, or --frame")
+        return NoAirframe(
+            "no multicopter frame is told that has a model here",
+            "FRAME_CLASS and FRAME_TYPE of a quad, hexa or octa, CA_ROTORn_*, or --frame",
+        )
     commands = commands_of(recording, geometry)
     if commands is None or commands.rate_hz <= 0.0:
         return NoAirframe("no commands of the motors are logged", needed_log(recording))
@@ -170,7 +173,9 @@ def _answer(
     commands = real.flight.commands
     part = AirframePart(
         geometry=real.flight.geometry,
-        commands=Commands(commands.source, round(commands.rate_hz, 1), commands.check_us, float(real.flight.limited.mean())),
+        commands=Commands(
+            commands.source, round(commands.rate_hz, 1), commands.check_us, float(real.flight.limited.mean())
+        ),
         rollout=parted.rollouts,
         wind=(float(theta[layout.place["wind_north"]]), float(theta[layout.place["wind_east"]])),
         manoeuvres=needed_manoeuvres(found, untestable),
@@ -202,7 +207,11 @@ def _unnamed(answer: Answer, found: Sequence[FoundEffect]) -> tuple[str, float, 
         return "", 0.0, chance
     lost = {name: _lost(answer, name) for name in inside}
     total = sum(lost.values()) + math.fsum(f.nats for f in found)
-    return "; ".join(texts[n] for n in sorted(inside, key=lambda n: -lost[n])), sum(lost.values()) / max(total, 1e-9), chance
+    return (
+        "; ".join(texts[n] for n in sorted(inside, key=lambda n: -lost[n])),
+        sum(lost.values()) / max(total, 1e-9),
+        chance,
+    )
 
 
 def _lost(answer: Answer, name: str) -> float:

@@ -1,7 +1,7 @@
 """The catalogue: each effect of airframe, actuators and air, and what it does to the parameters of a flight.
 
-An effect has amplitudes; it multiplies, divides or shifts parameters of :class:`calib.airframe.physics.Layout`. What the
-simulator's flight has too is no gap: amplitudes are those of the real flight beside the simulated one.
+An effect has amplitudes; it multiplies, divides or shifts parameters of :class:`calib.airframe.physics.Layout`. What
+the simulator's flight has too is no gap: amplitudes are those of the real flight beside the simulated one.
 """
 
 from __future__ import annotations
@@ -148,12 +148,10 @@ def nameless(layout: Layout) -> tuple[AirframeEffect, ...]:
             sd = SIZES["torque" if "torque" in group.id else "force"]
             changes = tuple(Change(k, name, Act.PLUS) for k, name in enumerate(own))
             domain = Domain.ENVIRONMENT if group.of_air else Domain.AIRFRAME
-            made.append(
-                AirframeEffect(
-                    group.id, group.id, tuple(own), (sd,) * len(own), changes, (), domain, ODDS, nameless=True,
-                    torque="torque" in group.id,
-                )  # fmt: skip
-            )
+            torque = "torque" in group.id
+            sds = (sd,) * len(own)
+            one = AirframeEffect(group.id, group.id, tuple(own), sds, changes, (), domain, nameless=True, torque=torque)
+            made.append(one)
     return tuple(made)
 
 

@@ -1,4 +1,4 @@
-"""One flight against the forward model: Gauss-Newton in whitened cosine bins, and what the flight says of every parameter.
+"""One flight against the forward model: Gauss-Newton in whitened cosine bins, and what it says of every parameter.
 
 The residual's own spectrum whitens it (Whittle): turbulence, the estimator's errors and the noise of the sensors are
 learned, not declared. The result is a :class:`FlightFit`, the log-likelihood about the best point.
@@ -45,6 +45,8 @@ _SHORTEST: Final = 0.01
 _ENDS: Final = {"tau": (-0.02, 0.5), "delay": (-0.03, 0.2), "expo": (-0.5, 1.2), "k": (5.0, 200.0), "cg_x": (-0.5, 0.5),
                 "cg_y": (-0.5, 0.5), "spin_up": (-0.1, 0.3)}  # fmt: skip
 """Beyond these a vehicle does not fly, or the formula has no meaning. Source: AIRFRAME 2, sizes on real drones."""
+_NEAR: Final = 2.0
+"""Standard errors from the best point from which on the spectrum can be learned. Chosen, not measured."""
 _CONVERGED: Final = 0.02
 """Change of the best point, in standard errors, below which it stands."""
 _WINDOW: Final = 0.15
@@ -95,8 +97,8 @@ class FlightFit:
     """What a flight says: the best `theta` (P,), and the log-likelihood's curvature there (P, P) without the priors.
 
     `gradient` (P,) is that of the log-likelihood at `theta`. `spectra` are variances of the whitened bins; `residual`
-    (N, 6) of force and torque, nan where it is not used. `free` (P,) are the parameters that were fitted. `trusted` (P, P)
-    is the precision beyond which the model's own errors do not reach (:meth:`FlightLikelihood.trusted`).
+    (N, 6) of force and torque, nan where it is not used. `free` (P,) are the parameters that were fitted. `trusted`
+    (P, P) is the precision beyond which the model's own errors do not reach (:meth:`FlightLikelihood.trusted`).
     """
 
     layout: Layout
@@ -128,7 +130,7 @@ class FlightFit:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One column of force and torque, in which rows it is judged (0 all, 1 lifts, 2 turns), and in which cosine bins."""
+    """One column of force and torque, its rows (0 all, 1 lifts, 2 turns), and its cosine bins."""
 
     column: int
     rows: int
@@ -184,7 +186,12 @@ class FlightLikelihood:
     def possible(self) -> Mask:
         """Parameters that this flight's signals depend on at all (P,)."""
         names = self.airframe.layout.names
-        return np.array([(self.torque or (n not in TORQUE_ONLY and "torque" not in n)) and n != "asymmetry" for n in names]) & self._felt
+        return (
+            np.array(
+                [(self.torque or (n not in TORQUE_ONLY and "torque" not in n)) and n != "asymmetry" for n in names]
+            )
+            & self._felt
+        )
 
     @property
     def _felt(self) -> Mask:
@@ -285,10 +292,11 @@ def fitted(
         theta[layout.place[name]], free[layout.place[name]] = value, False
     free &= likelihood.possible
     mean, sd = (np.array([likelihood.prior(n)[i] for n in layout.names]) for i in (0, 1))
+    white = rounds > _WHITE_ROUNDS
     for turn in range(rounds):
         bins = likelihood.bins(likelihood.residual(theta))
         # a misfit at the start would pass for noise of its own spectrum, and stay
-        white = turn < _WHITE_ROUNDS < rounds
+        white = white and turn < _WHITE_ROUNDS
         spectra = [np.full(len(b), float((b**2).mean())) for b in bins] if white else spectra_of(bins)
         columns = likelihood.jacobian(theta, free)
         curvature, gradient = _normal(columns, bins, spectra)
@@ -299,6 +307,7 @@ def fitted(
         moved = part * float(np.abs(step * np.sqrt(np.diag(hessian))).max())
         if moved < _CONVERGED and not white:
             break
+        white = white and moved > _NEAR
     if expand:
         return expanded(likelihood, theta, free)
     count = len(theta)
@@ -307,11 +316,18 @@ def fitted(
 
 
 def _descended(
-    likelihood: FlightLikelihood, theta: Array, free: Mask, step: Array, spectra: list[Array], prior: tuple[Array, Array]
+    likelihood: FlightLikelihood,
+    theta: Array,
+    free: Mask,
+    step: Array,
+    spectra: list[Array],
+    prior: tuple[Array, Array],
 ) -> tuple[Array, float]:
     """The point after the longest part of the step that does not lose likelihood, and that part."""
     mean, sd = prior
-    low, high = (np.array([_ENDS.get(n, (-np.inf, np.inf))[k] for n in likelihood.airframe.layout.names]) for k in (0, 1))
+    low, high = (
+        np.array([_ENDS.get(n, (-np.inf, np.inf))[k] for n in likelihood.airframe.layout.names]) for k in (0, 1)
+    )
 
     def loss(at: Array) -> float:
         bins = likelihood.bins(likelihood.residual(at))
@@ -374,6 +390,3 @@ def _normal(columns: list[Array], bins: list[Array], spectra: list[Array]) -> tu
     curvature = sum((c / s) @ c.T for c, s in zip(columns, spectra, strict=True))
     gradient = sum((c / s) @ b for c, b, s in zip(columns, bins, spectra, strict=True))
     return np.asarray(curvature), np.asarray(gradient)
-
-
-

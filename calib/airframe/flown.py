@@ -8,19 +8,20 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import prev_fast_len
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
 
+from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.airframe.answer import Geometry
 from mavcal.calib.airframe.commands import MotorCommands
-from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 GRID_HZ: Final = 100.0
-"""Rate at which a flight is judged. Source: filters of 20 to 40 Hz leave nothing above 100 Hz (FLIGHT_CONTROLLERS 2)."""
+"""Rate at which a flight is judged. Source: filters of 20 to 40 Hz; at 200 Hz fits were the same."""
 CLEAR_M: Final = 1.0
 """Height above the ground from which on a flight counts as airborne. Chosen, not measured: above most ground effect."""
 GAP_S: Final = 0.06
@@ -30,7 +31,7 @@ REST_AGREES: Final = 0.03
 """m/s2 by which gravity at rest may differ from an accelerometer that is right. Source: local gravity differs from the
 standard by 0.03 at the poles and at the equator."""
 _STATE_GAP_S: Final = 0.25
-"""The same for the estimator's velocity and attitude, which change slowly. Source: they are logged at 10 Hz and more."""
+"""The same for the estimator's velocity and attitude, which change slowly. Source: logged at 10 Hz and more."""
 _EDGE_S: Final = 0.1
 _MARGIN_S: Final = 1.0
 """Left out after the start and before the end of the airborne span. Chosen, not measured: contact with the ground."""
@@ -129,8 +130,11 @@ def flown(recording: Recording, geometry: Geometry, commands: MotorCommands) -> 
     start = max(span[0], *(c.t[0] for c in (accel, gyro, velocity, attitude)), commands.t[0])
     end = min(span[1], *(c.t[-1] for c in (accel, gyro, velocity, attitude)), commands.t[-1])
     if end - start < _LEAST_S:
-        return Unflown(f"only {max(end - start, 0.0):.0f} s in the air with everything logged", "a flight of 20 s or more")
+        return Unflown(
+            f"only {max(end - start, 0.0):.0f} s in the air with everything logged", "a flight of 20 s or more"
+        )
     t = np.arange(start, end, 1.0 / GRID_HZ)
+    t = t[: prev_fast_len(len(t), real=True)]
     usable = ~(
         _gaps(t, accel.t, GAP_S) | _gaps(t, gyro.t, GAP_S) | _gaps(t, commands.t, max(GAP_S, 2.5 / commands.rate_hz))
         | _gaps(t, velocity.t, _STATE_GAP_S) | _gaps(t, attitude.t, _STATE_GAP_S)
@@ -166,7 +170,9 @@ def _inertial(recording: Recording) -> tuple[int, Channel, Channel] | None:
     for unit in sorted({c.instance for c in streams if c.sensor == Sensor.ACCEL}):
         pair = []
         for sensor in (Sensor.ACCEL, Sensor.GYRO):
-            own = [c for c in streams if c.sensor == sensor and c.instance == unit and c.unit != "counts" and len(c) > 50]
+            own = [
+                c for c in streams if c.sensor == sensor and c.instance == unit and c.unit != "counts" and len(c) > 50
+            ]
             # a filtered stream has its filter named; a bare one of a driver carries no calibration
             own = [c for c in own if c.stage != Stage.RAW or recording.identity.autopilot is None]
             if own:

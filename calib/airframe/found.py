@@ -21,7 +21,7 @@ class FoundValue:
     value: float
     sd: float
     unit: str
-    relative: bool
+    relative: bool = False
     real: float | None = None
     sim: float | None = None
 
@@ -53,7 +53,7 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Nats a sample by which predictions fall short of a free fit on held-out stretches, before and after the effects."""
+    """Nats a sample by which predictions fall short of a free fit on held-out stretches, before and after effects."""
 
     before: float
     after: float

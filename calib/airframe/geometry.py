@@ -41,7 +41,15 @@ _FRAMES: Final[Mapping[tuple[int, int], tuple[tuple[float, int], ...]]] = {
 }  # fmt: skip
 """By FRAME_CLASS and FRAME_TYPE: each motor's angle from the nose, degrees clockwise, and its direction."""
 _CLASSES: Final = {1: "quad", 2: "hexa", 3: "octa"}
-_TYPES: Final = {0: "plus", 1: "x", 3: "h", 12: "betaflight x", 13: "dji x", 14: "clockwise x", 18: "betaflight x reversed"}
+_TYPES: Final = {
+    0: "plus",
+    1: "x",
+    3: "h",
+    12: "betaflight x",
+    13: "dji x",
+    14: "clockwise x",
+    18: "betaflight x reversed",
+}
 _MOST: Final = 8
 NAMED: Final[Mapping[str, tuple[int, int]]] = {
     f"{_CLASSES[c]}-{_TYPES[t].replace(' ', '-')}": (c, t) for c, t in _FRAMES
@@ -79,11 +87,11 @@ def _rotors(parameters: Mapping[str, float]) -> Geometry | None:
         return None
     rotors = []
     for n in range(count):
-        place = tuple(float(parameters.get(f"CA_ROTOR{n}_P{axis}", 0.0)) for axis in "XY")
+        x, y = (float(parameters.get(f"CA_ROTOR{n}_P{axis}", 0.0)) for axis in "XY")
         lean = tuple(float(parameters.get(f"CA_ROTOR{n}_A{axis}", 0.0)) for axis in "XY")
-        if any(lean) or not any(place):
+        if any(lean) or not (x or y):
             return None
-        rotors.append((*place, _CCW if parameters.get(f"CA_ROTOR{n}_KM", 0.05) > 0.0 else _CW))
+        rotors.append((x, y, _CCW if parameters.get(f"CA_ROTOR{n}_KM", 0.05) > 0.0 else _CW))
     arm = max(math.hypot(x, y) for x, y, _ in rotors)
     motors = tuple(Motor(round(x / arm, 6), round(y / arm, 6), spin) for x, y, spin in rotors)
     name = {4: "quad", 6: "hexa", 8: "octa"}.get(count, f"{count} rotors")

@@ -79,9 +79,7 @@ def _steps(evidence: PairEvidence, model: Model, found: Sequence[FoundEffect]) -
     return tuple(steps)
 
 
-def _fold(
-    evidence: PairEvidence, side: Side, model: Model, steps: Sequence[tuple[str, Model]], rows: Mask
-) -> _Fold:
+def _fold(evidence: PairEvidence, side: Side, model: Model, steps: Sequence[tuple[str, Model]], rows: Mask) -> _Fold:
     """Everything fitted again without `rows`, at the noise of the whole flight."""
     inside, outside = (_on(side, kept) for kept in (~rows, rows))
     fit = expanded(inside, side.fit.theta, inside.possible, list(side.fit.spectra))

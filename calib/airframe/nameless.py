@@ -27,7 +27,7 @@ _FORCE, _TORQUE = 0, 3
 
 @dataclass(frozen=True)
 class Group:
-    """One nameless effect: what a report says of it, where it acts, and whether the day makes it rather than the vehicle.
+    """One nameless effect: what a report says of it, and whether the day makes it rather than the vehicle.
 
     `own` groups are columns over time, which mean nothing in another flight.
     """

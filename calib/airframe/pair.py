@@ -2,7 +2,8 @@
 
 Both are held against one model. Its parameters are common (what both flights show is an error of the model, and no
 gap); offsets of the sensors and the place of the unit are each flight's own. An effect changes parameters of the
-real flight. The model is right to so many per cent only (:data:`calib.airframe.fit.RIGHT_TO`), which no length of flight can improve.
+real flight. The model is right to so many per cent only (:data:`calib.airframe.fit.RIGHT_TO`), which no length of
+flight can improve.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ _ONLY_REAL: Final = ("weak_", "pulse_", PREFIX)
 """Parameters that the simulated flight is without."""
 _LOOSEST: Final = 1e-4
 """Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
+
 
 @dataclass(frozen=True, eq=False)
 class Side:
@@ -77,12 +79,12 @@ class PairEvidence:
         return tuple(Block(e.block, e.sd, e.odds, e.nameless, e.exclusive) for e in self.effects)
 
     @cached_property
-    def _places(self) -> Array:
+    def _places(self) -> NDArray[np.intp]:
         """Places of the parameters that both flights have in common."""
         return np.flatnonzero(~self.sim.own)
 
     @cached_property
-    def _common(self) -> tuple[Array, Array, Array]:
+    def _common(self) -> tuple[NDArray[np.intp], Array, Array]:
         """Those of them that are not zero for certain, among the common ones, and their priors."""
         names = [self.sim.fit.layout.names[r] for r in self._places]
         # no motor is weak in both flights, and a voltage that stays tells nothing of a simulator's sag
@@ -148,7 +150,7 @@ class PairEvidence:
         return Posterior(value, z, covariance, where)
 
     def parameters(self, model: Model, posterior: Posterior) -> tuple[Array, Array]:
-        """Common parameters of the real and of the simulated flight (P,) under a model; own ones as they were fitted."""
+        """Parameters of the real and of the simulated flight (P,) under a model; own ones as they were fitted."""
         rows, _, _ = self._common
         places, layout = self._places, self.sim.fit.layout
         sim = self.sim.fit.theta.copy()

@@ -6,7 +6,7 @@ mass or inertia: only ratios can be seen. A parameter vector is one flight's air
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -33,7 +33,17 @@ _PLAIN: Final = (
     "asymmetry", "delay", "scale",
 )  # fmt: skip
 FORCE_ONLY: Final = frozenset(
-    {"cz", "c1", "c2", "ch", "climb", "scale", "wind_north", "wind_east", *(f"{n}_{a}" for n in ("bias", "lever") for a in AXES)}
+    {
+        "cz",
+        "c1",
+        "c2",
+        "ch",
+        "climb",
+        "scale",
+        "wind_north",
+        "wind_east",
+        *(f"{n}_{a}" for n in ("bias", "lever") for a in AXES),
+    }
 )
 TORQUE_ONLY: Final = frozenset(
     {*(f"{n}_{a}" for n in ("gain", "damping", "torque", "cross") for a in AXES), "cg_x", "cg_y", "spin_up", "flap_x",
@@ -138,7 +148,7 @@ class Airframe:
         known = full_voltage is not None and bool(np.isfinite(flight.voltage).all())
         self._log_v = np.log(np.maximum(flight.voltage, 1.0) / full_voltage) if known else np.zeros(len(flight.t))
         self.body_from_local = _body_from_local(flight.q)
-        
+
         self._acceleration = np.gradient(flight.rate, self._dt, axis=0)
         w = flight.rate
         self._products = np.column_stack([w[:, 1] * w[:, 2], w[:, 2] * w[:, 0], w[:, 0] * w[:, 1]])
@@ -196,7 +206,7 @@ class Airframe:
         thrust = unit * np.exp(of("sag") * self._log_v)[:, None] * (1.0 + weak)
         return thrust, (thrust * x if self.kind.yaw_by_command else thrust), np.sqrt(np.clip(unit, 0.0, None))
 
-    def _of(self, theta: Array):  # type: ignore[no-untyped-def]
+    def _of(self, theta: Array) -> Callable[[str], float]:
         place = self.layout.place
         return lambda name: float(theta[place[name]])
 
@@ -215,13 +225,13 @@ class Airframe:
         whole = int(np.floor(steps))
         part = steps - whole
         c = self.flight.c
-        return (1.0 - part) * _shifted(c, whole) + part * _shifted(c, whole + 1)
+        return np.asarray((1.0 - part) * _shifted(c, whole) + part * _shifted(c, whole + 1))
 
     def air_velocity(self, theta: Array) -> Array:
         """Velocity through the air, body axes (N, 3)."""
         of = self._of(theta)
         moving = self.flight.velocity - np.array([of("wind_north"), of("wind_east"), 0.0])
-        return np.einsum("nij,nj->ni", self.body_from_local, moving)
+        return np.asarray(np.einsum("nij,nj->ni", self.body_from_local, moving))
 
     def _rotors(self, theta: Array, thrust: Array) -> tuple[Array, Array, Array]:
         """Specific forces of each rotor along x, y and z, (N, n) each, which act where it is."""

@@ -47,7 +47,12 @@ def folds(airframe: Airframe) -> tuple[Mask, Mask]:
 
 
 def rollouts(
-    airframe: Airframe, held_out: Sequence[tuple[Mask, Sequence[Predicted]]], *, torque: bool, seed: int = 0, part: str = "blocks"
+    airframe: Airframe,
+    held_out: Sequence[tuple[Mask, Sequence[Predicted]]],
+    *,
+    torque: bool,
+    seed: int = 0,
+    part: str = "blocks",
 ) -> tuple[Rollout, ...]:
     """Errors on held-out rows.
 

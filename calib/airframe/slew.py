@@ -72,7 +72,5 @@ def _better(likelihood: FlightLikelihood, theta: Array, side: Side, best: float,
 
 def _limited(likelihood: FlightLikelihood, rate: float | None) -> FlightLikelihood:
     airframe = likelihood.airframe
-    other = Airframe(
-        airframe.flight, airframe.kind, airframe.full_voltage, slew=rate, torque=likelihood.torque
-    )
+    other = Airframe(airframe.flight, airframe.kind, airframe.full_voltage, slew=rate, torque=likelihood.torque)
     return FlightLikelihood(other, likelihood.usable, torque=likelihood.torque)

@@ -26,7 +26,10 @@ _MOST_LIMITED: Final = 0.2
 """Numbers of AIRFRAME 5.8: speed both ways, m/s; speed for a square law (8 m/s reached in part of a flight); climbs;
 span of the collective command; of the voltage; part of a flight in which it is made to turn; part at a limit."""
 _EXTRA: Final[Mapping[str, tuple[str, str]]] = {
-    "ground_effect": ("no height above the ground to 5 cm below 1.5 rotor radii", "3 s of hover below 1.5 rotor radii with a rangefinder"),
+    "ground_effect": (
+        "no height above the ground to 5 cm below 1.5 rotor radii",
+        "3 s of hover below 1.5 rotor radii with a rangefinder",
+    ),
     "air_density": ("the altitude changes by less than 300 m", "a climb of 300 m or more"),
     "payload_step": ("no step of mass is looked for in one flight", "two flights, with and without the load"),
 }  # fmt: skip
@@ -42,7 +45,8 @@ class Missing:
 
 
 TORQUE_IDS: Final = (
-    "motor_weak", "inertia", "cg_offset", "torque_bias", "yaw_coefficient", "angular_damping", "motor_lag", "actuator_delay",
+    "motor_weak", "inertia", "cg_offset", "torque_bias", "yaw_coefficient", "angular_damping", "motor_lag",
+    "actuator_delay",
 )  # fmt: skip
 
 
@@ -55,48 +59,55 @@ def _missing(real: FlightLikelihood, sim: FlightLikelihood) -> Iterator[Missing]
     for id_, (reason, need) in _EXTRA.items():
         yield Missing(id_, reason, need)
     pair = {"real": real, "simulated": sim}
-    log = LOG_BITS if real.airframe.flight.ardupilot else PROFILE_BITS
-    rates = {w: min(f.airframe.flight.command_hz, f.airframe.flight.inertial_hz) for w, f in pair.items()}
-    slow = min(rates, key=lambda w: rates[w])
-    if rates[slow] < TORQUE_HZ:
-        for id_ in TORQUE_IDS:
-            reason = f"commands or gyroscope of the {slow} flight at {rates[slow]:.0f} Hz: torque needs 100 Hz"
-            yield Missing(id_, reason, f"{log}: commands and gyroscope at 100 Hz or more")
-    else:
-        for which, one in pair.items():
-            turning = float(one.turns.mean())
-            if turning < _LEAST_TURNS:
-                need = "sharp roll and pitch doublets and yaw steps, or a chirp of SID_AXIS 10 to 12"
-                for id_ in ("inertia", "yaw_coefficient", "angular_damping", "motor_lag", "actuator_delay"):
-                    reason = f"the {which} vehicle is made to turn in {100 * turning:.0f} % of its flight only"
-                    yield Missing(id_, f"{reason}: commands answer gusts", need)
-                break
-    if rates[slow] < COMMAND_HZ:
-        yield Missing(
-            "thrust_expo", f"commands of the {slow} flight at {rates[slow]:.0f} Hz: a curve needs 40 Hz", log
-        )
+    yield from _by_rates(pair)
     for which, one in pair.items():
-        flight = one.airframe.flight
-        rows = flight.usable
-        level = np.hypot(*flight.velocity[rows, :2].T)
-        lift = flight.c[rows].mean(axis=1)
-        span = float(np.ptp(np.percentile(lift, (5.0, 95.0))))
-        fast, usual = float(np.percentile(level, 98.0)), float(np.percentile(level, 90.0))
-        climb = float(np.percentile(np.abs(flight.velocity[rows, 2]), 97.0))
-        if span < _LIFT_SPAN and rates[slow] >= COMMAND_HZ and one.lifts.mean() < 0.02:
-            yield Missing("thrust_expo", f"the {which} flight's throttle spans {span:.2f}", "throttle steps of 0.3")
-        if usual < _RUN * 0.8:
-            need = f"runs out and back at {_RUN:.0f} m/s and more, along x and y"
-            yield Missing("rotor_drag", f"the {which} vehicle flies at {usual:.1f} m/s", need)
-        if fast < _FAST:
-            need = "runs at two speeds, the faster one at 8 m/s or more"
-            for id_ in ("body_drag", "translational_lift"):
-                yield Missing(id_, f"the {which} vehicle reaches {fast:.1f} m/s", need)
-        if climb < _CLIMB:
-            yield Missing("inflow", f"the {which} vehicle climbs at {climb:.1f} m/s", "climbs and descents at 2 to 4 m/s")
+        yield from _by_motion(which, one)
     if real.airframe.voltage_span < _SAG_SPAN:
         span = 100.0 * real.airframe.voltage_span
-        yield Missing("battery_sag", f"the voltage changes by {span:.1f} %", "a flight that empties the battery by 6 % in voltage")
+        need = "a flight that empties the battery by 6 % in voltage"
+        yield Missing("battery_sag", f"the voltage changes by {span:.1f} %", need)
+
+
+def _by_rates(pair: Mapping[str, FlightLikelihood]) -> Iterator[Missing]:
+    """What slow logs, and flights without turns, do not tell."""
+    log = LOG_BITS if pair["real"].airframe.flight.ardupilot else PROFILE_BITS
+    rates = {w: min(f.airframe.flight.command_hz, f.airframe.flight.inertial_hz) for w, f in pair.items()}
+    slow = min(rates, key=lambda w: rates[w])
+    if rates[slow] < COMMAND_HZ:
+        yield Missing("thrust_expo", f"commands of the {slow} flight at {rates[slow]:.0f} Hz: a curve needs 40 Hz", log)
+    if rates[slow] < TORQUE_HZ:
+        reason = f"commands or gyroscope of the {slow} flight at {rates[slow]:.0f} Hz: torque needs 100 Hz"
+        for id_ in TORQUE_IDS:
+            yield Missing(id_, reason, f"{log}: commands and gyroscope at 100 Hz or more")
+        return
+    for which, one in pair.items():
+        turning = float(one.turns.mean())
+        if turning < _LEAST_TURNS:
+            need = "sharp roll and pitch doublets and yaw steps, or a chirp of SID_AXIS 10 to 12"
+            reason = f"the {which} vehicle is made to turn in {100 * turning:.0f} % of its flight only"
+            for id_ in ("inertia", "yaw_coefficient", "angular_damping", "motor_lag", "actuator_delay"):
+                yield Missing(id_, f"{reason}: commands answer gusts", need)
+
+
+def _by_motion(which: str, one: FlightLikelihood) -> Iterator[Missing]:
+    """What a flight too slow, too level or too steady does not tell."""
+    flight = one.airframe.flight
+    rows = flight.usable
+    level = np.hypot(*flight.velocity[rows, :2].T)
+    span = float(np.ptp(np.percentile(flight.c[rows].mean(axis=1), (5.0, 95.0))))
+    fast, usual = float(np.percentile(level, 98.0)), float(np.percentile(level, 90.0))
+    climb = float(np.percentile(np.abs(flight.velocity[rows, 2]), 97.0))
+    if span < _LIFT_SPAN and one.lifts.mean() < _LEAST_TURNS:
+        yield Missing("thrust_expo", f"the {which} flight's throttle spans {span:.2f}", "throttle steps of 0.3")
+    if usual < _RUN:
+        need = f"runs out and back at {_RUN:.0f} m/s and more, along x and y"
+        yield Missing("rotor_drag", f"the {which} vehicle flies at {usual:.1f} m/s", need)
+    if fast < _FAST:
+        need = "runs at two speeds, the faster one at 8 m/s or more"
+        for id_ in ("body_drag", "translational_lift"):
+            yield Missing(id_, f"the {which} vehicle reaches {fast:.1f} m/s", need)
+    if climb < _CLIMB:
+        yield Missing("inflow", f"the {which} vehicle climbs at {climb:.1f} m/s", "climbs and descents at 2 to 4 m/s")
 
 
 def unusable(one: FlightLikelihood) -> str | None:

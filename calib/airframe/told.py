@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -40,7 +41,7 @@ def effects_of(answer: Answer, evidence: PairEvidence, slew: float | None, *, le
     for effect in evidence.effects:
         if not effect.nameless:
             ids.setdefault((effect.id, effect.motor), []).append(effect)
-    slow = {g.id: g for g in GROUPS if g.of_air}
+    slow = [g.id for g in GROUPS if g.of_air]
     found = []
     for (id_, motor), forms in ids.items():
         chance = answer.probability(*(f.block for f in forms))
@@ -53,23 +54,15 @@ def effects_of(answer: Answer, evidence: PairEvidence, slew: float | None, *, le
         motors = () if motor is None else (motor,)
         df = sum(max(len(f.names), 1) for f in inside)
         found.append(FoundEffect(id_, inside[0].domain, motors, values, nats, df, chance, 0.0, rivals))
-    for block, group in slow.items():
-        if block in answer.best.model and answer.probability(block) >= least:
+    for block in slow:
+        chance = answer.probability(block)
+        if block in answer.best.model and chance >= least:
             mean, _ = answer.amplitudes(block)
-            size = FoundValue("size", float(np.sqrt((mean**2).sum())), 0.0, "m/s2", False)
-            effect = by_block[block]
-            found.append(
-                FoundEffect(
-                    "gust", effect.domain, (), (size,), _nats(answer, [block]), len(mean), answer.probability(block), 0.0
-                )
-            )  # fmt: skip
-            _ = group
+            size = FoundValue("size", float(np.sqrt((mean**2).sum())), 0.0, "m/s2")
+            nats = _nats(answer, [block])
+            found.append(FoundEffect("gust", by_block[block].domain, (), (size,), nats, len(mean), chance, 0.0))
     total = math.fsum(f.nats for f in found) or 1.0
-    shared = (
-        FoundEffect(f.id, f.domain, f.motors, f.values, f.nats, f.df, f.probability, f.nats / total, f.rivals)
-        for f in found
-    )
-    return tuple(sorted(shared, key=lambda f: -f.nats))
+    return tuple(sorted((replace(f, share=f.nats / total) for f in found), key=lambda f: -f.nats))
 
 
 def _nats(answer: Answer, blocks: Sequence[str]) -> float:
@@ -105,24 +98,24 @@ def _values(
     answer: Answer, evidence: PairEvidence, effect: AirframeEffect, slew: float | None
 ) -> tuple[FoundValue, ...]:
     if effect.slew:
-        return (FoundValue("slew", slew or 0.0, 0.05 * (slew or 0.0), "1/s", False, real=slew),)
+        return (FoundValue("slew", slew or 0.0, 0.05 * (slew or 0.0), "1/s", relative=False, real=slew),)
     mean, covariance = answer.amplitudes(effect.block)
     sd = np.sqrt(np.diag(covariance))
     real, sim = evidence.parameters(answer.best.model, answer.best.posterior)
     place = evidence.sim.fit.layout.place
     if effect.motor is not None:
         value, error = _thrust_left(evidence, effect, float(mean[0]), float(sd[0]))
-        motor = FoundValue("motor", float(effect.motor), 0.0, "1", False)
-        return FoundValue("s", value, error, "1", True), motor
+        motor = FoundValue("motor", float(effect.motor), 0.0, "1", relative=False)
+        return FoundValue("s", value, error, "1", relative=True), motor
     if effect.id == "inertia":
         axes = effect.block.removeprefix("inertia_")
-        return tuple(FoundValue(a, float(mean[0]), float(sd[0]), "1", True) for a in axes)
+        return tuple(FoundValue(a, float(mean[0]), float(sd[0]), "1", relative=True) for a in axes)
     relative = effect.id in _RELATIVE
     made = []
     for k, (name, base) in enumerate(zip(effect.names, effect.base, strict=True)):
         unit = "1" if relative else _UNITS[base]
         sides = (float(real[place[base]]), float(sim[place[base]]))
-        made.append(FoundValue(name, float(mean[k]), float(sd[k]), unit, relative, *sides))
+        made.append(FoundValue(name, float(mean[k]), float(sd[k]), unit, relative, real=sides[0], sim=sides[1]))
     return tuple(made)
 
 

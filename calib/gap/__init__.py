@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from mavcal.calib.airframe.diagnose import airframe_gap
 from mavcal.calib.airframe.effects import IDS as AIRFRAME_IDS
@@ -49,6 +50,7 @@ def run(
     inputs: Mapping[str, str] | None = None,
     pace: GapPace | None = None,
     frame: str | None = None,
+    sim_frame: Mapping[str, Any] | None = None,
 ) -> GapReport:
     """The gap between a real recording and its reference: sensors, and airframe and air where both recordings fly.
 
@@ -73,6 +75,8 @@ def run(
         How long it may take, and who hears how far it is; None: as long as it takes.
     frame
         A frame of :data:`calib.airframe.geometry.NAMED` for recordings that do not say theirs.
+    sim_frame
+        Settings of the frame with which the simulator flew, for the remedy; None: its own defaults.
 
     Raises
     ------
@@ -97,7 +101,7 @@ def run(
         report = untestable(error.reason, error.need, digests)
     if flown is not None:
         report = joined(report, flown, real)
-    return with_patches(report, simulator_of(real, sim), vehicle=real.parameters.final())
+    return with_patches(report, simulator_of(real, sim), frame=sim_frame, vehicle=real.parameters.final())
 
 
 def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:

@@ -80,8 +80,7 @@ def _once(answer: AirframeAnswer) -> Iterator[NotTestable]:
 
 def _estimate(found: FoundEffect) -> EffectEstimate:
     rivals = tuple(
-        Rival(r.id, max(0.0, min(1.0, 1.0 - r.nats / max(found.nats, 1e-9))), 2.0 * r.nats, r.fix)
-        for r in found.rivals
+        Rival(r.id, max(0.0, min(1.0, 1.0 - r.nats / max(found.nats, 1e-9))), 2.0 * r.nats, r.fix) for r in found.rivals
     )
     evidence = EffectEvidence(
         two_delta_loglik=2.0 * found.nats,
@@ -116,14 +115,14 @@ def _of_the_day(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> I
     noisy = any(e.sensor == Sensor.ACCEL for e in shared)
     if loud is not None and (loud.of_air or noisy):
         sigma = math.sqrt(max(loud.real**2 - loud.sim**2, 0.0))
-        value = FoundValue("sigma", sigma, 0.1 * sigma, "m/s2", False, loud.real, loud.sim)
+        value = FoundValue("sigma", sigma, 0.1 * sigma, "m/s2", relative=False, real=loud.real, sim=loud.sim)
         chance = 1.0 if loud.shared is not None else 0.9
         yield _estimate(FoundEffect("turbulence", Domain.ENVIRONMENT, (), (value,), 0.0, 1, chance, 0.0))
     if answer.jumps:
         worst = max(answer.jumps, key=lambda j: j.size)
         values = (
-            FoundValue("t", worst.t, 0.2, "s", False),
-            FoundValue("size", worst.size, 0.1, "m/s", False),
+            FoundValue("t", worst.t, 0.2, "s", relative=False),
+            FoundValue("size", worst.size, 0.1, "m/s", relative=False),
         )
         yield _estimate(FoundEffect("ekf_reset", Domain.ENVIRONMENT, (), values, 0.0, 1, 1.0, 0.0))
 
@@ -133,24 +132,20 @@ def _with_shares(effects: tuple[EffectEstimate, ...]) -> tuple[EffectEstimate, .
     total = math.fsum(e.evidence.two_delta_loglik for e in effects)
     if total <= 0.0:
         return effects
-    return tuple(
-        replace(e, evidence=replace(e.evidence, share=e.evidence.two_delta_loglik / total)) for e in effects
-    )
+    return tuple(replace(e, evidence=replace(e.evidence, share=e.evidence.two_delta_loglik / total)) for e in effects)
 
 
 def _unknown(report: GapReport, answer: AirframeAnswer, sensors: tuple[EffectEstimate, ...]) -> Unknown:
     """What has no name in the flight; that of the sensors where a sensor's effect stands beside it."""
     if answer.unknown and answer.nameless >= LIKELY:
-        return Unknown(True, answer.unknown_share, answer.unknown)
+        return Unknown(flag=True, share=answer.unknown_share, shape=answer.unknown)
     left = report.unknown
     flown = any(w in left.shape for w in ("accel", "gyro")) and not sensors
     return replace(left, flag=False, share=0.0, shape="") if left.flag and flown else left
 
 
 def _withdrawn(effect: EffectEstimate) -> str:
-    return (
-        f"{effect.id} is not a sensor's: the units feel it alike, and not at rest; it counts as airframe or air"
-    )
+    return f"{effect.id} is not a sensor's: the units feel it alike, and not at rest; it counts as airframe or air"
 
 
 def _where(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> tuple:  # type: ignore[type-arg]

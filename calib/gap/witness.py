@@ -35,9 +35,7 @@ _REST: Final = 0.03
 def not_borne_out(report: GapReport, real: Recording) -> tuple[EffectEstimate, ...]:
     """Effects of inertial sensors that every unit shows alike, and only in flight."""
     return tuple(
-        effect
-        for effect in report.effects
-        if effect.sensor in _INERTIAL and not _borne_out(effect, report, real)
+        effect for effect in report.effects if effect.sensor in _INERTIAL and not _borne_out(effect, report, real)
     )
 
 

@@ -113,9 +113,7 @@ class _Search:
         return best
 
 
-def search(
-    evidence: Evidence, start: Model = frozenset(), ended: Callable[[], bool] = lambda: False
-) -> Answer:
+def search(evidence: Evidence, start: Model = frozenset(), ended: Callable[[], bool] = lambda: False) -> Answer:
     """The likeliest sets of blocks of `evidence`.
 
     Parameters

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 
 TARGETS = ("sitl", "frame", "sih", "gazebo", "matlab", "mavcal", "vehicle")
 """Those of ``calib.gap.export.Target``, stated here so that help does without numpy (a test compares them)."""
+FRAMES = (
+    "quad-plus", "quad-x", "quad-h", "quad-betaflight-x", "quad-dji-x", "quad-clockwise-x", "quad-betaflight-x-reversed",
+    "hexa-plus", "hexa-x", "hexa-dji-x", "hexa-clockwise-x", "octa-plus", "octa-x",
+)  # fmt: skip
+"""Those of ``calib.airframe.geometry.NAMED``, for the same reason."""
 LIMIT_S = 60.0
 """That of ``calib.gap.DEFAULT_LIMIT_S``, for the same reason."""
 _MOST_WHERE = 3
@@ -68,6 +73,13 @@ _MOST_UNTESTABLE = 8
     help="The frame (JSON) that ArduPilot's simulator flew with, on which the remedy builds; else the stock one.",
 )
 @click.option(
+    "--frame",
+    "layout",
+    type=click.Choice(FRAMES),
+    default=None,
+    help="The frame of the vehicle, where its recording does not say it.",
+)
+@click.option(
     "--mass",
     type=click.FloatRange(min=0.0, min_open=True),
     default=None,
@@ -108,6 +120,7 @@ def command(
     exports: tuple[Path, ...],
     target: str | None,
     frame: str | None,
+    layout: str | None,
     mass: float | None,
     instance: int,
     limit_s: float,
@@ -144,7 +157,7 @@ def command(
     files = read_files(real, sim, nominal, again, reading)
     with Gauge() as gauge:
         pace = gap.GapPace(lambda: time.process_time() - began, limit_s, gauge.show)
-        report = gap.run(files.real, files.sim, files.nominal, inputs=files.hashes, pace=pace)
+        report = gap.run(files.real, files.sim, files.nominal, inputs=files.hashes, pace=pace, frame=layout)
     report = with_frame(report, files, remedy)
     document = document_of(report)
     verified = None

@@ -150,7 +150,7 @@ def _diagnosis(limit_s: float) -> Any:
     def diagnose(real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, told: Told) -> GapReport:
         began = time.process_time()
         pace = gap.GapPace(lambda: time.process_time() - began, limit_s, lambda s: told(s.text, s.share, s.left_s))
-        report = gap.run(real, sim, pace=pace)
+        report = gap.run(real, sim, pace=pace, sim_frame=frame)
         (folder / _PAGE).write_text(gap_to_html(report, title=f"Sim-to-real gap, {folder.name}"), encoding="utf-8")
         return report
 

@@ -111,7 +111,9 @@ def _attitude(log: Log, clock: Clock) -> Channel | None:
         if table is not None and all(column in table for column in _QUATERNION):
             rows = table["C"] == 0 if "C" in table else slice(None)
             q = np.column_stack([column[rows] for column in table.columns(*_QUATERNION)])
-            return channel_of(Sensor.ATTITUDE, table, clock.times(table)[rows], unit_quaternions(q.astype(np.float64)), "1")
+            return channel_of(
+                Sensor.ATTITUDE, table, clock.times(table)[rows], unit_quaternions(q.astype(np.float64)), "1"
+            )
     return None
 
 
@@ -141,7 +143,9 @@ def _currents(log: Log, clock: Clock) -> list[Channel]:
             for instance, rows in instances(table, number):
                 current = rows["Curr"] * (quantum or 1.0)
                 found.append(
-                    channel_of(Sensor.CURRENT, rows, clock.times(rows), current, "A", instance=instance, quantum=quantum)
+                    channel_of(
+                        Sensor.CURRENT, rows, clock.times(rows), current, "A", instance=instance, quantum=quantum
+                    )
                 )
         if found:
             break
@@ -160,7 +164,9 @@ def _throttle(log: Log, clock: Clock) -> Channel | None:
             return None
     whole = table.format.letter(column) in WHOLE
     scale = 1000.0 if whole else 100.0 if "NavRoll" in table else 1.0  # planes log per cent
-    return channel_of(Sensor.THROTTLE, table, clock.times(table), table[column] / scale, "1", quantum=1e-3 if whole else 0.0)
+    return channel_of(
+        Sensor.THROTTLE, table, clock.times(table), table[column] / scale, "1", quantum=1e-3 if whole else 0.0
+    )
 
 
 def _motors(log: Log, clock: Clock, parameters: Mapping[str, float], vehicle_type: int | None) -> Channel | None:
