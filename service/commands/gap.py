@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 TARGETS = ("sitl", "frame", "sih", "gazebo", "matlab", "mavcal", "vehicle")
 """Those of ``calib.gap.export.Target``, stated here so that help does without numpy (a test compares them)."""
 FRAMES = (
-    "quad-plus", "quad-x", "quad-h", "quad-betaflight-x", "quad-dji-x", "quad-clockwise-x", "quad-betaflight-x-reversed",
+    "quad-plus", "quad-x", "quad-h", "quad-betaflight-x", "quad-dji-x", "quad-clockwise-x",
+    "quad-betaflight-x-reversed",
     "hexa-plus", "hexa-x", "hexa-dji-x", "hexa-clockwise-x", "octa-plus", "octa-x",
 )  # fmt: skip
 """Those of ``calib.airframe.geometry.NAMED``, for the same reason."""
