@@ -53,7 +53,7 @@ def air_over_time(weather: Weather, t: Array, rng: Rng) -> Array:
     direction = along / weather.speed if weather.speed > 0.0 else np.array([1.0, 0.0, 0.0])
     across = np.array([-direction[1], direction[0], 0.0])
     u, v, w = dryden(weather, len(t), float(t[1] - t[0]), rng).T
-    out = along + u[:, None] * direction + v[:, None] * across
+    out: Array = along + u[:, None] * direction + v[:, None] * across
     out[:, 2] += w
     for gust in weather.gusts:
         phase = np.clip((t - gust.t) / gust.length, 0.0, 1.0)
@@ -75,16 +75,17 @@ def dryden(weather: Weather, count: int, dt: float, rng: Rng) -> Array:
 
     The vehicle's own speed changes the passing frequency only by its mean, so that the filters are constant.
     """
-    noise = rng.standard_normal((count, 3)) / math.sqrt(dt)
     if weather.turbulence == 0.0:
         return np.zeros((count, 3))
+    # Twice as long, so that what is kept of it is stationary.
+    noise = rng.standard_normal((2 * count, 3)) / math.sqrt(dt)
     speed = math.hypot(weather.speed, LEAST_PASSING)
     horizontal, vertical, ratio = scales()
     sigma = weather.turbulence
     along = _passed(noise[:, 0], *_longitudinal(sigma, horizontal / speed), dt)
     across = _passed(noise[:, 1], *_transverse(sigma, horizontal / speed), dt)
     down = _passed(noise[:, 2], *_transverse(ratio * sigma, vertical / speed), dt)
-    return np.column_stack([along, across, down])
+    return np.column_stack([along, across, down])[count:]
 
 
 def _longitudinal(sigma: float, tau: float) -> tuple[list[float], list[float]]:
@@ -98,8 +99,6 @@ def _transverse(sigma: float, tau: float) -> tuple[list[float], list[float]]:
 
 
 def _passed(noise: Array, numerator: list[float], denominator: list[float], dt: float) -> Array:
-    """The noise through the filter; it begins a few correlation times earlier, so that it is stationary."""
     b, a = bilinear(numerator, denominator, 1.0 / dt)
-    lead = len(noise)
-    out: Array = lfilter(b, a, np.concatenate([noise[::-1], noise]))[lead:]
+    out: Array = lfilter(b, a, noise)
     return out

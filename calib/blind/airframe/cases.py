@@ -83,7 +83,7 @@ class AirCase:
 
 
 @dataclass(frozen=True)
-class _Draft:
+class Draft:
     """A case before it is flown."""
 
     pair: Pair
@@ -95,8 +95,8 @@ class _Draft:
 
 def make_air_case(tier: AirTier, seed: int) -> AirCase:
     """The case of that tier and seed; the same digits every time."""
-    rng, draft, label = _begun(tier, seed)
-    real, sim = (columns for columns, _ in (_log(side, draft, rng) for side in (draft.pair.real, draft.pair.sim)))
+    rng, draft, label = drafted(tier, seed)
+    real, sim = (log_of(side, draft, rng)[0] for side in (draft.pair.real, draft.pair.sim))
     if draft.thinning is not None:
         real = THINNINGS[draft.thinning].thin(real, rng)
     frame = draft.pair.real.vehicle.frame
@@ -105,11 +105,11 @@ def make_air_case(tier: AirTier, seed: int) -> AirCase:
 
 def make_air_label(tier: AirTier, seed: int) -> dict[str, Any]:
     """Only what was put in: for the seal."""
-    return _begun(tier, seed)[2]
+    return drafted(tier, seed)[2]
 
 
-def _log(side: Side, draft: _Draft, rng: Rng) -> tuple[Columns, Flown]:
-    """Fly one side: another mission and other air and noise each."""
+def log_of(side: Side, draft: Draft, rng: Rng) -> tuple[Columns, Flown]:
+    """Fly one side: another mission and other air and noise each; its log, and its truth."""
     mission = draw_mission(rng)
     count = round(mission.longest * LOOP_HZ) + 1
     t = np.arange(count) / LOOP_HZ
@@ -123,14 +123,15 @@ def _log(side: Side, draft: _Draft, rng: Rng) -> tuple[Columns, Flown]:
     return columns_of(flown, side.vehicle, side.units, errors, draft.logging, rng), flown
 
 
-def _begun(tier: AirTier, seed: int) -> tuple[Rng, _Draft, dict[str, Any]]:
+def drafted(tier: AirTier, seed: int) -> tuple[Rng, Draft, dict[str, Any]]:
+    """A case before it is flown: the generator of its numbers, what is flown, and the label."""
     rng = np.random.default_rng([seed, int(tier.value[1:]), ord("A")])
     draft = _drawn(tier, rng)
     name = hashlib.sha256(f"mavcal {tier} {seed} {rng.integers(2**62)}".encode()).hexdigest()[:16]
     return rng, draft, _label(name, tier, seed, draft)
 
 
-def _drawn(tier: AirTier, rng: Rng) -> _Draft:
+def _drawn(tier: AirTier, rng: Rng) -> Draft:
     match tier:
         case AirTier.NULL:
             return _with(rng, [], wind=8.0, turbulence=1.0)
@@ -179,27 +180,27 @@ def _with(
     electric: bool = False,
     wind: float = 5.0,
     turbulence: float = 0.7,
-) -> _Draft:
+) -> Draft:
     """The kinds at drawn sizes on a drawn vehicle; another vehicle where one of the two cannot fly."""
     for _ in range(100):
         vehicle = draw_vehicle(rng, size)
         if electric and "thrust_expo" not in {kind.id for kind in kinds}:
             vehicle = driven(vehicle, back_emf=rng.uniform(0.45, 0.8))
-        sides = [
+        real, sim = (
             Side(vehicle, draw_weather(rng, wind, turbulence), draw_units(rng, quiet=quiet)) for quiet in (False, True)
-        ]
-        pair = Pair(*sides)
+        )
+        pair = Pair(real, sim)
         for kind in kinds:
             pair = kind.put(rng, pair)
         both = [pair.real.vehicle, pair.sim.vehicle]
         if all(HOVERS[0] <= hovers(one) <= HOVERS[1] for one in both):
             belief = float(np.clip(vehicle.drive.expo + rng.uniform(-0.1, 0.1), 0.0, 0.9))
             tuning = tuned(both, belief, rng.uniform(-0.05, 0.05), compensates=bool(rng.random() < 0.7))
-            return _Draft(pair, tuning, draw_logging(rng))
+            return Draft(pair, tuning, draw_logging(rng))
     raise AssertionError(f"no vehicle of this size flies with {[kind.id for kind in kinds]}")
 
 
-def _label(name: str, tier: AirTier, seed: int, draft: _Draft) -> dict[str, Any]:
+def _label(name: str, tier: AirTier, seed: int, draft: Draft) -> dict[str, Any]:
     entries = [entry.as_json() for entry in draft.pair.entries]
     real, sim = draft.pair.real, draft.pair.sim
     return {

@@ -76,7 +76,7 @@ class Flown:
     attitude: Array
     voltage: Array
     current: Array
-    grounded: Array
+    grounded: NDArray[np.bool_]
     speeds: Array
 
 
@@ -197,7 +197,7 @@ def _flown(rows: list[tuple[float, ...]], motors: int) -> Flown:
         table, ends[:-1], axis=1
     )
     return Flown(
-        t=np.arange(len(table)) * LOOP_S,
+        t=np.arange(len(table), dtype=np.float64) * LOOP_S,
         force=force,
         rate=rate,
         spin=spin,

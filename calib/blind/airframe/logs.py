@@ -148,7 +148,8 @@ def columns_of(
 
 def _own_rate(flown: Flown, unit: Unit, rng: Rng) -> Array:
     noise = unit.gyro_sd * rng.standard_normal(flown.rate.shape)
-    return flown.rate + np.array(unit.gyro_bias) + noise
+    out: Array = flown.rate + np.array(unit.gyro_bias) + noise
+    return out
 
 
 def _own_force(flown: Flown, vehicle: Vehicle, unit: Unit, rng: Rng) -> Array:
@@ -158,7 +159,9 @@ def _own_force(flown: Flown, vehicle: Vehicle, unit: Unit, rng: Rng) -> Array:
     speed = (flown.speeds**2).mean(axis=1, keepdims=True)
     loud = speed / max(float(np.median(speed[speed > 0.0])), 1.0) if (speed > 0.0).any() else np.zeros_like(speed)
     sd = np.hypot(unit.accel_sd, unit.shaken * loud)
-    return there * np.array(unit.accel_scale) + np.array(unit.accel_bias) + sd * rng.standard_normal(there.shape)
+    out: Array = there * np.array(unit.accel_scale) + np.array(unit.accel_bias)
+    out += sd * rng.standard_normal(there.shape)
+    return out
 
 
 def _filtered(values: Array, cutoff: float) -> Array:
@@ -175,7 +178,8 @@ def _tilted(attitude: Array, error: Array) -> Array:
     out = np.column_stack(
         [w - x * a - y * b - z * c, x + w * a + y * c - z * b, y + w * b + z * a - x * c, z + w * c + x * b - y * a]
     )
-    return out / np.linalg.norm(out, axis=1, keepdims=True)
+    turned: Array = out / np.linalg.norm(out, axis=1, keepdims=True)
+    return turned
 
 
 def _put(columns: Columns, name: str, axes: Sequence[str] | None, values: Array, every: int) -> None:

@@ -80,12 +80,13 @@ def hover_ratio(vehicle: Vehicle) -> float:
 
 def _strength(vehicle: Vehicle) -> float:
     """Thrust of all rotors over the square of one common speed, N s2."""
-    return vehicle.propeller.thrust * vehicle.density * sum(rotor.factor for rotor in vehicle.rotors)
+    return vehicle.propeller.thrust * vehicle.density * math.fsum(rotor.factor for rotor in vehicle.rotors)
 
 
 def speed_of(vehicle: Vehicle, command: float, ratio: float) -> float:
     """Steady rotor speed, rad/s."""
-    return vehicle.drive.top * vehicle.drive.share_of_top(command) * ratio ** (0.5 * vehicle.drive.exponent)
+    drive = vehicle.drive
+    return drive.top * drive.share_of_top(command) * math.pow(ratio, 0.5 * drive.exponent)
 
 
 def hover_command(vehicle: Vehicle, ratio: float) -> float:

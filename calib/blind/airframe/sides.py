@@ -40,7 +40,8 @@ class Slip:
             shape = np.where((since > -self.length) & (since < 0.0), 1.0 + since / self.length, 0.0)
         else:
             shape = np.where(since > 0.0, (1.0 - np.exp(-since / 0.3)) * np.exp(-since / self.length), 0.0)
-        return shape[:, None] * np.array([*self.size, 0.0])
+        error: Array = shape[:, None] * np.array([*self.size, 0.0])
+        return error
 
 
 @dataclass(frozen=True)
