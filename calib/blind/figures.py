@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from mavcal.calib.blind.answers import CaseAnswer
 from mavcal.calib.blind.intervals import resampled, wilson
 
 Array = NDArray[np.float64]
+Answer = TypeVar("Answer", bound=CaseAnswer)
 
 HELD = 0.02
 """Two standard deviations of the share of intervals that hold, up to which it says that they do: 475 of them."""
@@ -125,10 +126,13 @@ def errors(answers: Sequence[CaseAnswer]) -> list[Figure]:
 
 
 def failures(
-    answers: Sequence[CaseAnswer], kind: Callable[[CaseAnswer], str], right: Callable[[CaseAnswer], bool]
+    answers: Sequence[Answer],
+    kind: Callable[[Answer], str],
+    right: Callable[[Answer], bool],
+    size: Callable[[Answer], float] = lambda answer: round(answer.severity),
 ) -> list[dict[str, Any]]:
-    """A row for each type with a failure: how many, what was said instead, and the seeds that repeat it."""
-    groups: dict[str, list[CaseAnswer]] = defaultdict(list)
+    """A row for each type with a failure: how many, what was said instead, and the seeds and sizes that repeat it."""
+    groups: dict[str, list[Answer]] = defaultdict(list)
     for answer in answers:
         groups[kind(answer)].append(answer)
     rows = []
@@ -136,7 +140,7 @@ def failures(
         wrong = [a for a in members if not right(a)]
         if wrong:
             said = Counter(_said(a) for a in wrong)
-            seeds = [(a.label["seed"], round(a.severity)) for a in wrong][:8]
+            seeds = [(a.label["seed"], size(a)) for a in wrong][:8]
             rows.append(
                 {"type": name, "n": len(members), "wrong": len(wrong), "said": said.most_common(5), "seeds": seeds}
             )

@@ -71,6 +71,8 @@ def command(
         _seal(check, cases, seal, seed)
         return 0
     rows = answers.read_text(encoding="utf-8").splitlines() if score_only and answers else None
+    if rows:
+        check = check_of(json.loads(rows[0])["label"]["tier"])
     if rows is None:
         rows = _run(cases, answers, nested=nested, processes=processes)
     return _report(check, rows, as_json=as_json)

@@ -45,6 +45,12 @@ def hulled(vehicle: Vehicle, hull: Hull) -> Vehicle:
     return replace(vehicle, hull=hull)
 
 
+def both(old: Vehicle, new: Vehicle) -> tuple[Seen, Seen]:
+    """What is seen of them at the hover voltage of the old one."""
+    ratio = hover_ratio(old)
+    return see(old, ratio), see(new, ratio)
+
+
 def relative(
     names: dict[str, Callable[[Seen], float]], before: Seen, after: Seen
 ) -> tuple[dict[str, float], dict[str, float]]:
@@ -64,11 +70,12 @@ def thrust_scale(rng: Rng, pair: Pair) -> Pair:
     if rng.random() < 0.25:
         mass = old.hull.mass / ratio
         new = hulled(old, replace(old.hull, mass=mass))
-        also = ("rotor_drag", "body_drag", "inflow", "translational_lift", "inertia")
+        also = ("rotor_drag", "body_drag", "inflow", "translational_lift")
+        also += ("inertia", "yaw_coefficient", "angular_damping")
     else:
         blade, root = old.propeller, math.sqrt(ratio)
         new = blades(old, thrust=blade.thrust * ratio, drag=blade.drag * root, inflow=blade.inflow * root)
-    params, ratios = relative({"s": lambda x: x.thrust}, see(old), see(new))
+    params, ratios = relative({"s": lambda x: x.thrust}, *both(old, new))
     return pair.flown(new).said(Entry("thrust_scale", "airframe", params, ratios, ("s",), also, size=ratio))
 
 
@@ -79,7 +86,7 @@ def thrust_expo(rng: Rng, pair: Pair) -> Pair:
     if not 0.1 <= old.drive.expo + step <= 0.95:
         step = -step
     new = driven(old, expo=float(np.clip(old.drive.expo + step, 0.1, 0.95)))
-    a, b = see(old).expo, see(new).expo
+    a, b = (seen.expo for seen in both(old, new))
     return pair.flown(new).said(
         Entry("thrust_expo", "airframe", {"expo": b - a}, {"expo": b / a}, ("expo",), size=abs(step))
     )
@@ -126,7 +133,7 @@ def rotor_drag(rng: Rng, pair: Pair) -> Pair:
     """More or less H-force; where the hubs lie off the centre of mass it damps rotations as well."""
     old, ratio = pair.real.vehicle, factor(rng, 1.15, 3.0)
     new = blades(old, drag=old.propeller.drag * ratio)
-    params, ratios = relative({"c1": lambda x: x.rotor_drag}, see(old), see(new))
+    params, ratios = relative({"c1": lambda x: x.rotor_drag}, *both(old, new))
     entry = Entry("rotor_drag", "airframe", params, ratios, ("c1",), ("angular_damping",), size=ratio)
     return pair.flown(new).said(entry)
 
@@ -136,7 +143,7 @@ def body_drag(rng: Rng, pair: Pair) -> Pair:
     old, ratio = pair.real.vehicle, factor(rng, 1.3, 3.0)
     x, y, z = (area * ratio for area in old.hull.area)
     new = hulled(old, replace(old.hull, area=(x, y, z)))
-    params, ratios = relative({"c2": lambda x: x.body_drag}, see(old), see(new))
+    params, ratios = relative({"c2": lambda x: x.body_drag}, *both(old, new))
     return pair.flown(new).said(Entry("body_drag", "airframe", params, ratios, ("c2",), size=ratio))
 
 
@@ -149,7 +156,7 @@ def inflow(rng: Rng, pair: Pair) -> Pair:
         step = -step
     ratio = (mean + step) / mean
     new = blades(old, inflow=old.propeller.inflow * ratio, lift=old.propeller.lift / ratio)
-    a, b = see(old).inflow, see(new).inflow
+    a, b = (seen.inflow for seen in both(old, new))
     entry = Entry("inflow", "airframe", {"cz": b - a}, {"cz": b / a}, ("cz",), ("angular_damping",), size=abs(step))
     return pair.flown(new).said(entry)
 
@@ -163,7 +170,8 @@ def translational_lift(rng: Rng, pair: Pair) -> Pair:
         before = blades(old, lift=0.0)
     else:
         before, new = old, blades(old, lift=old.propeller.lift * log_uniform(rng, 1.4, 2.5))
-    step = see(new).lift - see(before).lift
+    a, b = (seen.lift for seen in both(before, new))
+    step = b - a
     return pair.flown(new).said(Entry("translational_lift", "airframe", {"ch": step}, size=step))
 
 
@@ -195,7 +203,6 @@ def cg_offset(rng: Rng, pair: Pair) -> Pair:
 def torque_bias(rng: Rng, pair: Pair) -> Pair:
     """A constant moment, or arms twisted all one way, which turn the vehicle about its down axis."""
     old = pair.real.vehicle
-    before = see(old)
     axis = int(rng.integers(3))
     if axis == 2 and rng.random() < 0.5:
         lean = math.radians(signed(rng, 0.2, 1.5))
@@ -206,9 +213,9 @@ def torque_bias(rng: Rng, pair: Pair) -> Pair:
         moment = share * (old.propeller.torque_arm * len(old.rotors) if axis == 2 else old.arm)
         torque = [moment if k == axis else 0.0 for k in range(3)]
         new = hulled(old, replace(old.hull, torque=(torque[0], torque[1], torque[2])))
-    step = see(new).trim[axis] - before.trim[axis]
+    a, b = (seen.trim[axis] for seen in both(old, new))
     name = "xyz"[axis]
-    return pair.flown(new).said(Entry("torque_bias", "airframe", {name: step}, {}, (name,), size=abs(step)))
+    return pair.flown(new).said(Entry("torque_bias", "airframe", {name: b - a}, {}, (name,), size=abs(b - a)))
 
 
 def _twisted(x: float, y: float, lean: float) -> tuple[float, float]:
@@ -221,7 +228,7 @@ def yaw_coefficient(rng: Rng, pair: Pair) -> Pair:
     """Blades with another torque for their thrust."""
     old, ratio = pair.real.vehicle, factor(rng, 1.05, 1.7)
     new = blades(old, torque_arm=old.propeller.torque_arm * ratio)
-    params, ratios = relative({"s": lambda x: x.yaw}, see(old), see(new))
+    params, ratios = relative({"s": lambda x: x.yaw}, *both(old, new))
     return pair.flown(new).said(Entry("yaw_coefficient", "airframe", params, ratios, ("s",), ("inertia",), size=ratio))
 
 
@@ -236,7 +243,7 @@ def angular_damping(rng: Rng, pair: Pair) -> Pair:
         "y": lambda s: s.damping[1],
         "z": lambda s: s.damping[2],
     }
-    params, ratios = relative(names, see(old), see(new))
+    params, ratios = relative(names, *both(old, new))
     return pair.flown(new).said(Entry("angular_damping", "airframe", params, ratios, ("x", "y", "z"), size=extra))
 
 

@@ -194,7 +194,7 @@ def recording_of(columns: Mapping[str, Array], frame: str, source: str) -> Recor
     t = columns["t"]
 
     def channel(sensor: Sensor, instance: int, names: Sequence[str], unit: str) -> Channel | None:
-        if not all(name in columns for name in names):
+        if not names or not all(name in columns for name in names):
             return None
         values = np.stack([columns[name] for name in names], axis=1)
         there = np.isfinite(values).all(axis=1)

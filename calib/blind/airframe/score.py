@@ -81,22 +81,27 @@ def air_score(answers: Sequence[CaseAnswer]) -> dict[str, Any]:
         "by_effect": _by_effect([*singles, *foreign]),
         "by_probability": _by_probability(pairs),
         "failures": {
-            "null": failures(nulls, lambda a: str(a.label["frame"]), lambda a: not (_air(a).surplus or a.unknown)),
-            "single": failures(singles, _what, lambda a: _right(_air(a))),
-            "mixed": failures(mixed, _what, lambda a: _exact(_air(a))),
-            "foreign": failures(foreign, _what, lambda a: _right(_air(a))),
-            "unknown": failures(unknown, _what, lambda a: a.unknown),
-            "left_out": failures(left, _what, lambda a: _rejected(_air(a))),
-            "logging": failures(
-                by_tier[AirTier.LOGGING], lambda a: f"{a.label['thinning']} {_what(a)}", lambda a: _silent(_air(a))
-            ),
+            "null": _failed(nulls, lambda a: str(a.label["frame"]), lambda a: not (a.surplus or a.unknown)),
+            "single": _failed(singles, _what, _right),
+            "mixed": _failed(mixed, _what, _exact),
+            "foreign": _failed(foreign, _what, _right),
+            "unknown": _failed(unknown, _what, lambda a: a.unknown),
+            "left_out": _failed(left, _what, _rejected),
+            "logging": _failed(by_tier[AirTier.LOGGING], lambda a: f"{a.label['thinning']} {_what(a)}", _silent),
         },
         "errors": Counter(a.failed for a in answers if a.failed).most_common(20),
     }
 
 
-def _air(answer: CaseAnswer) -> AirAnswer:
-    return answer if isinstance(answer, AirAnswer) else AirAnswer.of(answer)
+def _failed(
+    answers: Sequence[AirAnswer], kind: Callable[[AirAnswer], str], right: Callable[[AirAnswer], bool]
+) -> list[dict[str, Any]]:
+    """Failures by type; beside each seed stands the size of what was put in."""
+    return failures(answers, kind, right, _size)
+
+
+def _size(answer: CaseAnswer) -> float:
+    return max((round(abs(e["size"]), 3) for e in (*answer.label["effects"], *answer.label["unknown"])), default=0.0)
 
 
 def _what(answer: CaseAnswer) -> str:

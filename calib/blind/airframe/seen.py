@@ -1,7 +1,8 @@
 """What a model of forces and torques sees of a vehicle in hover: the numbers that labels are made of.
 
 All of them are read off the generator's own forces. Hover is where the motors, all at one command and at the voltage of
-a minute into the flight, carry the weight. Derivatives are differences about it with the rotor speeds held.
+a minute into the flight, carry the weight. Derivatives are differences about it with the rotor speeds held. The ratio
+of a label is the real number over the simulated one, both at the simulated vehicle's hover voltage.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ SPAN = 0.15
 """Of the command about hover over which the thrust curve is fitted: the span that AIRFRAME 5.8 asks a log to have."""
 FASTEST = 8.0
 """Speed up to which drag and translational lift are fitted, m/s: that of the missions."""
+SLOW = 1e-3
+"""Speed at which the square of it does not count, m/s."""
 SPENT_S = 60.0
 
 
@@ -117,16 +120,19 @@ class _Probe:
         return found
 
 
-def see(vehicle: Vehicle) -> Seen:
-    """What a model sees of it."""
-    ratio = hover_ratio(vehicle)
+def see(vehicle: Vehicle, ratio: float | None = None) -> Seen:
+    """What a model sees of it, at that voltage over the full one; None: at that of its own hover.
+
+    Two vehicles are compared at one voltage: what their batteries do is no difference of their thrust.
+    """
+    ratio = hover_ratio(vehicle) if ratio is None else ratio
     command = hover_command(vehicle, ratio)
     count, mass = len(vehicle.rotors), vehicle.hull.mass
     probe = _Probe(vehicle, Forces(vehicle), (speed_of(vehicle, command, ratio),) * count)
     still = probe.at()
     thrust, expo = _curve(vehicle, command, ratio)
     linear, square = _drag(probe)
-    up = [-probe.at(air=(0.0, 0.0, w))[2] for w in (-0.05, 0.05)]
+    up = [-probe.at(air=(0.0, 0.0, w))[2] for w in (-SLOW, SLOW)]
     speeds = np.linspace(1.0, FASTEST, 8)
     gained = np.array([still[2] - probe.at(air=(float(v), 0.0, 0.0))[2] for v in speeds]) / mass
     collective, answers = _responses(vehicle, probe, command, ratio)
@@ -142,7 +148,7 @@ def see(vehicle: Vehicle) -> Seen:
         exponent=vehicle.drive.exponent,
         rotor_drag=linear,
         body_drag=square,
-        inflow=(up[1] - up[0]) / 0.1 / mass,
+        inflow=(up[1] - up[0]) / (2.0 * SLOW) / mass,
         lift=float(gained @ speeds**2 / (speeds**4).sum()),
         lever=(collective / answers[0], collective / answers[1]),
         yaw=answers[2] / collective,
@@ -167,9 +173,9 @@ def _curve(vehicle: Vehicle, command: float, ratio: float) -> tuple[float, float
 def _drag(probe: _Probe) -> tuple[float, float]:
     linear, square = [], []
     for axis in (0, 1):
-        slow = [probe.at(air=_along(axis, v))[axis] for v in (-0.05, 0.05)]
+        slow = [probe.at(air=_along(axis, v))[axis] for v in (-SLOW, SLOW)]
         fast = [probe.at(air=_along(axis, v))[axis] for v in (-FASTEST, FASTEST)]
-        one = (slow[0] - slow[1]) / 0.1
+        one = (slow[0] - slow[1]) / (2.0 * SLOW)
         linear.append(one)
         square.append(((fast[0] - fast[1]) / (2.0 * FASTEST) - one) / FASTEST)
     mass = probe.vehicle.hull.mass
