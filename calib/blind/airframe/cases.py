@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from mavcal.calib.blind.airframe.air import air_over_time
+from mavcal.calib.blind.airframe.changes import driven, hovers
 from mavcal.calib.blind.airframe.draw import COMMON, FOREIGN, Size, draw_vehicle
-from mavcal.calib.blind.airframe.effects import KINDS, driven, hovers
+from mavcal.calib.blind.airframe.effects import KINDS, MASS, MASSES
 from mavcal.calib.blind.airframe.flight import LOOP_HZ, Flown, fly
 from mavcal.calib.blind.airframe.logs import (
     Columns,
@@ -25,7 +26,7 @@ from mavcal.calib.blind.airframe.logs import (
 )
 from mavcal.calib.blind.airframe.mission import draw_mission
 from mavcal.calib.blind.airframe.pilot import Tuning, tuned
-from mavcal.calib.blind.airframe.sides import Kind, Pair, Rng, Side
+from mavcal.calib.blind.airframe.sides import Entry, Kind, Pair, Rng, Side
 from mavcal.calib.blind.airframe.strange import STRANGE
 from mavcal.calib.blind.airframe.surroundings import ENVIRONMENT, SENSORS, differs, draw_weather
 from mavcal.calib.blind.airframe.thinned import THINNINGS
@@ -33,6 +34,8 @@ from mavcal.calib.recording import Recording
 
 HOVERS = (0.12, 0.82)
 """Commands between which both vehicles must hover, so that they can climb and sink."""
+FIRST = ("inertia", "thrust")
+"""Groups that are put in before others, so that what those change is measured on the final vehicle."""
 BY_ID: Mapping[str, Kind] = {kind.id: kind for kind in (*KINDS, *ENVIRONMENT)}
 
 
@@ -136,7 +139,8 @@ def _drawn(tier: AirTier, rng: Rng) -> Draft:
         case AirTier.NULL:
             return _with(rng, [], wind=8.0, turbulence=1.0)
         case AirTier.SINGLE:
-            return _with(rng, [_pick(rng, (*KINDS, *ENVIRONMENT))])
+            kind = _pick(rng, (*KINDS, *ENVIRONMENT))
+            return _with(rng, [MASS if kind.id == MASS.id and rng.random() < MASSES else kind])
         case AirTier.MIXED:
             return _with(rng, _several(rng))
         case AirTier.LEFT_OUT:
@@ -186,18 +190,28 @@ def _with(
         vehicle = draw_vehicle(rng, size)
         if electric and "thrust_expo" not in {kind.id for kind in kinds}:
             vehicle = driven(vehicle, back_emf=rng.uniform(0.45, 0.8))
-        real, sim = (
-            Side(vehicle, draw_weather(rng, wind, turbulence), draw_units(rng, quiet=quiet)) for quiet in (False, True)
-        )
+        units = draw_units(rng)
+        real, sim = (Side(vehicle, draw_weather(rng, wind, turbulence), units) for _ in range(2))
         pair = Pair(real, sim)
-        for kind in kinds:
+        for kind in sorted(kinds, key=lambda one: one.group not in FIRST):
             pair = kind.put(rng, pair)
+        if len(kinds) > 1:
+            pair = replace(pair, entries=tuple(_inexact(entry, pair.entries) for entry in pair.entries))
         both = [pair.real.vehicle, pair.sim.vehicle]
         if all(HOVERS[0] <= hovers(one) <= HOVERS[1] for one in both):
             belief = float(np.clip(vehicle.drive.expo + rng.uniform(-0.1, 0.1), 0.0, 0.9))
             tuning = tuned(both, belief, rng.uniform(-0.05, 0.05), compensates=bool(rng.random() < 0.7))
             return Draft(pair, tuning, draw_logging(rng))
     raise AssertionError(f"no vehicle of this size flies with {[kind.id for kind in kinds]}")
+
+
+def _inexact(entry: Entry, all_of_them: Sequence[Entry]) -> Entry:
+    """Without exact numbers where another effect of the case may be counted into them.
+
+    Density is a part of every force, and damping in 1/s of drag, inflow and inertia.
+    """
+    thin = "air_density" in {other.id for other in all_of_them} and entry.id != "air_density"
+    return replace(entry, exact=()) if thin or entry.id == "angular_damping" else entry
 
 
 def _label(name: str, tier: AirTier, seed: int, draft: Draft) -> dict[str, Any]:

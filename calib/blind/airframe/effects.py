@@ -8,74 +8,31 @@ from dataclasses import replace
 
 import numpy as np
 
+from mavcal.calib.blind.airframe.changes import blades, both, driven, factor, hulled, relative, signed
 from mavcal.calib.blind.airframe.draw import log_uniform, without_battery
 from mavcal.calib.blind.airframe.flight import LOOP_S, SUBSTEPS, Events
-from mavcal.calib.blind.airframe.seen import Seen, hover_command, hover_ratio, see
+from mavcal.calib.blind.airframe.seen import Seen, see
 from mavcal.calib.blind.airframe.sides import Array, Entry, Kind, Pair, Rng
-from mavcal.calib.blind.airframe.vehicle import Drive, Hull, Propeller, Vehicle
 
 GRID_S = LOOP_S / SUBSTEPS
 """Delays are whole steps of it."""
 
 
-def signed(rng: Rng, low: float, high: float) -> float:
-    """Log-uniform in size, either sign."""
-    return log_uniform(rng, low, high) * float(rng.choice([-1.0, 1.0]))
-
-
-def factor(rng: Rng, low: float, high: float) -> float:
-    """A ratio whose logarithm is log-uniform in size from those of `low` to `high`, up or down."""
-    return math.exp(signed(rng, math.log(low), math.log(high)))
-
-
-def blades(vehicle: Vehicle, **changes: float) -> Vehicle:
-    """With other blades."""
-    new: Propeller = replace(vehicle.propeller, **changes)
-    return replace(vehicle, propeller=new)
-
-
-def driven(vehicle: Vehicle, **changes: float) -> Vehicle:
-    """With another drive."""
-    new: Drive = replace(vehicle.drive, **changes)
-    return replace(vehicle, drive=new)
-
-
-def hulled(vehicle: Vehicle, hull: Hull) -> Vehicle:
-    """With another hull."""
-    return replace(vehicle, hull=hull)
-
-
-def both(old: Vehicle, new: Vehicle) -> tuple[Seen, Seen]:
-    """What is seen of them at the hover voltage of the old one."""
-    ratio = hover_ratio(old)
-    return see(old, ratio), see(new, ratio)
-
-
-def relative(
-    names: dict[str, Callable[[Seen], float]], before: Seen, after: Seen
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Values and ratios of relative parameters."""
-    ratios = {name: get(after) / get(before) for name, get in names.items()}
-    return {name: ratio - 1.0 for name, ratio in ratios.items()}, ratios
-
-
 def thrust_scale(rng: Rng, pair: Pair) -> Pair:
-    """Other propellers, in a quarter of the cases another mass: thrust over mass is what is seen.
-
-    Propellers of more thrust have as much more drag and inflow as keeps both in hover. More mass divides every force
-    by it, so that all of them are seen changed.
-    """
+    """Other propellers; what more thrust has more of drag and inflow keeps both as they were in hover."""
     old, ratio = pair.real.vehicle, factor(rng, 1.02, 1.3)
-    also: tuple[str, ...] = ()
-    if rng.random() < 0.25:
-        mass = old.hull.mass / ratio
-        new = hulled(old, replace(old.hull, mass=mass))
-        also = ("rotor_drag", "body_drag", "inflow", "translational_lift")
-        also += ("inertia", "yaw_coefficient", "angular_damping")
-    else:
-        blade, root = old.propeller, math.sqrt(ratio)
-        new = blades(old, thrust=blade.thrust * ratio, drag=blade.drag * root, inflow=blade.inflow * root)
+    blade, root = old.propeller, math.sqrt(ratio)
+    new = blades(old, thrust=blade.thrust * ratio, drag=blade.drag * root, inflow=blade.inflow * root)
     params, ratios = relative({"s": lambda x: x.thrust}, *both(old, new))
+    return pair.flown(new).said(Entry("thrust_scale", "airframe", params, ratios, ("s",), size=ratio))
+
+
+def mass(rng: Rng, pair: Pair) -> Pair:
+    """Another mass: thrust over mass is what is seen. It divides every force, so that all of them are seen changed."""
+    old, ratio = pair.real.vehicle, factor(rng, 1.02, 1.3)
+    new = hulled(old, replace(old.hull, mass=old.hull.mass / ratio))
+    params, ratios = relative({"s": lambda x: x.thrust}, *both(old, new))
+    also = ("rotor_drag", "body_drag", "inflow", "translational_lift", "inertia", "yaw_coefficient", "angular_damping")
     return pair.flown(new).said(Entry("thrust_scale", "airframe", params, ratios, ("s",), also, size=ratio))
 
 
@@ -282,18 +239,13 @@ def payload_step(rng: Rng, pair: Pair) -> Pair:
     lost, at = log_uniform(rng, 0.03, 0.3), rng.uniform(30.0, 75.0)
 
     def happen(events: Events, t: Array, _: Rng) -> Events:
-        mass = np.where(t < at, 1.0, 1.0 - lost)
-        return replace(events, mass=mass if events.mass is None else mass * events.mass)
+        left = np.where(t < at, 1.0, 1.0 - lost)
+        return replace(events, mass=left if events.mass is None else left * events.mass)
 
     real = replace(pair.real, happenings=(*pair.real.happenings, happen))
     # The vehicle of the label's other numbers is the one that took off.
     entry = Entry("payload_step", "airframe", {"s": -lost, "t": at}, {"s": 1.0 - lost}, ("s",), size=lost)
     return replace(pair, real=real).said(entry)
-
-
-def hovers(vehicle: Vehicle) -> float:
-    """Hover command, for a check that a change leaves it room."""
-    return hover_command(vehicle, hover_ratio(vehicle))
 
 
 KINDS: tuple[Kind, ...] = (
@@ -316,3 +268,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("payload_step", payload_step, "thrust"),
 )
 """Of the airframe. Two of one group are not put into one case."""
+MASS = Kind("thrust_scale", mass, "thrust")
+"""Alone only: beside another effect the numbers of both would be one."""
+MASSES = 0.25
+"""Share of thrust scales that are another mass. Chosen, not measured."""

@@ -71,19 +71,17 @@ def draw_logging(rng: Rng) -> Logging:
     )
 
 
-def draw_units(rng: Rng, *, quiet: bool) -> tuple[Unit, Unit]:
-    """Two consumer units, noise as in data sheets over half the loop rate; `quiet` as simulators have them."""
+def draw_units(rng: Rng) -> tuple[Unit, Unit]:
+    """Two consumer units, noise as in data sheets over half the loop rate. Both flights of a case carry the same."""
     units = []
     for every in (1, int(rng.choice([2, 4]))):
-        part = 0.3 if quiet else 1.0
-        small = rng.normal(0.0, [0.02 * part] * 3)
         units.append(
             Unit(
                 place=(rng.uniform(-0.02, 0.02), rng.uniform(-0.02, 0.02), rng.uniform(-0.01, 0.01)),
-                accel_sd=log_uniform(rng, 0.02, 0.06) * part,
-                gyro_sd=log_uniform(rng, 0.002, 0.006) * part,
-                shaken=log_uniform(rng, 0.15, 0.6) * part,
-                accel_bias=(float(small[0]), float(small[1]), float(small[2])),
+                accel_sd=log_uniform(rng, 0.01, 0.06),
+                gyro_sd=log_uniform(rng, 0.001, 0.006),
+                shaken=log_uniform(rng, 0.05, 0.5),
+                accel_bias=_three(rng.normal(0.0, [0.02] * 3)),
                 gyro_bias=_three(rng.normal(0.0, [0.0005] * 3)),
                 every=every,
             )

@@ -157,7 +157,11 @@ def _sizes(answers: Iterable[AirAnswer]) -> list[Figure]:
     told = [one for a in answers for one in told_of(a)]
     figures = []
     for name, effect, params, relative, target in SIZES:
-        rows = [one.size_error(relative=relative) for one in told if one.effect == effect and one.name in params]
+        rows = [
+            one.size_error(relative=relative)
+            for one in told
+            if one.exact and one.effect == effect and one.name in params
+        ]
         figures.append(of_rows(f"error of {name}: median", quantile(0.5), rows, target))
         figures.append(of_rows(f"error of {name}: p90", quantile(0.9), rows))
     return figures

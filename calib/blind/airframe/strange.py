@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from mavcal.calib.blind.airframe.changes import hulled
 from mavcal.calib.blind.airframe.draw import log_uniform
-from mavcal.calib.blind.airframe.effects import hulled
 from mavcal.calib.blind.airframe.flight import LOOP_HZ, Events
 from mavcal.calib.blind.airframe.logs import coloured
 from mavcal.calib.blind.airframe.sides import Array, Entry, Happening, Kind, Pair, Rng
@@ -61,8 +61,8 @@ def leak(rng: Rng, pair: Pair) -> Pair:
     lost = log_uniform(rng, 0.06, 0.3)
 
     def happen(events: Events, t: Array, _: Rng) -> Events:
-        mass = 1.0 - lost * np.clip((t - 15.0) / 75.0, 0.0, 1.0)
-        return replace(events, mass=mass if events.mass is None else mass * events.mass)
+        left = 1.0 - lost * np.clip((t - 15.0) / 75.0, 0.0, 1.0)
+        return replace(events, mass=left if events.mass is None else left * events.mass)
 
     return _happening(pair, happen).said(_unknown("leak", ("payload_step",), lost))
 

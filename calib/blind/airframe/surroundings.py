@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from mavcal.calib.blind.airframe.air import Gust, Weather
+from mavcal.calib.blind.airframe.changes import signed
 from mavcal.calib.blind.airframe.draw import log_uniform
-from mavcal.calib.blind.airframe.effects import air_density, signed
+from mavcal.calib.blind.airframe.effects import air_density
 from mavcal.calib.blind.airframe.seen import see
 from mavcal.calib.blind.airframe.sides import Entry, Kind, Pair, Rng, Slip
 

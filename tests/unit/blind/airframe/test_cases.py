@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mavcal.calib.blind.airframe.cases import HOVERS, AirTier, drafted, make_air_case, make_air_label
-from mavcal.calib.blind.airframe.effects import KINDS, hovers
+from mavcal.calib.blind.airframe.changes import hovers
+from mavcal.calib.blind.airframe.effects import KINDS
 from mavcal.calib.blind.airframe.seal import AIR_PLAN, air_generator_sha256, air_scorer_sha256
 from mavcal.calib.blind.airframe.strange import STRANGE
 from mavcal.calib.blind.airframe.surroundings import ENVIRONMENT

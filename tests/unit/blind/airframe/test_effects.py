@@ -6,7 +6,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from mavcal.calib.blind.airframe.effects import KINDS
+from mavcal.calib.blind.airframe.effects import KINDS, MASS
 from mavcal.calib.blind.airframe.flight import Events
 from mavcal.calib.blind.airframe.seen import Seen, hover_ratio, see
 from mavcal.calib.blind.airframe.sides import Entry, Pair
@@ -56,6 +56,15 @@ def test_a_change_is_seen_in_its_own_number_and_in_those_that_the_label_admits(n
         if name not in trims:
             ratio = max((abs(math.log(r)) for r in entry.ratios.values()), default=1.0)
             assert name in moved(pair) or ratio < 0.05
+
+
+def test_another_mass_divides_every_force_and_says_so():
+    for seed in range(12):
+        pair = MASS.put(np.random.default_rng(seed), calm_pair(seed))
+        (entry,) = pair.entries
+        assert moved(pair) <= {"thrust_scale", *entry.also}
+        masses = [side.vehicle.hull.mass for side in (pair.real, pair.sim)]
+        assert entry.params["s"] == pytest.approx(masses[1] / masses[0] - 1.0)
 
 
 RATIOS = {

@@ -23,7 +23,7 @@ LOGGING = Logging(
 @pytest.fixture(scope="module")
 def columns(flown, vehicle):
     rng = np.random.default_rng(4)
-    units = draw_units(rng, quiet=True)
+    units = draw_units(rng)
     errors = draw_errors(rng, len(flown.t), LOGGING, units[0])
     return columns_of(flown, vehicle, units, errors, LOGGING, rng)
 
