@@ -11,18 +11,24 @@ from typing import Any
 from mavcal.calib.blind.cases import FIRST_SEALED, Tier
 
 HERE = Path(__file__).resolve().parent
-SCORER = {"score.py", "intervals.py", "answers.py", "seal.py"}
+SCORER = {"score.py", "figures.py", "intervals.py", "answers.py", "seal.py"}
 """Modules that judge answers; the generator's digits do not depend on them."""
+APART = "airframe"
+"""Folder of another generator, which has its own seal."""
 
 
 def generator_sha256() -> str:
     """Of every module that shapes a case, names and bytes."""
     digest = hashlib.sha256()
-    for path in sorted(HERE.rglob("*.py")):
+    for path in _modules():
         if path.name not in SCORER:
             digest.update(path.relative_to(HERE).as_posix().encode() + b"\0")
             digest.update(_sealed_bytes(path) + b"\0")
     return digest.hexdigest()
+
+
+def _modules() -> list[Path]:
+    return [path for path in sorted(HERE.rglob("*.py")) if path.relative_to(HERE).parts[0] != APART]
 
 
 def _sealed_bytes(path: Path) -> bytes:
@@ -33,7 +39,7 @@ def _sealed_bytes(path: Path) -> bytes:
 def scorer_sha256() -> str:
     """Of the modules that judge."""
     digest = hashlib.sha256()
-    for path in sorted(HERE.rglob("*.py")):
+    for path in _modules():
         if path.name in SCORER:
             digest.update(path.name.encode() + b"\0" + _sealed_bytes(path) + b"\0")
     return digest.hexdigest()

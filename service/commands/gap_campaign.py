@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.withheld_check import Case, CaseAnswer, Tier, make_case
+from mavcal.calib.withheld_check import AirCase, Case, CaseAnswer, check_of
 from mavcal.service.children import DIAGNOSE, Children, Limits
 from mavcal.service.errors import ChildEnded
 
@@ -61,7 +61,7 @@ async def diagnoser(folder: Path, *, processes: int = 1, timeout_s: float = TIME
 class Plan:
     """What is run: (tier, seed) pairs, whether selection is nested in the folds, and how many at once."""
 
-    cases: Sequence[tuple[Tier, int]]
+    cases: Sequence[tuple[str, int]]
     nested: bool
     processes: int
 
@@ -82,24 +82,29 @@ async def _run(plan: Plan, record: Callable[[Json], None]) -> None:
 
 async def _drive(
     diagnosing: Diagnoser,
-    todo: Iterator[tuple[Tier, int]],
+    todo: Iterator[tuple[str, int]],
     folder: Path,
     record: Callable[[Json], None],
     *,
     nested: bool,
 ) -> None:
     for tier, seed in todo:
-        case = await asyncio.to_thread(make_case, tier, seed)
+        case = await asyncio.to_thread(check_of(tier).case, tier, seed)
         record(await one(diagnosing, case, folder, nested=nested))
 
 
-async def one(diagnosing: Diagnoser, case: Case, folder: Path, *, nested: bool) -> Json:
-    """Write the pair of files, have it diagnosed, and put the answer beside the label."""
+async def one(diagnosing: Diagnoser, case: Case | AirCase, folder: Path, *, nested: bool) -> Json:
+    """Write the pair of files, have it diagnosed, and put the answer beside the label.
+
+    A table cannot say the layout of the motors: the order does.
+    """
     paths = {side: folder / f"{case.id}_{side}.npz" for side in ("real", "sim")}
     for side, columns in (("real", case.real), ("sim", case.sim)):
         np.savez(paths[side], allow_pickle=False, **columns)
     parts = {side: {"path": str(path)} for side, path in paths.items()}
-    order = {**parts, "nominal": [], "without": list(case.without), "nested": nested, "limit_s": None}
+    order: Json = {**parts, "nominal": [], "without": list(case.without), "nested": nested, "limit_s": None}
+    if isinstance(case, AirCase):
+        order["frame"] = case.frame
     answer = await diagnosing.ask(order)
     for path in paths.values():
         path.unlink()

@@ -6,7 +6,8 @@ import pytest
 
 from mavcal.calib.blind.answers import CaseAnswer, covered, honest_without
 from mavcal.calib.blind.cases import KNOWN, LADDER, Tier
-from mavcal.calib.blind.score import FigureVerdict, score
+from mavcal.calib.blind.figures import FigureVerdict
+from mavcal.calib.blind.score import score
 
 
 def effect(

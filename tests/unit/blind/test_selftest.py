@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from mavcal.calib.blind.airframe.cases import AirTier, make_air_label
+from mavcal.calib.blind.airframe.seal import air_generator_sha256
 from mavcal.calib.blind.cases import FIRST_SEALED, Tier, make_label
 from mavcal.calib.blind.real import KINDS, fast_sd, injected
-from mavcal.calib.blind.seal import labels_sha256
+from mavcal.calib.blind.seal import generator_sha256, labels_sha256
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.service.commands.gap_campaign import answers, diagnoser
 from mavcal.service.commands.gap_selftest import command
@@ -55,6 +57,35 @@ def test_the_seal_is_that_of_the_labels_of_these_seeds(tmp_path):
     seal = json.loads(out.read_text())
     assert seal["cases"] == {"T0": 2}
     assert seal["labels_sha256"] == labels_sha256([make_label(Tier.NULL, FIRST_SEALED + k) for k in (0, 1)])
+
+
+def test_the_airframes_seal_is_that_of_its_own_generator(tmp_path):
+    out = tmp_path / "seal.json"
+    arguments = ["--tier", "A0", "--tier", "A6", "--count", "2", "--seed", str(FIRST_SEALED)]
+    done = CliRunner().invoke(command, ["--seal", str(out), *arguments])
+    assert done.exit_code == 0, done.output
+    seal = json.loads(out.read_text())
+    assert seal["cases"] == {"A0": 2, "A6": 2}
+    assert seal["generator_sha256"] == air_generator_sha256() != generator_sha256()
+    labels = [make_air_label(tier, FIRST_SEALED + k) for tier in (AirTier.NULL, AirTier.UNKNOWN) for k in (0, 1)]
+    assert seal["labels_sha256"] == labels_sha256(labels)
+
+
+def test_tiers_of_both_kinds_are_not_run_together():
+    done = CliRunner().invoke(command, ["--tier", "T0", "--tier", "A0"])
+    assert done.exit_code == 2
+    assert "one kind at a time" in done.output
+
+
+def test_the_airframes_answers_are_scored_again(tmp_path):
+    row = {"label": make_air_label(AirTier.NULL, 3), "report": {"verdict": "no_gap", "effects": []}, "seconds": 1.0}
+    file = tmp_path / "answers.jsonl"
+    file.write_text(json.dumps(row) + "\n")
+    arguments = ["--score-only", "--answers", str(file)]
+    done = CliRunner().invoke(command, [*arguments, "--json"], standalone_mode=False)
+    first = json.loads(done.stdout)["figures"][0]
+    assert (first["name"], first["value"]) == ("null: a false name, or unknown", 0.0)
+    assert "by probability" in CliRunner().invoke(command, arguments).output
 
 
 @pytest.mark.long
