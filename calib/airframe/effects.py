@@ -70,7 +70,7 @@ about one."""
 
 
 STEPS: Final = 50.0
-"""Moments at which a load may be dropped in a flight of two minutes, which all are tried. Source: one a second or two."""
+"""Moments at which a load may be dropped in a flight of two minutes: all are tried. Source: one in two seconds."""
 IDS: Final = frozenset(
     {
         "thrust_scale", "thrust_expo", "rotor_drag", "body_drag", "inflow", "translational_lift", "inertia",
