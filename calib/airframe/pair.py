@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.airframe.effects import AirframeEffect, applied
 from mavcal.calib.airframe.fit import SAG_SPAN, FlightFit, FlightLikelihood, expanded, fitted, prior_of
-from mavcal.calib.airframe.nameless import PREFIX
+from mavcal.calib.airframe.nameless import GROUPS, PREFIX
 from mavcal.calib.inference.model import Block, Model, Posterior, Term, laplace
 from mavcal.calib.inference.quadratic import Quadratic
 
@@ -26,8 +26,8 @@ Mask = NDArray[np.bool_]
 
 OWN: Final = ("bias", "lever", "scale")
 """Families of parameters that are each flight's own."""
-_ONLY_REAL: Final = ("weak_", "pulse_", "load", PREFIX)
-"""Parameters that the simulated flight is without."""
+_ONLY_REAL: Final = ("weak_", "pulse_", "load", *(f"{PREFIX}{g.id}:" for g in GROUPS if g.own))
+"""Parameters that the simulated flight is without: motors, loads and the weather of one day."""
 _LOOSEST: Final = 1e-4
 """Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
 
@@ -185,6 +185,6 @@ def by_itself(likelihood: FlightLikelihood, start: Array | None = None, rounds: 
     layout, flight = likelihood.airframe.layout, likelihood.airframe.flight
     if start is None:
         start = layout.start(float(np.median(flight.c)), flight.gravity)
-    held = {n: 0.0 for n in layout.names if n.startswith(_ONLY_REAL)} | {"asymmetry": 0.0}
+    held = {n: 0.0 for n in layout.names if n.startswith((*_ONLY_REAL, PREFIX))} | {"asymmetry": 0.0}
     many = {} if rounds is None else {"rounds": rounds}
     return fitted(likelihood, start, held, expand=False, **many).theta
