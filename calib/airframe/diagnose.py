@@ -14,13 +14,14 @@ from mavcal.calib.airframe.air import Jump, jumps, outside, turbulence
 from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands
 from mavcal.calib.airframe.commands import commands_of
 from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
-from mavcal.calib.airframe.fit import FlightLikelihood
+from mavcal.calib.airframe.fit import FlightLikelihood, expanded
 from mavcal.calib.airframe.flown import FlownFlight, Unflown, flown, needed_log
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, NoAirframe
 from mavcal.calib.airframe.geometry import geometry_of
-from mavcal.calib.airframe.heldout import held_out
+from mavcal.calib.airframe.heldout import alone, held_out
+from mavcal.calib.airframe.load import with_load
 from mavcal.calib.airframe.nameless import GROUPS
-from mavcal.calib.airframe.pair import PairEvidence, Side, sides
+from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
@@ -35,6 +36,7 @@ LIKELY: Final = 0.5
 _SPIN_LOW: Final = 0.1875
 """Where a motor starts, in spans of its command, with ArduPilot's defaults: MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95."""
 _TRACE_HZ: Final = 25.0
+_MORE_ROUNDS: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,35 @@ def airframe_gap(
     return _diagnosed(ours, theirs, frozenset(without), ended)
 
 
+def airframe_alone(real: Recording, *, frame: str | None = None) -> AirframePart | NoAirframe:
+    """What one flight says of its airframe without a simulator: its numbers, and how far they predict it.
+
+    Before: thrust that balances gravity at the hover's command, and nothing else. Errors are of held-out stretches.
+    """
+    one = _ready(real, frame)
+    if isinstance(one, NoAirframe):
+        return one
+    torque = min(one.flight.command_hz, one.flight.inertial_hz) >= TORQUE_HZ
+    volts = float(np.median(one.flight.voltage)) if np.isfinite(one.flight.voltage).all() else None
+    side, _ = _best_kind(one, volts, torque=torque)
+    if reason := unusable(side.likelihood):
+        return NoAirframe(reason, "a flight within the motors' limits")
+    theta, place = side.fit.theta, side.fit.layout.place
+    return AirframePart(
+        geometry=one.flight.geometry,
+        commands=_commands(one.flight),
+        rollout=alone(side),
+        wind=(float(theta[place["wind_north"]]), float(theta[place["wind_east"]])),
+        manoeuvres=("the same flight in the simulator: without one, no gap is told",),
+        facts=_facts(side),
+    )
+
+
+def _commands(flight: FlownFlight) -> Commands:
+    told = flight.commands
+    return Commands(told.source, round(told.rate_hz, 1), told.check_us, float(flight.limited.mean()))
+
+
 def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
     parameters = {name: float(value) for name, value in recording.parameters.final().items()}
     geometry = geometry_of(parameters, frame)
@@ -115,7 +146,7 @@ def _likelihood(one: _Flight, kind: Kind, volts: float | None, *, torque: bool) 
     low = one.parameters.get("MOT_SPIN_MIN", 0.0)
     span = one.parameters.get("MOT_SPIN_MAX", 1.0) - low
     spin_low = low / span if span > 0.0 else _SPIN_LOW
-    airframe = Airframe(one.flight, kind, volts, spin_low, torque=torque)
+    airframe = Airframe(one.flight, kind, volts, spin_low=spin_low, torque=torque)
     return FlightLikelihood(airframe, one.flight.usable, torque=torque)
 
 
@@ -126,7 +157,10 @@ def _diagnosed(
     known = bool(np.isfinite(sim.flight.voltage).all() and np.isfinite(real.flight.voltage).all())
     volts = float(np.median(sim.flight.voltage)) if known else None
     theirs, kind = _best_kind(sim, volts, torque=torque)
-    ours = sides([_likelihood(real, kind, volts, torque=torque)])[0]
+    likelihood = _likelihood(real, kind, volts, torque=torque)
+    theta = by_itself(likelihood)
+    loaded = with_load(likelihood, theta)
+    ours = Side(loaded, expanded(loaded, theta, loaded.possible))
     for which, side in (("real", ours), ("simulated", theirs)):
         if reason := unusable(side.likelihood):
             return NoAirframe(f"{which} recording: {reason}", "a flight within the motors' limits")
@@ -139,11 +173,18 @@ def _diagnosed(
 
 
 def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side, Kind]:
-    found = []
-    for kind in _kinds(sim):
-        likelihood = _likelihood(sim, kind, volts, torque=torque)
-        found.append((sides([likelihood])[0], kind))
-    return max(found, key=lambda f: f[0].fit.loglik)
+    """The simulated flight with the kind that suits it best; each is fitted from the first one's best point."""
+    kinds = _kinds(sim)
+    first = _likelihood(sim, kinds[0], volts, torque=torque)
+    best = by_itself(first)
+    found = [(0.0, best, first, kinds[0])]
+    spectra = first.spectra(best)
+    for kind in kinds[1:]:
+        other = _likelihood(sim, kind, volts, torque=torque)
+        theta = by_itself(other, best, rounds=_MORE_ROUNDS)
+        found.append((other.loglik(theta, spectra) - first.loglik(best, spectra), theta, other, kind))
+    _, theta, likelihood, kind = max(found, key=lambda f: f[0])
+    return Side(likelihood, expanded(likelihood, theta, likelihood.possible)), kind
 
 
 def _testable(
@@ -170,12 +211,9 @@ def _answer(
     unknown, share, chance = _unnamed(answer, found)
     theta, _ = evidence.parameters(answer.best.model, answer.best.posterior)
     layout = side.fit.layout
-    commands = real.flight.commands
     part = AirframePart(
         geometry=real.flight.geometry,
-        commands=Commands(
-            commands.source, round(commands.rate_hz, 1), commands.check_us, float(real.flight.limited.mean())
-        ),
+        commands=_commands(real.flight),
         rollout=parted.rollouts,
         wind=(float(theta[layout.place["wind_north"]]), float(theta[layout.place["wind_east"]])),
         manoeuvres=needed_manoeuvres(found, untestable),

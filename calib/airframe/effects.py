@@ -69,11 +69,14 @@ ODDS: Final = 0.05
 about one."""
 
 
+STEPS: Final = 50.0
+"""Moments at which a load may be dropped in a flight of two minutes: all are tried. Source: one in two seconds."""
 IDS: Final = frozenset(
     {
         "thrust_scale", "thrust_expo", "rotor_drag", "body_drag", "inflow", "translational_lift", "inertia",
         "cg_offset", "motor_weak", "torque_bias", "yaw_coefficient", "angular_damping", "battery_sag", "motor_lag",
-        "actuator_delay", "wind",
+        "actuator_delay",
+        "payload_step", "wind",
     }
 )  # fmt: skip
 """Every name that the catalogue can give."""
@@ -136,6 +139,8 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     yield AirframeEffect(
         "wind", "wind", ("north", "east"), (4.0, 4.0), wind, ("wind_north", "wind_east"), Domain.ENVIRONMENT, odds=1.0
     )
+    load = (Change(0, "load", plus),)
+    yield AirframeEffect("payload_step", "payload_step", ("s",), (0.2,), load, ("load",), odds=ODDS / STEPS)
     yield _one("actuator_delay", "delay", 0.01, (Change(0, "delay", plus),), "delay", torque=True)
 
 

@@ -237,14 +237,14 @@ def _airborne(recording: Recording, commands: MotorCommands) -> tuple[float, flo
 
 
 def _height(recording: Recording, t: Array) -> Array:
-    """Above the place of the first sample, m; nan where the estimator's place was not logged."""
+    """Above the lowest place of the recording, m; nan where no place was logged. A log may begin in the air."""
     places = [c for c in recording.dynamics if c.sensor == Sensor.PLACE and len(c) > 1]
     if places:
         best = max(places, key=len)
-        return np.asarray(np.interp(t, best.t, -(best.values[:, 2] - best.values[0, 2])))
+        return np.asarray(np.interp(t, best.t, best.values[:, 2].max() - best.values[:, 2]))
     gps = [c for c in recording.channels if c.sensor == Sensor.POSITION and len(c) > 1]
     if gps:
-        return np.asarray(np.interp(t, gps[0].t, gps[0].values[:, 2] - gps[0].values[0, 2]))
+        return np.asarray(np.interp(t, gps[0].t, gps[0].values[:, 2] - gps[0].values[:, 2].min()))
     return np.full(len(t), np.nan)
 
 

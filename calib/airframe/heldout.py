@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.answer import Rollout
 from mavcal.calib.airframe.fit import FlightLikelihood, expanded
 from mavcal.calib.airframe.found import FoundEffect, HeldOut
-from mavcal.calib.airframe.pair import PairEvidence, Side
+from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself
 from mavcal.calib.airframe.rollout import Predicted, folds, rollouts
 from mavcal.calib.inference.model import Model
 from mavcal.calib.inference.search import Answer
@@ -23,6 +23,7 @@ Mask = NDArray[np.bool_]
 RUNS_M_S: Final = 3.0
 """Speed over ground from which on a stretch is a run: the kind of manoeuvre that is held out as a whole. Source:
 AIRFRAME 5.8, where drag shows."""
+_REFITTED: Final = 3
 _LEAST: Final = 0.1
 """Part of the flight that a manoeuvre must take so that it is held out. Chosen, not measured."""
 
@@ -50,6 +51,33 @@ def held_out(answer: Answer, evidence: PairEvidence, found: Sequence[FoundEffect
         apart = _fold(evidence, side, model, steps, runs)
         blocks += rollouts(airframe, [(runs, apart.predictions)], torque=torque, part="runs")
     return Parted(blocks, _nats(made, steps))
+
+
+_TERMS: Final = (
+    ("thrust", ("k", "expo", "sag", "tau", "delay")),
+    ("drag", ("c1", "c2", "wind_north", "wind_east")),
+    ("inflow", ("cz", "ch", "climb")),
+)
+"""Parts of an airframe in the order in which they are added to a hover. Source: AIRFRAME 5.7, log171."""
+
+
+def alone(side: Side) -> tuple[Rollout, ...]:
+    """Errors of the predicted flight from a hover's thrust to the whole airframe, fitted without what it predicts."""
+    airframe, place = side.likelihood.airframe, side.fit.layout.place
+    made = []
+    for rows in folds(airframe):
+        theta = by_itself(_on(side, ~rows), side.fit.theta, _REFITTED)
+        own = [
+            n for n in side.fit.layout.names if n.startswith(("bias", "scale", "lever", "gain", "damping", "torque"))
+        ]
+        last = airframe.hovering(theta, own)
+        predictions = [Predicted("", *airframe.predicted(last))]
+        for name, terms in _TERMS:
+            for term in terms:
+                last[place[term]] = theta[place[term]]
+            predictions.append(Predicted(name, *airframe.predicted(last)))
+        made.append((rows, predictions))
+    return rollouts(airframe, made, torque=False)
 
 
 @dataclass(frozen=True, eq=False)

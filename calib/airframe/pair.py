@@ -8,7 +8,6 @@ flight can improve.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -27,7 +26,7 @@ Mask = NDArray[np.bool_]
 
 OWN: Final = ("bias", "lever", "scale")
 """Families of parameters that are each flight's own."""
-_ONLY_REAL: Final = ("weak_", "pulse_", PREFIX)
+_ONLY_REAL: Final = ("weak_", "pulse_", "load", PREFIX)
 """Parameters that the simulated flight is without."""
 _LOOSEST: Final = 1e-4
 """Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
@@ -181,15 +180,11 @@ def _about(side: Side, theta: Array) -> Side:
     return Side(side.likelihood, expanded(side.likelihood, own.theta, free))
 
 
-def sides(likelihoods: Sequence[FlightLikelihood]) -> list[Side]:
-    """Each flight fitted by itself, without a weak motor, and then expanded with everything."""
-    found = []
-    for likelihood in likelihoods:
-        layout = likelihood.airframe.layout
-        flight = likelihood.airframe.flight
+def by_itself(likelihood: FlightLikelihood, start: Array | None = None, rounds: int | None = None) -> Array:
+    """The best point of a flight by itself (P,), without a weak motor and without anything nameless."""
+    layout, flight = likelihood.airframe.layout, likelihood.airframe.flight
+    if start is None:
         start = layout.start(float(np.median(flight.c)), flight.gravity)
-        held = {n: 0.0 for n in layout.names if n.rsplit("_", 1)[0] in {"weak", "pulse"} or n.startswith(PREFIX)}
-        held |= {"asymmetry": 0.0}
-        first = fitted(likelihood, start, held, expand=False)
-        found.append(Side(likelihood, expanded(likelihood, first.theta, likelihood.possible)))
-    return found
+    held = {n: 0.0 for n in layout.names if n.startswith(_ONLY_REAL)} | {"asymmetry": 0.0}
+    many = {} if rounds is None else {"rounds": rounds}
+    return fitted(likelihood, start, held, expand=False, **many).theta

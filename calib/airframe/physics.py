@@ -6,7 +6,7 @@ mass or inertia: only ratios can be seen. A parameter vector is one flight's air
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -30,7 +30,7 @@ _PLAIN: Final = (
     "k", "expo", "sag", "c1", "cz", "c2", "ch", "climb", "wind_north", "wind_east", "bias_x", "bias_y", "bias_z",
     "lever_x", "lever_y", "lever_z", "gain_x", "gain_y", "gain_z", "damping_x", "damping_y", "damping_z", "torque_x",
     "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "cross_x", "cross_y", "cross_z", "tau",
-    "asymmetry", "delay", "scale",
+    "asymmetry", "delay", "scale", "load",
 )  # fmt: skip
 FORCE_ONLY: Final = frozenset(
     {
@@ -72,6 +72,7 @@ class Layout:
     tau, asymmetry        lag of the motors, s; relative difference between down and up
     delay                 of the commands, s
     scale                 of the accelerometer, relative
+    load                  mass that is gained at one moment, relative
     weak_1 ..., pulse_1   of one motor beside the others, relative: its thrust, or the pulse that it obeys
     ====================  ==============================================================================================
     """
@@ -128,6 +129,10 @@ class Airframe:
         Pulse at which a motor starts to turn, in spans of c: what a weak pulse loses at c = 0.
     slew
         Fastest change of a motor's command, 1/s; None: without limit.
+    torque
+        Whether torque is judged.
+    loaded_at
+        When the mass may have changed, s; None: it did not.
     """
 
     def __init__(
@@ -135,12 +140,15 @@ class Airframe:
         flight: FlownFlight,
         kind: Kind,
         full_voltage: float | None,
+        *,
         spin_low: float = 0.1875,
         slew: float | None = None,
         torque: bool = True,
+        loaded_at: float | None = None,
     ) -> None:
         self.flight, self.kind, self.spin_low, self.slew = flight, kind, spin_low, slew
-        self.full_voltage = full_voltage
+        self.full_voltage, self.loaded_at, self._torque_judged = full_voltage, loaded_at, torque
+        self._loaded = np.zeros(len(flight.t)) if loaded_at is None else (flight.t >= loaded_at).astype(np.float64)
         self._limited: dict[float, Array] = {}
         self._dt = 1.0 / flight.fs
         self._x, self._y, self._spin = arms(flight.geometry.motors)
@@ -155,6 +163,26 @@ class Airframe:
         self.free = columns_of(flight, self._over_ground(), self.body_from_local, torque=torque)
         self.layout = Layout(flight.c.shape[1], names_of(self.free))
         self._filters = {s: two_pole(flight.cutoff_hz.get(s, 0.0), flight.fs) for s in (Sensor.ACCEL, Sensor.GYRO)}
+
+    def changed(self, *, slew: float | None = None, loaded_at: float | None = None) -> Airframe:
+        """The same flight with another limit on the commands, or another moment of a load; None: as it is."""
+        return Airframe(
+            self.flight,
+            self.kind,
+            self.full_voltage,
+            spin_low=self.spin_low,
+            slew=self.slew if slew is None else slew,
+            torque=self._torque_judged,
+            loaded_at=self.loaded_at if loaded_at is None else loaded_at,
+        )
+
+    def hovering(self, theta: Array, kept: Sequence[str]) -> Array:
+        """A plain airframe whose thrust is linear and balances gravity at the usual command; `kept` as in `theta`."""
+        plain = np.zeros_like(theta)
+        for name in kept:
+            plain[self.layout.place[name]] = theta[self.layout.place[name]]
+        plain[self.layout.place["k"]] = self.flight.gravity / max(float(np.median(self.flight.c)), 0.05)
+        return plain
 
     def _over_ground(self) -> Array:
         return np.asarray(np.einsum("nij,nj->ni", self.body_from_local, self.flight.velocity))
@@ -184,6 +212,9 @@ class Airframe:
         thrust, turning, spinning = self.thrusts(theta)
         rotors = self._rotors(theta, thrust)
         force, torque = self._force(theta, rotors), self._torque(theta, turning, spinning, rotors)
+        load = theta[self.layout.place["load"]]
+        if load:
+            force = force / (1.0 + load * self._loaded)[:, None]
         force = filtered(force, self._filters[Sensor.ACCEL]) + self._at_unit(theta)
         force = force * (1.0 + theta[self.layout.place["scale"]])
         torque = filtered(torque, self._filters[Sensor.GYRO]) + self._by_rates(theta)

@@ -28,6 +28,8 @@ _EVERY_S: Final = 0.25
 _RESAMPLED: Final = 200
 _LEAST: Final = 20
 _WIDEST: Final = 1.0
+_PLAIN: Final = 2
+"""Rows of errors where no effect was added: the simulator's own, and the floor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +119,7 @@ def _closed(errors: Array, seed: int) -> tuple[float | None, tuple[float, float]
         before, after, floor = np.sqrt(some[[0, -2, -1]].mean(axis=1))
         return float((before - after) / (before - floor)) if before > floor * 1.02 else float("nan")
 
-    whole = share(errors)
+    whole = share(errors) if len(errors) > _PLAIN else float("nan")
     if not np.isfinite(whole):
         return None, None
     rng = np.random.default_rng(seed)

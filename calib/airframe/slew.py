@@ -7,10 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.airframe.fit import FlightLikelihood, expanded, fitted
-from mavcal.calib.airframe.nameless import PREFIX
-from mavcal.calib.airframe.pair import Side
-from mavcal.calib.airframe.physics import Airframe
+from mavcal.calib.airframe.fit import FlightLikelihood, expanded
+from mavcal.calib.airframe.pair import Side, by_itself
 
 Array = NDArray[np.float64]
 
@@ -47,17 +45,10 @@ def with_limit(side: Side, sim: Side) -> tuple[Side, float] | None:
         return None
     for spread in _SPREADS:
         made = _limited(likelihood, best)
-        theta = fitted(made, theta, _held(made), rounds=_ROUNDS, expand=False).theta
+        theta = by_itself(made, theta, _ROUNDS)
         best = _better(likelihood, theta, side, best, spread)
     made = _limited(likelihood, best)
-    fit = fitted(made, theta, _held(made), expand=False)
-    return Side(made, expanded(made, fit.theta, made.possible)), best
-
-
-def _held(likelihood: FlightLikelihood) -> dict[str, float]:
-    """What stays zero while a flight is fitted by itself."""
-    names = likelihood.airframe.layout.names
-    return {n: 0.0 for n in names if n.startswith(("weak_", "pulse_", PREFIX)) or n == "asymmetry"}
+    return Side(made, expanded(made, by_itself(made, theta), made.possible)), best
 
 
 def _better(likelihood: FlightLikelihood, theta: Array, side: Side, best: float, spread: float) -> float:
@@ -71,6 +62,4 @@ def _better(likelihood: FlightLikelihood, theta: Array, side: Side, best: float,
 
 
 def _limited(likelihood: FlightLikelihood, rate: float | None) -> FlightLikelihood:
-    airframe = likelihood.airframe
-    other = Airframe(airframe.flight, airframe.kind, airframe.full_voltage, slew=rate, torque=likelihood.torque)
-    return FlightLikelihood(other, likelihood.usable, torque=likelihood.torque)
+    return FlightLikelihood(likelihood.airframe.changed(slew=rate), likelihood.usable, torque=likelihood.torque)

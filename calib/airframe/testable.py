@@ -31,7 +31,6 @@ UNTESTED: Final[Mapping[str, tuple[str, str]]] = {
         "3 s of hover below 1.5 rotor radii with a rangefinder",
     ),
     "air_density": ("the altitude changes by less than 300 m", "a climb of 300 m or more"),
-    "payload_step": ("no step of mass is looked for in one flight", "two flights, with and without the load"),
 }  # fmt: skip
 
 

@@ -30,7 +30,16 @@ _UNITS: Final = {
     "torque_y": "rad/s2", "torque_z": "rad/s2",
 }  # fmt: skip
 _RELATIVE: Final = frozenset(
-    {"thrust_scale", "rotor_drag", "body_drag", "inertia", "yaw_coefficient", "angular_damping", "motor_weak"}
+    {
+        "thrust_scale",
+        "rotor_drag",
+        "body_drag",
+        "inertia",
+        "yaw_coefficient",
+        "angular_damping",
+        "motor_weak",
+        "payload_step",
+    }
 )
 
 
@@ -107,6 +116,9 @@ def _values(
         value, error = _thrust_left(evidence, effect, float(mean[0]), float(sd[0]))
         motor = FoundValue("motor", float(effect.motor), 0.0, "1", relative=False)
         return FoundValue("s", value, error, "1", relative=True), motor
+    if effect.id == "payload_step":
+        at = evidence.side_of(answer.best.model).likelihood.airframe.loaded_at or 0.0
+        return FoundValue("s", float(mean[0]), float(sd[0]), "1", relative=True), FoundValue("t", at, 0.5, "s")
     if effect.id == "inertia":
         axes = effect.block.removeprefix("inertia_")
         return tuple(FoundValue(a, float(mean[0]), float(sd[0]), "1", relative=True) for a in axes)

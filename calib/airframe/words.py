@@ -27,5 +27,6 @@ FIXES: Final[Mapping[str, str]] = {
     "yaw_coefficient": "four yaw steps of 90 degrees: damping tells reaction from inertia",
     "angular_damping": "fast turns about the axis, beside doublets",
     "battery_sag": "a flight over the whole battery with the same hover before and after",
+    "payload_step": "a hover before and after the load is dropped",
     "wind": "runs out and back, and a turn through all headings",
 }

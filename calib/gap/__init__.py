@@ -12,7 +12,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mavcal.calib.airframe.diagnose import airframe_gap
+from mavcal.calib.airframe.answer import AirframePart
+from mavcal.calib.airframe.diagnose import airframe_alone, airframe_gap
 from mavcal.calib.airframe.effects import IDS as AIRFRAME_IDS
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.companion.compensation import problem_of
@@ -101,6 +102,8 @@ def run(
         report = untestable(error.reason, error.need, digests)
     if flown is not None:
         report = joined(report, flown, real)
+    elif sim is None and _flies(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
+        report = dataclasses.replace(report, airframe=alone)
     return with_patches(report, simulator_of(real, sim), frame=sim_frame, vehicle=real.parameters.final())
 
 

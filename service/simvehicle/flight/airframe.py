@@ -57,7 +57,8 @@ class Airframe:
         yaw = YAW_PER_THRUST * frame.diagonal_size
         self._rotors = tuple((*rotor.position, rotor.yaw_factor * yaw) for rotor in rotors)
         self._inertia = frame.inertia
-        self._damping = _TURN_DAMPING / frame.reference_turn_rate
+        turn_rate = frame.reference_turn_rate  # 0: none of its own, as in SIM_Frame.cpp
+        self._damping = _TURN_DAMPING / turn_rate if turn_rate > 0.0 else 0.0
         self._span = (frame.spin_max - frame.spin_min) * (frame.pwm_max - frame.pwm_min)
         self._idle = frame.pwm_min + frame.spin_min * (frame.pwm_max - frame.pwm_min)
 

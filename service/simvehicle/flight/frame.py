@@ -74,7 +74,7 @@ class Frame:
 
 
 _SCALARS = {f.metadata["key"]: f.name for f in fields(Frame) if "key" in f.metadata}
-_POSITIVE = ("mass", "diagonal_size", "hoverThrOut", "refSpd", "refRotRate", "maxVoltage", "slew_max", "disc_area")
+_POSITIVE = ("mass", "diagonal_size", "hoverThrOut", "refSpd", "maxVoltage", "slew_max", "disc_area")
 
 
 def load_frame(path: str | Path) -> Frame:
