@@ -40,6 +40,7 @@ FORCE_ONLY: Final = frozenset(
         "ch",
         "climb",
         "scale",
+        "load",
         "wind_north",
         "wind_east",
         *(f"{n}_{a}" for n in ("bias", "lever") for a in AXES),

@@ -57,10 +57,15 @@ def phrase(effect: EffectEstimate) -> str:
         return kind.plain
 
 
+def labels(effect_id: str) -> Mapping[str, tuple[str, str]]:
+    """By parameter its label, and the unit of its two sides, empty where only their ratio means anything."""
+    return _KINDS[effect_id].sides if effect_id in _KINDS else {}
+
+
 def claims(effect: EffectEstimate) -> tuple[Claim, ...]:
     """The parameters, except the number of a motor, which its name has."""
-    sides = _KINDS[effect.id].sides if effect.id in _KINDS else {}
-    return tuple(_claim(p, *sides.get(p.name, (p.name, p.unit))) for p in effect.params if p.name != "motor")
+    known_ones = labels(effect.id)
+    return tuple(_claim(p, *known_ones.get(p.name, (p.name, p.unit))) for p in effect.params if p.name != "motor")
 
 
 def rival_phrase(rival: Rival) -> str:

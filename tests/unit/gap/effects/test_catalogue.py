@@ -143,4 +143,4 @@ def test_no_trace_changes():
 
 def test_the_page_lists_the_catalogue_as_it_is():
     page = effects.PAGE.read_text(encoding="utf-8")
-    assert effects.with_table(page) == page, "scripts/effects writes it"
+    assert effects.with_tables(page) == page, "scripts/effects writes it"
