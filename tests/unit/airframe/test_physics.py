@@ -15,7 +15,7 @@ from mavcal.calib.recording import Sensor
 from mavcal.service.simvehicle.flight.air import density
 from mavcal.service.simvehicle.flight.airframe import Airframe as Flying
 from mavcal.service.simvehicle.flight.frame import frame_of, rotors_of
-from tests.unit.airframe.made import G, HZ, airframe, flight, frame, hover, theta
+from tests.unit.airframe.made import HZ, G, airframe, flight, frame, hover, theta
 
 DT = 1.0 / HZ
 
@@ -60,7 +60,7 @@ def test_at_its_final_speed_drag_balances_the_leaning_thrust(heading_deg: float)
     at = theta(model, k=k, c1=c1, c2=c2, wind_north=2.0, wind_east=-1.0)
     np.testing.assert_allclose(model.air_velocity(at)[0], [forward, 0.0, down], atol=1e-9)
     force, _ = model.predicted(at)
-    np.testing.assert_allclose(turn.apply(force) + [0.0, 0.0, G], 0.0, atol=1e-9)
+    np.testing.assert_allclose(turn.apply(force), np.tile([0.0, 0.0, -G], (n, 1)), atol=1e-9)
 
 
 def test_drag_points_against_the_air_on_every_axis() -> None:
