@@ -31,21 +31,27 @@ T = np.arange(0.0, 60.0, 0.01)
 REST = np.tile([0.0, 0.0, -G], (len(T), 1))
 
 
+def ratio(name: str, value: float, sd: float, real: float | None = None, sim: float | None = None) -> FoundValue:
+    return FoundValue(name, value, sd, "1", relative=True, real=real, sim=sim)
+
+
+def difference(name: str, real: float, sim: float, sd: float, unit: str) -> FoundValue:
+    return FoundValue(name, real - sim, sd, unit, relative=False, real=real, sim=sim)
+
+
 def thrust(nats: float = 300.0) -> FoundEffect:
-    value = FoundValue("s", -0.1, 0.005, "1", True, 22.6, 25.1)
     rival = FoundRival("thrust_expo", 0.02, 4.0, "throttle steps over 0.3")
-    return FoundEffect("thrust_scale", Domain.AIRFRAME, (), (value,), nats, 1, 0.98, 1.0, (rival,))
+    values = (ratio("s", -0.1, 0.005, 22.6, 25.1),)
+    return FoundEffect("thrust_scale", Domain.AIRFRAME, (), values, nats, 1, 0.98, 1.0, (rival,))
 
 
 def wind(nats: float = 100.0) -> FoundEffect:
-    values = (
-        FoundValue("north", -1.1, 0.1, "m/s", False, -1.05, 0.05), FoundValue("east", -4.0, 0.1, "m/s", False, -4.0, 0.0)
-    )  # fmt: skip
+    values = (difference("north", -1.05, 0.05, 0.1, "m/s"), difference("east", -4.0, 0.0, 0.1, "m/s"))
     return FoundEffect("wind", Domain.ENVIRONMENT, (), values, nats, 2, 1.0, 0.0)
 
 
 def weak() -> FoundEffect:
-    values = (FoundValue("s", -0.08, 0.004, "1", True), FoundValue("motor", 3.0, 0.0, "1", False))
+    values = (ratio("s", -0.08, 0.004), FoundValue("motor", 3.0, 0.0, "1", relative=False))
     return FoundEffect("motor_weak", Domain.AIRFRAME, (3,), values, 500.0, 1, 1.0, 1.0)
 
 
@@ -181,7 +187,7 @@ def test_every_test_counts_and_what_could_not_be_tested_is_told_once() -> None:
 
 
 def test_what_the_sensors_could_not_name_is_no_unknown_where_the_flight_explains_it() -> None:
-    left = Unknown(True, 0.4, "noise on accel from 12 to 14 s")
+    left = Unknown(flag=True, share=0.4, shape="noise on accel from 12 to 14 s")
     before = replace(report(), unknown=left, verdict=GapVerdict.UNKNOWN)
     assert not joined(before, answer(thrust()), BARE).unknown.flag
     magnetic = replace(before, unknown=replace(left, shape="jumps on mag"))

@@ -108,7 +108,7 @@ def test_units_that_both_read_wrong_at_rest_are_wrong() -> None:
 
 
 @pytest.mark.parametrize(("scale", "borne_out"), [(1.03, True), (1.0, False)])
-def test_of_one_unit_alone_rest_decides(scale: float, borne_out: bool) -> None:  # noqa: FBT001
+def test_of_one_unit_alone_rest_decides(scale: float, borne_out: bool) -> None:
     """Gravity before arming: a scale that is there shows, a stronger thrust does not."""
     part = 0.03 * (REST + swing())
     still = np.where(FLYING[:, None], 1.03, scale)
