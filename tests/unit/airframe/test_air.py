@@ -1,0 +1,111 @@
+"""What the day did: jumps of the estimator, and air that every unit feels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mavcal.calib.airframe.air import JUMP, Jump, Turbulence, jumps, outside, turbulence
+from mavcal.calib.airframe.flown import FlownFlight
+from tests.unit.airframe.made import HZ, G, airframe, flight, hover
+
+N = 3000
+
+
+def moving(heading_deg: float = 0.0, **velocity_steps: float) -> FlownFlight:
+    """Swings by 3 m/s with the force that this needs; the estimator's velocity jumps by `at_<s>` m/s besides."""
+    t = np.arange(N) / HZ
+    speed = np.column_stack([3.0 * np.sin(0.6 * t), 2.0 * np.cos(0.4 * t), 0.5 * np.sin(0.9 * t)])
+    turn = Rotation.from_euler("ZYX", [heading_deg, 10.0, -5.0], degrees=True)
+    local = np.gradient(speed, 1.0 / HZ, axis=0) - [0.0, 0.0, G]
+    told = speed.copy()
+    for name, size in velocity_steps.items():
+        told[t >= float(name.removeprefix("at_"))] += [size * 0.6, size * 0.8, 0.0]
+    q = np.tile(turn.as_quat(scalar_first=True), (N, 1))
+    return flight(hover(N / HZ), velocity=told, q=q, force=turn.inv().apply(local))
+
+
+def found(one: FlownFlight) -> tuple[Jump, ...]:
+    return jumps(one, airframe(one, torque=False).body_from_local)
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 130.0])
+def test_a_flight_whose_force_explains_its_velocity_has_no_jump(heading_deg: float) -> None:
+    one = moving(heading_deg)
+    assert found(one) == ()
+    assert outside(one, ()).all()
+
+
+def test_a_reset_of_the_estimator_is_found_with_its_time_and_size() -> None:
+    one = moving(40.0, at_20=-0.9, at_10=1.5)
+    first, second = found(one)
+    assert (first.t, second.t) == (pytest.approx(10.0, abs=0.25), pytest.approx(20.0, abs=0.25))
+    assert (first.size, second.size) == (pytest.approx(1.5, abs=0.05), pytest.approx(0.9, abs=0.05))
+    kept = outside(one, (first, second))
+    assert not kept[np.abs(one.t - first.t) < 1.4].any()
+    assert kept[np.minimum(np.abs(one.t - first.t), np.abs(one.t - second.t)) > 1.6].all()
+
+
+def test_what_an_estimator_does_every_day_is_no_jump() -> None:
+    assert found(moving(at_12=0.8 * JUMP)) == ()
+
+
+def gusts(seed: int, size: float) -> np.ndarray:
+    """Coloured noise of 0.1 to 2 Hz with about this root mean square."""
+    rng = np.random.default_rng(seed)
+    made = np.cumsum(rng.normal(size=(N, 3)), axis=0)
+    made -= np.array([np.convolve(m, np.ones(300) / 300.0, mode="same") for m in made.T]).T
+    return size * made / made.std()
+
+
+def test_air_is_felt_by_both_units() -> None:
+    air = gusts(1, 0.3)
+    base = np.tile([0.0, 0.0, -G], (N, 1))
+    rng = np.random.default_rng(2)
+    one = flight(hover(N / HZ), force=base + air, others={1: base + air + 0.02 * rng.normal(size=(N, 3))})
+    calm = flight(hover(N / HZ))
+    made = turbulence(one, air, calm, gusts(3, 0.01))
+    assert made.shared is not None
+    assert made.shared > 0.95
+    assert made.real == pytest.approx(0.3, rel=0.3)
+    assert made.sim == pytest.approx(0.01, rel=0.3)
+    assert made.of_air
+
+
+def test_noise_of_one_unit_is_not_of_the_air() -> None:
+    own = gusts(4, 0.3)
+    base = np.tile([0.0, 0.0, -G], (N, 1))
+    one = flight(hover(N / HZ), force=base + own, others={1: base + gusts(5, 0.02)})
+    made = turbulence(one, own, flight(hover(N / HZ)), gusts(3, 0.01))
+    assert made.shared is not None
+    assert abs(made.shared) < 0.3
+    assert not made.of_air
+
+
+def test_rows_that_are_not_judged_take_no_part() -> None:
+    force = gusts(1, 0.1)
+    usable = np.ones(N, dtype=bool)
+    usable[1000:1400] = False
+    open_force = force.copy()
+    open_force[1000:1400] = np.nan
+    one = flight(hover(N / HZ), usable=usable)
+    made = turbulence(one, open_force, one, open_force)
+    assert np.isfinite(made.real)
+    assert made.real == made.sim
+    assert made.shared is None
+    assert not made.of_air
+
+
+@pytest.mark.parametrize(
+    ("made", "of_air"),
+    [
+        (Turbulence(0.3, 0.1, 0.9), True),
+        (Turbulence(0.3, 0.1, None), True),  # one unit only: nothing speaks against it
+        (Turbulence(0.3, 0.1, 0.2), False),
+        (Turbulence(0.15, 0.1, 0.9), False),
+        (Turbulence(0.01, 0.001, 0.9), False),  # what an estimator leaves open
+    ],
+)
+def test_the_air_is_named_where_it_is_louder_and_shared(made: Turbulence, of_air: bool) -> None:
+    assert made.of_air is of_air

@@ -1,0 +1,187 @@
+"""One flight against the model: parameters that made it are found again, with errors that hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
+from mavcal.calib.airframe.fit import FlightFit, FlightLikelihood, excited, prior_of, spectra_of
+from mavcal.calib.airframe.flown import FlownFlight, Rest
+from mavcal.calib.airframe.pair import PairEvidence, Side, sides
+from mavcal.calib.airframe.physics import Airframe, Kind, Layout
+from mavcal.calib.airframe.slew import with_limit
+from mavcal.calib.inference.search import search
+from tests.unit.airframe.made import HZ, G, airframe, flight, theta
+
+N = 4000
+KIND = Kind(drag_by_rotor=False)
+TRUE = {
+    "k": 25.0, "expo": 0.6, "c1": 0.25, "c2": 0.03, "cz": 0.25, "gain_x": 200.0, "gain_y": 180.0, "gain_z": 8.0,
+    "tau": 0.03, "wind_north": 1.0, "wind_east": -2.0,
+}  # fmt: skip
+
+
+def told(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Commands and velocity of 40 s: doublets, yaw steps, throttle steps and runs; the heading turns slowly."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(N) / HZ
+    c = 0.5 + 3e-4 * rng.normal(size=(N, 4))
+    for start, way, size in ((4, (-1, 1, 1, -1), 0.1), (9, (1, -1, 1, -1), 0.1), (14, (1, 1, -1, -1), 0.2)):
+        rows = (t > start) & (t < start + 3.0)
+        c[rows] += size * np.sign(np.sin((7.0 + seed) * (t[rows] - start)))[:, None] * np.array(way)
+    rows = (t > 20.0) & (t < 30.0)
+    c[rows] += 0.12 * np.sign(np.sin(2.5 * (t[rows] - 20.0)))[:, None]
+    velocity = np.column_stack([9.0 * np.sin(0.5 * t + seed), 8.0 * np.cos(0.37 * t), 2.0 * np.sin(0.9 * t)])
+    half = 0.5 * (0.2 * t + seed)
+    return c, velocity, np.column_stack([np.cos(half), 0.0 * t, 0.0 * t, np.sin(half)])
+
+
+def flew(seed: int = 0, slew: float | None = None, **changes: float) -> FlownFlight:
+    """The flight that a vehicle with these parameters makes, with the noise of its sensors."""
+    c, velocity, q = told(seed)
+    bare = flight(c, velocity=velocity, q=q)
+    model = Airframe(bare, KIND, None, slew=slew)
+    force, torque = model.predicted(theta(model, **{**TRUE, **changes}))
+    rng = np.random.default_rng(50 + seed)
+    rate = np.cumsum(0.5 * (torque[1:] + torque[:-1]), axis=0) / HZ
+    rate = np.vstack([np.zeros((1, 3)), rate]) + 2e-4 * rng.normal(size=(N, 3))
+    slow = lfilter([0.02], [1.0, -0.98], rng.normal(size=(N, 3)), axis=0)
+    return replace(bare, force=force + 0.02 * rng.normal(size=(N, 3)) + 0.02 * slow, rate=rate)
+
+
+def side(one: FlownFlight, *, torque: bool = True) -> Side:
+    likelihood = FlightLikelihood(airframe(one, kind=KIND, volts=None), one.usable, torque=torque)
+    return sides([likelihood])[0]
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Side:
+    return side(flew(0))
+
+
+def test_parameters_that_made_a_flight_are_found(simulated: Side) -> None:
+    fit = simulated.fit
+    assert isinstance(fit, FlightFit)
+    for name, size in (("k", 0.01), ("expo", 0.02), ("c1", 0.05), ("c2", 0.1), ("gain_x", 0.05), ("gain_y", 0.05)):
+        assert fit.value(name) == pytest.approx(TRUE[name], rel=size)
+        assert fit.sd(name) < prior_of(name)[1]
+    assert fit.value("tau") == pytest.approx(0.03, abs=0.004)
+    assert (fit.value("wind_north"), fit.value("wind_east")) == (
+        pytest.approx(1.0, abs=0.2), pytest.approx(-2.0, abs=0.2),
+    )  # fmt: skip
+
+
+def test_residuals_are_what_is_left_and_only_where_it_is_judged() -> None:
+    one = flew(1)
+    usable = np.ones(N, dtype=bool)
+    usable[500:700] = False
+    found = side(replace(one, usable=usable), torque=False).fit
+    assert found.residual.shape == (N, 6)
+    assert np.isnan(found.residual[500:700]).all()
+    assert np.isfinite(found.residual[usable]).all()
+    assert found.residual[usable, 0].std() == pytest.approx(0.02, rel=0.2)
+    assert np.linalg.eigvalsh(found.curvature).min() > -1e-6 * np.abs(found.curvature).max()
+
+
+def test_every_parameter_has_a_prior_and_a_place() -> None:
+    layout = Layout(8, ("free_curve:1", "free_slow_torque:1"))
+    assert len(set(layout.names)) == len(layout.names)
+    for name in layout.names:
+        _, sd = prior_of(name)
+        assert sd > 0.0
+        assert layout.names[layout.place[name]] == name
+
+
+def test_turns_and_climbs_are_where_they_are_commanded() -> None:
+    one = flew(0)
+    turns, lifts = excited(one)
+    t = one.t
+    assert turns[(t > 4.5) & (t < 6.5)].mean() > 0.9
+    assert lifts[(t > 20.5) & (t < 29.5)].mean() > 0.3
+    for rows in (turns, lifts):
+        assert not rows[(t > 32.0)].any()
+    assert not lifts[(t > 4.5) & (t < 17.0)].any()
+
+
+def test_a_spectrum_is_the_variance_of_its_neighbourhood() -> None:
+    rng = np.random.default_rng(1)
+    level = np.where(np.arange(8000) < 2000, 3.0, 1.0)
+    (found,) = spectra_of([level * rng.normal(size=8000)])
+    assert found[200:1500].mean() == pytest.approx(9.0, rel=0.1)
+    assert found[4000:].mean() == pytest.approx(1.0, rel=0.1)
+    assert found.min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("scale", "name", "mean"), [(1.0, "bias_z", 0.0), (1.001, "bias_z", -0.001 * G), (1.03, "scale", 0.03)]
+)
+def test_gravity_at_rest_bounds_the_accelerometer(scale: float, name: str, mean: float) -> None:
+    """A little is an offset, which is then known; much of it may be a scale."""
+    rest = Rest({0: np.array([0.0, 0.0, -G * scale])}, 0.01)
+    one = replace(flew(0), rest=rest)
+    likelihood = FlightLikelihood(airframe(one, kind=KIND), one.usable, torque=False)
+    assert likelihood.prior(name)[0] == pytest.approx(mean, abs=1e-9)
+    unseen = FlightLikelihood(airframe(flew(0), kind=KIND), one.usable, torque=False)
+    assert unseen.prior("bias_z")[1] > 3.0 * rest.sd
+    assert unseen.prior("k") == prior_of("k")
+
+
+def test_a_flight_without_torque_says_nothing_of_turns() -> None:
+    one = flew(0)
+    likelihood = FlightLikelihood(airframe(one, kind=KIND), one.usable, torque=False)
+    layout = likelihood.airframe.layout
+    assert not likelihood.possible[[layout.place[n] for n in ("gain_x", "damping_z", "cg_x", "torque_y")]].any()
+    assert likelihood.possible[[layout.place[n] for n in ("k", "c1", "wind_east")]].all()
+    assert not likelihood.possible[layout.place["sag"]]  # the voltage stays
+
+
+def effects(of: Side) -> tuple[AirframeEffect, ...]:
+    layout = of.fit.layout
+    named = catalogue(layout, rotors_damp=False, hover_gain=(200.0, 180.0, 8.0))
+    return (*(e for e in named if not e.slew and e.id != "battery_sag"), *nameless(layout))
+
+
+PAIRS: list[tuple[dict[str, float], set[str]]] = [
+    ({}, set()),
+    ({"k": 22.5, "gain_x": 180.0, "gain_y": 162.0, "gain_z": 7.2}, {"thrust_scale"}),
+    ({"c1": 0.4, "cz": 0.4, "weak_2": -0.1}, {"rotor_drag", "motor_weak_2"}),
+]
+
+
+@pytest.mark.parametrize(
+    ("changes", "known"),
+    [
+        pytest.param(*PAIRS[0], id="nothing"),
+        pytest.param(*PAIRS[1], id="thrust", marks=pytest.mark.long),
+        pytest.param(*PAIRS[2], id="drag and a motor"),
+    ],
+)
+def test_what_the_real_flight_has_beside_the_simulated_one_is_found(
+    simulated: Side, changes: dict[str, float], known: set[str]
+) -> None:
+    answer = search(PairEvidence(side(flew(1, **changes)), simulated, effects(simulated)))
+    found = {b.name for b in answer.blocks if answer.probability(b.name) > 0.5} - {"wind"}
+    assert found == known
+    for name in known:
+        mean, covariance = answer.amplitudes(name)
+        size = {"thrust_scale": -0.1, "rotor_drag": 0.6, "motor_weak_2": -0.1}[name]
+        assert abs(mean[0] - size) < 3.0 * np.sqrt(covariance[0, 0])
+    real, sim = answer.evidence.parameters(answer.best.model, answer.best.posterior)  # type: ignore[attr-defined]
+    place = simulated.fit.layout.place
+    assert real[place["k"]] / sim[place["k"]] == pytest.approx(changes.get("k", 25.0) / 25.0, abs=0.02)
+
+
+@pytest.mark.long
+def test_a_limit_on_the_rate_of_a_command_is_found(simulated: Side) -> None:
+    limited = with_limit(side(flew(1, slew=2.2)), simulated)
+    assert limited is not None
+    assert limited[1] == pytest.approx(2.2, rel=0.1)
+
+
+@pytest.mark.long
+def test_no_limit_is_found_where_there_is_none(simulated: Side) -> None:
+    assert with_limit(side(flew(1)), simulated) is None

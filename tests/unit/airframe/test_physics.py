@@ -1,0 +1,260 @@
+"""The forward model against closed forms, and against the flying vehicle's own physics."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import butter, lfilter
+from scipy.spatial.transform import Rotation
+
+from mavcal.calib.airframe.physics import Kind, filtered, lagged, slewed, two_pole
+from mavcal.calib.recording import Sensor
+from mavcal.service.simvehicle.flight.air import density
+from mavcal.service.simvehicle.flight.airframe import Airframe as Flying
+from mavcal.service.simvehicle.flight.frame import frame_of, rotors_of
+from tests.unit.airframe.made import HZ, G, airframe, flight, frame, hover, theta
+
+DT = 1.0 / HZ
+
+
+def test_a_hover_carries_its_weight() -> None:
+    """(1 - e) c + e c^2 = g / k; nothing turns."""
+    k, expo, share = 25.145, 0.65, 0.39
+    c = (-(1.0 - expo) + math.sqrt((1.0 - expo) ** 2 + 4.0 * expo * share)) / (2.0 * expo)
+    model = airframe(flight(hover(command=c)))
+    force, torque = model.predicted(theta(model, k=k, expo=expo))
+    np.testing.assert_allclose(force, np.tile([0.0, 0.0, -k * share], (300, 1)), atol=1e-9)
+    assert force[0, 2] == pytest.approx(-G, abs=1e-3)
+    np.testing.assert_allclose(torque, 0.0, atol=1e-9)
+
+
+def test_thrust_goes_with_a_power_of_the_voltage() -> None:
+    volts = np.linspace(12.6, 10.5, 300)
+    model = airframe(flight(hover(), voltage=volts))
+    force, _ = model.predicted(theta(model, sag=2.0))
+    np.testing.assert_allclose(force[:, 2], -12.5 * (volts / 12.6) ** 2, rtol=1e-9)
+    plain = airframe(flight(hover(), voltage=volts), volts=None)
+    np.testing.assert_allclose(plain.predicted(theta(plain, sag=2.0))[0][:, 2], -12.5)
+    assert model.voltage_span == pytest.approx(12.495 / 10.605 - 1.0, rel=0.01)
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 90.0, 200.0])
+def test_at_its_final_speed_drag_balances_the_leaning_thrust(heading_deg: float) -> None:
+    """Leaning by 15 degrees in a wind: the force is gravity's counterpart, and nothing accelerates."""
+    pitch, c1, c2 = math.radians(-15.0), 0.24, 0.0336
+    forward = (-c1 + math.sqrt(c1**2 - 4.0 * c2 * G * math.sin(pitch))) / (2.0 * c2)  # c1 u + c2 u^2 = g sin 15
+    speed = forward / math.cos(pitch)
+    turn = Rotation.from_euler("ZYX", [math.radians(heading_deg), pitch, 0.0])
+    wind = np.array([2.0, -1.0, 0.0])
+    moving = Rotation.from_euler("Z", math.radians(heading_deg)).apply([speed, 0.0, 0.0]) + wind
+    n = 50
+    one = flight(
+        hover(n / HZ), velocity=np.tile(moving, (n, 1)), q=np.tile(turn.as_quat(scalar_first=True), (n, 1))
+    )  # fmt: skip
+    model = airframe(one, kind=Kind(drag_by_rotor=False))
+    down = speed * math.sin(pitch)
+    k = (G * math.cos(pitch) + c2 * down**2) / 0.5
+    at = theta(model, k=k, c1=c1, c2=c2, wind_north=2.0, wind_east=-1.0)
+    np.testing.assert_allclose(model.air_velocity(at)[0], [forward, 0.0, down], atol=1e-9)
+    force, _ = model.predicted(at)
+    np.testing.assert_allclose(turn.apply(force), np.tile([0.0, 0.0, -G], (n, 1)), atol=1e-9)
+
+
+def test_drag_points_against_the_air_on_every_axis() -> None:
+    velocity = np.array([[3.0, -2.0, 1.0], [-3.0, 2.0, -1.0]] * 5)
+    model = airframe(flight(hover(0.1), velocity=velocity), kind=Kind(drag_by_rotor=False))
+    force, _ = model.predicted(theta(model, c1=0.3, cz=0.2, c2=0.05))
+    known = -np.array([0.3, 0.3, 0.2]) * velocity - 0.05 * velocity * np.abs(velocity)
+    np.testing.assert_allclose(force - [0.0, 0.0, -12.5], known, atol=1e-12)
+    lifted, _ = model.predicted(theta(model, ch=0.01))
+    np.testing.assert_allclose(lifted[:, 2] + 12.5, -0.01 * 13.0)
+
+
+def test_drag_of_rotors_goes_with_their_speed() -> None:
+    """c1 is stated at hover: at four times the thrust the rotors turn twice as fast."""
+    for command, factor in ((G / 25.0, 1.0), (4.0 * G / 25.0, 2.0), (0.25 * G / 25.0, 0.5)):
+        model = airframe(flight(hover(0.1, command), velocity=np.tile([2.0, 0.0, 0.0], (10, 1))))
+        force, _ = model.predicted(theta(model, c1=0.3))
+        np.testing.assert_allclose(force[:, 0], -0.6 * factor)
+
+
+MOTORS = {1: (1, -1, -1), 2: (-1, 1, -1), 3: (-1, -1, 1), 4: (1, 1, 1)}
+"""Roll, pitch and yaw of a quad X by motor: the vehicle leans towards the weak one, and turns as it does.
+
+The propeller of 1 and 2 turns counter-clockwise, so that its reaction is clockwise, +z; a weak one leaves -z.
+"""
+
+
+@pytest.mark.parametrize("motor", sorted(MOTORS))
+@pytest.mark.parametrize("form", ["weak", "pulse"])
+def test_a_weak_motor_turns_the_vehicle_towards_itself(motor: int, form: str) -> None:
+    model = airframe(flight(hover()))
+    force, torque = model.predicted(theta(model, **{f"{form}_{motor}": -0.08}))
+    assert tuple(np.sign(torque[5]).astype(int)) == MOTORS[motor]
+    lost = 0.08 * 0.5 + (0.08 * 0.1875 if form == "pulse" else 0.0)
+    assert force[5, 2] == pytest.approx(-12.5 + 25.0 / 4.0 * lost)
+    assert abs(torque[5, 0]) == pytest.approx(abs(torque[5, 1]))
+
+
+def test_a_centre_of_mass_ahead_and_to_the_right_lets_the_nose_and_the_right_side_sink() -> None:
+    model = airframe(flight(hover(), frame("quad-plus")))
+    _, ahead = model.predicted(theta(model, cg_x=0.03))
+    _, right = model.predicted(theta(model, cg_y=0.03))
+    assert ahead[3, 1] < 0.0 == pytest.approx(ahead[3, 0])
+    assert right[3, 0] > 0.0 == pytest.approx(right[3, 1])
+    # by angular momentum: thrust over mass times the offset, by inertia over mass
+    assert -ahead[3, 1] == pytest.approx(280.0 * 0.5 * 0.03)
+    double = airframe(flight(hover(command=0.25), frame("quad-plus")))
+    assert double.predicted(theta(double, cg_x=0.03))[1][3, 1] == pytest.approx(0.5 * ahead[3, 1])
+
+
+def test_turns_are_damped_and_a_trim_stays() -> None:
+    rates = np.tile([0.5, -1.0, 2.0], (100, 1))
+    model = airframe(flight(hover(1.0), rate=rates))
+    _, torque = model.predicted(theta(model, damping_x=2.0, damping_y=2.0, damping_z=1.0, torque_y=3.0))
+    np.testing.assert_allclose(torque, np.tile([-1.0, 5.0, -2.0], (100, 1)))
+
+
+def test_a_unit_beside_the_centre_feels_turns() -> None:
+    """At r: rate x (rate x r) towards the axis, and the angular acceleration times r."""
+    t = np.arange(200) * DT
+    rates = np.column_stack([np.zeros(200), np.zeros(200), 2.0 + 0.5 * t])
+    model = airframe(flight(hover(2.0), rate=rates))
+    force, _ = model.predicted(theta(model, lever_x=0.1))
+    np.testing.assert_allclose(force[5:-5, 0], -0.1 * rates[5:-5, 2] ** 2, atol=1e-9)
+    np.testing.assert_allclose(force[5:-5, 1], 0.1 * 0.5, atol=1e-9)
+
+
+def test_a_delay_may_be_a_part_of_a_step() -> None:
+    told = np.tile((0.5 + 0.002 * np.arange(200))[:, None], (1, 4))
+    model = airframe(flight(told))
+    for delay in (0.0, 0.004, 0.01, 0.025):
+        force, _ = model.predicted(theta(model, delay=delay))
+        np.testing.assert_allclose(force[10:, 2], -25.0 * (told[10:, 0] - 0.2 * delay), rtol=1e-9)
+
+
+@pytest.mark.parametrize("tau", [0.02, 0.05, 0.2])
+def test_a_lag_answers_a_step_with_an_exponential(tau: float) -> None:
+    """The step lies between two rows: half a row before the first that has it."""
+    c = np.zeros((300, 2))
+    c[100:] = 1.0
+    out = lagged(c, tau, 0.0, DT)
+    t = (np.arange(300) - 99.5) * DT
+    known = np.where(t > 0.0, 1.0 - np.exp(-t / tau), 0.0)
+    np.testing.assert_allclose(out[101:, 0], known[101:], atol=(DT / tau) ** 2 / 20.0)
+    np.testing.assert_array_equal(out[:100], 0.0)
+
+
+def test_a_lag_is_exact_for_commands_that_change_linearly() -> None:
+    rng = np.random.default_rng(3)
+    c = np.cumsum(rng.normal(size=(40, 1)), axis=0)
+    tau, t = 0.03, np.arange(40) * DT
+    known = solve_ivp(
+        lambda at, x: (np.interp(at, t, c[:, 0]) - x) / tau, (0.0, t[-1]), c[0], t_eval=t, max_step=DT / 4, rtol=1e-9,
+        atol=1e-9,
+    ).y[0]  # fmt: skip
+    np.testing.assert_allclose(lagged(c, tau, 0.0, DT)[:, 0], known, atol=1e-5)
+
+
+def test_a_lag_goes_smoothly_through_zero() -> None:
+    """A simulator may be ahead of the reader's filter: the slope by tau is that of the command, on both sides."""
+    t = np.arange(300) * DT
+    c = (0.5 + 0.1 * np.sin(2.0 * t))[:, None]
+    slope = 0.2 * np.cos(2.0 * t)
+    for tau in (-0.01, -1e-4, 1e-4, 0.01):
+        out = lagged(c, tau, 0.0, DT)
+        np.testing.assert_allclose((out - c)[50:-50, 0] / tau, -slope[50:-50], atol=0.01)
+    np.testing.assert_array_equal(lagged(c, 0.0, 0.0, DT), c)
+    at = [lagged(c, tau, 0.0, DT)[50:-50, 0] for tau in (-2e-5, 2e-5)]
+    np.testing.assert_allclose(at[0], at[1], atol=1e-5)
+
+
+def test_a_falling_command_may_take_longer() -> None:
+    t = np.arange(400) * DT
+    c = (0.5 + 0.2 * np.sign(np.sin(2.0 * np.pi * 0.8 * t)) * (t > 0.3))[:, None]
+    tau, asymmetry, fine = 0.06, 0.4, 50
+    known, x = [], float(c[0, 0])
+    for row in range(len(c)):
+        known.append(x)
+        for part in range(fine):
+            told = np.interp(t[row] + DT * part / fine, t, c[:, 0])
+            x += (told - x) * DT / fine / (tau * (1.0 + asymmetry if told < x else 1.0))
+    found = lagged(c, tau, asymmetry, DT)[:, 0]
+    np.testing.assert_allclose(found, known, atol=0.01)
+    assert np.abs(lagged(c, tau, 0.0, DT)[:, 0] - known).max() > 0.03
+
+
+def test_a_limited_command_changes_no_faster_and_arrives() -> None:
+    c = np.concatenate([np.zeros(10), np.ones(50), np.full(50, 0.2)])[:, None] * [1.0, 0.1]
+    out = slewed(c, 0.05)
+    assert np.abs(np.diff(out, axis=0)).max() == pytest.approx(0.05)
+    np.testing.assert_allclose(out[29], [1.0, 0.1])
+    np.testing.assert_allclose(out[28], [0.95, 0.1])
+    np.testing.assert_allclose(slewed(c, 2.0), c, atol=1e-12)
+    model = airframe(flight(np.tile(c[:, :1], (1, 4))), slew=5.0)
+    force, _ = model.predicted(theta(model))
+    np.testing.assert_allclose(force[:, 2], -25.0 * out[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("corner", [5.0, 20.0, 42.0])
+@pytest.mark.parametrize("fs", [100.0, 400.0])
+def test_the_firmwares_filter_is_a_butterworth_of_the_second_order(corner: float, fs: float) -> None:
+    taps = two_pole(corner, fs)
+    assert taps is not None
+    b, a = butter(2, corner, fs=fs)
+    np.testing.assert_allclose(taps[0], b, atol=1e-12)
+    np.testing.assert_allclose(taps[1], a, atol=1e-12)
+
+
+def test_a_filter_begins_at_rest_and_what_is_not_filtered_stays() -> None:
+    assert two_pole(0.0, 100.0) is None
+    assert two_pole(50.0, 100.0) is None
+    values = np.random.default_rng(1).normal(size=(100, 3))
+    assert filtered(values, None) is values
+    taps = two_pole(20.0, 100.0)
+    assert taps is not None
+    np.testing.assert_allclose(filtered(np.full((50, 2), 3.0), taps), 3.0)
+    settled = np.concatenate([np.tile(values[:1], (200, 1)), values])
+    np.testing.assert_allclose(filtered(values, taps), lfilter(*taps, settled, axis=0)[200:], atol=1e-9)
+
+
+def test_predictions_go_through_the_filter_of_the_sensors() -> None:
+    c = hover(2.0)
+    c[100:] += 0.1
+    sharp, soft = (airframe(flight(c, cutoff_hz=corner)) for corner in ({}, {Sensor.ACCEL: 20.0, Sensor.GYRO: 10.0}))
+    at = theta(sharp, weak_1=-0.1)
+    taps = {corner: two_pole(corner, HZ) for corner in (20.0, 10.0)}
+    for k, corner in enumerate((20.0, 10.0)):
+        np.testing.assert_allclose(soft.predicted(at)[k], filtered(sharp.predicted(at)[k], taps[corner]), atol=1e-9)
+
+
+def test_it_says_what_the_simulated_vehicle_does() -> None:
+    """Forces and torques of random commands and speeds: two sources for the formulas of SITL's frame."""
+    rng, rows = np.random.default_rng(7), 200
+    made = frame_of({"slew_max": 1e12})
+    body = Flying(made, rotors_of(made, 1), 593.0, 0.0)
+    pulses = rng.integers(1400, 1750, (rows, 4))
+    velocity = rng.uniform(-8.0, 8.0, (rows, 3)) * [1.0, 1.0, 0.0]
+    forces, turns, dt = [], [], 1e-6
+    for told, v in zip(pulses.tolist(), velocity, strict=True):
+        body.on_ground, body.place, body.velocity, body.rate = False, [0.0, 0.0, 0.0], v.tolist(), [0.0, 0.0, 0.0]
+        body.q = (1.0, 0.0, 0.0, 0.0)
+        body.place[2] = -1e-3
+        body.advance(told, 12.6, (0.0, 0.0, 0.0), dt)
+        forces.append(body.force)
+        turns.append(np.array(body.rate) / dt)
+    c = (pulses - 1150.0) / 800.0
+    rho, arm, lever, mass, (ix, iy, iz) = density(593.0), 0.35, math.sqrt(0.5), 3.0, made.inertia
+    c1 = 0.2 * 4 * math.sqrt(rho * 0.385 / 4) * math.sqrt(mass * G / 4) / mass
+    model = airframe(flight(c, velocity=velocity), kind=Kind(drag_by_rotor=True, yaw_by_command=True))
+    at = theta(
+        model, k=G / 0.39, expo=0.65, c1=c1, c2=0.03361, gain_x=mass * arm * lever * G / 0.39 / ix,
+        gain_y=mass * arm * lever * G / 0.39 / iy, gain_z=0.05 * arm * mass * G / 0.39 / iz,
+    )  # fmt: skip
+    force, torque = model.predicted(at)
+    np.testing.assert_allclose(force, forces, atol=2e-3)
+    scale = np.abs(turns).max(axis=0)
+    np.testing.assert_allclose(torque / scale, turns / scale, atol=2e-3)

@@ -1,0 +1,51 @@
+"""From the posterior to words: what to fly next, and the thrust that a weak pulse leaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mavcal.calib.airframe.answer import Domain
+from mavcal.calib.airframe.diagnose import airframe_gap
+from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundRival
+from mavcal.calib.airframe.testable import Missing
+from mavcal.calib.airframe.told import needed_manoeuvres
+from mavcal.calib.airframe.words import FIXES, STANDARD_FLIGHT
+from mavcal.calib.recording import Recording
+from tests.unit.airframe.flights import flight
+
+
+def found(*rivals: FoundRival) -> FoundEffect:
+    return FoundEffect("thrust_scale", Domain.AIRFRAME, (), (), 10.0, 1, 0.9, 1.0, rivals)
+
+
+def test_what_parts_rivals_is_asked_for_once() -> None:
+    rivals = [FoundRival(name, 0.1, 2.0, FIXES[name]) for name in ("rotor_drag", "body_drag", "inertia")]
+    asked = needed_manoeuvres([found(*rivals[:2]), found(rivals[2])], [])
+    assert asked == (FIXES["rotor_drag"], FIXES["inertia"])
+    assert needed_manoeuvres([found()], []) == ()
+
+
+def test_the_standard_flight_is_asked_for_where_it_would_show_more() -> None:
+    (asked,) = needed_manoeuvres([], [Missing("inflow", "climbs at 0.2 m/s", "climbs")])
+    assert STANDARD_FLIGHT in asked
+    assert needed_manoeuvres([], [Missing("air_density", "the altitude stays", "a climb")]) == ()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("motor", "multiplier", "left"), [(1, 0.97, 0.9403), (4, 0.94, 0.883)])
+def test_a_weak_pulse_is_told_as_the_thrust_that_it_leaves(
+    tmp_path: Path, simulated: Recording, motor: int, multiplier: float, left: float
+) -> None:
+    """SITL multiplies the pulse above 1000 us: 3 % of it are 6 % of the thrust at the hover command of 0.551."""
+    real = flight(
+        tmp_path / "x.bin", other=True, SIM_ENGINE_FAIL=float(1 << (motor - 1)), SIM_ENGINE_MUL=multiplier
+    )  # fmt: skip
+    answer = airframe_gap(real, simulated)
+    assert isinstance(answer, AirframeAnswer)
+    (weak,) = answer.found
+    assert (weak.id, weak.motors) == ("motor_weak", (motor,))
+    values = {v.name: v for v in weak.values}
+    assert 1.0 + values["s"].value == pytest.approx(left, abs=0.005)
+    assert 0.0 < values["s"].sd < 0.005
