@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -32,6 +33,8 @@ from mavcal.calib.blind.airframe.surroundings import ENVIRONMENT, SENSORS, diffe
 from mavcal.calib.blind.airframe.thinned import THINNINGS
 from mavcal.calib.recording import Recording
 
+UPRIGHT = math.cos(math.radians(75.0))
+"""Cosine of the lean that no mission asks for: who passes it has lost control."""
 HOVERS = (0.12, 0.82)
 """Commands between which both vehicles must hover, so that they can climb and sink."""
 FIRST = ("inertia", "thrust")
@@ -121,8 +124,10 @@ def log_of(side: Side, draft: Draft, rng: Rng) -> tuple[Columns, Flown]:
     for slip in side.slips:
         errors = replace(errors, velocity=errors.velocity + slip.error(t))
     flown = fly(side.vehicle, draft.tuning, mission, air, errors, side.events(count, rng))
-    if not flown.grounded[-1]:
-        raise AssertionError(f"the flight did not end on the ground but {-flown.place[-1, 2]:.1f} m above it")
+    upright = float((1.0 - 2.0 * (flown.attitude[:, 1:3] ** 2).sum(axis=1)).min())
+    if not flown.grounded[-1] or upright < UPRIGHT:
+        where, lean = -flown.place[-1, 2], math.degrees(math.acos(max(-1.0, upright)))
+        raise AssertionError(f"no flight: it ends {where:.1f} m above the ground, and leaned {lean:.0f} degrees")
     return columns_of(flown, side.vehicle, side.units, errors, draft.logging, rng), flown
 
 
