@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -14,7 +15,7 @@ from mavcal.calib.blind.airframe.air import air_over_time
 from mavcal.calib.blind.airframe.changes import driven, hovers
 from mavcal.calib.blind.airframe.draw import COMMON, FOREIGN, Size, draw_vehicle
 from mavcal.calib.blind.airframe.effects import KINDS, MASS, MASSES
-from mavcal.calib.blind.airframe.flight import LOOP_HZ, Flown, fly
+from mavcal.calib.blind.airframe.flight import LOOP_HZ, Errors, Flown, fly
 from mavcal.calib.blind.airframe.logs import (
     Columns,
     Logging,
@@ -32,8 +33,12 @@ from mavcal.calib.blind.airframe.surroundings import ENVIRONMENT, SENSORS, diffe
 from mavcal.calib.blind.airframe.thinned import THINNINGS
 from mavcal.calib.recording import Recording
 
+UPRIGHT = math.cos(math.radians(75.0))
+"""Cosine of the lean that no mission asks for: who passes it has lost control."""
 HOVERS = (0.12, 0.82)
 """Commands between which both vehicles must hover, so that they can climb and sink."""
+TRIES = 4
+"""Flights of one side before its case is given up."""
 FIRST = ("inertia", "thrust")
 """Groups that are put in before others, so that what those change is measured on the final vehicle."""
 BY_ID: Mapping[str, Kind] = {kind.id: kind for kind in (*KINDS, *ENVIRONMENT)}
@@ -112,7 +117,20 @@ def make_air_label(tier: AirTier, seed: int) -> dict[str, Any]:
 
 
 def log_of(side: Side, draft: Draft, rng: Rng) -> tuple[Columns, Flown]:
-    """Fly one side: another mission and other air and noise each; its log, and its truth."""
+    """Fly one side: another mission and other air and noise each; its log, and its truth.
+
+    A flight that loses control is flown again on another mission, as an owner would not send its log.
+    """
+    for _ in range(TRIES):
+        flown, errors = _flown(side, draft, rng)
+        upright = float((1.0 - 2.0 * (flown.attitude[:, 1:3] ** 2).sum(axis=1)).min())
+        if flown.grounded[-1] and upright > UPRIGHT:
+            return columns_of(flown, side.vehicle, side.units, errors, draft.logging, rng), flown
+    where, lean = -flown.place[-1, 2], math.degrees(math.acos(max(-1.0, upright)))
+    raise AssertionError(f"no flight: it ends {where:.1f} m above the ground, and leaned {lean:.0f} degrees")
+
+
+def _flown(side: Side, draft: Draft, rng: Rng) -> tuple[Flown, Errors]:
     mission = draw_mission(rng)
     count = round(mission.longest * LOOP_HZ) + 1
     t = np.arange(count) / LOOP_HZ
@@ -120,10 +138,7 @@ def log_of(side: Side, draft: Draft, rng: Rng) -> tuple[Columns, Flown]:
     errors = draw_errors(rng, count, draft.logging, side.units[0])
     for slip in side.slips:
         errors = replace(errors, velocity=errors.velocity + slip.error(t))
-    flown = fly(side.vehicle, draft.tuning, mission, air, errors, side.events(count, rng))
-    if not flown.grounded[-1]:
-        raise AssertionError(f"the flight did not end on the ground but {-flown.place[-1, 2]:.1f} m above it")
-    return columns_of(flown, side.vehicle, side.units, errors, draft.logging, rng), flown
+    return fly(side.vehicle, draft.tuning, mission, air, errors, side.events(count, rng)), errors
 
 
 def drafted(tier: AirTier, seed: int) -> tuple[Rng, Draft, dict[str, Any]]:

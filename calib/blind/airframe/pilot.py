@@ -199,15 +199,21 @@ class Pilot:
         """Commands: yaw gives way to roll and pitch, and the throttle to both."""
         roll, pitch, yaw = torques
         level = [f[0] * roll + f[1] * pitch for f in self._factors]
-        most = max(abs(x) for x in level)
-        if most > 0.5:
-            level = [x * 0.5 / most for x in level]
-            most = 0.5
-        room = max(YAW_ROOM, min(throttle, 1.0 - throttle) - most)
+        most, top = max(abs(x) for x in level), self._most_thrust(voltage_ratio)
+        if most > 0.5 * top:
+            level = [x * 0.5 * top / most for x in level]
+            most = 0.5 * top
+        room = max(YAW_ROOM, min(throttle, top - throttle) - most)
         turned = max(-2.0 * room, min(2.0 * room, yaw))
         parts = [x + f[2] * turned for x, f in zip(level, self._factors, strict=True)]
-        throttle = max(-min(parts), min(1.0 - max(parts), throttle)) if throttle > 0.1 else throttle
+        throttle = max(-min(parts), min(top - max(parts), throttle)) if throttle > 0.1 else throttle
         return [self._command(throttle + x, voltage_ratio) for x in parts]
+
+    def _most_thrust(self, voltage_ratio: float) -> float:
+        """Share of full thrust beyond which a command would exceed 1, and steering with it end."""
+        if not self._tuning.compensates:
+            return 1.0
+        return (1.0 - self._tuning.expo) * voltage_ratio + self._tuning.expo * voltage_ratio**2
 
     def _command(self, thrust: float, voltage_ratio: float) -> float:
         """The command that gives this share of full thrust by the curve that the autopilot believes in."""
