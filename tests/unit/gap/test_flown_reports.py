@@ -32,7 +32,8 @@ CASES: dict[str, tuple[Mapping[str, Any], Mapping[str, float], GapVerdict, dict[
 CASES = {
     "another day": ({}, WIND, GapVerdict.NO_GAP, {"wind": (Domain.ENVIRONMENT, ())}),
     "a weak motor": (
-        {}, {"SIM_ENGINE_FAIL": 4.0, "SIM_ENGINE_MUL": 0.96}, GapVerdict.EXPLAINED, {"motor_weak": (Domain.AIRFRAME, (3,))}
+        {}, {"SIM_ENGINE_FAIL": 4.0, "SIM_ENGINE_MUL": 0.96}, GapVerdict.EXPLAINED,
+        {"motor_weak": (Domain.AIRFRAME, (3,))},
     ),
     "a gyroscope": (
         {}, {f"SIM_GYR1_SCALE_{a}": 3.0 for a in "XYZ"}, GapVerdict.EXPLAINED, {"gyro_scale": (Domain.SENSOR, (1,))}
