@@ -41,7 +41,7 @@ COMMON = Size(("quad-x", "quad-x", "quad-plus"), (1.1, 3.0), (0.20, 0.30), (0.50
 """What most owners fly: 9 to 13 inches. Source of the lags: AIRFRAME 2, typical values of the literature."""
 FOREIGN = (
     Size(("quad-x",), (0.5, 0.8), (0.10, 0.13), (0.48, 0.58), (4.5, 7.0), (0.012, 0.022)),  # 5 inch racer
-    Size(("quad-x",), (6.0, 14.0), (0.40, 0.60), (0.50, 0.62), (1.8, 2.3), (0.07, 0.12)),  # 18 to 28 inches
+    Size(("quad-x",), (6.0, 14.0), (0.40, 0.60), (0.50, 0.62), (1.8, 2.3), (0.06, 0.11)),  # 18 to 28 inches
     Size(("hexa-x",), (2.5, 6.0), (0.30, 0.42), (0.38, 0.46), (1.9, 2.6), (0.03, 0.07)),
     Size(("octa-x",), (5.0, 11.0), (0.40, 0.55), (0.30, 0.36), (1.9, 2.6), (0.04, 0.08)),
 )

@@ -17,6 +17,8 @@ FLOOR = 2.5
 """m above which it keeps but for landing. Chosen, not measured, as the limits above: usual settings."""
 SPOOL = 0.3
 """Of the throttle before it is airborne, 1/s."""
+MOST_TRIM = 0.35
+"""Of the command, by the integrators of rate."""
 YAW_ROOM = 0.15
 """Of the command that yaw may always have."""
 YAW_FILTER_S = 0.064
@@ -118,7 +120,7 @@ class Pilot:
     def _spooling(self, felt: Felt) -> list[float]:
         """Throttle rises until it lifts; the integrators begin where that is."""
         self._throttle += SPOOL * self._dt
-        if felt.height > 0.03:
+        if not felt.grounded:
             self._airborne = True
             self._sum[2] = -GRAVITY * (self._throttle / self._tuning.hover - 1.0)
         return self._mixed((0.0, 0.0, 0.0), self._throttle, felt.voltage_ratio)
@@ -187,7 +189,8 @@ class Pilot:
             if axis == 2:
                 self._yaw_error += dt / (dt + YAW_FILTER_S) * (error - self._yaw_error)
                 error = self._yaw_error
-            self._rate_sum[axis] = max(-1.0, min(1.0, self._rate_sum[axis] + tuning.rate_i * error * dt))
+            most = MOST_TRIM / tuning.rate[axis]
+            self._rate_sum[axis] = max(-most, min(most, self._rate_sum[axis] + tuning.rate_i * error * dt))
             slope = (felt.rate[axis] - self._last_rate[axis]) / dt
             self._slope[axis] += 0.12 * (slope - self._slope[axis])  # about 50 rad/s
             damped = tuning.rate_d * self._slope[axis] if axis < 2 else 0.0
@@ -226,7 +229,7 @@ class Pilot:
 def tuned(vehicles: Sequence[Vehicle], expo: float, hover_error: float, *, compensates: bool) -> Tuning:
     """Gains that fly all of `vehicles`: by the strongest torque and the longest lag among them.
 
-    The rate loop crosses over where lag and delay leave it about 55 degrees; `hover_error` is that of the believed
+    The rate loop crosses over where lag, delay and lead leave it about 60 degrees; `hover_error` is that of the believed
     hover throttle, relative.
     """
     late = max(v.drive.up + v.drive.delay + v.drive.filter for v in vehicles) + 0.012
@@ -234,7 +237,7 @@ def tuned(vehicles: Sequence[Vehicle], expo: float, hover_error: float, *, compe
     slew = min(v.drive.slew for v in vehicles)
     if slew < math.inf:
         late = max(late, 0.12 / slew)  # a tenth of the command takes as long
-    cross = min(22.0, 0.62 / late)
+    cross = min(24.0, 0.9 / late)
     strongest = [0.0, 0.0, 0.0]
     for v in vehicles:
         for axis, power in enumerate(authority(v)):
@@ -245,7 +248,7 @@ def tuned(vehicles: Sequence[Vehicle], expo: float, hover_error: float, *, compe
     return Tuning(
         rate=(cross / strongest[0], cross / strongest[1], turning / strongest[2]),
         rate_i=0.25 * cross,
-        rate_d=0.3 * (late - 0.012),
+        rate_d=0.6 * (late - 0.012),
         attitude=cross / 3.2,
         yaw=turning / 2.5,
         velocity=min(1.6, cross / 7.0),
