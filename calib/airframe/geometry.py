@@ -22,7 +22,7 @@ _QUAD_X = ((45, _CCW), (-135, _CCW), (-45, _CW), (135, _CW))
 _FRAMES: Final[Mapping[tuple[int, int], tuple[tuple[float, int], ...]]] = {
     (1, 0): ((90, _CCW), (-90, _CCW), (0, _CW), (180, _CW)),
     (1, 1): _QUAD_X,
-    (1, 3): _QUAD_X,
+    (1, 3): tuple((angle, -spin) for angle, spin in _QUAD_X),
     (1, 12): ((135, _CW), (45, _CCW), (-135, _CCW), (-45, _CW)),
     (1, 13): ((45, _CCW), (-45, _CW), (-135, _CCW), (135, _CW)),
     (1, 14): ((45, _CCW), (135, _CW), (-135, _CCW), (-45, _CW)),

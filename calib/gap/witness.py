@@ -50,11 +50,10 @@ def _borne_out(effect: EffectEstimate, report: GapReport, real: Recording) -> bo
         return True
     if effect.id.endswith(_NOISE):
         return _of_one_unit(units, own, others or own[1:], series)
-    if others:
-        return _follows(units[own[0]], units[others[0]], series[0], effect.id)
-    if sensor == Sensor.ACCEL and effect.id.endswith(("bias", "scale")):
+    apart = not others or _follows(units[own[0]], units[others[0]], series[0], effect.id)
+    if sensor == Sensor.ACCEL and effect.id.endswith(("bias", "scale")) and not (others and apart):
         return any(_off_at_rest(units[i], real) for i in own)
-    return True
+    return apart
 
 
 def _best(real: Recording, sensor: Sensor) -> Iterable[Channel]:
@@ -92,7 +91,7 @@ def _follows(own: Channel, other: Channel, series: SeriesFit, id_: str) -> bool:
     """Whether the difference of the units follows what the effect says of its unit."""
     part = next((p for name, p in series.parts.items() if name.startswith(id_)), None)
     difference = _difference(own, other)
-    if part is None or difference is None or not np.ptp(part, axis=0).any():
+    if part is None or difference is None or not np.abs(part).any():
         return True
     t, d = difference
     inside = (t >= series.t[0]) & (t <= series.t[-1])

@@ -21,7 +21,11 @@ _REFINED = 4
 """Times that the data are expanded about a new best model. Chosen, not measured: two are the rule."""
 _MOST_BLOCKS = 8
 """Most blocks of one model. Source: mixtures have two to four (AIRFRAME 6); twice as many leave room."""
-_LIKELY = 0.5
+_MOST_MODELS = 3000
+"""Models after which no further neighbours are visited. Chosen, not measured: it bounds the time."""
+CLOSED_NATS = 4.0
+"""Every neighbour of a model within so many nats of the best is visited. Measured: probabilities then agree with the
+sum over all sets of six blocks to 0.002."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +116,19 @@ class _Search:
             best = better
         return best
 
+    def close(self, ended: Callable[[], bool]) -> None:
+        """Visit the neighbours of every likely model, until none is new: probabilities are sums over all of them."""
+        done: set[Model] = set()
+        while not ended():
+            least = max(v.log_weight for v in self.seen.values()) - CLOSED_NATS
+            left = [m for m, v in self.seen.items() if v.log_weight >= least and m not in done]
+            if not left or len(self.seen) > _MOST_MODELS:
+                return
+            for model in left:
+                done.add(model)
+                for other in _moves(model, self.evidence.blocks):
+                    self.visit(other)
+
 
 def search(evidence: Evidence, start: Model = frozenset(), ended: Callable[[], bool] = lambda: False) -> Answer:
     """The likeliest sets of blocks of `evidence`.
@@ -135,16 +152,11 @@ def search(evidence: Evidence, start: Model = frozenset(), ended: Callable[[], b
         evidence = evidence.refined(best.model)
         found = _Search(evidence)
         best = max((found.climb(m, ended) for m in {best.model, frozenset[str]()}), key=lambda v: v.log_weight)
-    for _ in range(2):  # pairs that only help together: each neighbour of the best, and its own moves
-        for name in () if ended() else _doubtful(found, best):
-            best = max(best, found.climb(best.model - {name}, ended), key=lambda v: v.log_weight)
+    found.close(ended)
+    best = max(found.seen.values(), key=lambda v: v.log_weight)
     kept = sorted(found.seen.values(), key=lambda v: -v.log_weight)
     kept = [v for v in kept if v.log_weight >= best.log_weight - KEPT_NATS]
     return Answer(tuple(kept), evidence.blocks, evidence, len(found.seen))
-
-
-def _doubtful(found: _Search, best: Visited) -> list[str]:
-    return sorted(best.model)
 
 
 def _moves(model: Model, blocks: tuple[Block, ...]) -> Iterator[Model]:
