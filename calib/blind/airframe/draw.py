@@ -69,7 +69,7 @@ def draw_vehicle(rng: Rng, size: Size = COMMON) -> Vehicle:
         up=up,
         down=up * rng.uniform(1.0, 1.8),
         filter=rng.uniform(0.0005, 0.003),
-        delay=0.0025 * rng.integers(1, 4),
+        delay=0.0025 * int(rng.integers(1, 4)),
         exponent=rng.uniform(1.2, 2.0),
     )
     return Vehicle(

@@ -229,8 +229,8 @@ class Pilot:
 def tuned(vehicles: Sequence[Vehicle], expo: float, hover_error: float, *, compensates: bool) -> Tuning:
     """Gains that fly all of `vehicles`: by the strongest torque and the longest lag among them.
 
-    The rate loop crosses over where lag, delay and lead leave it 60 degrees; `hover_error` is that of the believed
-    hover throttle, relative.
+    The rate loop crosses over where lag, delay and lead leave it about 60 degrees; `hover_error` is relative, of
+    the believed hover throttle.
     """
     late = max(v.drive.up + v.drive.delay + v.drive.filter for v in vehicles) + 0.012
     late = max(late, *(v.drive.down + v.drive.delay + v.drive.filter + 0.012 for v in vehicles))
