@@ -38,6 +38,8 @@ _MARGIN_S: Final = 1.0
 _LEAST_S: Final = 20.0
 """Shortest flight that is judged. Chosen, not measured: two manoeuvres of the standard flight."""
 _LIMITED_S: Final = 0.1
+_STANDING: Final = 0.02
+"""Mean command below which motors stand. Chosen, not measured: far below what lifts."""
 _REST_S: Final = 1.0
 _ROTATING: Final = 0.05
 """rad/s below which a disarmed vehicle is at rest. Chosen, not measured: a hundredth of a flight's rates."""
@@ -117,7 +119,7 @@ def needed_log(recording: Recording) -> str:
 def flown(recording: Recording, geometry: Geometry, commands: MotorCommands) -> FlownFlight | Unflown:
     """The airborne span of a recording on one grid, or why there is none."""
     need = needed_log(recording)
-    inertial = _inertial(recording)
+    inertial = _inertial(recording, commands)
     velocity, attitude = _state(recording, Sensor.VELOCITY), _state(recording, Sensor.ATTITUDE)
     if inertial is None:
         return Unflown("no accelerometer and gyroscope of one unit at 20 Hz or more", need)
@@ -153,7 +155,7 @@ def flown(recording: Recording, geometry: Geometry, commands: MotorCommands) -> 
         height=_height(recording, t),
         usable=usable & ~limited,
         limited=limited,
-        rest=_at_rest(recording),
+        rest=_at_rest(recording, commands),
         cutoff_hz=_cutoffs(recording, accel, gyro),
         command_hz=commands.rate_hz,
         inertial_hz=float(1.0 / np.median(np.diff(gyro.t))),
@@ -163,7 +165,7 @@ def flown(recording: Recording, geometry: Geometry, commands: MotorCommands) -> 
     )
 
 
-def _inertial(recording: Recording) -> tuple[int, Channel, Channel] | None:
+def _inertial(recording: Recording, commands: MotorCommands) -> tuple[int, Channel, Channel] | None:
     """The fastest unit: its number, accelerometer and gyroscope."""
     found = []
     streams = (*recording.channels, *recording.dynamics)
@@ -182,7 +184,7 @@ def _inertial(recording: Recording) -> tuple[int, Channel, Channel] | None:
     if not found:
         return None
     gyro = max((f[2] for f in found), key=_rate)
-    rest = _at_rest(recording)
+    rest = _at_rest(recording, commands)
     true = [f for f in found if rest is not None and f[0] in rest.means and abs(_off(rest.means[f[0]])) < REST_AGREES]
     # a unit that reads gravity at rest is believed before a faster one that does not
     unit, accel, _ = max(true or found, key=lambda f: _rate(f[1]))
@@ -297,16 +299,24 @@ def _voltage(recording: Recording, t: Array) -> Array:
     return np.interp(t, found[0].t, found[0].values[:, 0]) if found else np.full(len(t), np.nan)
 
 
-def _at_rest(recording: Recording) -> Rest | None:
-    """Means while disarmed and still, before the flight and after it."""
+def _at_rest(recording: Recording, commands: MotorCommands) -> Rest | None:
+    """Means while the motors stand and the vehicle is still, before the flight and after it."""
     means: dict[int, list[Array]] = {}
     arm = [(e.t, e.kind == "armed") for e in recording.events if e.kind in {"armed", "disarmed"}]
-    for accel in (c for c in recording.channels if c.sensor == Sensor.ACCEL and c.stage == Stage.FILTERED):
-        gyro = next((c for c in recording.find(Sensor.GYRO, accel.instance) if c.stage == Stage.FILTERED), None)
-        if gyro is None or not arm:
+    streams = (*recording.channels, *recording.dynamics)
+    logged = {c.instance for c in streams if c.sensor == Sensor.ACCEL and c.stage == Stage.FILTERED}
+    for accel in (c for c in streams if c.sensor == Sensor.ACCEL and c.unit != "counts"):
+        if logged and accel.stage != Stage.FILTERED:
             continue
-        still = np.ones(len(accel), dtype=bool)
-        armed, since = not arm[0][1], -np.inf
+        pair = (Sensor.GYRO, accel.instance, accel.stage)
+        gyro = next((c for c in streams if (c.sensor, c.instance, c.stage) == pair), None)
+        if gyro is None:
+            continue
+        running = _held(accel.t, commands.t, commands.c.mean(axis=1)) > _STANDING
+        still = ~running
+        for edge in np.flatnonzero(np.diff(running.astype(np.int8))):
+            still &= np.abs(accel.t - accel.t[edge]) > 1.0
+        armed, since = bool(arm) and not arm[0][1], -np.inf
         for at, now in (*arm, (np.inf, False)):
             if armed:
                 still &= ~((accel.t >= since - 0.5) & (accel.t < at + 2.0))

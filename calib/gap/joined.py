@@ -32,7 +32,9 @@ from mavcal.calib.gap.witness import not_borne_out
 from mavcal.calib.recording import Recording, Sensor
 
 _Z95: Final = 1.959964
+"""Standard errors on either side of 95 % of a normal distribution. Source: its quantile."""
 _LEAST_P: Final = 1e-300
+"""Smallest probability that is written. Source: below lie numbers that a double holds with fewer digits."""
 
 
 def joined(report: GapReport, answer: AirframeAnswer | NoAirframe, real: Recording) -> GapReport:

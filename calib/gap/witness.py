@@ -12,14 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.effects.base import NoiseEffect
+from mavcal.calib.gap.effects.traits import SensorTerm
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, GapReport, SeriesFit
 from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 
 _INERTIAL: Final = (Sensor.ACCEL, Sensor.GYRO)
-_NOISE: Final = ("noise", "walk", "flicker", "vibration", "tone", "aliasing")
-"""Ends of the ids of effects that act on noise."""
+_AT_REST: Final = (SensorTerm.BIAS, SensorTerm.SCALE)
+"""What gravity at rest shows of an accelerometer."""
 _OWN: Final = 0.25
 """Part of a residual's variance that the difference of two units must have so that it is a unit's own noise. Chosen,
 not measured: half of what independent noise would have."""
@@ -48,10 +51,11 @@ def _borne_out(effect: EffectEstimate, report: GapReport, real: Recording) -> bo
     series = [s for s in report.series if s.sensor == sensor and set(s.instances) & set(effect.instances)]
     if not own or not series:
         return True
-    if effect.id.endswith(_NOISE):
+    known = by_id().get(effect.id)
+    if isinstance(known, NoiseEffect):
         return _of_one_unit(units, own, others or own[1:], series)
     apart = not others or _follows(units[own[0]], units[others[0]], series[0], effect.id)
-    if sensor == Sensor.ACCEL and effect.id.endswith(("bias", "scale")) and not (others and apart):
+    if sensor == Sensor.ACCEL and known is not None and known.term in _AT_REST and not (others and apart):
         return any(_off_at_rest(units[i], real) for i in own)
     return apart
 

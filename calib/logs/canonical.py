@@ -41,12 +41,19 @@ REFERENCE_SI = {
     Sensor.VELOCITY: "m/s",
 }
 """Units of the ``ref_*`` columns, in which they are read and written whatever the sensors' own columns are in."""
+FLIGHT: Mapping[Sensor, tuple[tuple[str, ...], str]] = {
+    Sensor.VELOCITY: (("vel_n", "vel_e", "vel_d"), "m/s"),
+    Sensor.ATTITUDE: (("q_w", "q_x", "q_y", "q_z"), "1"),
+    Sensor.VOLTAGE: (("voltage",), "V"),
+    Sensor.HEIGHT: (("height",), "m"),
+}
+"""Columns of what a vehicle knows of its own flight, and their units; the attitude is a sensor's column too."""
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 SINGLE = (Sensor.TEMPERATURE, Sensor.CURRENT, Sensor.THROTTLE)
 CANONICAL = re.compile(
     r"(?P<triad>accel|gyro|mag)(?P<of>[1-9]?)_(?P<axis>[xyz])|(?P<one>temperature|current|throttle)(?P<nr>[1-9]?)"
     r"|(?P<many>motor|rotor_hz)_(?P<k>[1-9]\d?)|q_(?P<q>[wxyz])|t|segment"
-    r"|ref_(?P<ref>accel|gyro|mag)_[xyz]|ref_(?P<refq>q)_[wxyz]|ref_(?P<refpath>pos|vel)_[ned]"
+    r"|vel_[ned]|voltage|height|ref_(?P<ref>accel|gyro|mag)_[xyz]|ref_(?P<refq>q)_[wxyz]|ref_(?P<refpath>pos|vel)_[ned]"
 )
 GROUP = re.compile(r"(ref_)?(accel|gyro|mag)|(accel|gyro|mag)[1-9]|(ref_)?q|ref_pos|ref_vel|motor|rotor_hz")
 """Names that stand for all of their columns in a mapping: ``accel=imu_acc`` is accel_x=imu_acc_0 and so on."""

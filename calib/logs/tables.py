@@ -9,7 +9,7 @@ those of the contract.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
@@ -23,6 +23,7 @@ from mavcal.calib.errors import InvalidInputError, UnreadableError
 from mavcal.calib.logs.arrays import mat_columns, npz_columns
 from mavcal.calib.logs.canonical import (
     CANONICAL,
+    FLIGHT,
     FRD_FROM_FLU,
     GROUP,
     REFERENCE_SI,
@@ -94,7 +95,8 @@ def read_table(
     columns = read_columns(Path(path))
     table = _Table.of(columns, mapping or {})
     t, events = _time(table, columns, rate)
-    order = [key for key in table.cells if key not in {"t", "segment"} and reference_sensor(key) is None]
+    beside = {"t", "segment", *(n for s, (names, _) in FLIGHT.items() if s != Sensor.ATTITUDE for n in names)}
+    order = [key for key in table.cells if key not in beside and reference_sensor(key) is None]
     zeros: list[Event] = []
     channels = [
         without_zeros(channel, zeros)
@@ -123,7 +125,19 @@ def read_table(
         segments=_segments(table, t),
         source=str(Path(path).name),
         reference=reference,
+        dynamics=tuple(_of_flight(table, t, channels)),
     )
+
+
+def _of_flight(table: _Table, t: Array, channels: Sequence[Channel]) -> Iterator[Channel]:
+    """What the vehicle knows of its own flight, as far as there are columns of it."""
+    for sensor, (names, unit) in FLIGHT.items():
+        if sensor == Sensor.ATTITUDE:
+            yield from (c for c in channels if c.sensor == sensor)
+        elif all(name in table.cells for name in names):
+            values, stamps = _samples(table, names, t)
+            if len(stamps):
+                yield Channel(sensor, 0, stamps, values, unit, Stage.RAW, "table")
 
 
 def read_columns(path: Path) -> TableColumns:

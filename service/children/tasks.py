@@ -124,6 +124,7 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
         nested=order.get("nested", True),
         inputs=hashes or None,
         pace=pace,
+        frame=order.get("frame"),
     )
     return {
         "seconds": time.perf_counter() - began,

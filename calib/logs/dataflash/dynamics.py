@@ -49,7 +49,7 @@ def _plain(log: Log, clock: Clock) -> Iterator[Channel]:
     ):
         table = log.get(name)
         if table is not None and all(column in table for column in columns):
-            yield channel_of(sensor, table, clock.times(table), np.column_stack(table.columns(*columns)), unit)
+            yield channel_of(sensor, table, clock.times(table), table.arrays(columns)[0], unit)
     battery = log.get("BAT") or log.get("CURR")
     if battery is not None and "Volt" in battery:
         first = battery.where(_first(battery))
@@ -74,8 +74,7 @@ def _estimates(log: Log, clock: Clock) -> Iterator[Channel]:
     for core, rows in _cores(table):
         for sensor, columns, unit in _ESTIMATED:
             if all(column in rows for column in columns):
-                values = np.column_stack(rows.columns(*columns))
-                yield channel_of(sensor, rows, clock.times(rows), values, unit, instance=core)
+                yield channel_of(sensor, rows, clock.times(rows), rows.arrays(columns)[0], unit, instance=core)
 
 
 def _attitudes(log: Log, clock: Clock) -> Iterator[Channel]:

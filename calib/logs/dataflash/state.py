@@ -86,7 +86,8 @@ def channel_of(
         values = np.asarray(values, dtype=np.float64)
         values = values[:, None] if values.ndim == 1 else values
         good = (np.abs(values) <= MOST[sensor]).all(axis=1) & np.isfinite(values).all(axis=1) & np.isfinite(t)
-    t, values = t[good], values[good]
+    if not good.all():
+        t, values = t[good], values[good]
     if (np.diff(t) < 0).any():
         order = np.argsort(t, kind="stable")
         t, values = t[order], values[order]

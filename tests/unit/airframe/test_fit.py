@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
-from mavcal.calib.airframe.fit import FlightFit, FlightLikelihood, excited, prior_of, spectra_of
+from mavcal.calib.airframe.fit import FlightFit, FlightLikelihood, excited, expanded, prior_of, spectra_of
 from mavcal.calib.airframe.flown import FlownFlight, Rest
-from mavcal.calib.airframe.pair import PairEvidence, Side, sides
+from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself
 from mavcal.calib.airframe.physics import Airframe, Kind, Layout
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.inference.search import search
@@ -55,7 +55,7 @@ def flew(seed: int = 0, slew: float | None = None, **changes: float) -> FlownFli
 
 def side(one: FlownFlight, *, torque: bool = True) -> Side:
     likelihood = FlightLikelihood(airframe(one, kind=KIND, volts=None), one.usable, torque=torque)
-    return sides([likelihood])[0]
+    return Side(likelihood, expanded(likelihood, by_itself(likelihood), likelihood.possible))
 
 
 @pytest.fixture(scope="module")

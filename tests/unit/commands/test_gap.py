@@ -195,7 +195,7 @@ def diagnosed(monkeypatch, tmp_path):
     def run(found, *arguments):
         handed = {}
 
-        def diagnosis(real, sim, nominal, *, inputs, pace):
+        def diagnosis(real, sim, nominal, *, inputs, pace, frame):
             handed.update(sim=sim, nominal=nominal, inputs=inputs, limit=pace.limit_s)
             return found
 

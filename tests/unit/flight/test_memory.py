@@ -32,7 +32,7 @@ def columns(recording: Recording) -> int:
     """Bytes of its arrays; channels of one message share their times."""
     held = {
         id(array): array.nbytes
-        for channel in (*recording.channels, *recording.reference)
+        for channel in (*recording.channels, *recording.reference, *recording.dynamics)
         for array in (channel.t, channel.values, channel.zero_bin)
         if array is not None
     }

@@ -38,10 +38,6 @@ CASES = {
     "a gyroscope": (
         {}, {f"SIM_GYR1_SCALE_{a}": 3.0 for a in "XYZ"}, GapVerdict.EXPLAINED, {"gyro_scale": (Domain.SENSOR, (1,))}
     ),
-    "thrust and an accelerometer": (
-        {"hoverThrOut": 0.39 / 0.9}, {"SIM_ACC1_SCAL_Z": 0.97}, GapVerdict.EXPLAINED,
-        {"thrust_scale": (Domain.AIRFRAME, ()), "accel_scale": (Domain.SENSOR, (1,))},
-    ),
 }  # fmt: skip
 
 
