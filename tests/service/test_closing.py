@@ -47,10 +47,10 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 def nobody_left() -> bool:
+    """Whether all that this test started has ended; services of other tests live in the same process."""
+    test = os.environ["PYTEST_CURRENT_TEST"].partition(" (")[0]
     end = time.monotonic() + scaled(5.0)
-    while (left := [one for one in left_over() if "simulate" in one.command or "-c" in one.command]) and (
-        time.monotonic() < end
-    ):
+    while (left := [one for one in left_over() if one.test == test]) and time.monotonic() < end:
         time.sleep(0.05)
     return not left
 
