@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.airframe.air import Jump, jumps, outside, turbulence
-from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands
+from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands, Domain
 from mavcal.calib.airframe.commands import commands_of
 from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
 from mavcal.calib.airframe.fit import FlightLikelihood, expanded
@@ -21,7 +21,7 @@ from mavcal.calib.airframe.geometry import geometry_of
 from mavcal.calib.airframe.heldout import alone, held_out
 from mavcal.calib.airframe.load import with_load
 from mavcal.calib.airframe.nameless import GROUPS
-from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself
+from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
@@ -196,7 +196,8 @@ def _testable(
     named = catalogue(layout, rotors_damp=kind.drag_by_rotor, hover_gain=gains)
     torque = sim.likelihood.torque
     kept = [e for e in named if e.id not in gone and (slewed or not e.slew) and (torque or not e.torque)]
-    return (*kept, *(e for e in nameless(layout) if torque or not e.torque))
+    free = (e for e in nameless(layout) if torque or not e.torque)
+    return (*kept, *(e for e in free if e.domain is Domain.ENVIRONMENT or not shown_by(sim, e)))
 
 
 def _answer(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.airframe.effects import AirframeEffect, applied
 from mavcal.calib.airframe.fit import SAG_SPAN, FlightFit, FlightLikelihood, expanded, fitted, prior_of
-from mavcal.calib.airframe.nameless import GROUPS, PREFIX
+from mavcal.calib.airframe.nameless import PREFIX
 from mavcal.calib.inference.model import Block, Model, Posterior, Term, laplace
 from mavcal.calib.inference.quadratic import Quadratic
 
@@ -26,8 +26,11 @@ Mask = NDArray[np.bool_]
 
 OWN: Final = ("bias", "lever", "scale")
 """Families of parameters that are each flight's own."""
-_ONLY_REAL: Final = ("weak_", "pulse_", "load", *(f"{PREFIX}{g.id}:" for g in GROUPS if g.own))
-"""Parameters that the simulated flight is without: motors, loads and the weather of one day."""
+_ONLY_REAL: Final = ("weak_", "pulse_", "load", PREFIX)
+"""Parameters that the simulated flight is without; a nameless effect that it has is left out (:func:`shown_by`)."""
+STAMPS_S: Final = 0.0025
+"""Standard deviation of what stamps of commands and of the gyroscope are apart. Source: one loop at 400 Hz, at which
+either is stamped (AIRFRAME 3.2)."""
 _LOOSEST: Final = 1e-4
 """Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
 
@@ -57,7 +60,11 @@ class Side:
     def discrepancy(self) -> Array:
         """Precision (P, P) of the common parameters beyond which the model's own errors do not reach."""
         loosest = np.diag([_LOOSEST / prior_of(n)[1] ** 2 for n in self.fit.layout.names])
-        return np.asarray((self.fit.trusted + loosest)[np.ix_(~self.own, ~self.own)])
+        found = (self.fit.trusted + loosest)[np.ix_(~self.own, ~self.own)]
+        # stamps of commands and of the gyroscope add their own variance to the delay (Sherman and Morrison)
+        at = int(np.count_nonzero(~self.own[: self.fit.layout.place["delay"]]))
+        late = found[:, at]
+        return np.asarray(found - np.outer(late, late) / (STAMPS_S**-2 + late[at]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,11 +187,32 @@ def _about(side: Side, theta: Array) -> Side:
     return Side(side.likelihood, expanded(side.likelihood, own.theta, free))
 
 
+def shown_by(side: Side, effect: AirframeEffect) -> bool:
+    """Whether a flight shows a nameless effect by itself: then it is an error of the model, and tells of no other one.
+
+    The marginal likelihood of the flight with the effect beside that without it, about its own best point.
+    """
+    names = [n for n, own in zip(side.fit.layout.names, side.own, strict=True) if not own]
+    says = side.says.with_discrepancy(side.discrepancy)
+    mean, sd = (np.array([prior_of(n)[k] for n in names]) for k in (0, 1))
+    columns = {c.parameter for c in effect.changes}
+    base = np.array([not n.startswith(_ONLY_REAL) and n != "asymmetry" for n in names])
+    known = base | np.array([n in columns for n in names])
+
+    def evidence(rows: Mask) -> float:
+        slope = says.gradient[rows] - ((says.centre - mean) / sd**2)[rows]
+        bend = says.curvature[np.ix_(rows, rows)] + np.diag(1.0 / sd[rows] ** 2)
+        _, size = np.linalg.slogdet(bend * np.outer(sd[rows], sd[rows]))
+        return 0.5 * float(slope @ np.linalg.solve(bend, slope)) - 0.5 * float(size)
+
+    return evidence(known) > evidence(base)
+
+
 def by_itself(likelihood: FlightLikelihood, start: Array | None = None, rounds: int | None = None) -> Array:
     """The best point of a flight by itself (P,), without a weak motor and without anything nameless."""
     layout, flight = likelihood.airframe.layout, likelihood.airframe.flight
     if start is None:
         start = layout.start(float(np.median(flight.c)), flight.gravity)
-    held = {n: 0.0 for n in layout.names if n.startswith((*_ONLY_REAL, PREFIX))} | {"asymmetry": 0.0}
+    held = {n: 0.0 for n in layout.names if n.startswith(_ONLY_REAL)} | {"asymmetry": 0.0}
     many = {} if rounds is None else {"rounds": rounds}
     return fitted(likelihood, start, held, expand=False, **many).theta

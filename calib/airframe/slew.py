@@ -16,9 +16,9 @@ _RATES: Final = (6.0, 4.0, 3.0, 2.5, 2.0, 1.7, 1.4, 1.2, 1.0, 0.8, 0.6, 0.5, 0.4
 """Limits that are tried, 1/s. Source: the range of AIRFRAME 6, 0.5 to 4, and beyond."""
 _REACHED: Final = 99.8
 """Percentile of the commands' own rates that a limit has to lie below so that it shows. Chosen, not measured."""
-_SPREADS: Final = (0.2, 0.1, 0.05)
+_SPREADS: Final = (0.15, 0.08)
 """Parts of a limit by which it is refined, each about a flight that was fitted again. Source: the grid's own steps."""
-_ROUNDS: Final = 5
+_ROUNDS: Final = 4
 _WORTH: Final = 10.0
 """Nats that a limit must gain before the flight is fitted with it. Chosen, not measured: the contest decides."""
 
@@ -44,21 +44,25 @@ def with_limit(side: Side, sim: Side) -> tuple[Side, float] | None:
     if found[best] - likelihood.loglik(theta, side.fit.spectra) < _WORTH:
         return None
     for spread in _SPREADS:
-        made = _limited(likelihood, best)
-        theta = by_itself(made, theta, _ROUNDS)
-        best = _better(likelihood, theta, side, best, spread)
+        best, theta = _better(likelihood, theta, side, best, spread)
     made = _limited(likelihood, best)
     return Side(made, expanded(made, by_itself(made, theta), made.possible)), best
 
 
-def _better(likelihood: FlightLikelihood, theta: Array, side: Side, best: float, spread: float) -> float:
-    """The limit of most likelihood within `spread` of the best one, by the parabola through three."""
+def _better(likelihood: FlightLikelihood, theta: Array, side: Side, best: float, spread: float) -> tuple[float, Array]:
+    """The limit of most likelihood within `spread` of the best one, and the airframe that was fitted with it.
+
+    Each limit is compared with an airframe of its own: gains and damping make up for a part of a wrong one.
+    """
     rates = [best * (1.0 - spread), best, best * (1.0 + spread)]
-    gains = [_limited(likelihood, rate).loglik(theta, side.fit.spectra) for rate in rates]
+    limited = [_limited(likelihood, rate) for rate in rates]
+    fitted = [by_itself(one, theta, _ROUNDS) for one in limited]
+    gains = [one.loglik(at, side.fit.spectra) for one, at in zip(limited, fitted, strict=True)]
+    most = int(np.argmax(gains))
     bend = gains[0] - 2.0 * gains[1] + gains[2]
-    if bend >= 0.0:
-        return rates[int(np.argmax(gains))]
-    return float(np.clip(best - 0.5 * best * spread * (gains[2] - gains[0]) / bend, rates[0], rates[2]))
+    if bend >= 0.0 or most != 1:
+        return rates[most], fitted[most]
+    return float(best - 0.5 * best * spread * (gains[2] - gains[0]) / bend), fitted[1]
 
 
 def _limited(likelihood: FlightLikelihood, rate: float | None) -> FlightLikelihood:
