@@ -16,6 +16,8 @@ Mask = NDArray[np.bool_]
 
 BAND_HZ: Final = (0.1, 2.0)
 """Where gusts push a small multicopter. Source: AIRFRAME 2, 0.1 to 1 m/s2 rms below 2 Hz."""
+_ACROSS: Final = slice(0, 2)
+"""Axes in which gusts are looked for. Along the third, commands that were logged too slowly leave as much open."""
 _FLOOR: Final = 0.02
 """m/s2 below which a flight's open force is not called turbulence. Source: the estimator's velocity error of 0.02 to
 0.05 m/s through a drag of 0.25 /s leaves 0.01 (AIRFRAME 5.3)."""
@@ -33,7 +35,10 @@ _AROUND_S: Final = 1.5
 
 @dataclass(frozen=True)
 class Turbulence:
-    """Root mean square of the open force in :data:`BAND_HZ`, m/s2; `shared` by both units, None: one."""
+    """Root mean square of the open force across the rotors' axis in :data:`BAND_HZ`, m/s2.
+
+    `shared` is the correlation of two units; None: there is one.
+    """
 
     real: float
     sim: float
@@ -47,14 +52,16 @@ class Turbulence:
 
 def turbulence(flight: FlownFlight, open_force: Array, sim_flight: FlownFlight, sim_open_force: Array) -> Turbulence:
     """Of the forces (N, 3) that the model leaves open in the real and the simulated flight; nan rows are left out."""
-    real = _banded(flight, open_force)
+    real = _banded(flight, open_force)[:, _ACROSS]
     shared = None
     for other in flight.others.values():
-        beside = _banded(flight, open_force + (other - flight.force))
+        beside = _banded(flight, open_force + (other - flight.force))[:, _ACROSS]
         a, b = (x[flight.usable].ravel() for x in (real, beside))
         shared = float(np.corrcoef(a, b)[0, 1]) if a.std() > 0.0 and b.std() > 0.0 else None
         break
-    return Turbulence(_rms(real, flight.usable), _rms(_banded(sim_flight, sim_open_force), sim_flight.usable), shared)
+    return Turbulence(
+        _rms(real, flight.usable), _rms(_banded(sim_flight, sim_open_force)[:, _ACROSS], sim_flight.usable), shared
+    )
 
 
 def _banded(flight: FlownFlight, force: Array) -> Array:

@@ -165,8 +165,9 @@ def _diagnosed(
         if reason := unusable(side.likelihood):
             return NoAirframe(f"{which} recording: {reason}", "a flight within the motors' limits")
     untestable = missing(ours.likelihood, theirs.likelihood)
-    slewed = with_limit(ours, theirs) if torque and "motor_lag" not in without else None
-    effects = _testable(theirs, kind, untestable, without, slewed=slewed is not None)
+    effects = _testable(theirs, kind, untestable, without)
+    slewed = with_limit(ours, theirs, effects) if any(e.slew for e in effects) else None
+    effects = tuple(e for e in effects if slewed is not None or not e.slew)
     evidence = PairEvidence(ours, theirs, effects, None if slewed is None else slewed[0])
     answer = search(evidence, ended=ended)
     return _answer(answer, real, sim, untestable, None if slewed is None else slewed[1])
@@ -188,14 +189,14 @@ def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side
 
 
 def _testable(
-    sim: Side, kind: Kind, untestable: Sequence[Missing], without: frozenset[str], *, slewed: bool
+    sim: Side, kind: Kind, untestable: Sequence[Missing], without: frozenset[str]
 ) -> tuple[AirframeEffect, ...]:
     gone = {m.id for m in untestable} | without
     layout = sim.fit.layout
     gains = [sim.fit.value(f"gain_{axis}") for axis in AXES]
     named = catalogue(layout, rotors_damp=kind.drag_by_rotor, hover_gain=gains)
     torque = sim.likelihood.torque
-    kept = [e for e in named if e.id not in gone and (slewed or not e.slew) and (torque or not e.torque)]
+    kept = [e for e in named if e.id not in gone and (torque or not e.torque)]
     free = (e for e in nameless(layout) if torque or not e.torque)
     return (*kept, *(e for e in free if e.domain is Domain.ENVIRONMENT or not shown_by(sim, e)))
 

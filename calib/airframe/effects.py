@@ -132,6 +132,11 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     yield AirframeEffect("angular_damping", "angular_damping", AXES, (0.6,) * 3, damping, base, torque=True)
     yield _one("battery_sag", "exponent", 1.5, (Change(0, "sag", plus),), "sag")
     yield _one("motor_lag", "tau_up", 0.03, (Change(0, "tau", plus),), "tau", torque=True, exclusive="motor_lag")
+    apart = (Change(0, "tau", plus), Change(0, "fall", plus, -1.0), Change(1, "fall", plus))
+    yield AirframeEffect(
+        "motor_lag", "motor_lag_apart", ("tau_up", "tau_down"), (0.03, 0.03), apart, ("tau", "fall"), odds=ODDS / 2.0,
+        exclusive="motor_lag", torque=True,
+    )  # fmt: skip
     yield AirframeEffect(
         "motor_lag", "motor_slew", (), (), (), (), odds=ODDS, exclusive="motor_lag", slew=True, torque=True
     )

@@ -52,13 +52,13 @@ _CONVERGED: Final = 0.02
 _WINDOW: Final = 0.15
 """Part of a frequency over which a spectrum is averaged on either side. Chosen, not measured."""
 _LEAST_BINS: Final = 8
-_STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "asymmetry": 1e-2, "expo": 1e-3}
+_STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "fall": 1e-3, "expo": 1e-3}
 PRIORS: Final[Mapping[str, tuple[float, float]]] = {
     "k": (25.0, 20.0), "expo": (0.5, 0.4), "sag": (0.0, 1.5), "c1": (0.3, 0.5), "cz": (0.3, 0.7), "c2": (0.02, 0.05),
     "ch": (0.0, 0.03), "climb": (0.0, 0.1), "wind_north": (0.0, 8.0), "wind_east": (0.0, 8.0), "bias": (0.0, 0.5),
     "lever": (0.0, 0.1), "gain_x": (150.0, 200.0), "gain_y": (150.0, 200.0), "gain_z": (8.0, 20.0),
     "damping": (1.0, 5.0), "torque": (0.0, 20.0), "cg": (0.0, 0.3), "spin_up": (0.0, 0.1), "flap": (0.0, 0.3),
-    "cross": (0.0, 1.0), "tau": (0.02, 0.05), "asymmetry": (0.0, 0.5), "delay": (0.005, 0.02), "weak": (0.0, 0.15),
+    "cross": (0.0, 1.0), "tau": (0.02, 0.05), "fall": (0.0, 0.03), "delay": (0.005, 0.02), "weak": (0.0, 0.15),
     "pulse": (0.0, 0.15), "scale": (0.0, 0.003), "load": (0.0, 0.3), "bias_z": (0.0, 0.03),
 }  # fmt: skip
 """Mean and standard deviation of each parameter, or of its family, before a flight is seen. Source: the sizes on real
@@ -187,12 +187,7 @@ class FlightLikelihood:
     def possible(self) -> Mask:
         """Parameters that this flight's signals depend on at all (P,)."""
         names = self.airframe.layout.names
-        return (
-            np.array(
-                [(self.torque or (n not in TORQUE_ONLY and "torque" not in n)) and n != "asymmetry" for n in names]
-            )
-            & self._felt
-        )
+        return np.array([self.torque or (n not in TORQUE_ONLY and "torque" not in n) for n in names]) & self._felt
 
     @property
     def _felt(self) -> Mask:

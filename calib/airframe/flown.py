@@ -15,6 +15,7 @@ from scipy.ndimage import binary_dilation
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.airframe.answer import Geometry
 from mavcal.calib.airframe.commands import MotorCommands
+from mavcal.calib.airframe.signals import kept_below, spline
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -38,6 +39,9 @@ _MARGIN_S: Final = 1.0
 _LEAST_S: Final = 20.0
 """Shortest flight that is judged. Chosen, not measured: two manoeuvres of the standard flight."""
 _LIMITED_S: Final = 0.1
+_LATE_S: Final = 0.5
+"""Left out after a command at its limit: a motor whose rate is limited is on its way there. Measured: with less, such a
+motor was told with another inertia beside it."""
 _STANDING: Final = 0.02
 """Mean command below which motors stand. Chosen, not measured: far below what lifts."""
 _REST_S: Final = 1.0
@@ -62,8 +66,9 @@ class Rest:
 class FlownFlight:
     """One flight on the grid `t` (N,), in body axes (FRD).
 
-    `force` (N, 3) and `rate` (N, 3) are as logged, filtered; `unit` is the inertial unit. `others` are the forces of
-    further units (N, 3). `c` (N, n) are the commands; `velocity` (N, 3) north, east, down; `q` (N, 4) body to local.
+    `force` (N, 3) and `rate` (N, 3) are as logged, filtered; `acceleration` (N, 3) is the rate's derivative; `unit` is
+    the inertial unit. `others` are the forces of further units (N, 3). `c` (N, n) are the commands without what the
+    grid folds back; `velocity` (N, 3) north, east, down; `q` (N, 4) body to local.
     `voltage` (N,), nan where it was not logged; `height` (N,) above the start, nan likewise. `usable` (N,) leaves out
     limits, gaps and resets. `cutoff_hz` by sensor, 0: not filtered.
     """
@@ -71,6 +76,7 @@ class FlownFlight:
     t: Array
     force: Array
     rate: Array
+    acceleration: Array
     unit: int
     others: Mapping[int, Array]
     c: Array
@@ -141,15 +147,17 @@ def flown(recording: Recording, geometry: Geometry, commands: MotorCommands) -> 
         _gaps(t, accel.t, GAP_S) | _gaps(t, gyro.t, GAP_S) | _gaps(t, commands.t, max(GAP_S, 2.5 / commands.rate_hz))
         | _gaps(t, velocity.t, _STATE_GAP_S) | _gaps(t, attitude.t, _STATE_GAP_S)
     )  # fmt: skip
-    limited = _wide(_held(t, commands.t, commands.limited.astype(np.float64)) > 0.5, _LIMITED_S)
+    limited = _after(_wide(_held(t, commands.t, commands.limited.astype(np.float64)) > 0.5, _LIMITED_S), _LATE_S)
+    turning = _curve(gyro)
     return FlownFlight(
         t=t,
-        force=_lines(t, accel),
-        rate=_lines(t, gyro),
+        force=_curve(accel)(t),
+        rate=turning(t),
+        acceleration=turning(t, 1),
         unit=unit,
         others=_others(recording, unit, t),
-        c=np.column_stack([np.interp(t, commands.t, commands.c[:, k]) for k in range(commands.c.shape[1])]),
-        velocity=_smooth(t, velocity.t, velocity.values),
+        c=on_grid(t, commands.t, commands.c, commands.rate_hz),
+        velocity=spline(velocity.t, velocity.values)(t),
         q=_turned(t, attitude),
         voltage=_voltage(recording, t),
         height=_height(recording, t),
@@ -262,17 +270,24 @@ def _wide(rows: Mask, seconds: float) -> Mask:
     return np.asarray(binary_dilation(rows, iterations=max(int(seconds * GRID_HZ), 1)))
 
 
+def _after(rows: Mask, seconds: float) -> Mask:
+    """Rows, and those up to so many seconds after one."""
+    last = np.maximum.accumulate(np.where(rows, np.arange(len(rows)), -len(rows)))
+    return np.asarray(np.arange(len(rows)) - last <= seconds * GRID_HZ)
+
+
 def _held(t: Array, stamps: Array, values: Array) -> Array:
     return np.asarray(values[np.clip(np.searchsorted(stamps, t, side="right") - 1, 0, len(stamps) - 1)])
 
 
-def _lines(t: Array, channel: Channel) -> Array:
-    return np.column_stack([np.interp(t, channel.t, channel.values[:, k]) for k in range(3)])
+def _curve(channel: Channel) -> CubicSpline:
+    return spline(channel.t, kept_below(channel.values, _rate(channel), GRID_HZ))
 
 
-def _smooth(t: Array, stamps: Array, values: Array) -> Array:
-    new = np.concatenate([[True], np.diff(stamps) > 0.0])
-    return np.asarray(CubicSpline(stamps[new], values[new])(t))
+def on_grid(t: Array, stamps: Array, values: Array, rate: float) -> Array:
+    """`values` (M, n) at `stamps` (M,) on the grid (N, n), without what it would fold back."""
+    kept = kept_below(values, rate, GRID_HZ)
+    return np.column_stack([np.interp(t, stamps, column) for column in kept.T])
 
 
 def _turned(t: Array, attitude: Channel) -> Array:
@@ -280,7 +295,7 @@ def _turned(t: Array, attitude: Channel) -> Array:
     q = attitude.values.copy()
     flips = np.concatenate([[1.0], np.sign((q[1:] * q[:-1]).sum(axis=1) + 1e-300)])
     q *= np.cumprod(flips)[:, None]
-    found = _smooth(t, attitude.t, q)
+    found = spline(attitude.t, q)(t)
     return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
 
 
@@ -290,7 +305,7 @@ def _others(recording: Recording, unit: int, t: Array) -> dict[int, Array]:
     for channel in recording.channels:
         own = channel.sensor == Sensor.ACCEL and channel.instance != unit and channel.stage == Stage.FILTERED
         if own and len(channel) > 50 and _rate(channel) >= 10.0:
-            found.setdefault(channel.instance, _lines(t, channel))
+            found.setdefault(channel.instance, _curve(channel)(t))
     return found
 
 

@@ -26,7 +26,7 @@ Mask = NDArray[np.bool_]
 
 OWN: Final = ("bias", "lever", "scale")
 """Families of parameters that are each flight's own."""
-_ONLY_REAL: Final = ("weak_", "pulse_", "load", PREFIX)
+_ONLY_REAL: Final = ("weak_", "pulse_", "load", "fall", PREFIX)
 """Parameters that the simulated flight is without; a nameless effect that it has is left out (:func:`shown_by`)."""
 STAMPS_S: Final = 0.0025
 """Standard deviation of what stamps of commands and of the gyroscope are apart. Source: one loop at 400 Hz, at which
@@ -95,7 +95,7 @@ class PairEvidence:
         names = [self.sim.fit.layout.names[r] for r in self._places]
         # no motor is weak in both flights, and a voltage that stays tells nothing of a simulator's sag
         still = self.sim.likelihood.airframe.voltage_span < SAG_SPAN
-        none = {"asymmetry", *(("sag",) if still else ())}
+        none = {"sag"} if still else set()
         rows = np.array([k for k, n in enumerate(names) if n not in none and not n.startswith(_ONLY_REAL)])
         mean, sd = (np.array([prior_of(names[r])[i] for r in rows]) for i in (0, 1))
         return rows, mean, sd
@@ -171,14 +171,14 @@ class PairEvidence:
         """Both flights expanded about that model's best point, with the noise that is left there."""
         real, sim = self.parameters(model, self.posterior(model))
         side = self._side(model)
-        there = _about(side, real)
-        here = _about(self.sim, sim)
+        there = about(side, real)
+        here = about(self.sim, sim)
         if side is self.real:
             return replace(self, real=there, sim=here)
         return replace(self, sim=here, slewed=there)
 
 
-def _about(side: Side, theta: Array) -> Side:
+def about(side: Side, theta: Array) -> Side:
     """The flight expanded about `theta`, once its own parameters have been fitted to it."""
     layout = side.fit.layout
     fixed = {n: float(theta[k]) for k, n in enumerate(layout.names) if not side.own[k]}
@@ -196,7 +196,7 @@ def shown_by(side: Side, effect: AirframeEffect) -> bool:
     says = side.says.with_discrepancy(side.discrepancy)
     mean, sd = (np.array([prior_of(n)[k] for n in names]) for k in (0, 1))
     columns = {c.parameter for c in effect.changes}
-    base = np.array([not n.startswith(_ONLY_REAL) and n != "asymmetry" for n in names])
+    base = np.array([not n.startswith(_ONLY_REAL) for n in names])
     known = base | np.array([n in columns for n in names])
 
     def evidence(rows: Mask) -> float:
@@ -213,6 +213,6 @@ def by_itself(likelihood: FlightLikelihood, start: Array | None = None, rounds: 
     layout, flight = likelihood.airframe.layout, likelihood.airframe.flight
     if start is None:
         start = layout.start(float(np.median(flight.c)), flight.gravity)
-    held = {n: 0.0 for n in layout.names if n.startswith(_ONLY_REAL)} | {"asymmetry": 0.0}
+    held = {n: 0.0 for n in layout.names if n.startswith(_ONLY_REAL)}
     many = {} if rounds is None else {"rounds": rounds}
     return fitted(likelihood, start, held, expand=False, **many).theta

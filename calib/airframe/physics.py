@@ -13,24 +13,23 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
-from mavcal.calib.airframe.flown import FlownFlight
+from mavcal.calib.airframe.flown import FlownFlight, on_grid
 from mavcal.calib.airframe.geometry import arms
 from mavcal.calib.airframe.nameless import columns_of, names_of
+from mavcal.calib.airframe.signals import Grid
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
 AXES: Final = ("x", "y", "z")
-_REMEMBERED: Final = 4
 _FALLING_ROUNDS: Final = 3
 """Rounds after which a lag that differs for falling commands is known to a thousandth. Measured on doublets."""
 _PLAIN: Final = (
     "k", "expo", "sag", "c1", "cz", "c2", "ch", "climb", "wind_north", "wind_east", "bias_x", "bias_y", "bias_z",
     "lever_x", "lever_y", "lever_z", "gain_x", "gain_y", "gain_z", "damping_x", "damping_y", "damping_z", "torque_x",
     "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "cross_x", "cross_y", "cross_z", "tau",
-    "asymmetry", "delay", "scale", "load",
+    "fall", "delay", "scale", "load",
 )  # fmt: skip
 FORCE_ONLY: Final = frozenset(
     {
@@ -70,7 +69,7 @@ class Layout:
     spin_up               reaction of the rotors' own inertia, s
     flap_x, flap_y        torque by air velocity, rad/s2 per m/s
     cross_x y z           torque by products of rates
-    tau, asymmetry        lag of the motors, s; relative difference between down and up
+    tau, fall             lag of the motors, s; how much longer it is where a command falls, s
     delay                 of the commands, s
     scale                 of the accelerometer, relative
     load                  mass that is gained at one moment, relative
@@ -150,7 +149,6 @@ class Airframe:
         self.flight, self.kind, self.spin_low, self.slew = flight, kind, spin_low, slew
         self.full_voltage, self.loaded_at, self._torque_judged = full_voltage, loaded_at, torque
         self._loaded = np.zeros(len(flight.t)) if loaded_at is None else (flight.t >= loaded_at).astype(np.float64)
-        self._limited: dict[float, Array] = {}
         self._dt = 1.0 / flight.fs
         self._x, self._y, self._spin = arms(flight.geometry.motors)
         self._lever = max(np.abs(self._x).max(), np.abs(self._y).max())
@@ -158,12 +156,13 @@ class Airframe:
         self._log_v = np.log(np.maximum(flight.voltage, 1.0) / full_voltage) if known else np.zeros(len(flight.t))
         self.body_from_local = _body_from_local(flight.q)
 
-        self._acceleration = np.gradient(flight.rate, self._dt, axis=0)
         w = flight.rate
         self._products = np.column_stack([w[:, 1] * w[:, 2], w[:, 2] * w[:, 0], w[:, 0] * w[:, 1]])
         self.free = columns_of(flight, self._over_ground(), self.body_from_local, torque=torque)
         self.layout = Layout(flight.c.shape[1], names_of(self.free))
-        self._filters = {s: two_pole(flight.cutoff_hz.get(s, 0.0), flight.fs) for s in (Sensor.ACCEL, Sensor.GYRO)}
+        self._grid = Grid(len(flight.t), flight.fs)
+        self._filters = {s: self._grid.butterworth(flight.cutoff_hz.get(s, 0.0)) for s in (Sensor.ACCEL, Sensor.GYRO)}
+        self._commanded = self._grid.spectrum(flight.c if slew is None else _limited(flight, slew))
 
     def changed(self, *, slew: float | None = None, loaded_at: float | None = None) -> Airframe:
         """The same flight with another limit on the commands, or another moment of a load; None: as it is."""
@@ -195,13 +194,13 @@ class Airframe:
         for rows in made:
             for at, sensor in ((slice(0, 3), Sensor.ACCEL), (slice(3, 6), Sensor.GYRO)):
                 if rows[:, at].any():
-                    rows[:, at] = filtered(rows[:, at], self._filters[sensor])
+                    rows[:, at] = self._grid.through(rows[:, at], self._filters[sensor])
         return np.array(made)
 
     @property
     def measured(self) -> tuple[Array, Array]:
         """Force (N, 3), m/s2, and torque (N, 3), rad/s2."""
-        return self.flight.force, self._acceleration
+        return self.flight.force, self.flight.acceleration
 
     @property
     def voltage_span(self) -> float:
@@ -216,9 +215,9 @@ class Airframe:
         load = theta[self.layout.place["load"]]
         if load:
             force = force / (1.0 + load * self._loaded)[:, None]
-        force = filtered(force, self._filters[Sensor.ACCEL]) + self._at_unit(theta)
+        force = self._grid.through(force, self._filters[Sensor.ACCEL]) + self._at_unit(theta)
         force = force * (1.0 + theta[self.layout.place["scale"]])
-        torque = filtered(torque, self._filters[Sensor.GYRO]) + self._by_rates(theta)
+        torque = self._grid.through(torque, self._filters[Sensor.GYRO]) + self._by_rates(theta)
         nameless = theta[len(theta) - len(self.free) :]
         if nameless.any():
             beyond = np.tensordot(nameless, self.free_signals, axes=1)
@@ -229,8 +228,7 @@ class Airframe:
         """Normalised thrust (N, n) of each motor, what turns the vehicle about z, and the rotors' relative speeds."""
         of = self._of(theta)
         weak, pulse = (np.array([of(f"{n}_{i + 1}") for i in range(self.layout.motors)]) for n in ("weak", "pulse"))
-        told = self._told(of("delay"))
-        x = lagged(told, of("tau"), of("asymmetry"), self._dt)
+        x = self._followed(of("delay"), of("tau"), of("fall"))
         if pulse.any():
             x = np.clip(x * (1.0 + pulse) + pulse * self.spin_low, 0.0, None)
         expo = of("expo")
@@ -242,22 +240,19 @@ class Airframe:
         place = self.layout.place
         return lambda name: float(theta[place[name]])
 
-    def _told(self, delay: float) -> Array:
-        """What the motors are told, late and within their rate; the last few are remembered, as a limit takes long."""
-        if self.slew is None:
-            return self._delayed(delay)
-        if delay not in self._limited:
-            if len(self._limited) > _REMEMBERED:
-                self._limited.clear()
-            self._limited[delay] = slewed(self._delayed(delay), self.slew * self._dt)
-        return self._limited[delay]
+    def _followed(self, delay: float, tau: float, fall: float) -> Array:
+        """What the motors do (N, n): late, within their rate, with a lag of the first order.
 
-    def _delayed(self, delay: float) -> Array:
-        steps = delay / self._dt
-        whole = int(np.floor(steps))
-        part = steps - whole
-        c = self.flight.c
-        return np.asarray((1.0 - part) * _shifted(c, whole) + part * _shifted(c, whole + 1))
+        A lag that is longer where a command falls is the plain one of a command that is led on by its own fall.
+        """
+        grid, response = self._grid, self._grid.behind(delay, tau)
+        found = grid.series(self._commanded, response)
+        if fall:
+            late = grid.series(self._commanded, grid.behind(delay, 0.0))
+            for _ in range(_FALLING_ROUNDS):
+                falling = np.minimum(np.gradient(found, self._dt, axis=0), 0.0)
+                found = grid.through(late - fall * falling, grid.behind(0.0, tau))
+        return found
 
     def air_velocity(self, theta: Array) -> Array:
         """Velocity through the air, body axes (N, 3)."""
@@ -288,7 +283,7 @@ class Airframe:
         of = self._of(theta)
         lever = np.array([of(f"lever_{a}") for a in AXES])
         w = self.flight.rate
-        turn = np.cross(self._acceleration, lever) + np.cross(w, np.cross(w, lever))
+        turn = np.cross(self.flight.acceleration, lever) + np.cross(w, np.cross(w, lever))
         return np.asarray(turn + np.array([of(f"bias_{a}") for a in AXES]))
 
     def _torque(self, theta: Array, turning: Array, spinning: Array, rotors: tuple[Array, Array, Array]) -> Array:
@@ -312,66 +307,24 @@ class Airframe:
         return np.asarray(-damping * self.flight.rate + cross * self._products)
 
 
-def lagged(c: Array, tau: float, asymmetry: float, dt: float) -> Array:
-    """A first-order lag of `tau` s; falling commands take ``1 + asymmetry`` times as long."""
-    if tau <= 0.0:
-        return c + (-tau) * np.gradient(c, dt, axis=0) if tau < 0.0 else c
-    if asymmetry == 0.0:
-        now, before, kept = _first_order(tau, dt)
-        return np.asarray(lfilter([now, before], [1.0, -kept], c, axis=0, zi=(1.0 - now) * c[:1])[0])
-    state = lagged(c, tau, 0.0, dt)
-    for _ in range(_FALLING_ROUNDS):
-        falling = np.minimum(np.gradient(state, dt, axis=0), 0.0)
-        state = lagged(c - asymmetry * tau * falling, tau, 0.0, dt)
-    return state
+def _limited(flight: FlownFlight, most: float) -> Array:
+    """Commands on the grid (N, n) of motors that change by at most `most` 1/s; limited at the rate that was logged."""
+    told = flight.commands
+    steps = most * np.diff(told.t, prepend=told.t[0])
+    return on_grid(flight.t, told.t, slewed(told.c, steps), told.rate_hz)
 
 
-def _first_order(tau: float, dt: float) -> tuple[float, float, float]:
-    """Weights of this command, the one before and the state before: exact where commands change linearly."""
-    kept = float(np.exp(-dt / tau))
-    ramp = (1.0 - kept) * tau / dt
-    return 1.0 - ramp, ramp - kept, kept
-
-
-def slewed(c: Array, most: float) -> Array:
-    """`c` (N, n) that changes by at most `most` a row."""
-    out = np.empty_like(c)
-    state = out[0] = c[0]
-    for row in range(1, len(c)):
-        state = out[row] = state + np.clip(c[row] - state, -most, most)
-    return out
-
-
-def two_pole(corner_hz: float, fs: float) -> tuple[Array, Array] | None:
-    """Numerator and denominator of the firmwares' ``LowPassFilter2p`` at the rate `fs`; None where nothing is filtered.
-
-    Both firmwares use a Butterworth filter of the second order through the bilinear transform.
-    """
-    if not 0.0 < corner_hz < 0.49 * fs:
-        return None
-    ohm = np.tan(np.pi * corner_hz / fs)
-    c = 1.0 + 2.0 * np.cos(np.pi / 4.0) * ohm + ohm**2
-    b0 = ohm**2 / c
-    return np.array([b0, 2.0 * b0, b0]), np.array(
-        [1.0, 2.0 * (ohm**2 - 1.0) / c, (1.0 - 2.0 * np.cos(np.pi / 4.0) * ohm + ohm**2) / c]
-    )
-
-
-def filtered(values: Array, taps: tuple[Array, Array] | None) -> Array:
-    """`values` (N, k) through the filter, at rest in its first value."""
-    if taps is None:
-        return values
-    b, a = taps
-    zi1 = (b[2] - a[2])[None] if np.ndim(b[2]) else np.array([b[2] - a[2]])
-    zi = np.vstack([(1.0 - b[0]) * values[:1], zi1[:, None] * values[:1]])
-    return np.asarray(lfilter(b, a, values, axis=0, zi=zi)[0])
-
-
-def _shifted(values: Array, steps: int) -> Array:
-    if steps == 0:
-        return values
-    rows = np.clip(np.arange(len(values)) - steps, 0, len(values) - 1)
-    return np.asarray(values[rows])
+def slewed(c: Array, most: Array) -> Array:
+    """`c` (N, n) that changes by at most `most` (N,) from row to row."""
+    steps = most.tolist()
+    out = []
+    for column in c.T.tolist():  # plain floats: a row of numpy takes ten times as long
+        state, kept = column[0], []
+        for value, step in zip(column, steps, strict=True):
+            state = min(max(value, state - step), state + step)
+            kept.append(state)
+        out.append(kept)
+    return np.array(out).T
 
 
 def _body_from_local(q: Array) -> Array:

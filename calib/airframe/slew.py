@@ -2,67 +2,70 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mavcal.calib.airframe.fit import FlightLikelihood, expanded
-from mavcal.calib.airframe.pair import Side, by_itself
-
-Array = NDArray[np.float64]
+from mavcal.calib.airframe.effects import AirframeEffect
+from mavcal.calib.airframe.fit import FlightLikelihood
+from mavcal.calib.airframe.pair import PairEvidence, Side, about
 
 _RATES: Final = (6.0, 4.0, 3.0, 2.5, 2.0, 1.7, 1.4, 1.2, 1.0, 0.8, 0.6, 0.5, 0.4)
 """Limits that are tried, 1/s. Source: the range of AIRFRAME 6, 0.5 to 4, and beyond."""
 _REACHED: Final = 99.8
 """Percentile of the commands' own rates that a limit has to lie below so that it shows. Chosen, not measured."""
-_SPREADS: Final = (0.15, 0.08)
-"""Parts of a limit by which it is refined, each about a flight that was fitted again. Source: the grid's own steps."""
-_ROUNDS: Final = 4
+_SPREADS: Final = (0.15, 0.05)
+"""Parts of a limit by which it is refined, one after the other. Source: the grid's own steps."""
 _WORTH: Final = 10.0
 """Nats that a limit must gain before the flight is fitted with it. Chosen, not measured: the contest decides."""
 
 
-def with_limit(side: Side, sim: Side) -> tuple[Side, float] | None:
+def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tuple[Side, float] | None:
     """The real flight's side with the rate limit that suits it best, and the limit, 1/s; None: none is reached.
 
-    Limits are compared at the simulator's own airframe: a fit without a limit has lost it already.
+    Limits are compared at the simulator's own airframe: a fit without a limit has lost it already, and one with a wrong
+    limit makes up for it. `effects` may stand beside it.
     """
     likelihood = side.likelihood
-    airframe = likelihood.airframe
-    rates = np.abs(np.diff(airframe.flight.c, axis=0)) * airframe.flight.fs
-    fastest = float(np.percentile(rates, _REACHED))
+    told = likelihood.airframe.flight.commands
+    fastest = float(np.percentile(np.abs(np.diff(told.c, axis=0)) * told.rate_hz, _REACHED))
     tried = [r for r in _RATES if r < fastest]
     if not tried or not likelihood.torque:
         return None
     theta = np.where(sim.own, side.fit.theta, sim.fit.theta)
-    free = likelihood.airframe.layout
-    theta[len(theta) - len(free.free) :] = 0.0
-
+    theta[len(theta) - len(likelihood.airframe.free) :] = 0.0
     found = {rate: _limited(likelihood, rate).loglik(theta, side.fit.spectra) for rate in tried}
     best = max(found, key=lambda rate: found[rate])
     if found[best] - likelihood.loglik(theta, side.fit.spectra) < _WORTH:
         return None
+    pair = PairEvidence(side, sim, tuple(effects))
+    known: dict[float, tuple[float, Side]] = {}
     for spread in _SPREADS:
-        best, theta = _better(likelihood, theta, side, best, spread)
-    made = _limited(likelihood, best)
-    return Side(made, expanded(made, by_itself(made, theta), made.possible)), best
+        rates = [best * (1.0 - spread), best, best * (1.0 + spread)]
+        for rate in rates:
+            if rate not in known:
+                made = about(Side(_limited(likelihood, rate), side.fit), theta)
+                known[rate] = _evidence(replace(pair, slewed=made)), made
+        best = _vertex(rates, [known[rate][0] for rate in rates])
+    return about(Side(_limited(likelihood, best), side.fit), theta), best
 
 
-def _better(likelihood: FlightLikelihood, theta: Array, side: Side, best: float, spread: float) -> tuple[float, Array]:
-    """The limit of most likelihood within `spread` of the best one, and the airframe that was fitted with it.
+def _evidence(pair: PairEvidence) -> float:
+    """Of the limit alone, or with one effect beside it."""
+    limit = next(e.block for e in pair.effects if e.slew)
+    lone = [frozenset({limit, e.block}) for e in pair.effects if not e.slew and e.exclusive != "motor_lag"]
+    return max(pair.posterior(model).log_evidence for model in (frozenset({limit}), *lone))
 
-    Each limit is compared with an airframe of its own: gains and damping make up for a part of a wrong one.
-    """
-    rates = [best * (1.0 - spread), best, best * (1.0 + spread)]
-    limited = [_limited(likelihood, rate) for rate in rates]
-    fitted = [by_itself(one, theta, _ROUNDS) for one in limited]
-    gains = [one.loglik(at, side.fit.spectra) for one, at in zip(limited, fitted, strict=True)]
-    most = int(np.argmax(gains))
-    bend = gains[0] - 2.0 * gains[1] + gains[2]
+
+def _vertex(rates: Sequence[float], values: Sequence[float]) -> float:
+    """Where a parabola through three evenly spaced points is highest, or the highest of them."""
+    most = int(np.argmax(values))
+    bend = values[0] - 2.0 * values[1] + values[2]
     if bend >= 0.0 or most != 1:
-        return rates[most], fitted[most]
-    return float(best - 0.5 * best * spread * (gains[2] - gains[0]) / bend), fitted[1]
+        return rates[most]
+    return float(rates[1] - 0.5 * (rates[2] - rates[1]) * (values[2] - values[0]) / bend)
 
 
 def _limited(likelihood: FlightLikelihood, rate: float | None) -> FlightLikelihood:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -26,10 +26,10 @@ RIVAL: Final = 0.01
 """Probability from which another effect in the place of a found one is told. Source: GAP 6, the truth is in the set in
 99 of 100."""
 _UNITS: Final = {
-    "k": "m/s2", "c1": "1/s", "c2": "1/m", "cz": "1/s", "ch": "1/m", "tau": "s", "delay": "s", "expo": "1", "sag": "1",
-    "cg_x": "arms", "cg_y": "arms", "wind_north": "m/s", "wind_east": "m/s", "gain_x": "rad/s2", "gain_y": "rad/s2",
-    "gain_z": "rad/s2", "damping_x": "1/s", "damping_y": "1/s", "damping_z": "1/s", "torque_x": "rad/s2",
-    "torque_y": "rad/s2", "torque_z": "rad/s2",
+    "k": "m/s2", "c1": "1/s", "c2": "1/m", "cz": "1/s", "ch": "1/m", "tau": "s", "fall": "s", "delay": "s", "expo": "1",
+    "sag": "1", "cg_x": "arms", "cg_y": "arms", "wind_north": "m/s", "wind_east": "m/s", "gain_x": "rad/s2",
+    "gain_y": "rad/s2", "gain_z": "rad/s2", "damping_x": "1/s", "damping_y": "1/s", "damping_z": "1/s",
+    "torque_x": "rad/s2", "torque_y": "rad/s2", "torque_z": "rad/s2",
 }  # fmt: skip
 _RELATIVE: Final = frozenset(
     {
@@ -128,9 +128,14 @@ def _values(
     made = []
     for k, (name, base) in enumerate(zip(effect.names, effect.base, strict=True)):
         unit = "1" if relative else _UNITS[base]
-        sides = (float(real[place[base]]), float(sim[place[base]]))
+        sides = tuple(float(theta[place[base]]) + _beside(theta, place, base) for theta in (real, sim))
         made.append(FoundValue(name, float(mean[k]), float(sd[k]), unit, relative, real=sides[0], sim=sides[1]))
     return tuple(made)
+
+
+def _beside(theta: Array, place: Mapping[str, int], base: str) -> float:
+    """What a falling command's lag has in common with a rising one's."""
+    return float(theta[place["tau"]]) if base == "fall" else 0.0
 
 
 def _thrust_left(evidence: PairEvidence, effect: AirframeEffect, value: float, sd: float) -> tuple[float, float]:

@@ -54,7 +54,8 @@ def joined(report: GapReport, answer: AirframeAnswer | NoAirframe, real: Recordi
         return replace(report, not_testable=(*report.not_testable, gone))
     shared = not_borne_out(report, real)
     sensors = tuple(e for e in report.effects if e not in shared)
-    found = (*map(_estimate, answer.found), *_of_the_day(answer, shared))
+    shaken = any(e.id == "accel_vibration" for e in sensors)
+    found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_reset(answer))
     effects = _with_shares((*found, *sensors))
     unknown = _unknown(report, answer, sensors)
     warnings = (*report.warnings, *(_withdrawn(e) for e in shared), *answer.warnings)
@@ -111,8 +112,8 @@ def _parameter(value: FoundValue) -> ParameterEstimate:
     )
 
 
-def _of_the_day(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> Iterator[EffectEstimate]:
-    """Turbulence, and jumps of the estimator."""
+def _turbulence(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> Iterator[EffectEstimate]:
+    """Gusts; a vehicle that shakes every unit leaves as much force open, and is not asked."""
     loud = answer.turbulence
     noisy = any(e.sensor == Sensor.ACCEL for e in shared)
     if loud is not None and (loud.of_air or noisy):
@@ -120,6 +121,10 @@ def _of_the_day(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> I
         value = FoundValue("sigma", sigma, 0.1 * sigma, "m/s2", relative=False, real=loud.real, sim=loud.sim)
         chance = 1.0 if loud.shared is not None else 0.9
         yield _estimate(FoundEffect("turbulence", Domain.ENVIRONMENT, (), (value,), 0.0, 1, chance, 0.0))
+
+
+def _reset(answer: AirframeAnswer) -> Iterator[EffectEstimate]:
+    """The worst jump of the estimator."""
     if answer.jumps:
         worst = max(answer.jumps, key=lambda j: j.size)
         values = (

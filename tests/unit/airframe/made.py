@@ -40,6 +40,7 @@ def flight(c: Array, geometry: Geometry | None = None, **changes: Any) -> FlownF
         t=t,
         force=np.tile([0.0, 0.0, -G], (n, 1)),
         rate=np.zeros((n, 3)),
+        acceleration=np.zeros((n, 3)),
         unit=0,
         others={},
         c=c,
@@ -57,7 +58,10 @@ def flight(c: Array, geometry: Geometry | None = None, **changes: Any) -> FlownF
         commands=commands,
         ardupilot=True,
     )
-    return replace(plain, **changes)
+    found = replace(plain, **changes)
+    return (
+        found if "acceleration" in changes else replace(found, acceleration=np.gradient(found.rate, 1.0 / HZ, axis=0))
+    )
 
 
 def hover(seconds: float = 3.0, command: float = 0.5, motors: int = 4) -> Array:

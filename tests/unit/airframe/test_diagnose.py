@@ -76,7 +76,7 @@ def test_a_second_flight_of_the_same_vehicle_on_another_day_shows_wind_only(
     assert (commands.source, commands.rate_hz) == ("rate_mixer", 400.0)
     assert commands.check_us is not None
     assert commands.check_us < 1.5
-    assert commands.masked < 0.05
+    assert commands.masked < 0.07
     # the frame's own numbers: g / 0.39, its curve and its drag
     assert answer.part.facts["k"] == pytest.approx(25.145, rel=0.01)
     assert answer.part.facts["expo"] == pytest.approx(0.65, abs=0.02)
@@ -114,18 +114,14 @@ CASES: dict[str, tuple[Mapping[str, Any], Mapping[str, float], str, Mapping[str,
 }
 
 
-BESIDE = {"lag": {"actuator_delay"}, "rate limit": {"thrust_scale", "thrust_expo"}}
-"""What may be named beside it: a part of a lag as a delay, and what a limited motor does to a curve. Known limits."""
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_what_was_changed_is_named_with_its_size(tmp_path: Path, simulated: Recording, name: str) -> None:
     frame, parameters, id_, known = CASES[name]
     real = flight(tmp_path / "x.bin", frame, other=True, **parameters)
     answer = diagnosed(real, simulated)
-    assert {id_} <= airframes(answer) <= {id_} | BESIDE.get(name, set())
-    agrees(answer, id_, known, 0.03 if name in BESIDE else 0.005)
+    assert airframes(answer) == {id_}
+    agrees(answer, id_, known)
     assert answer.nameless < 0.5
     assert next(f for f in answer.found if f.id == id_).probability > 0.9
 

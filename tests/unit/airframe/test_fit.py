@@ -48,9 +48,10 @@ def flew(seed: int = 0, slew: float | None = None, **changes: float) -> FlownFli
     force, torque = model.predicted(theta(model, **{**TRUE, **changes}))
     rng = np.random.default_rng(50 + seed)
     rate = np.cumsum(0.5 * (torque[1:] + torque[:-1]), axis=0) / HZ
-    rate = np.vstack([np.zeros((1, 3)), rate]) + 2e-4 * rng.normal(size=(N, 3))
+    noise = 2e-4 * rng.normal(size=(N, 3))
+    rate, turning = np.vstack([np.zeros((1, 3)), rate]) + noise, torque + np.gradient(noise, 1.0 / HZ, axis=0)
     slow = lfilter([0.02], [1.0, -0.98], rng.normal(size=(N, 3)), axis=0)
-    return replace(bare, force=force + 0.02 * rng.normal(size=(N, 3)) + 0.02 * slow, rate=rate)
+    return replace(bare, force=force + 0.02 * rng.normal(size=(N, 3)) + 0.02 * slow, rate=rate, acceleration=turning)
 
 
 def side(one: FlownFlight, *, torque: bool = True) -> Side:
@@ -145,6 +146,12 @@ def effects(of: Side) -> tuple[AirframeEffect, ...]:
     return (*(e for e in named if not e.slew and e.id != "battery_sag"), *nameless(layout))
 
 
+def limits(of: Side) -> tuple[AirframeEffect, ...]:
+    """The catalogue with the limit of a motor's rate."""
+    named = catalogue(of.fit.layout, rotors_damp=False, hover_gain=(200.0, 180.0, 8.0))
+    return (*effects(of), *(e for e in named if e.slew))
+
+
 PAIRS: list[tuple[dict[str, float], set[str]]] = [
     ({}, set()),
     ({"k": 22.5, "gain_x": 180.0, "gain_y": 162.0, "gain_z": 7.2}, {"thrust_scale"}),
@@ -177,11 +184,11 @@ def test_what_the_real_flight_has_beside_the_simulated_one_is_found(
 
 @pytest.mark.long
 def test_a_limit_on_the_rate_of_a_command_is_found(simulated: Side) -> None:
-    limited = with_limit(side(flew(1, slew=2.2)), simulated)
+    limited = with_limit(side(flew(1, slew=2.2)), simulated, limits(simulated))
     assert limited is not None
     assert limited[1] == pytest.approx(2.2, rel=0.1)
 
 
 @pytest.mark.long
 def test_no_limit_is_found_where_there_is_none(simulated: Side) -> None:
-    assert with_limit(side(flew(1)), simulated) is None
+    assert with_limit(side(flew(1)), simulated, limits(simulated)) is None

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.airframe.physics import Kind, filtered, lagged, slewed, two_pole
+from mavcal.calib.airframe.physics import Kind, slewed
+from mavcal.calib.airframe.signals import Grid
 from mavcal.calib.recording import Sensor
 from mavcal.service.simvehicle.flight.air import density
 from mavcal.service.simvehicle.flight.airframe import Airframe as Flying
@@ -18,6 +18,11 @@ from mavcal.service.simvehicle.flight.frame import frame_of, rotors_of
 from tests.unit.airframe.made import HZ, G, airframe, flight, frame, hover, theta
 
 DT = 1.0 / HZ
+
+
+def butterworth_of(values: np.ndarray) -> np.ndarray:
+    """Without what a grid of 100 Hz does not hold, as commands come from a log."""
+    return np.asarray(sosfiltfilt(butter(4, 20.0, fs=HZ, output="sos"), values))
 
 
 def test_a_hover_carries_its_weight() -> None:
@@ -133,102 +138,52 @@ def test_a_delay_may_be_a_part_of_a_step() -> None:
     model = airframe(flight(told))
     for delay in (0.0, 0.004, 0.01, 0.025):
         force, _ = model.predicted(theta(model, delay=delay))
-        np.testing.assert_allclose(force[10:, 2], -25.0 * (told[10:, 0] - 0.2 * delay), rtol=1e-9)
-
-
-@pytest.mark.parametrize("tau", [0.02, 0.05, 0.2])
-def test_a_lag_answers_a_step_with_an_exponential(tau: float) -> None:
-    """The step lies between two rows: half a row before the first that has it."""
-    c = np.zeros((300, 2))
-    c[100:] = 1.0
-    out = lagged(c, tau, 0.0, DT)
-    t = (np.arange(300) - 99.5) * DT
-    known = np.where(t > 0.0, 1.0 - np.exp(-t / tau), 0.0)
-    np.testing.assert_allclose(out[101:, 0], known[101:], atol=(DT / tau) ** 2 / 20.0)
-    np.testing.assert_array_equal(out[:100], 0.0)
-
-
-def test_a_lag_is_exact_for_commands_that_change_linearly() -> None:
-    rng = np.random.default_rng(3)
-    c = np.cumsum(rng.normal(size=(40, 1)), axis=0)
-    tau, t = 0.03, np.arange(40) * DT
-    known = solve_ivp(
-        lambda at, x: (np.interp(at, t, c[:, 0]) - x) / tau, (0.0, t[-1]), c[0], t_eval=t, max_step=DT / 4, rtol=1e-9,
-        atol=1e-9,
-    ).y[0]  # fmt: skip
-    np.testing.assert_allclose(lagged(c, tau, 0.0, DT)[:, 0], known, atol=1e-5)
-
-
-def test_a_lag_goes_smoothly_through_zero() -> None:
-    """A simulator may be ahead of the reader's filter: the slope by tau is that of the command, on both sides."""
-    t = np.arange(300) * DT
-    c = (0.5 + 0.1 * np.sin(2.0 * t))[:, None]
-    slope = 0.2 * np.cos(2.0 * t)
-    for tau in (-0.01, -1e-4, 1e-4, 0.01):
-        out = lagged(c, tau, 0.0, DT)
-        np.testing.assert_allclose((out - c)[50:-50, 0] / tau, -slope[50:-50], atol=0.01)
-    np.testing.assert_array_equal(lagged(c, 0.0, 0.0, DT), c)
-    at = [lagged(c, tau, 0.0, DT)[50:-50, 0] for tau in (-2e-5, 2e-5)]
-    np.testing.assert_allclose(at[0], at[1], atol=1e-5)
+        np.testing.assert_allclose(force[20:180, 2], -25.0 * (told[20:180, 0] - 0.2 * delay), rtol=1e-3)
 
 
 def test_a_falling_command_may_take_longer() -> None:
     t = np.arange(400) * DT
-    c = (0.5 + 0.2 * np.sign(np.sin(2.0 * np.pi * 0.8 * t)) * (t > 0.3))[:, None]
-    tau, asymmetry, fine = 0.06, 0.4, 50
-    known, x = [], float(c[0, 0])
-    for row in range(len(c)):
+    told = butterworth_of(0.5 + 0.2 * np.sign(np.sin(2.0 * np.pi * 0.8 * t)) * (t > 0.3))
+    tau, fall, fine = 0.06, 0.024, 50
+    known, x = [], float(told[0])
+    for row in range(len(told)):
         known.append(x)
         for part in range(fine):
-            told = np.interp(t[row] + DT * part / fine, t, c[:, 0])
-            x += (told - x) * DT / fine / (tau * (1.0 + asymmetry if told < x else 1.0))
-    found = lagged(c, tau, asymmetry, DT)[:, 0]
+            now = np.interp(t[row] + DT * part / fine, t, told)
+            x += (now - x) * DT / fine / (tau + fall if now < x else tau)
+    model = airframe(flight(np.tile(told[:, None], (1, 4))))
+    found, plain = (-model.predicted(theta(model, tau=tau, fall=f))[0][:, 2] / 25.0 for f in (fall, 0.0))
     np.testing.assert_allclose(found, known, atol=0.01)
-    assert np.abs(lagged(c, tau, 0.0, DT)[:, 0] - known).max() > 0.03
+    assert np.abs(plain - known).max() > 0.03
 
 
 def test_a_limited_command_changes_no_faster_and_arrives() -> None:
     c = np.concatenate([np.zeros(10), np.ones(50), np.full(50, 0.2)])[:, None] * [1.0, 0.1]
-    out = slewed(c, 0.05)
+    out = slewed(c, np.full(110, 0.05))
     assert np.abs(np.diff(out, axis=0)).max() == pytest.approx(0.05)
     np.testing.assert_allclose(out[29], [1.0, 0.1])
     np.testing.assert_allclose(out[28], [0.95, 0.1])
-    np.testing.assert_allclose(slewed(c, 2.0), c, atol=1e-12)
+    np.testing.assert_allclose(slewed(c, np.full(110, 2.0)), c, atol=1e-12)
     model = airframe(flight(np.tile(c[:, :1], (1, 4))), slew=5.0)
     force, _ = model.predicted(theta(model))
-    np.testing.assert_allclose(force[:, 2], -25.0 * out[:, 0], atol=1e-9)
+    np.testing.assert_allclose(force[:, 2], -25.0 * out[:, 0], atol=1e-6)
 
 
-@pytest.mark.parametrize("corner", [5.0, 20.0, 42.0])
-@pytest.mark.parametrize("fs", [100.0, 400.0])
-def test_the_firmwares_filter_is_a_butterworth_of_the_second_order(corner: float, fs: float) -> None:
-    taps = two_pole(corner, fs)
-    assert taps is not None
-    b, a = butter(2, corner, fs=fs)
-    np.testing.assert_allclose(taps[0], b, atol=1e-12)
-    np.testing.assert_allclose(taps[1], a, atol=1e-12)
-
-
-def test_a_filter_begins_at_rest_and_what_is_not_filtered_stays() -> None:
-    assert two_pole(0.0, 100.0) is None
-    assert two_pole(50.0, 100.0) is None
-    values = np.random.default_rng(1).normal(size=(100, 3))
-    assert filtered(values, None) is values
-    taps = two_pole(20.0, 100.0)
-    assert taps is not None
-    np.testing.assert_allclose(filtered(np.full((50, 2), 3.0), taps), 3.0)
-    settled = np.concatenate([np.tile(values[:1], (200, 1)), values])
-    np.testing.assert_allclose(filtered(values, taps), lfilter(*taps, settled, axis=0)[200:], atol=1e-9)
+def test_a_limit_may_change_with_the_steps_of_a_log() -> None:
+    t = np.array([0.0, 0.1, 0.15, 0.4, 0.5])
+    c = np.array([0.0, 1.0, 1.0, 1.0, 1.0])[:, None]
+    out = slewed(c, 2.0 * np.diff(t, prepend=0.0))
+    np.testing.assert_allclose(out[:, 0], [0.0, 0.2, 0.3, 0.8, 1.0])
 
 
 def test_predictions_go_through_the_filter_of_the_sensors() -> None:
     c = hover(2.0)
     c[100:] += 0.1
     sharp, soft = (airframe(flight(c, cutoff_hz=corner)) for corner in ({}, {Sensor.ACCEL: 20.0, Sensor.GYRO: 10.0}))
-    at = theta(sharp, weak_1=-0.1)
-    taps = {corner: two_pole(corner, HZ) for corner in (20.0, 10.0)}
+    at, grid = theta(sharp, weak_1=-0.1), Grid(len(c), HZ)
     for k, corner in enumerate((20.0, 10.0)):
-        np.testing.assert_allclose(soft.predicted(at)[k], filtered(sharp.predicted(at)[k], taps[corner]), atol=1e-9)
+        known = grid.through(sharp.predicted(at)[k], grid.butterworth(corner))
+        np.testing.assert_allclose(soft.predicted(at)[k], known, atol=1e-9)
 
 
 def test_it_says_what_the_simulated_vehicle_does() -> None:

@@ -42,6 +42,11 @@ BESIDE = {"vib_motor_temp": {"gyro_vibration"}}
 """What is in the recording as well: the simulator shakes its gyroscopes too."""
 
 
+def of_sensors(report: GapReport) -> list[EffectEstimate]:
+    """Without what the report says of airframe and air."""
+    return [e for e in report.effects if e.sensor is not None]
+
+
 def agrees(effect: EffectEstimate, name: str, known: list[float]) -> None:
     for axis, value in zip("xyz", known, strict=bool(known)):
         said = next(p for p in effect.params if p.name == f"{name}.{axis}")
@@ -55,7 +60,7 @@ def test_a_flight_against_the_clean_one_shows_what_was_put_in(shared_data: Path,
     folder = shared_data / "sitl_flights"
     report = gap.run(logs.read(folder / f"{name}.bin"), logs.read(folder / "null.bin"), nested=False)
     assert report.verdict is GapVerdict.EXPLAINED
-    found = {e.id: e for e in report.effects}
+    found = {e.id: e for e in of_sensors(report)}
     assert set(found) - BESIDE.get(name, set()) == set(FLIGHTS[name])
     for effect_id, (instances, parameter, known) in FLIGHTS[name].items():
         assert list(found[effect_id].instances) == instances
@@ -104,7 +109,7 @@ def test_what_is_put_into_a_flight_is_found_beside_its_own(shared_data: Path, ch
     report = gap.run(real, logs.read(folder / "null.bin"), nested=False)
     own = {"gyro_bias": [1], "mag_soft_iron": [1]}
     put = {name: instances for name, (_, instances, _) in changes.items()}
-    assert {e.id: list(e.instances) for e in report.effects} == own | put
+    assert {e.id: list(e.instances) for e in of_sensors(report)} == own | put
     assert not report.unknown.flag
 
 
@@ -144,7 +149,7 @@ def test_a_vehicle_of_one_unit_shows_it_as_well(shared_data: Path, name: str) ->
     real, sim = (of_one_unit(logs.read(folder / file)) for file in (f"{name}.bin", "null.bin"))
     report = gap.run(real, sim, nested=False)
     assert report.verdict is GapVerdict.EXPLAINED
-    found = {e.id: e for e in report.effects}
+    found = {e.id: e for e in of_sensors(report)}
     assert set(found) - BESIDE.get(name, set()) == set(FLIGHTS[name])
     for effect_id, (_, parameter, known) in FLIGHTS[name].items():
         if parameter in ("bias", "per_ampere"):
@@ -168,7 +173,7 @@ def test_units_that_drift_alike_are_told_from_a_turn_of_the_vehicle(shared_data:
         return dataclasses.replace(c, values=c.values + drift)
 
     report = gap.run(real.with_channels(map(warmed, real.channels)), logs.read(folder / "null.bin"), nested=False)
-    found = {e.id: list(e.instances) for e in report.effects}
+    found = {e.id: list(e.instances) for e in of_sensors(report)}
     assert found["gyro_temp_linear"] == found["accel_temp_poly"] == [1, 2]
     assert found["mag_motor_current"] == [1, 2, 3]
     assert set(found) == {*FLIGHTS["vib_motor_temp"], *BESIDE["vib_motor_temp"]}
@@ -237,15 +242,23 @@ def test_an_offset_that_px4_halves_when_it_disarms_is_an_offset(shared_data: Pat
     assert any("changed the offset of compass 1 at 155.4 s" in warning for warning in report.warnings)
 
 
-@pytest.mark.parametrize(("name", "known"), [("d02", {}), ("d08", {}), ("d14", {"accel_scale": [1]})])
+@pytest.mark.parametrize(
+    ("name", "known", "sensors"),
+    [
+        ("d02", {"wind", "turbulence"}, {}),
+        ("d08", {"inertia"}, {}),
+        ("d14", {"thrust_scale"}, {"accel_scale": [1]}),
+    ],
+)
 def test_a_vehicle_that_flies_differently_has_no_wrong_sensor(
-    shared_data: Path, tmp_path: Path, name: str, known: dict[str, list[int]]
+    shared_data: Path, tmp_path: Path, name: str, known: set[str], sensors: dict[str, list[int]]
 ) -> None:
     """Wind and turbulence; other inertia; other thrust and a wrong accelerometer."""
     folder = shared_data / "airframe_flights"
     real, sim = (packed(folder / f"{file}.bin.xz", tmp_path) for file in (name, "d01sim"))
     report = gap.run(real, sim, nested=False)
-    assert {e.id: list(e.instances) for e in report.effects} == known
+    assert {e.id: list(e.instances) for e in of_sensors(report)} == sensors
+    assert {e.id for e in report.effects} == known | set(sensors)
     assert not report.unknown.flag
 
 
@@ -258,7 +271,7 @@ def test_what_all_units_have_is_named_on_all_of_them(shared_data: Path, tmp_path
         (Sensor.MAG, white(1.0), {"mag_noise": [1, 2, 3]}),
     ):
         report = gap.run(changed(real, sensor, fault), sim, nested=False)
-        assert {e.id: list(e.instances) for e in report.effects} == known
+        assert {e.id: list(e.instances) for e in of_sensors(report)} == known
         assert not report.unknown.flag
 
 
@@ -268,7 +281,7 @@ def test_noise_of_every_compass_hides_no_offset_of_one(shared_data: Path) -> Non
     real, sim = (logs.read(folder / f"{name}.bin") for name in ("bias", "null"))
     report = gap.run(changed(real, Sensor.MAG, white(1.0)), sim, nested=False)
     own = {effect_id: instances for effect_id, (instances, _, _) in FLIGHTS["bias"].items()}
-    assert {e.id: list(e.instances) for e in report.effects} == own | {"mag_noise": [1, 2, 3]}
+    assert {e.id: list(e.instances) for e in of_sensors(report)} == own | {"mag_noise": [1, 2, 3]}
     assert not report.unknown.flag
 
 
@@ -325,7 +338,7 @@ def test_a_gyroscope_that_is_late_is_named_although_the_trajectory_follows_it(
     shared_data: Path, tmp_path: Path
 ) -> None:
     real, sim = windy_and_calm(shared_data, tmp_path)
-    (effect,) = gap.run(delayed(real, Sensor.GYRO, 0.02), sim, nested=False).effects
+    (effect,) = of_sensors(gap.run(delayed(real, Sensor.GYRO, 0.02), sim, nested=False))
     assert (effect.id, effect.instances) == ("gyro_delay", (1,))
     assert effect.params[0].value == pytest.approx(0.02, abs=0.001)
     assert effect.params[0].ci95[0] > 0.0

@@ -1,0 +1,74 @@
+"""Series on one grid: sampled without what the grid cannot hold, and filters by their response in frequency.
+
+A filter that runs at 400 Hz in a firmware is another one when it is written for 100 Hz: at its corner it is late by a
+quarter of a row. So are differences of neighbours, and delays by interpolation. Responses in frequency are exact.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
+
+Array = NDArray[np.float64]
+Response = NDArray[np.complex128]
+
+PASSED: Final = 0.35
+"""Part of the grid's rate up to which a series is kept. Source: torque is judged up to a fifth of it."""
+_PADDED_S: Final = 2.0
+"""At either end of a series. Source: ten lags of 0.2 s, the longest of a small vehicle (AIRFRAME 2)."""
+
+
+def kept_below(values: Array, rate: float, grid_hz: float) -> Array:
+    """`values` (N, k) at `rate` Hz without what a grid of `grid_hz` would fold back; no phase is changed."""
+    corner = PASSED * grid_hz
+    if rate < 1.2 * grid_hz or len(values) < 50:
+        return values
+    return np.asarray(sosfiltfilt(butter(4, corner, fs=rate, output="sos"), values, axis=0))
+
+
+def spline(stamps: Array, values: Array) -> CubicSpline:
+    """Through `values` (N, k) at `stamps` (N,), of which those that do not grow are left out."""
+    new = np.concatenate([[True], np.diff(np.maximum.accumulate(stamps)) > 0.0])
+    return CubicSpline(stamps[new], values[new])
+
+
+class Grid:
+    """Filters for series of `rows` rows at `fs` Hz. A series begins at rest in its first value."""
+
+    def __init__(self, rows: int, fs: float) -> None:
+        self._rows, self._lead = rows, round(_PADDED_S * fs)
+        self._size = next_fast_len(rows + 2 * self._lead, real=True)
+        self._s = 2j * np.pi * rfftfreq(self._size, 1.0 / fs)
+
+    def spectrum(self, values: Array) -> Response:
+        """Of (N, k); the series is led back to its first value, so that its end does not reach its beginning."""
+        left = self._size - self._rows - self._lead
+        back = 0.5 + 0.5 * np.cos(np.pi * (np.arange(left) + 0.5) / left)
+        after = values[:1] + back[:, None] * (values[-1:] - values[:1])
+        return np.asarray(rfft(np.vstack([np.repeat(values[:1], self._lead, axis=0), values, after]), axis=0))
+
+    def series(self, spectrum: Response, response: Response | None = None) -> Array:
+        """Back to (N, k), through `response`."""
+        whole = irfft(spectrum if response is None else spectrum * response[:, None], n=self._size, axis=0)
+        return np.asarray(whole[self._lead : self._lead + self._rows])
+
+    def through(self, values: Array, response: Response | None) -> Array:
+        """`values` (N, k) through a filter; None changes nothing."""
+        return values if response is None else self.series(self.spectrum(values), response)
+
+    def butterworth(self, corner_hz: float) -> Response | None:
+        """Of the second order, as the firmwares' ``LowPassFilter2p``; None where the grid does not show it."""
+        if not 0.0 < corner_hz < 0.5 * self._s[-1].imag / np.pi:
+            return None
+        s = self._s / (2.0 * np.pi * corner_hz)
+        return np.asarray(1.0 / (s**2 + np.sqrt(2.0) * s + 1.0))
+
+    def behind(self, delay: float, tau: float) -> Response:
+        """Late by `delay` s, and by a lag of the first order; a negative `tau` is ahead."""
+        lag = 1.0 / (1.0 + tau * self._s) if tau >= 0.0 else 1.0 - tau * self._s
+        return np.asarray(np.exp(-delay * self._s) * lag)
