@@ -100,8 +100,16 @@ def catalogue(layout: Layout, *, rotors_damp: bool, hover_gain: Sequence[float])
 
 def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[AirframeEffect]:
     relative, plus = Act.TIMES, Act.PLUS
-    gains = tuple(Change(0, f"gain_{a}", relative) for a in AXES)
-    yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k")
+    # what the rotors' own inertia does stays when their thrust or their torque changes
+    reaction = Change(0, "spin_up", Act.OVER)
+    gains = (*(Change(0, f"gain_{a}", relative) for a in AXES), reaction)
+    yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k", exclusive="thrust")
+    # another mass: all forces by it, the rotors' drag by its root (it goes with the root of their thrust), no torque
+    forces = (Change(0, n, relative, share) for n, share in (("c1", 0.5), ("cz", 0.5), ("c2", 1.0), ("ch", 1.0)))
+    yield AirframeEffect(
+        "thrust_scale", "thrust_by_mass", ("s",), (0.2,), (Change(0, "k", relative), *forces), ("k",),
+        odds=ODDS / 2.0, exclusive="thrust",
+    )  # fmt: skip
     yield _one("thrust_expo", "expo", 0.2, (Change(0, "expo", plus),), "expo")
     drag = [Change(0, "c1", relative), Change(0, "cz", relative)]
     if rotors_damp:
@@ -126,7 +134,7 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     yield AirframeEffect(
         "torque_bias", "torque_bias", AXES, trim_sd, trims, tuple(f"torque_{a}" for a in AXES), torque=True
     )
-    yield _one("yaw_coefficient", "s", 0.3, (Change(0, "gain_z", relative),), "gain_z", torque=True)
+    yield _one("yaw_coefficient", "s", 0.3, (Change(0, "gain_z", relative), reaction), "gain_z", torque=True)
     damping = tuple(Change(k, f"damping_{a}", relative) for k, a in enumerate(AXES))
     base = tuple(f"damping_{a}" for a in AXES)
     yield AirframeEffect("angular_damping", "angular_damping", AXES, (0.6,) * 3, damping, base, torque=True)

@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 _SMOOTH_S: Final = 0.5
 _EDGE_S: Final = 5.0
 """A step so near to either end of a flight is told from nothing. Chosen, not measured: a hover of some seconds."""
+_LEAST: Final = 0.01
+"""Part of the mass below which a step is not looked at. Source: a third of the least that AIRFRAME 6 asks for."""
 
 
 def with_load(likelihood: FlightLikelihood, theta: Array) -> FlightLikelihood:
@@ -34,5 +36,8 @@ def with_load(likelihood: FlightLikelihood, theta: Array) -> FlightLikelihood:
     after = (ratio.sum() - np.cumsum(ratio)[:-1]) / (len(ratio) - count)
     gain = count * (len(ratio) - count) * (before - after) ** 2
     gain[:edge] = gain[-edge:] = 0.0
-    at = float(flight.t[rows[int(gain.argmax()) + 1]])
+    most = int(gain.argmax())
+    if abs(before[most] - after[most]) < _LEAST:
+        return likelihood
+    at = float(flight.t[rows[most + 1]])
     return FlightLikelihood(airframe.changed(loaded_at=at), likelihood.usable, torque=likelihood.torque)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.effects import AirframeEffect, applied
 from mavcal.calib.airframe.fit import SAG_SPAN, FlightFit, FlightLikelihood, expanded, fitted, prior_of
 from mavcal.calib.airframe.nameless import PREFIX
+from mavcal.calib.airframe.physics import AXES
 from mavcal.calib.inference.model import Block, Model, Posterior, Term, laplace
 from mavcal.calib.inference.quadratic import Quadratic
 
@@ -26,11 +27,14 @@ Mask = NDArray[np.bool_]
 
 OWN: Final = ("bias", "lever", "scale")
 """Families of parameters that are each flight's own."""
-_ONLY_REAL: Final = ("weak_", "pulse_", "load", "fall", PREFIX)
+_ONLY_REAL: Final = ("weak_", "pulse_", "load", PREFIX)
 """Parameters that the simulated flight is without; a nameless effect that it has is left out (:func:`shown_by`)."""
 STAMPS_S: Final = 0.0025
 """Standard deviation of what stamps of commands and of the gyroscope are apart. Source: one loop at 400 Hz, at which
 either is stamped (AIRFRAME 3.2)."""
+TRIMS: Final = 3e-4
+"""To what part of a full differential command a trim repeats itself. Measured: between two flights of one vehicle of
+foreign physics, in other winds, trims differ by what a motor of 1.2 % less thrust does; this is a third of it."""
 _LOOSEST: Final = 1e-4
 """Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
 
@@ -59,12 +63,15 @@ class Side:
     @cached_property
     def discrepancy(self) -> Array:
         """Precision (P, P) of the common parameters beyond which the model's own errors do not reach."""
-        loosest = np.diag([_LOOSEST / prior_of(n)[1] ** 2 for n in self.fit.layout.names])
+        names, place = self.fit.layout.names, self.fit.layout.place
+        loosest = np.diag([_LOOSEST / prior_of(n)[1] ** 2 for n in names])
         found = (self.fit.trusted + loosest)[np.ix_(~self.own, ~self.own)]
-        # stamps of commands and of the gyroscope add their own variance to the delay (Sherman and Morrison)
-        at = int(np.count_nonzero(~self.own[: self.fit.layout.place["delay"]]))
-        late = found[:, at]
-        return np.asarray(found - np.outer(late, late) / (STAMPS_S**-2 + late[at]))
+        apart = {"delay": STAMPS_S} | {f"torque_{a}": TRIMS * abs(self.fit.value(f"gain_{a}")) for a in AXES}
+        rows = [int(np.count_nonzero(~self.own[: place[name]])) for name in apart]
+        # (A^-1 + D)^-1 where D has a few parameters only (Woodbury)
+        across = found[:, rows]
+        inner = np.diag([sd**-2.0 for sd in apart.values()]) + found[np.ix_(rows, rows)]
+        return np.asarray(found - across @ np.linalg.solve(inner, across.T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,11 +215,16 @@ def shown_by(side: Side, effect: AirframeEffect) -> bool:
     return evidence(known) > evidence(base)
 
 
-def by_itself(likelihood: FlightLikelihood, start: Array | None = None, rounds: int | None = None) -> Array:
-    """The best point of a flight by itself (P,), without a weak motor and without anything nameless."""
+def by_itself(
+    likelihood: FlightLikelihood, start: Array | None = None, rounds: int | None = None, *, load: bool = False
+) -> Array:
+    """The best point of a flight by itself (P,), without a weak motor and without anything nameless.
+
+    `load`: with a step of the mass.
+    """
     layout, flight = likelihood.airframe.layout, likelihood.airframe.flight
     if start is None:
         start = layout.start(float(np.median(flight.c)), flight.gravity)
-    held = {n: 0.0 for n in layout.names if n.startswith(_ONLY_REAL)}
+    held = {n: 0.0 for n in layout.names if n.startswith((*_ONLY_REAL, "fall")) and not (load and n == "load")}
     many = {} if rounds is None else {"rounds": rounds}
     return fitted(likelihood, start, held, expand=False, **many).theta

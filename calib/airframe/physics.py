@@ -23,8 +23,8 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 AXES: Final = ("x", "y", "z")
-_FALLING_ROUNDS: Final = 3
-"""Rounds after which a lag that differs for falling commands is known to a thousandth. Measured on doublets."""
+_FALLING_ROUNDS: Final = 2
+"""Rounds after which a lag that differs for falling commands is known to a hundredth of a doublet. Measured."""
 _PLAIN: Final = (
     "k", "expo", "sag", "c1", "cz", "c2", "ch", "climb", "wind_north", "wind_east", "bias_x", "bias_y", "bias_z",
     "lever_x", "lever_y", "lever_z", "gain_x", "gain_y", "gain_z", "damping_x", "damping_y", "damping_z", "torque_x",

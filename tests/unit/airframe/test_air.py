@@ -68,7 +68,7 @@ def test_air_is_felt_by_both_units() -> None:
     made = turbulence(one, air, calm, gusts(3, 0.01))
     assert made.shared is not None
     assert made.shared > 0.95
-    assert made.real == pytest.approx(0.3, rel=0.3)
+    assert made.real == pytest.approx(0.3 * np.sqrt(2.0 / 3.0), rel=0.3)
     assert made.sim == pytest.approx(0.01, rel=0.3)
     assert made.of_air
 
