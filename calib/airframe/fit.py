@@ -68,7 +68,7 @@ small drones in AIRFRAME 2 and 2.1, doubled."""
 KINDS: Final[Mapping[str, tuple[int, ...]]] = {"force": (0, 1, 2), "roll": (3,), "pitch": (4,), "yaw": (5,)}
 """Kinds of reference, and their columns of force and torque."""
 RIGHT_TO: Final[Mapping[str, float]] = {"force": 0.003, "roll": 0.008, "pitch": 0.008, "yaw": 0.02}
-"""To what part of a signal the model is right. Measured on nulls: gains spread by 0.3 % between flights of one simulator
+"""To what part of a signal the model is right. Measured on nulls: gains spread by 0.3 % in flights of one simulator
 and by twice as much with foreign physics (docs/measured/gap.md); yaw, where the rotors' own inertia counts, by more."""
 ANSWERED: Final = 0.3
 """Part of what gusts do that the controller's answer may hide in the parameters. Measured on nulls in turbulence."""
