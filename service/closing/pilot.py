@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from mavcal.calib.wire import Message
 from mavcal.service.closing import autopilot as ways
@@ -18,6 +18,7 @@ ARM_S = 150.0
 _OBEY_S = 0.4
 _TAKEOFF_S, _LAND_S = 30.0, 60.0
 _NEARLY = 0.5
+_TAKE_OFFS = 3
 
 
 class Pilot:
@@ -83,9 +84,7 @@ class Pilot:
             return vehicle.state.height > height - _NEARLY
 
         if way.climbs_by_itself:
-            vehicle.run(TRY_S)
-            vehicle.send(way.take_off(vehicle.to, height))
-            there = vehicle.run(_TAKEOFF_S, until=high)
+            there = self._climbs(high)
         else:
             there = vehicle.run(_TAKEOFF_S, lambda: self._velocity(0.0, 0.0, -ways.CLIMB), VELOCITY_EVERY_S, high)
         if not there:
@@ -94,6 +93,19 @@ class Pilot:
                 f"{vehicle.said()} Can it carry its weight with these settings?"
             )
         vehicle.flying = True
+
+    def _climbs(self, high: Callable[[], bool]) -> bool:
+        """Tell it to climb; armed again where it disarmed itself (DISARM_DELAY) before it heard so."""
+        vehicle, way = self._vehicle, self._vehicle.way
+        for _ in range(_TAKE_OFFS):
+            vehicle.run(TRY_S)
+            vehicle.send(way.take_off(vehicle.to, self._mission.height))
+            vehicle.run(_TAKEOFF_S, until=lambda: high() or not vehicle.state.armed)
+            if high() or vehicle.state.armed:
+                return high()
+            self._arm()
+            vehicle.doing = "taking off"
+        return False
 
     def _fly_leg(self, leg: Leg) -> None:
         vehicle, low = self._vehicle, leg.until_height
