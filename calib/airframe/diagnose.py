@@ -18,7 +18,7 @@ from mavcal.calib.airframe.fit import FlightLikelihood, expanded
 from mavcal.calib.airframe.flown import FlownFlight, Unflown, flown, needed_log
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, NoAirframe
 from mavcal.calib.airframe.geometry import geometry_of
-from mavcal.calib.airframe.heldout import alone, held_out
+from mavcal.calib.airframe.heldout import Parted, alone, held_out
 from mavcal.calib.airframe.load import with_load
 from mavcal.calib.airframe.nameless import GROUPS
 from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
@@ -169,11 +169,11 @@ def _diagnosed(
             return NoAirframe(f"{which} recording: {reason}", "a flight within the motors' limits")
     untestable = missing(ours.likelihood, theirs.likelihood)
     effects = _testable(theirs, kind, untestable, without)
-    slewed = with_limit(ours, theirs, effects) if any(e.slew for e in effects) else None
+    slewed = with_limit(ours, theirs, effects) if any(e.slew for e in effects) and not ended() else None
     effects = tuple(e for e in effects if slewed is not None or not e.slew)
     evidence = PairEvidence(ours, theirs, effects, None if slewed is None else slewed[0])
     answer = search(evidence, ended=ended)
-    return _answer(answer, real, sim, untestable, None if slewed is None else slewed[1])
+    return _answer(answer, real, sim, untestable, None if slewed is None else slewed[1], held=not ended())
 
 
 def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side, Kind]:
@@ -205,12 +205,12 @@ def _testable(
 
 
 def _answer(
-    answer: Answer, real: _Flight, sim: _Flight, untestable: tuple[Missing, ...], slew: float | None
+    answer: Answer, real: _Flight, sim: _Flight, untestable: tuple[Missing, ...], slew: float | None, *, held: bool
 ) -> AirframeAnswer:
     evidence = answer.evidence
     assert isinstance(evidence, PairEvidence)
     found = effects_of(answer, evidence, slew, least=LIKELY)
-    parted = held_out(answer, evidence, found)
+    parted = held_out(answer, evidence, found) if held else Parted((), None)
     side = evidence.side_of(answer.best.model)
     loud = turbulence(real.flight, side.fit.residual[:, :3], sim.flight, evidence.sim.fit.residual[:, :3])
     unknown, share, chance = _unnamed(answer, found)

@@ -31,6 +31,8 @@ _PLAIN: Final = (
     "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "cross_x", "cross_y", "cross_z", "tau",
     "fall", "delay", "scale", "load",
 )  # fmt: skip
+_OF_THRUST: Final = ("delay", "tau", "fall", "expo", "sag")
+"""Parameters beside those of each motor that thrust depends on: for all others it is remembered."""
 FORCE_ONLY: Final = frozenset(
     {
         "cz",
@@ -162,6 +164,11 @@ class Airframe:
         self.layout = Layout(flight.c.shape[1], names_of(self.free))
         self._grid = Grid(len(flight.t), flight.fs)
         self._filters = {s: self._grid.butterworth(flight.cutoff_hz.get(s, 0.0)) for s in (Sensor.ACCEL, Sensor.GYRO)}
+        place = self.layout.place
+        each = [f"{n}_{i + 1}" for n in ("weak", "pulse") for i in range(self.layout.motors)]
+        self._of_thrust = np.array([place[n] for n in (*_OF_THRUST, *each)])
+        self._thrusts: dict[bytes, tuple[Array, Array, Array]] = {}
+        self._air: tuple[float, float, Array] | None = None
         self._commanded = self._grid.spectrum(flight.c if slew is None else _limited(flight, slew))
 
     def changed(self, *, slew: float | None = None, loaded_at: float | None = None) -> Airframe:
@@ -226,6 +233,15 @@ class Airframe:
 
     def thrusts(self, theta: Array) -> tuple[Array, Array, Array]:
         """Normalised thrust (N, n) of each motor, what turns the vehicle about z, and the rotors' relative speeds."""
+        told = theta[self._of_thrust].tobytes()
+        if told not in self._thrusts:
+            if len(self._thrusts) > 1:
+                del self._thrusts[next(iter(self._thrusts))]
+            self._thrusts[told] = self._thrusts_of(theta)
+        self._thrusts[told] = self._thrusts.pop(told)  # the last one that was asked for is kept longest
+        return self._thrusts[told]
+
+    def _thrusts_of(self, theta: Array) -> tuple[Array, Array, Array]:
         of = self._of(theta)
         weak, pulse = (np.array([of(f"{n}_{i + 1}") for i in range(self.layout.motors)]) for n in ("weak", "pulse"))
         x = self._followed(of("delay"), of("tau"), of("fall"))
@@ -257,8 +273,11 @@ class Airframe:
     def air_velocity(self, theta: Array) -> Array:
         """Velocity through the air, body axes (N, 3)."""
         of = self._of(theta)
-        moving = self.flight.velocity - np.array([of("wind_north"), of("wind_east"), 0.0])
-        return np.asarray(np.einsum("nij,nj->ni", self.body_from_local, moving))
+        north, east = of("wind_north"), of("wind_east")
+        if self._air is None or self._air[:2] != (north, east):
+            moving = self.flight.velocity - np.array([north, east, 0.0])
+            self._air = north, east, np.asarray(np.einsum("nij,nj->ni", self.body_from_local, moving))
+        return self._air[2]
 
     def _rotors(self, theta: Array, thrust: Array) -> tuple[Array, Array, Array]:
         """Specific forces of each rotor along x, y and z, (N, n) each, which act where it is."""

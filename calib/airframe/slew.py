@@ -20,6 +20,8 @@ _SPREADS: Final = (0.15, 0.05)
 """Parts of a limit by which it is refined, one after the other. Source: the grid's own steps."""
 _WORTH: Final = 10.0
 """Nats that a limit must gain before the flight is fitted with it. Chosen, not measured: the contest decides."""
+_LOST: Final = 3
+"""Limits that must all lose likelihood before slower ones are left out. Source: even a limit that is too fast helps."""
 
 
 def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tuple[Side, float] | None:
@@ -36,9 +38,13 @@ def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tupl
         return None
     theta = np.where(sim.own, side.fit.theta, sim.fit.theta)
     theta[len(theta) - len(likelihood.airframe.free) :] = 0.0
-    found = {rate: _limited(likelihood, rate).loglik(theta, side.fit.spectra) for rate in tried}
+    free, found = likelihood.loglik(theta, side.fit.spectra), {}
+    for rate in tried:
+        found[rate] = _limited(likelihood, rate).loglik(theta, side.fit.spectra)
+        if max(found.values()) < free and len(found) >= _LOST:
+            return None
     best = max(found, key=lambda rate: found[rate])
-    if found[best] - likelihood.loglik(theta, side.fit.spectra) < _WORTH:
+    if found[best] - free < _WORTH:
         return None
     pair = PairEvidence(side, sim, tuple(effects))
     known: dict[float, tuple[float, Side]] = {}

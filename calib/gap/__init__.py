@@ -90,10 +90,11 @@ def run(
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(unknown_ids)}")
     selected = tuple(effect for effect in effects if effect.id not in without)
     pace = pace or GapPace()
-    pace.begin(GapStage.REFERENCE)
     flown = None
     if sim is not None and _flies(real) and _flies(sim):
-        flown = airframe_gap(real, sim, without=without, frame=frame)
+        pace.begin(GapStage.AIRFRAME)
+        flown = airframe_gap(real, sim, without=without, frame=frame, ended=pace.ends)
+    pace.begin(GapStage.REFERENCE)
     digests = dict(inputs or {})
     try:
         problem = dataclasses.replace(problem_of(real, sim, nominal, alpha, pace), inputs=digests)

@@ -18,6 +18,7 @@ from mavcal.calib.gap.schema import GapReport, GapVerdict
 class GapStage(StrEnum):
     """What a diagnosis does, in this order."""
 
+    AIRFRAME = "airframe"
     REFERENCE = "reference"
     SELECTION = "selection"
     RIVALS = "rivals"
@@ -27,15 +28,17 @@ class GapStage(StrEnum):
 
 
 _BEGINS = {
-    GapStage.REFERENCE: 0.0,
-    GapStage.SELECTION: 0.25,
-    GapStage.RIVALS: 0.45,
-    GapStage.HELD_OUT: 0.6,
-    GapStage.BLOCKS: 0.65,
+    GapStage.AIRFRAME: 0.0,
+    GapStage.REFERENCE: 0.2,
+    GapStage.SELECTION: 0.4,
+    GapStage.RIVALS: 0.55,
+    GapStage.HELD_OUT: 0.67,
+    GapStage.BLOCKS: 0.7,
     GapStage.REPORT: 0.97,
 }
 """Part of the whole time after which a stage begins. Source: decision 36, recordings of minutes."""
 _MAY_TAKE = {
+    GapStage.AIRFRAME: 0.3,
     GapStage.REFERENCE: 0.4,
     GapStage.SELECTION: 0.65,
     GapStage.RIVALS: 0.8,
@@ -59,6 +62,7 @@ _FITS_AFTERWARDS = {GapStage.SELECTION: 12.0, GapStage.RIVALS: 12.0, GapStage.HE
 _MANY = 8
 """Steps after which half of a stage is believed to be done. Chosen, not measured: the size of a usual search."""
 _TEXT = {
+    GapStage.AIRFRAME: "comparing airframe and air",
     GapStage.REFERENCE: "making the reference",
     GapStage.SELECTION: "selecting effects",
     GapStage.RIVALS: "comparing them with their rivals",
@@ -67,6 +71,7 @@ _TEXT = {
     GapStage.REPORT: "writing the report",
 }
 _LEFT_OUT = {
+    GapStage.AIRFRAME: "not every effect of airframe and air was looked for",
     GapStage.REFERENCE: "not all that the other recording shows of its own was looked for",
     GapStage.SELECTION: "further effects were not looked for",
     GapStage.RIVALS: "not every other effect or shape was tried in the place of those that were found",
@@ -166,10 +171,11 @@ class GapPace:
 
     def _left(self, share: float) -> float | None:
         """Seconds that are left after a `share` of the work, no more than the limit leaves."""
-        if self.elapsed is None or share <= 0.0:
+        done = share - (_BEGINS[next(iter(self.began))] if self.began else 0.0)  # airframes are not always asked for
+        if self.elapsed is None or done <= 0.0:
             return None
         took = self.now
-        return max(min(took * (1.0 - share) / share, self.limit_s - took), 0.0)
+        return max(min(took * (1.0 - share) / done, self.limit_s - took), 0.0)
 
     def ends(self, needs_s: float = 0.0) -> bool:
         """Whether what takes `needs_s` has to be left out of this stage; that it was is kept.

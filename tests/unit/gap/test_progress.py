@@ -92,16 +92,29 @@ def test_the_time_left_is_told_from_the_time_gone_and_never_more_than_the_limit_
     watch = Watch()
     pace = GapPace(watch, 100.0, told.append)
     pace.begin(GapStage.REFERENCE)
-    assert told[-1] == GapProgress(GapStage.REFERENCE, 0.0, None)
+    assert (told[-1].stage, told[-1].left_s) == (GapStage.REFERENCE, None)
+    first = told[-1].share
     watch.now = 10.0
     pace.begin(GapStage.SELECTION)
-    assert told[-1].left_s == pytest.approx(10.0 * (1.0 - told[-1].share) / told[-1].share)
+    assert told[-1].left_s == pytest.approx(10.0 * (1.0 - told[-1].share) / (told[-1].share - first))
     watch.now = 90.0
     pace.begin(GapStage.RIVALS)
     assert told[-1].left_s == pytest.approx(10.0)
     watch.now = 130.0
     pace.advance()
     assert told[-1].left_s == 0.0
+
+
+def test_a_flight_is_asked_first_and_ends_in_time() -> None:
+    watch = Watch()
+    pace = GapPace(watch, 100.0)
+    pace.begin(GapStage.AIRFRAME)
+    assert pace.share == 0.0
+    watch.now = 29.0
+    assert not pace.ends()
+    watch.now = 31.0
+    assert pace.ends()
+    assert list(pace.left_out) == [GapStage.AIRFRAME]
 
 
 def test_steps_go_on_inside_their_stage() -> None:
@@ -137,7 +150,7 @@ def test_a_diagnosis_in_time_says_the_same_as_one_without_a_limit() -> None:
     free, limited = diagnosed(None, float("inf")), diagnosed(Watch(), 1.0, told)
     assert as_json(free) == as_json(limited)
     assert limited.left_out == ()
-    assert list(dict.fromkeys(one.stage for one in told)) == list(GapStage)[1:]
+    assert list(dict.fromkeys(one.stage for one in told)) == list(GapStage)[2:]
     shares = [one.share for one in told]
     assert shares == sorted(shares)
 
@@ -164,7 +177,7 @@ def test_time_that_ends_in_the_selection_gives_what_was_found_and_claims_no_more
     watch = Watch()
 
     def late(standing: GapProgress) -> None:
-        watch.now = 0.85 if standing.share > 0.25 else 0.1  # after the first step
+        watch.now = 0.85 if standing.share > 0.4 else 0.1  # after the first step
 
     report = diagnose(biased(), pace=GapPace(watch, 1.0, late))
     assert len(report.effects) == 1
