@@ -37,7 +37,7 @@ _MODELS = {2010.0: (WMM_2010, 152.0), 2015.0: (WMM_2015v2, 152.0), 2020.0: (WMM_
 _GROWTH_NT_PER_YEAR = 50.0
 
 # WGS 84 ellipsoid and its normal gravity: NIMA TR8350.2, equations 4-1 (Somigliana) and 4-3 (height), tables 3.1-3.4.
-_SEMI_MAJOR_AXIS = 6378137.0
+SEMI_MAJOR_AXIS_M = 6378137.0
 _FLATTENING = 1.0 / 298.257223563
 _ECCENTRICITY_SQUARED = 0.00669437999014
 _EQUATORIAL_GRAVITY = 9.7803253359
@@ -169,7 +169,7 @@ def local_gravity(latitude: float, altitude: float) -> float:
     _check_place(latitude, 0.0, altitude)
     s2 = math.sin(math.radians(latitude)) ** 2
     at_ellipsoid = _EQUATORIAL_GRAVITY * (1.0 + _SOMIGLIANA * s2) / math.sqrt(1.0 - _ECCENTRICITY_SQUARED * s2)
-    h = altitude / _SEMI_MAJOR_AXIS
+    h = altitude / SEMI_MAJOR_AXIS_M
     gradient = 1.0 + _FLATTENING + _CENTRIFUGAL_RATIO - 2.0 * _FLATTENING * s2
     return at_ellipsoid * (1.0 - 2.0 * gradient * h + 3.0 * h * h)
 

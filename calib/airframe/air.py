@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from mavcal.calib.airframe.flown import FlownFlight
+from mavcal.calib.earth import SEMI_MAJOR_AXIS_M
+from mavcal.calib.recording import Recording, Sensor
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -29,8 +31,15 @@ JUMP: Final = 0.35
 _TIMES: Final = 8.0
 """m/s by which the estimator's velocity may differ from the integrated force over :data:`_OVER_S`, and times its median
 in the flight, before it counts as a jump. Measured: a real quad of 2013 stays below 0.32, simulated ones below 0.06."""
+_GLITCH_M: Final = 3.0
+"""m by which a place may differ from the one before and the velocity. Source: receivers without correction wander by a
+metre a second at most."""
+_FEWEST: Final = 10
 _OVER_S: Final = 0.4
-_AROUND_S: Final = 1.5
+AROUND_S: Final = 1.5
+GLITCHED_S: Final = 5.0
+"""s around a jump of the estimator and of the GPS that are left out. Chosen, not measured: an estimator follows a wrong
+place for some seconds."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +102,41 @@ def jumps(flight: FlownFlight, body: Array) -> tuple[Jump, ...]:
     while size.max(initial=0.0) > least and len(found) < 20:
         at = int(size.argmax())
         found.append(Jump(float(flight.t[at + steps // 2]), float(size[at])))
-        around = round(_AROUND_S * flight.fs)
+        around = round(AROUND_S * flight.fs)
         size[max(at - around, 0) : at + around] = 0.0
     return tuple(sorted(found, key=lambda j: j.t))
 
 
-def outside(flight: FlownFlight, found: tuple[Jump, ...]) -> Mask:
+def glitches(recording: Recording, since: float, until: float) -> tuple[Jump, ...]:
+    """Where places of the GPS part from its own velocity; `size` in m.
+
+    Its velocity comes from the carriers' frequency and knows nothing of an error of the place.
+    """
+    found: list[Jump] = []
+    for place in (c for c in recording.channels if c.sensor == Sensor.POSITION):
+        same = (c for c in recording.channels if (c.sensor, c.source) == (Sensor.VELOCITY, place.source))
+        speed = next((c for c in same if c.instance == place.instance), None)
+        inside = (place.t >= since) & (place.t <= until)
+        if speed is None or inside.sum() < _FEWEST or len(speed) < _FEWEST:
+            continue
+        t, local = place.t[inside], _metres(place.values[inside])
+        velocity = np.column_stack([np.interp(t, speed.t, speed.values[:, k]) for k in range(2)])
+        gone = np.diff(local, axis=0) - 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None]
+        size = np.linalg.norm(gone, axis=1)
+        least = max(_GLITCH_M, _TIMES * float(np.median(size)))
+        found += [Jump(float(t[k + 1]), float(size[k])) for k in np.flatnonzero(size > least)]
+    return tuple(sorted(found, key=lambda j: j.t))
+
+
+def _metres(degrees: Array) -> Array:
+    """Places (N, 2) in m north and east of the first, from latitude and longitude (N, 3)."""
+    north, east = np.radians(degrees[:, :2] - degrees[:1, :2]).T * SEMI_MAJOR_AXIS_M
+    return np.column_stack([north, east * np.cos(np.radians(degrees[0, 0]))])
+
+
+def outside(flight: FlownFlight, found: tuple[Jump, ...], around_s: float = AROUND_S) -> Mask:
     """Rows (N,) away from every jump."""
     kept = np.ones(len(flight.t), dtype=bool)
     for jump in found:
-        kept &= np.abs(flight.t - jump.t) > _AROUND_S
+        kept &= np.abs(flight.t - jump.t) > around_s
     return kept

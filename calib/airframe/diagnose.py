@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.airframe.air import Jump, jumps, outside, turbulence
+from mavcal.calib.airframe.air import GLITCHED_S, Jump, glitches, jumps, outside, turbulence
 from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands, Domain
 from mavcal.calib.airframe.commands import commands_of
 from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
@@ -47,6 +47,7 @@ class _Flight:
     flight: FlownFlight
     parameters: dict[str, float]
     jumps: tuple[Jump, ...]
+    glitches: tuple[Jump, ...]
 
 
 def airframe_gap(
@@ -128,10 +129,11 @@ def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
         return NoAirframe(found.reason, found.need)
     probe = Airframe(found, Kind(), None, torque=False)
     jumped = jumps(found, probe.body_from_local)
-    kept = replace(found, usable=found.usable & outside(found, jumped))
+    wrong = glitches(recording, float(found.t[0]), float(found.t[-1]))
+    kept = replace(found, usable=found.usable & outside(found, jumped) & outside(found, wrong, GLITCHED_S))
     if kept.usable.mean() < 0.5:
         return NoAirframe(f"only {100 * kept.usable.mean():.0f} % of the flight can be judged", needed_log(recording))
-    return _Flight(kept, parameters, jumped)
+    return _Flight(kept, parameters, jumped, wrong)
 
 
 def _kinds(sim: _Flight) -> tuple[Kind, ...]:
@@ -232,6 +234,7 @@ def _answer(
         tested=len(answer.blocks),
         turbulence=loud,
         jumps=real.jumps,
+        glitches=real.glitches,
         unknown=unknown,
         unknown_share=share,
         nameless=chance,

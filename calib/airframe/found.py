@@ -74,6 +74,7 @@ class AirframeAnswer:
     tested: int
     turbulence: Turbulence | None = None
     jumps: tuple[Jump, ...] = ()
+    glitches: tuple[Jump, ...] = ()
     unknown: str = ""
     unknown_share: float = 0.0
     nameless: float = 0.0

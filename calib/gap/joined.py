@@ -55,7 +55,7 @@ def joined(report: GapReport, answer: AirframeAnswer | NoAirframe, real: Recordi
     shared = not_borne_out(report, real)
     sensors = tuple(e for e in report.effects if e not in shared)
     shaken = any(e.id == "accel_vibration" for e in sensors)
-    found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_reset(answer))
+    found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_jumps(answer))
     effects = _with_shares((*found, *sensors))
     unknown = _unknown(report, answer, sensors)
     warnings = (*report.warnings, *(_withdrawn(e) for e in shared), *answer.warnings)
@@ -123,15 +123,16 @@ def _turbulence(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> I
         yield _estimate(FoundEffect("turbulence", Domain.ENVIRONMENT, (), (value,), 0.0, 1, chance, 0.0))
 
 
-def _reset(answer: AirframeAnswer) -> Iterator[EffectEstimate]:
-    """The worst jump of the estimator."""
-    if answer.jumps:
-        worst = max(answer.jumps, key=lambda j: j.size)
-        values = (
-            FoundValue("t", worst.t, 0.2, "s", relative=False),
-            FoundValue("size", worst.size, 0.1, "m/s", relative=False),
-        )
-        yield _estimate(FoundEffect("ekf_reset", Domain.ENVIRONMENT, (), values, 0.0, 1, 1.0, 0.0))
+def _jumps(answer: AirframeAnswer) -> Iterator[EffectEstimate]:
+    """The worst jump of the estimator, and that of the GPS."""
+    for id_, found, unit in (("ekf_reset", answer.jumps, "m/s"), ("gps_glitch", answer.glitches, "m")):
+        if found:
+            worst = max(found, key=lambda j: j.size)
+            values = (
+                FoundValue("t", worst.t, 0.2, "s", relative=False),
+                FoundValue("size", worst.size, 0.1, unit, relative=False),
+            )
+            yield _estimate(FoundEffect(id_, Domain.ENVIRONMENT, (), values, 0.0, 1, 1.0, 0.0))
 
 
 def _with_shares(effects: tuple[EffectEstimate, ...]) -> tuple[EffectEstimate, ...]:

@@ -263,9 +263,9 @@ _KINDS: Mapping[str, _Kind] = {
     "turbulence": _Kind("turbulence", _rough, _sides(("sigma", "turbulence, rms", "m/s2"))),
     "gust": _Kind("a gust", _event("a gust", "m/s2"), _sides(("size", "size", "m/s2"), ("t", "time", "s"))),
     "gps_glitch": _Kind(
-        "a jump of the GPS velocity",
-        _event("a jump of the GPS velocity", "m/s"),
-        _sides(("size", "size", "m/s"), ("t", "time", "s")),
+        "a jump of the GPS place",
+        _event("a jump of the GPS place", "m"),
+        _sides(("size", "size", "m"), ("t", "time", "s")),
     ),
     "ekf_reset": _Kind(
         "a reset of the estimator",

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.airframe.air import JUMP, Jump, Turbulence, jumps, outside, turbulence
+from mavcal.calib.airframe.air import JUMP, Jump, Turbulence, glitches, jumps, outside, turbulence
 from mavcal.calib.airframe.flown import FlownFlight
-from tests.unit.airframe.made import HZ, G, airframe, flight, hover
+from mavcal.calib.earth import SEMI_MAJOR_AXIS_M
+from mavcal.calib.recording import ParameterTimeline, Recording, Sensor, Stage
+from tests.unit.airframe.made import HZ, G, airframe, flight, hover, stream
 
 N = 3000
 
@@ -109,3 +111,27 @@ def test_rows_that_are_not_judged_take_no_part() -> None:
 )
 def test_the_air_is_named_where_it_is_louder_and_shared(made: Turbulence, of_air: bool) -> None:
     assert made.of_air is of_air
+
+
+def gps(step_m: float = 0.0) -> Recording:
+    """Circles of 3 m/s about a place in the south; from 12 to 20 s the place is wrong by `step_m` to the east."""
+    t = np.arange(0.0, 30.0, 0.2)
+    velocity = 3.0 * np.column_stack([np.cos(0.5 * t), np.sin(0.5 * t), 0.0 * t])
+    place = 6.0 * np.column_stack([np.sin(0.5 * t), 1.0 - np.cos(0.5 * t)])
+    place[:, 1] += np.where((t >= 12.0) & (t < 20.0), step_m, 0.0)
+    degrees = np.degrees(place / SEMI_MAJOR_AXIS_M) / [1.0, np.cos(np.radians(-35.0))] + [-35.0, 149.0]
+    values = np.column_stack([degrees, 0.0 * t])
+    made = (
+        stream(Sensor.POSITION, t, values, source="GPS", stage=Stage.RAW),
+        stream(Sensor.VELOCITY, t, velocity, source="GPS", stage=Stage.RAW),
+    )
+    return Recording(made, ParameterTimeline.constant({}), ())
+
+
+def test_a_place_that_jumps_beside_its_velocity_is_a_glitch_of_the_gps() -> None:
+    assert glitches(gps(), 0.0, 30.0) == ()
+    gone, back = glitches(gps(22.0), 0.0, 30.0)
+    assert (gone.t, back.t) == (pytest.approx(12.0, abs=0.3), pytest.approx(20.0, abs=0.3))
+    assert gone.size == pytest.approx(22.0, rel=0.05)
+    assert glitches(gps(22.0), 13.0, 19.0) == ()
+    assert glitches(Recording((), ParameterTimeline.constant({}), ()), 0.0, 30.0) == ()

@@ -179,6 +179,14 @@ def test_a_jump_of_the_estimator_is_of_the_day() -> None:
     assert after.verdict is GapVerdict.NO_GAP
 
 
+def test_a_jump_of_the_gps_is_of_the_day() -> None:
+    after = joined(report(), answer(glitches=(Jump(12.0, 22.0),)), BARE)
+    (found,) = after.effects
+    assert (found.id, found.domain) == ("gps_glitch", Domain.ENVIRONMENT)
+    assert {p.name: (p.value, p.unit) for p in found.params} == {"t": (12.0, "s"), "size": (22.0, "m")}
+    assert after.verdict is GapVerdict.NO_GAP
+
+
 def test_every_test_counts_and_what_could_not_be_tested_is_told_once() -> None:
     missing = (Missing("inertia", "first", "a"), Missing("inertia", "second", "b"), Missing("inflow", "third", "c"))
     after = joined(of_noise(noise(1, 0.3)), answer(missing=missing), BARE)
