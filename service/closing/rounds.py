@@ -17,6 +17,7 @@ from typing import Any
 
 from mavcal.calib.airframe.answer import Domain, Quantity
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict
+from mavcal.calib.gap_report.airframe_effects import phrase
 from mavcal.calib.report import to_json
 from mavcal.service.closing.errors import OtherClosing
 from mavcal.service.closing.settings import SimSettings
@@ -160,6 +161,7 @@ def is_material(effect: EffectEstimate) -> bool:
 def _effect_json(effect: EffectEstimate) -> Json:
     return {
         "id": effect.id,
+        "said": phrase(effect),
         "domain": effect.domain.value,
         "instances": list(effect.instances),
         "probability": effect.evidence.probability,

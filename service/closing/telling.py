@@ -50,9 +50,9 @@ def _closes(result: RoundResult) -> str:
 def _effects(result: RoundResult) -> list[str]:
     found = []
     for effect in result.effects:
-        values = ", ".join(f"{name} {number(p['value'])} {p['unit']}".strip() for name, p in effect["params"].items())
         aside = "" if effect["material"] else ", of the day: not set"
-        found.append(f"{effect['id']} ({values}), probability {chance(effect['probability'])}{aside}")
+        said = effect.get("said", effect["id"])  # rounds of an earlier version have no words
+        found.append(f"{said}, probability {chance(effect['probability'])}{aside}")
     return found
 
 
@@ -75,15 +75,31 @@ def page(result: ClosingResult, title: str) -> str:
         title=title,
         sentence=sentence(result),
         rows=_rows(result.rounds),
-        rollout=[(r.number, one) for r in result.rounds for one in r.rollout],
+        rollout=_predicted(result.rounds),
+        numbers=[r.number for r in result.rounds],
     )
+
+
+def _predicted(rounds: Sequence[RoundResult]) -> list[dict[str, Any]]:
+    """A row a horizon: the error of each round's simulator, and the floor of the last one."""
+    found: dict[tuple[str, float, str], dict[str, Any]] = {}
+    for one in rounds:
+        for r in one.rollout:
+            what = f"{r['quantity'].replace('_', ' ')} after {r['h_s']:g} s, {r['unit']}"
+            beside = "" if r["part"] == "blocks" else f"; {r['part']} held out"
+            row = found.setdefault(
+                (r["quantity"], r["h_s"], r["part"]), {"what": f"{what}{beside}", "errors": {}, "floor": ""}
+            )
+            row["errors"][one.number] = f"{r['before']:.3g}"
+            row["floor"] = f"{r['floor']:.3g}"
+    return list(found.values())
 
 
 def _rows(rounds: Sequence[RoundResult]) -> list[dict[str, Any]]:
     return [
         {
             "number": r.number,
-            "error": number(r.velocity_error),
+            "error": "not known" if r.velocity_error is None else f"{r.velocity_error:.3g} m/s",
             "closed": "not known" if r.closed is None else f"{100.0 * r.closed:.0f} %",
             "effects": _effects(r),
             "changes": _changes(r),

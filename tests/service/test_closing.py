@@ -233,19 +233,24 @@ def test_the_flight_is_that_of_the_mission(real: Recording) -> None:
 @pytest.mark.long
 @pytest.mark.timeout(600)
 def test_the_command_flies_diagnoses_and_tells(tmp_path: Path) -> None:
-    """The whole command with its own mission and its own diagnosis, up to the first round's end."""
-    flown = fly(tmp_path / "real", SimSettings({}, {"hoverThrOut": REAL}), standard_mission())
+    """The whole command with its own mission and diagnosis: thrust and inertia are found and set in one round."""
+    frame = {"hoverThrOut": REAL, "moment_inertia": [0.02755, 0.02755, 0.0459]}
+    flown = fly(tmp_path / "real", SimSettings({}, frame), standard_mission())
     done = subprocess.run(
         [PYTHON, "-m", "mavcal", "gap", "close", "--real", str(flown), "--simulator", FLYING, "--speedup", "0",
-         "--rounds", "0", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "page.html"), "--json"],
+         "--rounds", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "page.html"), "--json",
+         "--limit-s", "600"],
         cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert done.returncode in (0, 1, 3), done.stderr
+    assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
-    assert [one["round"] for one in answer["rounds"]] == [0]
+    assert [one["round"] for one in answer["rounds"]] == [0, 1]
+    patched = json.loads((tmp_path / "work" / "round-1" / "frame.json").read_text())
+    assert patched["hoverThrOut"] == pytest.approx(REAL, rel=0.01)
+    assert patched["moment_inertia"][:2] == [pytest.approx(0.02755, rel=0.03)] * 2
     assert "round 0, flying" in done.stderr
     assert answer["said"] in (tmp_path / "page.html").read_text()
-    left = {file.name for file in (tmp_path / "work" / "round-0").iterdir()}
+    left = {file.name for file in (tmp_path / "work" / "round-1").iterdir()}
     assert left >= {
         "sim.parm",
         "frame.json",

@@ -154,8 +154,8 @@ def test_a_loop_is_told_round_by_round() -> None:
     result = ClosingResult(Outcome.CLOSED, (first, last))
     assert round_lines(first) == [
         "round 0: explained, error after 1 s 0.58 m/s, its effects close 97 % of the held-out gap",
-        "  thrust_scale (s -0.09 1), probability 97 %",
-        "  wind (s 3 1), probability 97 %, of the day: not set",
+        "  the real vehicle has 0.91 times the thrust for its mass (0.89 to 0.93), probability 97 %",
+        "  wind, probability 97 %, of the day: not set",
         "  set hoverThrOut 0.43",
     ]
     assert sentence(result) == (
@@ -165,7 +165,7 @@ def test_a_loop_is_told_round_by_round() -> None:
     made = page(result, "The loop of <x>")
     assert "The loop of &lt;x&gt;" in made
     assert "hoverThrOut 0.43" in made
-    assert "body rate, blocks" in made
+    assert "<td>body rate after " in made
 
 
 def test_a_loop_that_did_not_fly_again_says_what_is_left() -> None:
