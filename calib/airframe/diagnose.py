@@ -25,7 +25,7 @@ from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
-from mavcal.calib.airframe.told import effects_of, needed_manoeuvres
+from mavcal.calib.airframe.told import doubtful, effects_of, needed_manoeuvres
 from mavcal.calib.inference.search import Answer, search
 from mavcal.calib.recording import Recording
 
@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 LIKELY: Final = 0.9
 """Probability from which an effect is reported. Source: to accuse the innocent costs its owner ten times a further
 flight."""
+_DOUBTFUL: Final = 0.5
+"""Probability from which an effect that is not reported is spoken of. Source: even odds."""
 _SPIN_LOW: Final = 0.1875
 """Where a motor starts, in spans of its command, with ArduPilot's defaults: MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95."""
 _TRACE_HZ: Final = 25.0
@@ -239,6 +241,7 @@ def _answer(
         unknown_share=share,
         nameless=chance,
         heldout=parted.nats,
+        warnings=doubtful(answer, evidence.effects, least=_DOUBTFUL, most=LIKELY),
     )
 
 

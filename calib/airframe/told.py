@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.airframe.effects import AirframeEffect
 from mavcal.calib.airframe.found import FoundEffect, FoundRival, FoundValue
 from mavcal.calib.airframe.nameless import GROUPS
@@ -74,6 +75,22 @@ def effects_of(answer: Answer, evidence: PairEvidence, slew: float | None, *, le
             found.append(FoundEffect("gust", by_block[block].domain, (), (size,), nats, len(mean), chance, 0.0))
     total = math.fsum(f.nats for f in found) or 1.0
     return tuple(sorted((replace(f, share=f.nats / total) for f in found), key=lambda f: -f.nats))
+
+
+def doubtful(answer: Answer, effects: Sequence[AirframeEffect], *, least: float, most: float) -> tuple[str, ...]:
+    """Effects whose probability lies between: too likely to be left out, too doubtful to be set."""
+    forms: dict[tuple[str, int | None], list[str]] = {}
+    for effect in effects:
+        if not effect.nameless and effect.domain is Domain.AIRFRAME:
+            forms.setdefault((effect.id, effect.motor), []).append(effect.block)
+    found = []
+    for (id_, motor), blocks in forms.items():
+        chance = answer.probability(*blocks)
+        if least <= chance < most:
+            which = "" if motor is None else f" of motor {motor}"
+            fly = FIXES.get(id_, STANDARD_FLIGHT)
+            found.append(f"{id_}{which} has a probability of {100 * chance:.0f} %, too little to name it; fly {fly}")
+    return tuple(found)
 
 
 def _nats(answer: Answer, blocks: Sequence[str]) -> float:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.airframe.diagnose import airframe_gap
+from mavcal.calib.airframe.effects import catalogue
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundRival
+from mavcal.calib.airframe.physics import Layout
 from mavcal.calib.airframe.testable import Missing
-from mavcal.calib.airframe.told import needed_manoeuvres
+from mavcal.calib.airframe.told import doubtful, needed_manoeuvres
 from mavcal.calib.airframe.words import FIXES, STANDARD_FLIGHT
+from mavcal.calib.inference.model import Block, Evidence, Model, Posterior
+from mavcal.calib.inference.search import Answer, Visited
 from mavcal.calib.recording import Recording
 from tests.unit.airframe.flights import flight
 
@@ -31,6 +36,33 @@ def test_the_standard_flight_is_asked_for_where_it_would_show_more() -> None:
     (asked,) = needed_manoeuvres([], [Missing("inflow", "climbs at 0.2 m/s", "climbs")])
     assert STANDARD_FLIGHT in asked
     assert needed_manoeuvres([], [Missing("air_density", "the altitude stays", "a climb")]) == ()
+
+
+class Nothing:
+    """Evidence of no data."""
+
+    blocks: tuple[Block, ...] = ()
+
+    def posterior(self, model: Model) -> Posterior:
+        return Posterior(0.0, np.zeros(0), np.zeros((0, 0)))
+
+    def refined(self, model: Model) -> Evidence:
+        return self
+
+
+def test_what_is_likelier_than_not_and_not_named_says_what_would_decide() -> None:
+    effects = catalogue(Layout(4), rotors_damp=True, hover_gain=(300.0, 300.0, 8.0))
+    weights = {"inflow": 0.2, "thrust_scale": 0.25, "thrust_by_mass": 0.4, "motor_pulse_2": 0.15}
+    kept = tuple(
+        Visited(frozenset({name, "wind", "rotor_drag"}), float(np.log(p)), Nothing().posterior(frozenset()))
+        for name, p in weights.items()
+    )
+    answer = Answer(kept, (), Nothing(), 4)
+    told = doubtful(answer, effects, least=0.5, most=0.9)
+    assert told == (
+        f"thrust_scale has a probability of 65 %, too little to name it; fly {FIXES['thrust_scale']}",
+    )  # of both its forms; a certain drag is named, and wind is of the day
+    assert doubtful(answer, effects, least=0.1, most=0.2)[0].startswith("motor_weak of motor 2")
 
 
 @pytest.mark.long
