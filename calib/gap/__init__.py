@@ -102,7 +102,7 @@ def run(
     except IncomparableError as error:
         report = untestable(error.reason, error.need, digests)
     if flown is not None:
-        report = joined(report, flown, real)
+        report = joined(report, flown, real, sim)
     elif sim is None and _flies(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
         report = dataclasses.replace(report, airframe=alone)
     return with_patches(report, simulator_of(real, sim), frame=sim_frame, vehicle=real.parameters.final())

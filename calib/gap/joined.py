@@ -28,7 +28,7 @@ from mavcal.calib.gap.schema import (
     Shrink,
     Unknown,
 )
-from mavcal.calib.gap.witness import not_borne_out
+from mavcal.calib.gap.witness import as_simulated, not_borne_out
 from mavcal.calib.recording import Recording, Sensor
 
 _Z95: Final = 1.959964
@@ -37,7 +37,9 @@ _LEAST_P: Final = 1e-300
 """Smallest probability that is written. Source: below lie numbers that a double holds with fewer digits."""
 
 
-def joined(report: GapReport, answer: AirframeAnswer | NoAirframe, real: Recording) -> GapReport:
+def joined(
+    report: GapReport, answer: AirframeAnswer | NoAirframe, real: Recording, sim: Recording | None = None
+) -> GapReport:
     """The sensors' report with airframe and air.
 
     Parameters
@@ -48,17 +50,20 @@ def joined(report: GapReport, answer: AirframeAnswer | NoAirframe, real: Recordi
         Of the airframe.
     real
         The recording that both are of.
+    sim
+        The simulator's, whose units may differ from each other as much.
     """
     if isinstance(answer, NoAirframe):
         gone = NotTestable("airframe", answer.reason, answer.need)
         return replace(report, not_testable=(*report.not_testable, gone))
     shared = not_borne_out(report, real)
-    sensors = tuple(e for e in report.effects if e not in shared)
+    same = () if sim is None else tuple(e for e in as_simulated(report, real, sim) if e not in shared)
+    sensors = tuple(e for e in report.effects if e not in shared and e not in same)
     shaken = any(e.id == "accel_vibration" for e in sensors)
     found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_jumps(answer))
     effects = _with_shares((*found, *sensors))
     unknown = _unknown(report, answer, sensors)
-    warnings = (*report.warnings, *(_withdrawn(e) for e in shared), *answer.warnings)
+    warnings = (*report.warnings, *(_withdrawn(e) for e in shared), *map(_as_simulated, same), *answer.warnings)
     return replace(
         report,
         verdict=_verdict(report, effects, unknown, answer),
@@ -154,6 +159,10 @@ def _unknown(report: GapReport, answer: AirframeAnswer, sensors: tuple[EffectEst
 
 def _withdrawn(effect: EffectEstimate) -> str:
     return f"{effect.id} is not a sensor's: the units feel it alike, and not at rest; it counts as airframe or air"
+
+
+def _as_simulated(effect: EffectEstimate) -> str:
+    return f"{effect.id} is no gap: the simulator's units differ from each other by as much"
 
 
 def _where(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> tuple:  # type: ignore[type-arg]

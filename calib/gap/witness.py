@@ -60,6 +60,31 @@ def _borne_out(effect: EffectEstimate, report: GapReport, real: Recording) -> bo
     return apart
 
 
+def as_simulated(report: GapReport, real: Recording, sim: Recording) -> tuple[EffectEstimate, ...]:
+    """Biases by which the simulator's units differ from each other too: what both flights show is no gap."""
+    return tuple(e for e in report.effects if e.sensor in _INERTIAL and _simulated(e, real, sim))
+
+
+def _simulated(effect: EffectEstimate, real: Recording, sim: Recording) -> bool:
+    known, sensor = by_id().get(effect.id), effect.sensor
+    assert sensor is not None
+    if known is None or known.term is not SensorTerm.BIAS or isinstance(known, NoiseEffect):
+        return False
+    own = [i - FIRST for i in effect.instances]
+    values = np.array([p.value for p in effect.params])
+    differences = []
+    for recording in (real, sim):
+        units = {c.instance: c for c in _best(recording, sensor)}
+        others = [i for i in units if i not in own]
+        if len(own) != 1 or own[0] not in units or not others:
+            return False
+        found = _difference(units[own[0]], units[others[0]])
+        if found is None or values.shape != (3,):
+            return False
+        differences.append(found[1].mean(axis=0))
+    return bool(np.linalg.norm(differences[0] - differences[1]) < _FOLLOWS * np.linalg.norm(values))
+
+
 def _best(real: Recording, sensor: Sensor) -> Iterable[Channel]:
     for instance in real.instances(sensor):
         yield real.channel(sensor, instance)

@@ -8,7 +8,7 @@ from mavcal.calib.gap.companion.nominal_baseline import beside_nominal, nominal_
 from mavcal.calib.gap.companion.simulated_baseline import baseline_of, beside
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.progress import GapPace
-from mavcal.calib.gap.reference import build, flew_another, posed, prepared, with_common_channels
+from mavcal.calib.gap.reference import build, flew_another, posed, posed_apart, prepared, with_common_channels
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.recording import Recording
 
@@ -25,8 +25,10 @@ def problem_of(
         real, sim = with_common_channels(real, sim)
         baseline = baseline_of(build(sim, sim, nominal), alpha, pace)
         return beside(build(real, sim, nominal, nuisance=baseline.in_ideal, companion=sim), baseline)
-    if sim is None and (other := posed(real, nominal)) is not None:
-        its = prepared(other, None, nominal)
-        nuisance = nominal_baseline_of(lambda known: its.problem(known, other), alpha, pace)
-        return beside_nominal(build(real, None, nominal, nuisance=nuisance.in_ideal, companion=other), nuisance)
+    apart = sim is not None and posed_apart(real, sim)
+    companions = (sim, *nominal) if sim is not None and apart else tuple(nominal)
+    if (sim is None or apart) and (other := posed(real, companions)) is not None:
+        its = prepared(other, None, companions)
+        nuisance = nominal_baseline_of(lambda known: its.problem(known, other), alpha, pace, simulated=apart)
+        return beside_nominal(build(real, None, companions, nuisance=nuisance.in_ideal, companion=other), nuisance)
     return build(real, sim, nominal)

@@ -14,7 +14,8 @@ from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.thresholds import GainThresholds, accepted_difference
 from mavcal.calib.recording import Sensor
 
-_OF_ONE_RECORDING = ("clock_drift", "accel_bias", "gyro_bias")
+_OF_ONE_SIMULATION = ("clock_drift",)
+_OF_ONE_RECORDING = (*_OF_ONE_SIMULATION, "accel_bias", "gyro_bias")
 """Two clocks may agree anywhere in a recording. A bias differs each time that a sensor is switched on, but a
 simulator's is always the same.
 """
@@ -53,6 +54,8 @@ def nominal_baseline_of(
     learned: Callable[[Callable[[Sequence[Trace]], tuple[Trace, ...]]], GapProblem],
     alpha: float,
     pace: GapPace | None = None,
+    *,
+    simulated: bool = False,
 ) -> NominalBaseline:
     """What of the mean a nominal recording shows beside a pose of its own.
 
@@ -65,22 +68,26 @@ def nominal_baseline_of(
         Chance that anything is found where there is nothing.
     pace
         How long it may take; None: as long as it takes.
+    simulated
+        Whether the recording is a simulator's: its biases are then taken off as well.
     """
+    gone = _OF_ONE_SIMULATION if simulated else _OF_ONE_RECORDING
     baseline, before = NominalBaseline(()), 0.0
     for _ in range(_ROUNDS):
         problem = learned(baseline.in_ideal)
-        found = steady_effects(problem, alpha, GainThresholds(), _OF_ONE_RECORDING, pace).supported
+        found = steady_effects(problem, alpha, GainThresholds(), gone, pace).supported
         gain = sum(one.gain for one in found)
-        baseline = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
+        biased = _with_bias(problem.traces, pairs=simulated)
+        baseline = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, biased)))
         if abs(gain - before) <= _SETTLED * before or (pace is not None and pace.ends()):
             break
         before = gain
     return baseline
 
 
-def _single(traces: Sequence[Trace]) -> list[Trace]:
-    """Those of sensors that have a bias, against the pose."""
-    return [t for t in traces if t.against is None and t.sensor in (Sensor.ACCEL, Sensor.GYRO)]
+def _with_bias(traces: Sequence[Trace], *, pairs: bool) -> list[Trace]:
+    """Those of sensors that have a bias, against the pose; `pairs`: against another unit too."""
+    return [t for t in traces if (pairs or t.against is None) and t.sensor in (Sensor.ACCEL, Sensor.GYRO)]
 
 
 def _bias_of(trace: Trace) -> EffectEstimate:

@@ -5,8 +5,8 @@ Several references may apply (GAP 3.5b); the best one that the recordings offer 
 sensor (:mod:`posed`), or another instance on the same vehicle (:mod:`redundant`).
 """
 
-from mavcal.calib.gap.reference.best_reference import flew_another, posed
+from mavcal.calib.gap.reference.best_reference import flew_another, posed, posed_apart
 from mavcal.calib.gap.reference.build import build, prepared
 from mavcal.calib.gap.reference.channels import with_common_channels
 
-__all__ = ["build", "flew_another", "posed", "prepared", "with_common_channels"]
+__all__ = ["build", "flew_another", "posed", "posed_apart", "prepared", "with_common_channels"]

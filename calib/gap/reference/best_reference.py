@@ -255,6 +255,11 @@ def posed(real: Recording, nominal: Sequence[Recording]) -> Recording | None:
     return next((n for n in nominal if recorded(n) is None and true_attitude(n) is not None), None)
 
 
+def posed_apart(real: Recording, sim: Recording) -> bool:
+    """Whether two tables are of two flights and each has a pose of its own: what `sim` shows against its is no gap."""
+    return posed(real, [sim]) is not None and of_same_trajectory(real, sim) is None
+
+
 def earth_of(posed: Sequence[tuple[Recording, PoseTrajectory]]) -> Array | None:
     """The field that the magnetometers of the first of `posed` saw that has any."""
     for recording, pose in posed:

@@ -135,6 +135,17 @@ def test_what_has_no_name_in_the_flight_is_said() -> None:
     assert beside.verdict is GapVerdict.PARTLY_EXPLAINED
 
 
+def test_a_bias_by_which_the_simulators_units_differ_as_well_is_no_gap() -> None:
+    off = np.array([0.0, 0.03, -0.04])
+    before = report(effect("accel_bias", (2,), bias=tuple(off)))
+    real = units(REST + noise(1, 0.02), REST + off + noise(2, 0.02))
+    alike, right = (units(REST + noise(3, 0.02), REST + k * off + noise(4, 0.02)) for k in (0.9, 0.0))
+    after = joined(before, answer(wind()), real, alike)
+    assert [e.id for e in after.effects] == ["wind"]
+    assert after.warnings == ("accel_bias is no gap: the simulator's units differ from each other by as much",)
+    assert [e.id for e in joined(before, answer(wind()), real, right).effects] == ["wind", "accel_bias"]
+
+
 def test_noise_that_both_units_feel_becomes_turbulence() -> None:
     air = noise(1, 0.3)
     real = units(REST + air + noise(2, 0.02), REST + air + noise(3, 0.02))

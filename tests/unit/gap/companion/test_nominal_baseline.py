@@ -103,3 +103,14 @@ def test_it_is_the_first_nominal_table_with_a_pose(nominal):
     with_reference = dataclasses.replace(recording(2), reference=(gyro,))
     assert posed(with_reference, [nominal]) is None
     assert posed(recording(2), [with_reference]) is None
+
+
+@pytest.mark.long
+def test_a_simulators_table_with_a_pose_of_its_own_is_compared_as_another_flight():
+    """Both are late by as much, and have the same bias: no gap. It was a delay of the real gyroscope."""
+    sim = recording(2, bias=BIAS)
+    report = gap.run(recording(1, bias=BIAS), sim, nested=False)
+    assert report.verdict is GapVerdict.NO_GAP
+    assert report.effects == ()
+    later = gap.run(recording(1, delay=DELAY_S + 0.012, bias=BIAS), sim, nested=False)
+    assert "gyro_delay" in {e.id for e in later.effects}
