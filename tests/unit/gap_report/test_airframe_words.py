@@ -93,7 +93,7 @@ SAID = {
     "wind": "wind of 4.1 m/s from 75 deg",
     "turbulence": "the air was rougher by 0.47 m/s2 rms",
     "gust": "a gust of 1.5 m/s2 at 61.3 s",
-    "gps_glitch": "a jump of the GPS velocity of 3.0 m/s at 40.0 s",
+    "gps_glitch": "a jump of the GPS place of 3.0 m at 40.0 s",
     "ekf_reset": "a reset of the estimator's velocity of 1.2 m/s at 41.0 s",
 }
 
