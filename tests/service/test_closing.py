@@ -248,7 +248,7 @@ def test_the_command_flies_diagnoses_and_tells(tmp_path: Path) -> None:
     patched = json.loads((tmp_path / "work" / "round-1" / "frame.json").read_text())
     assert patched["hoverThrOut"] == pytest.approx(REAL, rel=0.01)
     assert patched["moment_inertia"][:2] == [pytest.approx(0.02755, rel=0.03)] * 2
-    assert "round 0, flying" in done.stderr
+    assert "round 0, starting the simulator" in done.stderr
     assert answer["said"] in (tmp_path / "page.html").read_text()
     left = {file.name for file in (tmp_path / "work" / "round-1").iterdir()}
     assert left >= {
