@@ -32,8 +32,8 @@ from mavcal.calib.recording import Recording
 Array = NDArray[np.float64]
 
 LIKELY: Final = 0.9
-"""Probability from which an effect is reported. Source: to accuse the innocent costs its owner ten times a further
-flight."""
+"""Probability from which an effect is reported. Chosen, not measured: a name makes its owner replace a part,
+a warning only another flight."""
 _DOUBTFUL: Final = 0.5
 """Probability from which an effect that is not reported is spoken of. Source: even odds."""
 _SPIN_LOW: Final = 0.1875

@@ -257,7 +257,7 @@ class Airframe:
         return lambda name: float(theta[place[name]])
 
     def _followed(self, delay: float, tau: float, fall: float) -> Array:
-        """What the motors do (N, n): late, within their rate, with a lag of the first order.
+        """What the motors do (N, n): delayed, limited in rate, with a first-order lag.
 
         A lag that is longer where a command falls is the plain one of a command that is led on by its own fall.
         """

@@ -32,7 +32,7 @@ def kept_below(values: Array, rate: float, grid_hz: float) -> Array:
 
 
 def spline(stamps: Array, values: Array) -> CubicSpline:
-    """Through `values` (N, k) at `stamps` (N,), of which those that do not grow are left out."""
+    """A spline through `values` (N, k) at `stamps` (N,); stamps that do not increase are dropped."""
     new = np.concatenate([[True], np.diff(np.maximum.accumulate(stamps)) > 0.0])
     return CubicSpline(stamps[new], values[new])
 
@@ -62,7 +62,7 @@ class Grid:
         return values if response is None else self.series(self.spectrum(values), response)
 
     def butterworth(self, corner_hz: float) -> Response | None:
-        """Of the second order, as the firmwares' ``LowPassFilter2p``; None where the grid does not show it."""
+        """Response of the firmwares' ``LowPassFilter2p``; None without a filter, or with a corner above Nyquist."""
         if not 0.0 < corner_hz < 0.5 * self._s[-1].imag / np.pi:
             return None
         s = self._s / (2.0 * np.pi * corner_hz)

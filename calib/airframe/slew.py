@@ -47,19 +47,19 @@ def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tupl
     if found[best] - free < _WORTH:
         return None
     pair = PairEvidence(side, sim, tuple(effects))
-    known: dict[float, tuple[float, Side]] = {}
+    known: dict[float, float] = {}
     for spread in _SPREADS:
         rates = [best * (1.0 - spread), best, best * (1.0 + spread)]
         for rate in rates:
             if rate not in known:
                 made = about(Side(_limited(likelihood, rate), side.fit), theta)
-                known[rate] = _evidence(replace(pair, slewed=made)), made
-        best = _vertex(rates, [known[rate][0] for rate in rates])
+                known[rate] = _evidence(replace(pair, slewed=made))
+        best = _vertex(rates, [known[rate] for rate in rates])
     return about(Side(_limited(likelihood, best), side.fit), theta), best
 
 
 def _evidence(pair: PairEvidence) -> float:
-    """Of the limit alone, or with one effect beside it."""
+    """The evidence for the limit alone, or for the limit and the one effect that helps most."""
     limit = next(e.block for e in pair.effects if e.slew)
     lone = [frozenset({limit, e.block}) for e in pair.effects if not e.slew and e.exclusive != "motor_lag"]
     return max(pair.posterior(model).log_evidence for model in (frozenset({limit}), *lone))

@@ -151,7 +151,7 @@ def _values(
 
 
 def _beside(theta: Array, place: Mapping[str, int], base: str) -> float:
-    """What a falling command's lag has in common with a rising one's."""
+    """Lag of a rising command, s: `fall` is stated beyond it."""
     return float(theta[place["tau"]]) if base == "fall" else 0.0
 
 

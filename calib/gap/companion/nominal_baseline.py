@@ -77,17 +77,16 @@ def nominal_baseline_of(
         problem = learned(baseline.in_ideal)
         found = steady_effects(problem, alpha, GainThresholds(), gone, pace).supported
         gain = sum(one.gain for one in found)
-        biased = _with_bias(problem.traces, pairs=simulated)
-        baseline = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, biased)))
+        baseline = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
         if abs(gain - before) <= _SETTLED * before or (pace is not None and pace.ends()):
             break
         before = gain
     return baseline
 
 
-def _with_bias(traces: Sequence[Trace], *, pairs: bool) -> list[Trace]:
-    """Those of sensors that have a bias, against the pose; `pairs`: against another unit too."""
-    return [t for t in traces if (pairs or t.against is None) and t.sensor in (Sensor.ACCEL, Sensor.GYRO)]
+def _single(traces: Sequence[Trace]) -> list[Trace]:
+    """Those of sensors that have a bias, against the pose."""
+    return [t for t in traces if t.against is None and t.sensor in (Sensor.ACCEL, Sensor.GYRO)]
 
 
 def _bias_of(trace: Trace) -> EffectEstimate:
