@@ -125,3 +125,5 @@ class AirframePart:
     manoeuvres: tuple[str, ...] = ()
     traces: tuple[AirframeTrace, ...] = ()
     facts: Mapping[str, float] = field(default_factory=dict)
+    probabilities: Mapping[str, float] = field(default_factory=dict)
+    """Of every effect that was tested, that it is there: also of those that are too doubtful to report."""

@@ -25,7 +25,7 @@ from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
-from mavcal.calib.airframe.told import doubtful, effects_of, needed_manoeuvres
+from mavcal.calib.airframe.told import doubtful, effects_of, needed_manoeuvres, probabilities
 from mavcal.calib.inference.search import Answer, search
 from mavcal.calib.recording import Recording
 
@@ -228,6 +228,7 @@ def _answer(
         manoeuvres=needed_manoeuvres(found, untestable),
         traces=_traces(side, evidence, answer),
         facts=_facts(side),
+        probabilities=probabilities(answer, evidence.effects),
     )
     return AirframeAnswer(
         found=found,

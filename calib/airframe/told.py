@@ -77,6 +77,16 @@ def effects_of(answer: Answer, evidence: PairEvidence, slew: float | None, *, le
     return tuple(sorted((replace(f, share=f.nats / total) for f in found), key=lambda f: -f.nats))
 
 
+def probabilities(answer: Answer, effects: Sequence[AirframeEffect]) -> dict[str, float]:
+    """Probability of each effect by its id, the likeliest first; of a motor's effect, that any motor has it."""
+    blocks: dict[str, list[str]] = {}
+    for effect in effects:
+        if not effect.nameless:
+            blocks.setdefault(effect.id, []).append(effect.block)
+    found = {id_: answer.probability(*names) for id_, names in blocks.items()}
+    return {id_: round(chance, 4) for id_, chance in sorted(found.items(), key=lambda one: -one[1])}
+
+
 def doubtful(answer: Answer, effects: Sequence[AirframeEffect], *, least: float, most: float) -> tuple[str, ...]:
     """Effects whose probability lies between: too likely to be left out, too doubtful to be set."""
     forms: dict[tuple[str, int | None], list[str]] = {}

@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 BINS = 5
 """Of probabilities."""
+LEAST_P = 0.01
+"""Probabilities below are left out: hundreds of effects that nobody asked for would hide the others."""
 WEAK = 0.03
 """Loss of thrust from which a weak motor should be named by its number. Source: AIRFRAME 6."""
 FORCES = frozenset({"thrust_scale", "thrust_expo", "rotor_drag", "body_drag", "payload_step", "battery_sag"})
@@ -190,12 +192,12 @@ def _unknowns(unknown: Sequence[AirAnswer], left: Sequence[AirAnswer]) -> list[F
 
 
 def _probabilities(answers: Iterable[AirAnswer]) -> list[tuple[float, bool]]:
-    """Of each reported effect that it is there, and whether it is."""
+    """Of each effect of the airframe or the air that was tested: that it is there, and whether it is."""
     return [
-        (float(p), str(effect["id"]) in answer.true | answer.beside)
+        (float(p), effect in answer.true | answer.beside)
         for answer in answers
-        for effect in answer.effects
-        if (p := (effect.get("evidence") or {}).get("probability")) is not None
+        for effect, p in ((answer.report.get("airframe") or {}).get("probabilities") or {}).items()
+        if p >= LEAST_P
     ]
 
 

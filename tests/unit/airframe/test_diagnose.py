@@ -69,6 +69,8 @@ def test_a_second_flight_of_the_same_vehicle_on_another_day_shows_wind_only(
     assert (answer.unknown, answer.unknown_share) == ("", 0.0)
     assert answer.nameless < 0.1
     assert {m.id for m in answer.missing} == {"ground_effect", "air_density", "battery_sag"}
+    assert answer.part.probabilities["wind"] > 0.99
+    assert max(p for id_, p in answer.part.probabilities.items() if id_ != "wind") < 0.5
     assert answer.jumps == ()
     assert answer.part.geometry is not None
     assert (answer.part.geometry.frame_type, answer.part.geometry.source) == ("x", "parameters")

@@ -53,7 +53,7 @@ def truthful(label: Json) -> Json:
         "effects": effects,
         "unknown": {"flag": bool(label["unknown"])},
         "verdict": "explained" if effects else "no_gap",
-        "airframe": {"rollout": rollout},
+        "airframe": {"rollout": rollout, "probabilities": {e["id"]: 0.95 for e in label["effects"]}},
     }
 
 
@@ -154,6 +154,12 @@ def test_an_error_is_a_miss_and_scored():
 
 
 def test_probabilities_fall_into_five_bins():
+    """Of everything that was tested, not only of what was reported."""
+    doubtful = {"effects": [], "unknown": {"flag": False}, "verdict": "no_gap"}
+    doubtful["airframe"] = {"probabilities": {"inertia": 0.5, "thrust_scale": 0.001}}
+    rows = air_score([answer(AirTier.NULL, 1, doubtful)])["by_probability"]
+    assert [row["right"]["n"] for row in rows] == [0, 0, 1, 0, 0]
+    assert rows[2]["right"]["value"] == 0.0
     rows = air_score([answer(AirTier.SINGLE, seed) for seed in range(20)])["by_probability"]
     assert [row["right"]["n"] for row in rows] == [0, 0, 0, 0, 20]
     assert rows[-1]["mean"] == pytest.approx(0.95)
