@@ -69,7 +69,7 @@ class Layout:
     torque_x y z          constant, rad/s2
     cg_x, cg_y            centre of mass forward and right of the motors' centre, arms
     spin_up               reaction of the rotors' own inertia, s
-    flap_x, flap_y        torque by air velocity, rad/s2 per m/s
+    flap_x, flap_y        torque by air velocity at hover, rad/s2 per m/s
     cross_x y z           torque by products of rates
     tau, fall             lag of the motors, s; how much longer it is where a command falls, s
     delay                 of the commands, s
@@ -218,7 +218,7 @@ class Airframe:
         """Force and torque (N, 3) as the filtered sensors would show them."""
         thrust, turning, spinning = self.thrusts(theta)
         rotors = self._rotors(theta, thrust)
-        force, torque = self._force(theta, rotors), self._torque(theta, turning, spinning, rotors)
+        force, torque = self._force(theta, rotors), self._torque(theta, thrust, turning, spinning, rotors)
         load = theta[self.layout.place["load"]]
         if load:
             force = force / (1.0 + load * self._loaded)[:, None]
@@ -283,13 +283,17 @@ class Airframe:
         """Specific forces of each rotor along x, y and z, (N, n) each, which act where it is."""
         of = self._of(theta)
         k, v, n = of("k"), self.air_velocity(theta), self.layout.motors
-        drive = np.ones_like(thrust)
-        if self.kind.drag_by_rotor:
-            drive = np.sqrt(np.clip(thrust, 0.0, None) * (max(k, 1.0) / self.flight.gravity))
+        drive = self._drive(thrust, k)
         across = (-of("c1") / n) * drive
         climb = of("climb") * np.clip(-v[:, 2], 0.0, None) ** 2
         along = (-k / n) * thrust - (of("cz") / n) * drive * v[:, 2:] + climb[:, None] / n
         return across * v[:, :1], across * v[:, 1:2], along
+
+    def _drive(self, thrust: Array, k: float) -> Array:
+        """Speed of each rotor beside its usual one (N, n), where drag grows with it."""
+        if not self.kind.drag_by_rotor:
+            return np.ones_like(thrust)
+        return np.sqrt(np.clip(thrust, 0.0, None) * (max(k, 1.0) / self.flight.gravity))
 
     def _force(self, theta: Array, rotors: tuple[Array, Array, Array]) -> Array:
         of, v = self._of(theta), self.air_velocity(theta)
@@ -305,15 +309,18 @@ class Airframe:
         turn = np.cross(self.flight.acceleration, lever) + np.cross(w, np.cross(w, lever))
         return np.asarray(turn + np.array([of(f"bias_{a}") for a in AXES]))
 
-    def _torque(self, theta: Array, turning: Array, spinning: Array, rotors: tuple[Array, Array, Array]) -> Array:
+    def _torque(
+        self, theta: Array, thrust: Array, turning: Array, spinning: Array, rotors: tuple[Array, Array, Array]
+    ) -> Array:
         of, v = self._of(theta), self.air_velocity(theta)
         n, k, lever = self.layout.motors, of("k"), self._lever
         x, y = self._x - of("cg_x"), self._y - of("cg_y")
         # mass by inertia of an axis is its gain by k; a flat body has I_z = I_x + I_y
         by_x, by_y = of("gain_x") / (k * lever), of("gain_y") / (k * lever)
         by_z = 1.0 / (1.0 / max(by_x, 1e-3) + 1.0 / max(by_y, 1e-3)) if self.kind.drag_by_rotor else 0.0
-        roll = by_x * (rotors[2] @ y) + of("torque_x") - of("flap_x") * v[:, 1]
-        pitch = -by_y * (rotors[2] @ x) + of("torque_y") + of("flap_y") * v[:, 0]
+        flapping = v * self._drive(thrust, k).mean(axis=1)[:, None]
+        roll = by_x * (rotors[2] @ y) + of("torque_x") - of("flap_x") * flapping[:, 1]
+        pitch = -by_y * (rotors[2] @ x) + of("torque_y") + of("flap_y") * flapping[:, 0]
         yaw = of("gain_z") * (turning @ self._spin) / n + of("torque_z")
         yaw += of("gain_z") * of("spin_up") * np.gradient(spinning @ self._spin, self._dt) / n
         yaw += by_z * (rotors[1] @ x - rotors[0] @ y)
