@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.gap.effects import by_id
-from mavcal.calib.gap.effects.base import NoiseEffect
-from mavcal.calib.gap.effects.traits import SensorTerm
+from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, GapReport, SeriesFit
 from mavcal.calib.recording import Channel, Recording, Sensor
 
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 _INERTIAL: Final = (Sensor.ACCEL, Sensor.GYRO)
 _AT_REST: Final = (SensorTerm.BIAS, SensorTerm.SCALE)
 """What gravity at rest shows of an accelerometer."""
+_OF_A_PART: Final = (SensorTerm.SCALE, SensorTerm.MISALIGNMENT, SensorTerm.ROTATION)
 _OWN: Final = 0.25
 """Part of a residual's variance that the difference of two units must have so that it is a unit's own noise. Chosen,
 not measured: half of what independent noise would have."""
@@ -54,10 +55,26 @@ def _borne_out(effect: EffectEstimate, report: GapReport, real: Recording) -> bo
     known = by_id().get(effect.id)
     if isinstance(known, NoiseEffect):
         return _of_one_unit(units, own, others or own[1:], series)
-    apart = not others or _follows(units[own[0]], units[others[0]], series[0], effect.id)
+    if others:
+        apart = _follows(units[own[0]], units[others[0]], series[0], effect.id)
+    else:
+        apart = not (len(own) > 1 and _of_a_part(known)) and not _gravity_only(series[0])
     if sensor == Sensor.ACCEL and known is not None and known.term in _AT_REST and not (others and apart):
         return any(_off_at_rest(units[i], real) for i in own)
     return apart
+
+
+def _of_a_part(effect: CatalogueEffect | None) -> bool:
+    """Whether an effect is of one part, not of a filter or clock that serves all units: no two parts have it alike."""
+    return effect is not None and (effect.term in _OF_A_PART or Trait.JUMPING in effect.traits)
+
+
+def _gravity_only(series: SeriesFit) -> bool:
+    """Whether an accelerometer's reference is gravity alone: in flight, whatever moves the vehicle differs from it."""
+    if series.sensor != Sensor.ACCEL or series.ideal is None:
+        return False
+    size = np.linalg.norm(series.ideal, axis=1)
+    return bool(np.nanmax(size) - np.nanmin(size) < _REST)
 
 
 def as_simulated(report: GapReport, real: Recording, sim: Recording) -> tuple[EffectEstimate, ...]:

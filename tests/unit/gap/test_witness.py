@@ -132,6 +132,26 @@ def test_other_sensors_and_other_effects_of_one_unit_are_not_asked() -> None:
     assert not_borne_out(report(effect("accel_noise")), real) == ()  # nothing is left of it to compare
 
 
+@pytest.mark.parametrize("id_", ["gyro_misalignment", "gyro_scale", "gyro_step"])
+def test_no_two_parts_are_wrong_alike(id_: str) -> None:
+    """A misalignment or a step of every unit is the reference's, or the flight's; a filter serves all of them."""
+    part = 0.05 * swing()
+    real = recording(swing() + part, swing() + part, sensor=Sensor.GYRO)
+    both = effect(id_, (1, 2))
+    assert not_borne_out(told(both, part, part), real) == (both,)
+    assert not_borne_out(told(effect("gyro_low_pass", (1, 2)), part, part), real) == ()
+
+
+def test_a_reference_of_gravity_alone_shows_nothing_in_flight() -> None:
+    part = swing()
+    real = recording(REST + swing(), REST + swing())
+    both = effect("accel_delay", (1, 2))
+    assert not_borne_out(told(both, part, part), real) == ()
+    still = told(both, part, part)
+    standing = replace(still, series=(replace(still.series[0], ideal=REST),))
+    assert not_borne_out(standing, real) == (both,)
+
+
 def test_units_of_different_rates_are_compared_where_both_have_samples() -> None:
     air = noise(1, 0.3)
     first = unit(0, REST + air + noise(2, 0.02))
