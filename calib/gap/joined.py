@@ -28,6 +28,7 @@ from mavcal.calib.gap.schema import (
     Shrink,
     Unknown,
 )
+from mavcal.calib.gap.unknown.verdict import NOT_LASTING
 from mavcal.calib.gap.witness import as_simulated, not_borne_out
 from mavcal.calib.recording import Recording, Sensor
 
@@ -60,7 +61,7 @@ def joined(
     same = () if sim is None else tuple(e for e in as_simulated(report, real, sim) if e not in shared)
     sensors = tuple(e for e in report.effects if e not in shared and e not in same)
     shaken = any(e.id == "accel_vibration" for e in sensors)
-    found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_jumps(answer))
+    found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_jumps(answer, real))
     effects = _with_shares((*found, *sensors))
     unknown = _unknown(report, answer, sensors)
     warnings = (*report.warnings, *(_withdrawn(e) for e in shared), *map(_as_simulated, same), *answer.warnings)
@@ -128,8 +129,10 @@ def _turbulence(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> I
         yield _estimate(FoundEffect("turbulence", Domain.ENVIRONMENT, (), (value,), 0.0, 1, chance, 0.0))
 
 
-def _jumps(answer: AirframeAnswer) -> Iterator[EffectEstimate]:
-    """The worst jump of the estimator, and that of the GPS."""
+def _jumps(answer: AirframeAnswer, real: Recording) -> Iterator[EffectEstimate]:
+    """The worst jump of the estimator, and that of the GPS; without a place of the GPS either may be the cause."""
+    unseen = not any(c.sensor == Sensor.POSITION for c in real.channels)
+    rivals = (Rival("gps_glitch", 1.0, 0.0, "log the place and velocity of the GPS"),) if unseen else ()
     for id_, found, unit in (("ekf_reset", answer.jumps, "m/s"), ("gps_glitch", answer.glitches, "m")):
         if found:
             worst = max(found, key=lambda j: j.size)
@@ -137,7 +140,8 @@ def _jumps(answer: AirframeAnswer) -> Iterator[EffectEstimate]:
                 FoundValue("t", worst.t, 0.2, "s", relative=False),
                 FoundValue("size", worst.size, 0.1, unit, relative=False),
             )
-            yield _estimate(FoundEffect(id_, Domain.ENVIRONMENT, (), values, 0.0, 1, 1.0, 0.0))
+            told = _estimate(FoundEffect(id_, Domain.ENVIRONMENT, (), values, 0.0, 1, 1.0, 0.0))
+            yield replace(told, confusable_with=rivals) if id_ == "ekf_reset" else told
 
 
 def _with_shares(effects: tuple[EffectEstimate, ...]) -> tuple[EffectEstimate, ...]:
@@ -153,7 +157,9 @@ def _unknown(report: GapReport, answer: AirframeAnswer, sensors: tuple[EffectEst
     if answer.unknown and answer.nameless >= LIKELY:
         return Unknown(flag=True, share=answer.unknown_share, shape=answer.unknown)
     left = report.unknown
-    flown = any(w in left.shape for w in ("accel", "gyro")) and not sensors
+    inertial = {str(Sensor.ACCEL), str(Sensor.GYRO)}
+    nowhere_else = left.shape == NOT_LASTING and {w.channel.split(".")[0] for w in report.where} <= inertial
+    flown = (nowhere_else or any(name in left.shape for name in inertial)) and not sensors
     return replace(left, flag=False, share=0.0, shape="") if left.flag and flown else left
 
 

@@ -23,6 +23,7 @@ from mavcal.calib.gap.schema import (
     Unknown,
     as_json,
 )
+from mavcal.calib.gap.unknown.verdict import NOT_LASTING
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from tests.unit.gap.export.making import effect, report
 
@@ -187,6 +188,7 @@ def test_a_jump_of_the_estimator_is_of_the_day() -> None:
     (found,) = after.effects
     assert (found.id, found.domain) == ("ekf_reset", Domain.ENVIRONMENT)
     assert {p.name: p.value for p in found.params} == {"t": 30.0, "size": 1.9}
+    assert [rival.id for rival in found.confusable_with] == ["gps_glitch"]  # no place of the GPS parts them
     assert after.verdict is GapVerdict.NO_GAP
 
 
@@ -209,6 +211,8 @@ def test_what_the_sensors_could_not_name_is_no_unknown_where_the_flight_explains
     left = Unknown(flag=True, share=0.4, shape="noise on accel from 12 to 14 s")
     before = replace(report(), unknown=left, verdict=GapVerdict.UNKNOWN)
     assert not joined(before, answer(thrust()), BARE).unknown.flag
+    passing = replace(before, unknown=replace(left, shape=NOT_LASTING))
+    assert not joined(passing, answer(thrust()), BARE).unknown.flag
     magnetic = replace(before, unknown=replace(left, shape="jumps on mag"))
     after = joined(magnetic, answer(thrust()), BARE)
     assert after.unknown.flag
