@@ -115,7 +115,13 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     if rotors_damp:
         drag += [Change(0, f"damping_{a}", relative) for a in AXES]
         drag += [Change(0, f"flap_{a}", relative) for a in "xy"]
-    yield _one("rotor_drag", "c1", 0.6, tuple(drag), "c1")
+    yield _one("rotor_drag", "c1", 0.6, tuple(drag), "c1", exclusive="rotor_drag", odds=ODDS / 2.0)
+    # blades whose drag across their axis differs and whose inflow, which damps turns, does not
+    across = (Change(0, "c1", relative), *(Change(1, f"flap_{a}", relative) for a in "xy"))
+    yield AirframeEffect(
+        "rotor_drag", "rotor_drag_across", ("c1", "flap"), (0.6, 0.6), across, ("c1", "flap_x"), odds=ODDS / 2.0,
+        exclusive="rotor_drag",
+    )  # fmt: skip
     yield _one("body_drag", "c2", 0.6, (Change(0, "c2", relative),), "c2")
     yield _one("inflow", "cz", 0.3, (Change(0, "cz", plus),), "cz")
     yield _one("translational_lift", "ch", 0.01, (Change(0, "ch", plus),), "ch")
@@ -174,9 +180,17 @@ def nameless(layout: Layout) -> tuple[AirframeEffect, ...]:
 
 
 def _one(
-    id_: str, name: str, sd: float, changes: tuple[Change, ...], base: str, *, torque: bool = False, exclusive: str = ""
+    id_: str,
+    name: str,
+    sd: float,
+    changes: tuple[Change, ...],
+    base: str,
+    *,
+    torque: bool = False,
+    exclusive: str = "",
+    odds: float = ODDS,
 ) -> AirframeEffect:
-    return AirframeEffect(id_, id_, (name,), (sd,), changes, (base,), torque=torque, exclusive=exclusive)
+    return AirframeEffect(id_, id_, (name,), (sd,), changes, (base,), odds=odds, torque=torque, exclusive=exclusive)
 
 
 def _inertia(axes: str) -> AirframeEffect:
