@@ -104,8 +104,9 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     reaction = Change(0, "spin_up", Act.OVER)
     gains = (*(Change(0, f"gain_{a}", relative) for a in AXES), reaction)
     yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k", exclusive="thrust")
-    # another mass: all forces by it, the rotors' drag by its root (it goes with the root of their thrust), no torque
-    forces = (Change(0, n, relative, share) for n, share in (("c1", 0.5), ("cz", 0.5), ("c2", 1.0), ("ch", 1.0)))
+    # another mass: all forces by it, what grows with the rotors' speed by its root, no other torque
+    shares = (("c1", 0.5), ("cz", 0.5), ("c2", 1.0), ("ch", 1.0), ("flap_x", -0.5), ("flap_y", -0.5))
+    forces = (Change(0, n, relative, share) for n, share in shares)
     yield AirframeEffect(
         "thrust_scale", "thrust_by_mass", ("s",), (0.2,), (Change(0, "k", relative), *forces), ("k",),
         odds=ODDS / 2.0, exclusive="thrust",
@@ -116,14 +117,21 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
         drag += [Change(0, f"damping_{a}", relative) for a in AXES]
         drag += [Change(0, f"flap_{a}", relative) for a in "xy"]
     yield _one("rotor_drag", "c1", 0.6, tuple(drag), "c1", exclusive="rotor_drag", odds=ODDS / 2.0)
-    # blades whose drag across their axis differs and whose inflow, which damps turns, does not
-    across = (Change(0, "c1", relative), *(Change(1, f"flap_{a}", relative) for a in "xy"))
+    # blades whose drag across their axis differs and whose inflow, which damps roll and pitch, does not
+    flap = tuple(Change(1, f"flap_{a}", relative) for a in "xy")
+    across = (Change(0, "c1", relative), *flap, Change(2, "damping_z", relative))
     yield AirframeEffect(
-        "rotor_drag", "rotor_drag_across", ("c1", "flap"), (0.6, 0.6), across, ("c1", "flap_x"), odds=ODDS / 2.0,
-        exclusive="rotor_drag",
+        "rotor_drag", "rotor_drag_across", ("c1", "flap", "damping_z"), (0.6,) * 3, across,
+        ("c1", "flap_x", "damping_z"), odds=ODDS / 2.0, exclusive="rotor_drag",
     )  # fmt: skip
     yield _one("body_drag", "c2", 0.6, (Change(0, "c2", relative),), "c2")
-    yield _one("inflow", "cz", 0.3, (Change(0, "cz", plus),), "cz")
+    yield _one("inflow", "cz", 0.3, (Change(0, "cz", plus),), "cz", exclusive="inflow", odds=ODDS / 2.0)
+    # a rotor loses thrust where it rises, whether the vehicle climbs or turns (AIRFRAME 2)
+    turning = (Change(0, "cz", plus), Change(1, "damping_x", plus), Change(2, "damping_y", plus))
+    yield AirframeEffect(
+        "inflow", "inflow_of_turns", ("cz", "damping_x", "damping_y"), (0.3, 0.6, 0.6), turning,
+        ("cz", "damping_x", "damping_y"), odds=ODDS / 2.0, exclusive="inflow", torque=True,
+    )  # fmt: skip
     yield _one("translational_lift", "ch", 0.01, (Change(0, "ch", plus),), "ch")
     for axes in ("xy", "x", "y", "z"):
         yield _inertia(axes)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -88,6 +90,19 @@ def test_drag_of_rotors_damps_turns_where_rotors_do(model: Airframe) -> None:
     assert {"c1", "cz", "damping_x", "damping_y", "damping_z"} <= set(real(model, "rotor_drag", 0.6))
     bare = next(e for e in every(model.layout, rotors_damp=False) if e.id == "rotor_drag")
     assert {c.parameter for c in bare.changes} == {"c1", "cz"}
+    alone = real(model, "rotor_drag_across", 0.6, 0.5, 0.4)
+    assert {name: after / before for name, (before, after) in alone.items()} == {
+        "c1": pytest.approx(1.6), "flap_x": pytest.approx(1.5), "damping_z": pytest.approx(1.4),
+    }  # fmt: skip
+
+
+def test_another_mass_leaves_torques_alone_but_those_of_the_rotors_speed(model: Airframe) -> None:
+    found = {name: after / before for name, (before, after) in real(model, "thrust_by_mass", 0.2).items()}
+    root = math.sqrt(1.2)
+    assert found == {
+        "k": pytest.approx(1.2), "c1": pytest.approx(root, rel=0.01), "cz": pytest.approx(root, rel=0.01),
+        "c2": pytest.approx(1.2), "flap_x": pytest.approx(1.0 / root, rel=0.02),
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -100,6 +115,7 @@ def test_drag_of_rotors_damps_turns_where_rotors_do(model: Airframe) -> None:
         ("battery_sag", (2.0,), {"sag": 2.0}),
         ("motor_lag", (0.04,), {"tau": 0.04}),
         ("actuator_delay", (0.01,), {"delay": 0.01}),
+        ("inflow_of_turns", (0.1, 0.6, 0.4), {"cz": 0.1, "damping_x": 0.6, "damping_y": 0.4}),
         ("wind", (-1.1, -4.0), {"wind_north": -1.1, "wind_east": -4.0}),
         ("torque_bias", (1.0, 2.0, 3.0), {"torque_x": 1.0, "torque_y": 2.0, "torque_z": 3.0}),
     ],

@@ -116,6 +116,20 @@ def test_a_centre_of_mass_ahead_and_to_the_right_lets_the_nose_and_the_right_sid
     assert double.predicted(theta(double, cg_x=0.03))[1][3, 1] == pytest.approx(0.5 * ahead[3, 1])
 
 
+@pytest.mark.parametrize(("by_rotor", "grows"), [(True, math.sqrt(1.5)), (False, 1.0)])
+def test_torque_by_air_velocity_goes_with_the_rotors_speed(by_rotor: bool, grows: float) -> None:
+    """A trim that stayed in a climb would pass for one that goes with the thrust, and blame a motor."""
+
+    def turned(thrust: float) -> float:
+        rows = flight(np.full((100, 4), thrust * G / 25.0), velocity=np.tile([0.0, 3.0, 0.0], (100, 1)))
+        plain = airframe(rows, kind=Kind(drag_by_rotor=by_rotor))
+        found = plain.predicted(theta(plain, expo=0.0, k=25.0, tau=0.0, delay=0.0, flap_x=0.2))[1]
+        return float(found[50, 0])
+
+    assert turned(1.0) == pytest.approx(-0.6, rel=1e-3)
+    assert turned(1.5) / turned(1.0) == pytest.approx(grows, rel=1e-3)
+
+
 def test_turns_are_damped_and_a_trim_stays() -> None:
     rates = np.tile([0.5, -1.0, 2.0], (100, 1))
     model = airframe(flight(hover(1.0), rate=rates))
