@@ -10,10 +10,12 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from mavcal.calib.airframe.geometry import NAMED
 from mavcal.calib.gap.progress import DEFAULT_LIMIT_S
 from mavcal.calib.gap.schema import GapVerdict, LocatedGap, NotTestable, Regime, Rival, Shrink, Unknown
 from mavcal.service.commands import gap
-from mavcal.service.commands.gap import LIMIT_S, command
+from mavcal.service.commands.gap import command
+from mavcal.service.commands.gap_options import FRAMES, LIMIT_S
 from tests.unit.gap.export.making import effect, report
 from tests.unit.gap_report.flown import DOMAINS, WEAK, WIND, drag_flight, weak_motor, windy_null
 
@@ -195,8 +197,8 @@ def diagnosed(monkeypatch, tmp_path):
     def run(found, *arguments):
         handed = {}
 
-        def diagnosis(real, sim, nominal, *, inputs, pace, frame):
-            handed.update(sim=sim, nominal=nominal, inputs=inputs, limit=pace.limit_s)
+        def diagnosis(real, sim, nominal, *, inputs, pace, **stated):
+            handed.update(sim=sim, nominal=nominal, inputs=inputs, limit=pace.limit_s, **stated)
             return found
 
         monkeypatch.setattr("mavcal.calib.gap.run", diagnosis)
@@ -225,8 +227,16 @@ def test_json_has_the_report_and_what_was_exported_and_the_page_is_written(diagn
     assert "SIM_ACC1_BIAS_X" in remedy.read_text()
 
 
-def test_the_default_limit_is_that_of_the_diagnosis():
+def test_help_states_what_the_diagnosis_has():
     assert LIMIT_S == DEFAULT_LIMIT_S
+    assert tuple(NAMED) == FRAMES
+
+
+def test_what_is_stated_of_the_airframe_reaches_the_diagnosis(diagnosed, tmp_path):
+    flown = tmp_path / "flown.json"
+    flown.write_text('{"hoverThrOut": 0.4}')
+    _, handed = diagnosed(report(BIAS), "--frame", "hexa-x", "--mass", "2.5", "--sim-frame", str(flown))
+    assert (handed["frame"], handed["mass"], handed["sim_frame"]) == ("hexa-x", 2.5, {"hoverThrOut": 0.4})
 
 
 def test_a_subcommand_needs_no_recording(monkeypatch):
