@@ -222,6 +222,7 @@ def _show_effect(effect: Any, indent: str) -> None:
 
 def _show_verified(verified: Verified) -> None:
     from mavcal.calib.gap_report.words import NATS, number
+    from mavcal.service.commands.gap_told import remainder_lines
 
     low, high = verified.remaining.ci95
     click.echo(
@@ -229,9 +230,14 @@ def _show_verified(verified: Verified) -> None:
         f"of {number(verified.before.nats)}; {verified.rest.verdict.value}"
     )
     for left in verified.effects:
+        if left.remainders:
+            click.echo("\n".join(remainder_lines(left)))
+            continue
         on = ", ".join(map(str, left.instances))
         same = "; the new flight has it within its errors" if left.agrees else ""
         click.echo(f"  {left.id} of instance {on}: {100 * left.share:.2g} % of its evidence is left{same}")
+    if not verified.added:
+        click.echo("  the remedy brought nothing in that the vehicle does not have")
     for effect in verified.added:
         click.echo(f"  {effect.id} is in the simulator and not in the vehicle, or was hidden before")
     click.echo(NATS.replace("a sample", "a number"))

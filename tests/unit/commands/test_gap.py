@@ -13,6 +13,8 @@ from click.testing import CliRunner
 from mavcal.calib.airframe.geometry import NAMED
 from mavcal.calib.gap.progress import DEFAULT_LIMIT_S
 from mavcal.calib.gap.schema import GapVerdict, LocatedGap, NotTestable, Regime, Rival, Shrink, Unknown
+from mavcal.calib.gap.telling.agreement import Remainder
+from mavcal.calib.gap.verify import Left, Size, Verified
 from mavcal.service.commands import gap
 from mavcal.service.commands.gap import command
 from mavcal.service.commands.gap_options import FRAMES, LIMIT_S
@@ -148,12 +150,12 @@ def test_sensors_that_were_not_compared_and_warnings_are_said(said):
 
 def test_a_remedy_is_told_with_what_is_left_and_what_came_in(said):
     nats = SimpleNamespace(nats=0.25, ci95=(0.2, 0.3))
-    left = SimpleNamespace(id="accel_bias", instances=(1, 2), share=0.031, agrees=False)
+    left = Left("accel_bias", (1, 2), 0.031, {}, {})
     verified = SimpleNamespace(
         remaining=nats,
         before=SimpleNamespace(nats=4.0),
         rest=SimpleNamespace(verdict=GapVerdict.PARTLY_EXPLAINED),
-        effects=[left, SimpleNamespace(**{**vars(left), "agrees": True})],
+        effects=[left, replace(left, agrees=True)],
         added=[SimpleNamespace(id="gyro_bias")],
         warnings=("It is short.",),
     )
@@ -166,6 +168,22 @@ def test_a_remedy_is_told_with_what_is_left_and_what_came_in(said):
     assert ["its errors" in line for line in (left_over, agreed)] == [False, True]
     assert "gyro_bias" in added
     assert f"! {verified.warnings[0]}" in more
+
+
+def test_a_patched_airframe_is_told_parameter_by_parameter(said):
+    thrust = {"s": Remainder(0.003, 0.004, ratio=True, within=True)}
+    lag = {"tau_up": Remainder(0.02, 0.004, ratio=False, within=False)}
+    closed = Left("thrust_scale", (), 0.0, {}, {}, {"s": -0.1}, agrees=True, remainders=thrust)
+    left = Left("motor_lag", (), 1.0, {}, {}, remainders=lag)
+    before, remaining = Size(4.0, (3.0, 5.0)), Size(0.0, (0.0, 0.1))
+    verified = Verified(
+        same_flight=False, before=before, remaining=remaining, effects=(closed, left), added=(), rest=report(),
+        warnings=(),
+    )  # fmt: skip
+    text = " ".join(" ".join(said(report(BIAS), verified)).split())
+    assert "thrust_scale: s, real by new 1.003 ± 0.004, within two standard errors of 1" in text
+    assert "tau_up, real less new 0.02 ± 0.004, not closed; the new flight does not show the effect" in text
+    assert "brought nothing in" in text
 
 
 @pytest.mark.parametrize(
