@@ -52,6 +52,7 @@ def run(
     pace: GapPace | None = None,
     frame: str | None = None,
     sim_frame: Mapping[str, Any] | None = None,
+    mass: float | None = None,
 ) -> GapReport:
     """The gap between a real recording and its reference: sensors, and airframe and air where both recordings fly.
 
@@ -78,6 +79,8 @@ def run(
         A frame of :data:`calib.airframe.geometry.NAMED` for recordings that do not say theirs.
     sim_frame
         Settings of the frame with which the simulator flew, for the remedy; None: its own defaults.
+    mass
+        Of the real vehicle, kg, for the remedy; None: not known.
 
     Raises
     ------
@@ -105,7 +108,8 @@ def run(
         report = joined(report, flown, real, sim)
     elif sim is None and _flies(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
         report = dataclasses.replace(report, airframe=alone)
-    return with_patches(report, simulator_of(real, sim), frame=sim_frame, vehicle=real.parameters.final())
+    base, vehicle = simulator_of(real, sim), real.parameters.final()
+    return with_patches(report, base, frame=sim_frame, mass=mass, vehicle=vehicle)
 
 
 def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:

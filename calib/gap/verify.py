@@ -15,7 +15,7 @@ did on either day is compared with nothing.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.ideal import recorded
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import CONVERTER, EffectEstimate, GapReport, GapVerdict, SeriesFit, as_json
-from mavcal.calib.gap.telling.agreement import EffectAgreement, agreements
+from mavcal.calib.gap.telling.agreement import EffectAgreement, Remainder, agreements, remainders
 from mavcal.calib.recording import Recording
 
 Array = NDArray[np.float64]
@@ -65,7 +65,8 @@ class Left:
     """One effect before and after: `share` of its evidence that is left, and its parameters.
 
     `again` are those that the new flight has by itself, None where it shows no such effect or was not diagnosed by
-    itself; `agrees` whether they are those of `before` within their errors.
+    itself; `agrees` whether they are those of `before` within their errors. `remainders` are those of an airframe,
+    with their standard errors.
     """
 
     id: str
@@ -75,6 +76,7 @@ class Left:
     left: Mapping[str, float]
     again: Mapping[str, float] | None = None
     agrees: bool = False
+    remainders: Mapping[str, Remainder] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,18 +270,15 @@ def _left_flying(compared: EffectAgreement) -> Left:
     The share is that of the squares in standard errors of the first diagnosis, as evidence grows; 0 where they agree.
     """
     effect, other = compared.effect, compared.other
-    theirs = {} if other is None else {p.name: p for p in other.params}
     before = {p.name: p.value for p in effect.params}
-    again = None if other is None else {name: p.value for name, p in theirs.items()}
-    left, all_of_it, rest_of_it = {}, 0.0, 0.0
-    for p in effect.params:
-        new = theirs[p.name].value if p.name in theirs else 0.0
-        left[p.name] = (1.0 + p.value) / (1.0 + new) - 1.0 if p.ratio is not None and new > -1.0 else p.value - new
-        if p.se > 0.0:
-            all_of_it += (p.value / p.se) ** 2
-            rest_of_it += (left[p.name] / p.se) ** 2
+    again = None if other is None else {p.name: p.value for p in other.params}
+    remaining = remainders(compared)
+    left = {name: r.value for name, r in remaining.items()}
+    known = [p for p in effect.params if p.se > 0.0]
+    all_of_it = sum((p.value / p.se) ** 2 for p in known)
+    rest_of_it = sum((left[p.name] / p.se) ** 2 for p in known)
     share = 0.0 if compared.holds else min(1.0, rest_of_it / all_of_it) if all_of_it > 0.0 else 1.0
-    return Left(effect.id, effect.instances, share, before, left, again, compared.holds)
+    return Left(effect.id, effect.instances, share, before, left, again, compared.holds, remaining)
 
 
 def verified_json(verified: Verified) -> Json:

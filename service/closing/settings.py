@@ -51,15 +51,15 @@ class SimSettings:
         frame.write_text(json.dumps(dict(self.frame), indent=1) + "\n", encoding="utf-8")
 
 
-def read_settings(parameters: Path | None, frame: Path | None) -> SimSettings:
+def read_settings(parameters: Path | None, frame: Mapping[str, Any] | None) -> SimSettings:
     """The settings that the first round begins with; None: nothing is set.
 
     Raises
     ------
     WrongCommand
-        If a file cannot be read as one of its kind.
+        If the file has a line that is no parameter, or cannot be read.
     """
-    return SimSettings({} if parameters is None else _parameters(parameters), {} if frame is None else _frame(frame))
+    return SimSettings({} if parameters is None else _parameters(parameters), frame or {})
 
 
 def _parameters(file: Path) -> dict[str, float]:
@@ -72,17 +72,6 @@ def _parameters(file: Path) -> dict[str, float]:
             found[parts[0]] = float(parts[1])
         except (IndexError, ValueError) as error:
             raise WrongCommand(f"{file.name}, line {number}: {line.strip()!r} is not NAME VALUE") from error
-    return found
-
-
-def _frame(file: Path) -> dict[str, Any]:
-    bare = "\n".join(line.partition("#")[0] for line in _text(file).splitlines())
-    try:
-        found = json.loads(bare)
-    except ValueError as error:
-        raise WrongCommand(f"{file.name} is no JSON: {error}") from error
-    if not isinstance(found, dict):
-        raise WrongCommand(f"{file.name} must hold one object with the keys of a frame file, such as mass")
     return found
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mavcal.service.commands.gap_close import command as close
+from mavcal.service.commands.gap_options import LIMIT_S, layout_option, mass_option, sim_frame_option
 from mavcal.service.commands.gap_selftest import command as selftest
 from mavcal.service.commands.gauge import Gauge
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
@@ -20,14 +21,6 @@ if TYPE_CHECKING:
 
 TARGETS = ("sitl", "frame", "sih", "gazebo", "matlab", "mavcal", "vehicle")
 """Those of ``calib.gap.export.Target``, stated here so that help does without numpy (a test compares them)."""
-FRAMES = (
-    "quad-plus", "quad-x", "quad-h", "quad-betaflight-x", "quad-dji-x", "quad-clockwise-x",
-    "quad-betaflight-x-reversed",
-    "hexa-plus", "hexa-x", "hexa-dji-x", "hexa-clockwise-x", "octa-plus", "octa-x",
-)  # fmt: skip
-"""Those of ``calib.airframe.geometry.NAMED``, for the same reason."""
-LIMIT_S = 60.0
-"""That of ``calib.gap.DEFAULT_LIMIT_S``, for the same reason."""
 _MOST_WHERE = 3
 _MOST_UNTESTABLE = 8
 
@@ -66,27 +59,9 @@ _MOST_UNTESTABLE = 8
     default=None,
     help="Whom --export is for, whatever its ending; vehicle: the vehicle's own calibration.",
 )
-@click.option(
-    "--sim-frame",
-    "frame",
-    default=None,
-    metavar="FILE",
-    help="The frame (JSON) that ArduPilot's simulator flew with, on which the remedy builds; else the stock one.",
-)
-@click.option(
-    "--frame",
-    "layout",
-    type=click.Choice(FRAMES),
-    default=None,
-    help="The frame of the vehicle, where its recording does not say it.",
-)
-@click.option(
-    "--mass",
-    type=click.FloatRange(min=0.0, min_open=True),
-    default=None,
-    metavar="KG",
-    help="The real vehicle's mass, for --export: a flight shows only thrust, drag and inertia over the mass.",
-)
+@sim_frame_option
+@layout_option
+@mass_option
 @click.option(
     "--instance", type=click.IntRange(1, 9), default=1, show_default=True, help="For exports of a single instance."
 )
@@ -146,7 +121,6 @@ def command(
         check_folders,
         read_files,
         read_frame,
-        with_frame,
         write_exports,
         write_page,
     )
@@ -158,8 +132,16 @@ def command(
     files = read_files(real, sim, nominal, again, reading)
     with Gauge() as gauge:
         pace = gap.GapPace(lambda: time.process_time() - began, limit_s, gauge.show)
-        report = gap.run(files.real, files.sim, files.nominal, inputs=files.hashes, pace=pace, frame=layout)
-    report = with_frame(report, files, remedy)
+        report = gap.run(
+            files.real,
+            files.sim,
+            files.nominal,
+            inputs=files.hashes,
+            pace=pace,
+            frame=layout,
+            sim_frame=remedy.frame,
+            mass=mass,
+        )
     document = document_of(report)
     verified = None
     if files.again is not None:
@@ -240,6 +222,7 @@ def _show_effect(effect: Any, indent: str) -> None:
 
 def _show_verified(verified: Verified) -> None:
     from mavcal.calib.gap_report.words import NATS, number
+    from mavcal.service.commands.gap_told import remainder_lines
 
     low, high = verified.remaining.ci95
     click.echo(
@@ -247,9 +230,14 @@ def _show_verified(verified: Verified) -> None:
         f"of {number(verified.before.nats)}; {verified.rest.verdict.value}"
     )
     for left in verified.effects:
+        if left.remainders:
+            click.echo("\n".join(remainder_lines(left)))
+            continue
         on = ", ".join(map(str, left.instances))
         same = "; the new flight has it within its errors" if left.agrees else ""
         click.echo(f"  {left.id} of instance {on}: {100 * left.share:.2g} % of its evidence is left{same}")
+    if not verified.added:
+        click.echo("  the remedy brought nothing in that the vehicle does not have")
     for effect in verified.added:
         click.echo(f"  {effect.id} is in the simulator and not in the vehicle, or was hidden before")
     click.echo(NATS.replace("a sample", "a number"))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcal.service.commands.gap_options import LIMIT_S, layout_option, mass_option, sim_frame_option
 from mavcal.service.commands.gauge import Line
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, EXIT_USAGE, AnsweredNo, json_option, write_json
 from mavcal.service.commands.reading import reading_options
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from mavcal.service.closing.loop import ClosingPlan, ClosingResult, Told
     from mavcal.service.closing.rounds import RoundResult
 
-LIMIT_S = 60.0
-"""That of ``calib.gap.DEFAULT_LIMIT_S``, stated here so that help does without numpy (a test compares them)."""
 CONNECT = "tcp:127.0.0.1:{port}"
 _SAY_EVERY_S = 10.0
 """Where there is no terminal, progress is a line now and then."""
@@ -56,12 +55,9 @@ _PAGE = "diagnosis.html"
     type=click.Path(path_type=Path, dir_okay=False, exists=True),
     help="Parameters that the simulator flies with from the first round on.",
 )
-@click.option(
-    "--frame",
-    default=None,
-    type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    help="Its frame file (JSON) in the first round.",
-)
+@sim_frame_option
+@layout_option
+@mass_option
 @click.option(
     "--work",
     default=Path("gap-close"),
@@ -80,7 +76,9 @@ _PAGE = "diagnosis.html"
 )
 @reading_options
 @json_option
-def command(*, page: Path | None, limit_s: float, as_json: bool, **options: Any) -> int:
+def command(
+    *, page: Path | None, limit_s: float, layout: str | None, mass: float | None, as_json: bool, **options: Any
+) -> int:
     """Close the loop: fly the simulator, diagnose --real against it, set what differs, and fly again.
 
     It ends when nothing material is left, or after --rounds. The mission takes about two minutes of the simulator's
@@ -105,7 +103,7 @@ def command(*, page: Path | None, limit_s: float, as_json: bool, **options: Any)
                 if not as_json:
                     _show(result)
 
-            result = Closing(plan, _diagnosis(limit_s), told, done).run()
+            result = Closing(plan, _diagnosis(limit_s, layout, mass), told, done).run()
         except ClosingError as error:
             line.clear()
             raise AnsweredNo(error.code, str(error), EXIT_USAGE) from error
@@ -121,13 +119,14 @@ def _plan(options: Mapping[str, Any]) -> ClosingPlan:
     from mavcal.service.closing.command import SimulatorCommand
     from mavcal.service.closing.loop import ClosingPlan
     from mavcal.service.closing.settings import read_settings
-    from mavcal.service.commands.gap_files import read_files
+    from mavcal.service.commands.gap_files import read_files, read_frame
 
     reading = {
         name: options[name] for name in ("mapping", "world", "body", "rate", "unit_accel", "unit_gyro", "unit_mag")
     }
     command_line = SimulatorCommand(options["simulator"])
-    start = read_settings(options["parameters"], options["frame"])
+    frame = None if options["frame"] is None else read_frame(options["frame"])
+    start = read_settings(options["parameters"], frame)
     files = read_files(options["real"], None, (), None, {**reading, "sim_mapping": {}})
     return ClosingPlan(
         real=files.real,
@@ -142,7 +141,7 @@ def _plan(options: Mapping[str, Any]) -> ClosingPlan:
     )
 
 
-def _diagnosis(limit_s: float) -> Any:
+def _diagnosis(limit_s: float, layout: str | None, mass: float | None) -> Any:
     """The diagnosis of a round, within its time; its page is left in the folder of the round."""
     from mavcal.calib import gap
     from mavcal.calib.gap_report import gap_to_html
@@ -150,7 +149,7 @@ def _diagnosis(limit_s: float) -> Any:
     def diagnose(real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, told: Told) -> GapReport:
         began = time.process_time()
         pace = gap.GapPace(lambda: time.process_time() - began, limit_s, lambda s: told(s.text, s.share, s.left_s))
-        report = gap.run(real, sim, pace=pace, sim_frame=frame)
+        report = gap.run(real, sim, pace=pace, frame=layout, sim_frame=frame, mass=mass)
         (folder / _PAGE).write_text(gap_to_html(report, title=f"Sim-to-real gap, {folder.name}"), encoding="utf-8")
         return report
 

@@ -84,21 +84,6 @@ def read_frame(name: str) -> Mapping[str, Any]:
         raise click.BadParameter(f"{name}: {error}") from error
 
 
-def with_frame(report: GapReport, files: Files, remedy: Remedy) -> GapReport:
-    """`report` with the simulator's settings on top of the frame that it flew with, where that was given."""
-    from mavcal.calib.errors import InvalidInputError
-    from mavcal.calib.gap import simulator_of
-    from mavcal.calib.gap.export import with_patches
-
-    if remedy.frame is None:
-        return report
-    base, vehicle = simulator_of(files.real, files.sim), files.real.parameters.final()
-    try:
-        return with_patches(report, base, frame=remedy.frame, vehicle=vehicle)
-    except InvalidInputError as error:
-        raise click.BadParameter(str(error)) from error
-
-
 def _sha256(file: Path) -> str:
     with file.open("rb") as opened:
         return hashlib.file_digest(opened, "sha256").hexdigest()

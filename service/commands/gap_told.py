@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mavcal.calib.airframe.answer import AirframePart, Rollout
     from mavcal.calib.gap.schema import EffectEstimate
+    from mavcal.calib.gap.verify import Left
 
 WIDTH = 80
 
@@ -29,6 +30,19 @@ def effect_lines(effect: EffectEstimate) -> list[str]:
     for rival in effect.confusable_with:
         lines += wrapped(f"could also be {rival_phrase(rival)}", "    ")
     return lines
+
+
+def remainder_lines(left: Left) -> Iterator[str]:
+    """What is left of an effect of the airframe, parameter by parameter."""
+    from mavcal.calib.gap_report.words import number
+
+    motor = "" if not left.instances else f" of motor {', '.join(map(str, left.instances))}"
+    for name, one in left.remainders.items():
+        nothing, what = (1.0, "real by new") if one.ratio else (0.0, "real less new")
+        within = f"within two standard errors of {nothing:g}" if one.within else "not closed"
+        unseen = "; the new flight does not show the effect" if left.again is None else ""
+        said = f"{left.id}{motor}: {name}, {what} {nothing + one.value:.4g} ± {number(one.se)}, {within}{unseen}"
+        yield from wrapped(said)
 
 
 def flight_lines(part: AirframePart) -> Iterator[str]:

@@ -95,6 +95,7 @@ def with_patches(
     base: Mapping[str, float] | None = None,
     *,
     frame: Mapping[str, Any] | None = None,
+    mass: float | None = None,
     vehicle: Mapping[str, float] | None = None,
 ) -> GapReport:
     """`report` whose effects carry the simulator's settings: each its part of all together, so that they add up.
@@ -111,6 +112,8 @@ def with_patches(
         Parameters of the simulator's log; None: a fresh ArduPilot simulator's.
     frame
         Keys of the frame file that it was flown with; None: the stock frame.
+    mass
+        Of the real vehicle, kg; None: not known.
     vehicle
         Parameters of the real vehicle; None: not known.
     """
@@ -118,7 +121,7 @@ def with_patches(
     biased = {(e.sensor, n) for e in report.effects if term_of(e) is SensorTerm.BIAS for n in e.instances}
     flying = airframe_effects(report.effects)
     geometry = None if report.airframe is None else report.airframe.geometry
-    own = own_patches(flying, base or {}, frame, geometry=geometry, vehicle=vehicle)
+    own = own_patches(flying, base or {}, frame, geometry=geometry, mass=mass, vehicle=vehicle)
     settings = {id(effect): part for effect, part in zip(flying, own, strict=True)}
     effects = []
     for effect in report.effects:

@@ -10,10 +10,14 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from mavcal.calib.airframe.geometry import NAMED
 from mavcal.calib.gap.progress import DEFAULT_LIMIT_S
 from mavcal.calib.gap.schema import GapVerdict, LocatedGap, NotTestable, Regime, Rival, Shrink, Unknown
+from mavcal.calib.gap.telling.agreement import Remainder
+from mavcal.calib.gap.verify import Left, Size, Verified
 from mavcal.service.commands import gap
-from mavcal.service.commands.gap import LIMIT_S, command
+from mavcal.service.commands.gap import command
+from mavcal.service.commands.gap_options import FRAMES, LIMIT_S
 from tests.unit.gap.export.making import effect, report
 from tests.unit.gap_report.flown import DOMAINS, WEAK, WIND, drag_flight, weak_motor, windy_null
 
@@ -146,12 +150,12 @@ def test_sensors_that_were_not_compared_and_warnings_are_said(said):
 
 def test_a_remedy_is_told_with_what_is_left_and_what_came_in(said):
     nats = SimpleNamespace(nats=0.25, ci95=(0.2, 0.3))
-    left = SimpleNamespace(id="accel_bias", instances=(1, 2), share=0.031, agrees=False)
+    left = Left("accel_bias", (1, 2), 0.031, {}, {})
     verified = SimpleNamespace(
         remaining=nats,
         before=SimpleNamespace(nats=4.0),
         rest=SimpleNamespace(verdict=GapVerdict.PARTLY_EXPLAINED),
-        effects=[left, SimpleNamespace(**{**vars(left), "agrees": True})],
+        effects=[left, replace(left, agrees=True)],
         added=[SimpleNamespace(id="gyro_bias")],
         warnings=("It is short.",),
     )
@@ -164,6 +168,22 @@ def test_a_remedy_is_told_with_what_is_left_and_what_came_in(said):
     assert ["its errors" in line for line in (left_over, agreed)] == [False, True]
     assert "gyro_bias" in added
     assert f"! {verified.warnings[0]}" in more
+
+
+def test_a_patched_airframe_is_told_parameter_by_parameter(said):
+    thrust = {"s": Remainder(0.003, 0.004, ratio=True, within=True)}
+    lag = {"tau_up": Remainder(0.02, 0.004, ratio=False, within=False)}
+    closed = Left("thrust_scale", (), 0.0, {}, {}, {"s": -0.1}, agrees=True, remainders=thrust)
+    left = Left("motor_lag", (), 1.0, {}, {}, remainders=lag)
+    before, remaining = Size(4.0, (3.0, 5.0)), Size(0.0, (0.0, 0.1))
+    verified = Verified(
+        same_flight=False, before=before, remaining=remaining, effects=(closed, left), added=(), rest=report(),
+        warnings=(),
+    )  # fmt: skip
+    text = " ".join(" ".join(said(report(BIAS), verified)).split())
+    assert "thrust_scale: s, real by new 1.003 ± 0.004, within two standard errors of 1" in text
+    assert "tau_up, real less new 0.02 ± 0.004, not closed; the new flight does not show the effect" in text
+    assert "brought nothing in" in text
 
 
 @pytest.mark.parametrize(
@@ -195,8 +215,8 @@ def diagnosed(monkeypatch, tmp_path):
     def run(found, *arguments):
         handed = {}
 
-        def diagnosis(real, sim, nominal, *, inputs, pace, frame):
-            handed.update(sim=sim, nominal=nominal, inputs=inputs, limit=pace.limit_s)
+        def diagnosis(real, sim, nominal, *, inputs, pace, **stated):
+            handed.update(sim=sim, nominal=nominal, inputs=inputs, limit=pace.limit_s, **stated)
             return found
 
         monkeypatch.setattr("mavcal.calib.gap.run", diagnosis)
@@ -225,8 +245,16 @@ def test_json_has_the_report_and_what_was_exported_and_the_page_is_written(diagn
     assert "SIM_ACC1_BIAS_X" in remedy.read_text()
 
 
-def test_the_default_limit_is_that_of_the_diagnosis():
+def test_help_states_what_the_diagnosis_has():
     assert LIMIT_S == DEFAULT_LIMIT_S
+    assert tuple(NAMED) == FRAMES
+
+
+def test_what_is_stated_of_the_airframe_reaches_the_diagnosis(diagnosed, tmp_path):
+    flown = tmp_path / "flown.json"
+    flown.write_text('{"hoverThrOut": 0.4}')
+    _, handed = diagnosed(report(BIAS), "--frame", "hexa-x", "--mass", "2.5", "--sim-frame", str(flown))
+    assert (handed["frame"], handed["mass"], handed["sim_frame"]) == ("hexa-x", 2.5, {"hoverThrOut": 0.4})
 
 
 def test_a_subcommand_needs_no_recording(monkeypatch):

@@ -7,14 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.calib.gap import DEFAULT_LIMIT_S
 from mavcal.service.cli import main
 from mavcal.service.closing.loop import CONNECT
 from mavcal.service.commands import gap_close
 
 
 def test_help_states_what_the_code_does() -> None:
-    assert gap_close.LIMIT_S == DEFAULT_LIMIT_S
     assert gap_close.CONNECT == CONNECT
 
 

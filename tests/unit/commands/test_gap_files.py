@@ -16,7 +16,6 @@ from mavcal.service.commands.gap_files import (
     check_folders,
     read_files,
     read_frame,
-    with_frame,
     write,
     write_exports,
 )
@@ -140,16 +139,13 @@ def test_the_frame_that_flew_is_what_the_remedy_builds_on(table, tmp_path):
     assert written["for"] == "frame"
     assert '"hoverThrOut": 0.5' in (tmp_path / "a.json").read_text()
     assert '"mass": 2.5' in (tmp_path / "a.json").read_text()
-    assert with_frame(LIGHT, files, remedy).effects[0].sim_patch == {"frame_json": {"hoverThrOut": 0.5}}
-    assert with_frame(LIGHT, files, Remedy()) is LIGHT
 
 
 @pytest.mark.parametrize("text", ["[]", "{", '{"mass": 0}'])
-def test_a_frame_that_is_none_is_refused(table, tmp_path, text):
+def test_a_frame_that_is_none_is_refused(tmp_path, text):
     (tmp_path / "flown.json").write_text(text)
-    files = read_files(table("real.csv"), None, [], None, READING)
     with pytest.raises(click.BadParameter, match="the simulator's frame"):
-        with_frame(LIGHT, files, Remedy(frame=read_frame(str(tmp_path / "flown.json"))))
+        read_frame(str(tmp_path / "flown.json"))
 
 
 def test_what_a_file_cannot_hold_or_holds_in_doubt_is_said(table, tmp_path, capsys, monkeypatch):

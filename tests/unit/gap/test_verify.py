@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib import gap
 from mavcal.calib.gap.export import Target, exported
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
-from mavcal.calib.gap.telling.agreement import agreements, distance
+from mavcal.calib.gap.telling.agreement import agreements, distance, remainders
 from mavcal.calib.gap.verify import _left_flying, verified_json, verify
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.calib.simulate import SensorErrors, SensorSuite
@@ -155,10 +155,27 @@ def test_an_airframe_is_closed_where_the_new_flight_has_its_parameters() -> None
     [left] = map(_left_flying, agreements([THRUST], [near]))
     assert (left.share, left.agrees) == (0.0, True)
     assert left.left["s"] == pytest.approx(0.9 / 0.9015 - 1.0)
+    assert left.remainders["s"].ratio
+    assert left.remainders["s"].within
     [left] = map(_left_flying, agreements([THRUST], [far]))
     assert not left.agrees
     assert left.left["s"] == pytest.approx(0.9 / 0.95 - 1.0)
+    assert not left.remainders["s"].within
     assert left.share == pytest.approx((0.0526 / 0.1) ** 2, rel=0.01)
+
+
+def test_the_error_of_a_ratio_of_two_flights_is_that_of_both() -> None:
+    """Against draws: real by new of numbers that are known to 2 and 3 %."""
+    rng = np.random.default_rng(5)
+    real, new = (
+        dataclasses.replace(THRUST, params=(dataclasses.replace(THRUST.params[0], value=v, se=se),))
+        for v, se in ((-0.1, 0.018), (-0.2, 0.024))
+    )
+    [found] = agreements([real], [new])
+    left = remainders(found)["s"]
+    drawn = rng.normal(0.9, 0.018, 100_000) / rng.normal(0.8, 0.024, 100_000) - 1.0
+    assert left.value == pytest.approx(0.125)
+    assert left.se == pytest.approx(float(drawn.std()), rel=0.03)
 
 
 def test_an_airframe_that_the_new_flight_does_not_show_is_left_as_a_whole() -> None:

@@ -156,7 +156,7 @@ def frame_from_text(text: str) -> dict[str, Any]:
     Raises
     ------
     InvalidInputError
-        If it is no JSON object.
+        If it is no JSON object, or a key has a value that the simulator cannot take.
     """
     bare = "\n".join(line.split("#", 1)[0] for line in text.splitlines())
     try:
@@ -165,6 +165,7 @@ def frame_from_text(text: str) -> dict[str, Any]:
         raise InvalidInputError(f"the simulator's frame is no JSON: {error}") from error
     if not isinstance(found, dict):
         raise InvalidInputError("the simulator's frame is no JSON object with keys such as mass and hoverThrOut")
+    frame_of(found, {})
     return found
 
 

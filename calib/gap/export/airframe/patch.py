@@ -91,16 +91,17 @@ def own_patches(
     frame: Mapping[str, Any] | None = None,
     *,
     geometry: Geometry | None = None,
+    mass: float | None = None,
     vehicle: Mapping[str, float] | None = None,
 ) -> tuple[Mapping[str, Any], ...]:
     """``sim_patch`` of each of `effects`: its part of :func:`airframe_patch` of all, so that they do not contradict.
 
-    A key that several effects move has the value for all of them in each.
+    A key that several effects move has the value for all of them in each; so have those that a stated `mass` moves.
     """
-    whole = airframe_patch(effects, simulator, frame, geometry=geometry, vehicle=vehicle)
+    whole = airframe_patch(effects, simulator, frame, geometry=geometry, mass=mass, vehicle=vehicle)
     found: list[Mapping[str, Any]] = []
     for effect in effects:
-        alone = airframe_patch((effect,), simulator, frame, geometry=geometry, vehicle=vehicle)
+        alone = airframe_patch((effect,), simulator, frame, geometry=geometry, mass=mass, vehicle=vehicle)
         keys = {key: whole.frame_json[key] for key in alone.frame_json if key in whole.frame_json}
         values = {name: whole.parameters[name] for name in alone.parameters if name in whole.parameters}
         found.append({**values, **({"frame_json": keys} if keys else {})})

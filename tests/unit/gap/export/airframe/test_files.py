@@ -165,6 +165,10 @@ def test_a_report_carries_each_effects_own_settings() -> None:
     assert set(said["motor_weak"]) == {"SIM_ENGINE_FAIL", "SIM_ENGINE_MUL"}
     assert said["wind"] == said["actuator_delay"] == {}
     assert set(said["accel_bias"]) == {f"SIM_ACC1_BIAS_{a}" for a in "XYZ"}
+    heavy = with_patches(found(*EFFECTS), {"SIM_BATT_VOLTAGE": 12.6}, mass=4.5)
+    parts = [e.sim_patch for e in heavy.effects if "frame_json" in e.sim_patch]
+    assert {part["frame_json"]["mass"] for part in parts} == {4.5}
+    assert heavy.effects[0].sim_patch["frame_json"]["refCurrent"] == pytest.approx(29.3 * 1.5)
     in_px4 = with_patches(found(*EFFECTS), {"SIH_KDV": 2.0})
     assert in_px4.effects[1].sim_patch == {"SIH_KDV": pytest.approx(3.2)}
 
