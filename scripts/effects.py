@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from mavcal.calib.airframe import effects as airframe
+from mavcal.calib.airframe import ground
 from mavcal.calib.airframe.effects import Act, AirframeEffect
 from mavcal.calib.airframe.physics import FORCE_ONLY, TORQUE_ONLY, Layout
 from mavcal.calib.airframe.testable import UNTESTED
@@ -92,7 +93,15 @@ def airframe_table() -> str:
     never = "".join(
         f"| `{i}` {plain_name(i)} | – | – | – | always `not_testable`: {need} |\n" for i, (_, need) in UNTESTED.items()
     )
-    return AIRFRAME_HEADER + "".join(f"{airframe_row(id_, made)}\n" for id_, made in forms.items()) + never
+    rows = "".join(f"{airframe_row(id_, made)}\n" for id_, made in forms.items())
+    return f"{AIRFRAME_HEADER}{rows}{ground_row()}\n{never}"
+
+
+def ground_row() -> str:
+    """The line of the effect that is judged outside the contest."""
+    label, unit = labels(ground.ID)["a"]
+    does = f"thrust / (1 - s / (4 z)²) with the rotors at z; told at {ground.TOLD_AT_M} m"
+    return f"| `{ground.ID}` {plain_name(ground.ID)} | {does} | `a` {label} ({unit}) | force | {ground.NEED} |"
 
 
 def airframe_row(id_: str, forms: Sequence[AirframeEffect]) -> str:

@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.air import GLITCHED_S, Jump, glitches, jumps, outside, turbulence
 from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands, Domain
 from mavcal.calib.airframe.commands import commands_of
-from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
+from mavcal.calib.airframe.effects import ODDS, AirframeEffect, catalogue, nameless
 from mavcal.calib.airframe.fit import FlightLikelihood, expanded
 from mavcal.calib.airframe.flown import FlownFlight, Unflown, flown, needed_log
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, NoAirframe
 from mavcal.calib.airframe.geometry import geometry_of
+from mavcal.calib.airframe.ground import ID as GROUND
+from mavcal.calib.airframe.ground import ground_gap
 from mavcal.calib.airframe.heldout import Parted, alone, held_out
 from mavcal.calib.airframe.load import with_load
+from mavcal.calib.airframe.low import NearGround, near_ground
 from mavcal.calib.airframe.nameless import GROUPS
 from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
@@ -50,6 +53,7 @@ class _Flight:
     parameters: dict[str, float]
     jumps: tuple[Jump, ...]
     glitches: tuple[Jump, ...]
+    near: NearGround | None
 
 
 def airframe_gap(
@@ -135,7 +139,7 @@ def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
     kept = replace(found, usable=found.usable & outside(found, jumped) & outside(found, wrong, GLITCHED_S))
     if kept.usable.mean() < 0.5:
         return NoAirframe(f"only {100 * kept.usable.mean():.0f} % of the flight can be judged", needed_log(recording))
-    return _Flight(kept, parameters, jumped, wrong)
+    return _Flight(kept, parameters, jumped, wrong, near_ground(recording, kept))
 
 
 def _kinds(sim: _Flight) -> tuple[Kind, ...]:
@@ -213,9 +217,13 @@ def _answer(
 ) -> AirframeAnswer:
     evidence = answer.evidence
     assert isinstance(evidence, PairEvidence)
-    found = effects_of(answer, evidence, slew, least=LIKELY)
-    parted = held_out(answer, evidence, found) if held else Parted((), None)
     side = evidence.side_of(answer.best.model)
+    ground = ground_gap((real.near, side), (sim.near, evidence.sim), ODDS)
+    if isinstance(ground, Missing):
+        untestable = (*untestable, ground)
+    beside = () if isinstance(ground, Missing) else (ground.told(),)
+    found = effects_of(answer, evidence, slew, least=LIKELY, beside=beside)
+    parted = held_out(answer, evidence, found) if held else Parted((), None)
     loud = turbulence(real.flight, side.fit.residual[:, :3], sim.flight, evidence.sim.fit.residual[:, :3])
     unknown, share, chance = _unnamed(answer, found)
     theta, _ = evidence.parameters(answer.best.model, answer.best.posterior)
@@ -233,7 +241,7 @@ def _answer(
         found=found,
         missing=untestable,
         part=part,
-        tested=len(answer.blocks),
+        tested=len(answer.blocks) + len(beside),
         turbulence=loud,
         jumps=real.jumps,
         glitches=real.glitches,
@@ -241,13 +249,15 @@ def _answer(
         unknown_share=share,
         nameless=chance,
         heldout=parted.nats,
-        warnings=doubtful(answer, evidence.effects, least=_DOUBTFUL, most=LIKELY),
+        warnings=doubtful(answer, evidence.effects, least=_DOUBTFUL, most=LIKELY, beside=beside),
     )
 
 
 def _unnamed(answer: Answer, found: Sequence[FoundEffect]) -> tuple[str, float, float]:
     """What has no name, its share of the evidence, and how probable it is."""
     of_air = {g.id for g in GROUPS if g.of_air}
+    if any(f.id == GROUND for f in found):
+        of_air.add("height_force")  # the same force, seen from above
     texts = {g.id: g.text for g in GROUPS}
     ids = [b.name for b in answer.blocks if b.nameless and b.name not in of_air]
     chance = answer.probability(*ids)

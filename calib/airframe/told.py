@@ -46,15 +46,20 @@ _RELATIVE: Final = frozenset(
 )
 
 
-def effects_of(answer: Answer, evidence: PairEvidence, slew: float | None, *, least: float) -> tuple[FoundEffect, ...]:
-    """Every named effect whose probability is `least` or more, the one of most evidence first."""
+def effects_of(
+    answer: Answer, evidence: PairEvidence, slew: float | None, *, least: float, beside: Sequence[FoundEffect] = ()
+) -> tuple[FoundEffect, ...]:
+    """Every named effect whose probability is `least` or more, the one of most evidence first.
+
+    `beside` are effects that were judged on other rows of the flight.
+    """
     by_block = {e.block: e for e in evidence.effects}
     ids: dict[tuple[str, int | None], list[AirframeEffect]] = {}
     for effect in evidence.effects:
         if not effect.nameless:
             ids.setdefault((effect.id, effect.motor), []).append(effect)
     slow = [g.id for g in GROUPS if g.of_air]
-    found = []
+    found = [f for f in beside if f.probability >= least]
     for (id_, motor), forms in ids.items():
         chance = answer.probability(*(f.block for f in forms))
         inside = [f for f in forms if f.block in answer.best.model]
@@ -77,15 +82,18 @@ def effects_of(answer: Answer, evidence: PairEvidence, slew: float | None, *, le
     return tuple(sorted((replace(f, share=f.nats / total) for f in found), key=lambda f: -f.nats))
 
 
-def doubtful(answer: Answer, effects: Sequence[AirframeEffect], *, least: float, most: float) -> tuple[str, ...]:
+def doubtful(
+    answer: Answer, effects: Sequence[AirframeEffect], *, least: float, most: float, beside: Sequence[FoundEffect] = ()
+) -> tuple[str, ...]:
     """Effects whose probability lies between: too likely to be left out, too doubtful to be set."""
     forms: dict[tuple[str, int | None], list[str]] = {}
     for effect in effects:
         if not effect.nameless and effect.domain is Domain.AIRFRAME:
             forms.setdefault((effect.id, effect.motor), []).append(effect.block)
+    chances = [(id_, motor, answer.probability(*blocks)) for (id_, motor), blocks in forms.items()]
+    chances += [(f.id, None, f.probability) for f in beside]
     found = []
-    for (id_, motor), blocks in forms.items():
-        chance = answer.probability(*blocks)
+    for id_, motor, chance in chances:
         if least <= chance < most:
             which = "" if motor is None else f" of motor {motor}"
             fly = FIXES.get(id_, STANDARD_FLIGHT)

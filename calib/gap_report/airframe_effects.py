@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from mavcal.calib.airframe.ground import TOLD_AT_M
 from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate, Rival
 from mavcal.calib.gap_report.intervals import after_number, bracketed, more_or_less, range_of, ratio_of, rounded, times
 
@@ -176,7 +177,8 @@ def _sag(p: _Params, _: EffectEstimate) -> str:
 
 
 def _ground(p: _Params, _: EffectEstimate) -> str:
-    return f"near the ground the real vehicle has {more_or_less(p['a'], _PER_CENT, '% of thrust', 'more', 'less')}"
+    amount = more_or_less(p["a"], _PER_CENT, "% of thrust", "more", "less")
+    return f"with its rotors {TOLD_AT_M} m above the ground the real vehicle has {amount}"
 
 
 def _payload(p: _Params, _: EffectEstimate) -> str:

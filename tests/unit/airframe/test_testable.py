@@ -14,7 +14,7 @@ from mavcal.calib.airframe.testable import TORQUE_IDS, missing, unusable
 from tests.unit.airframe.made import HZ, airframe, flight
 
 N = 6000
-ALWAYS = {"ground_effect", "air_density"}
+ALWAYS = {"air_density"}
 
 
 def lively() -> FlownFlight:
