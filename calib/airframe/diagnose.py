@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.air import GLITCHED_S, Jump, glitches, jumps, outside, turbulence
 from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands, Domain
 from mavcal.calib.airframe.commands import commands_of
-from mavcal.calib.airframe.effects import ODDS, AirframeEffect, catalogue, nameless
+from mavcal.calib.airframe.density import Densities, Density, densities, density_of
+from mavcal.calib.airframe.effects import ODDS, AirframeEffect, catalogue, nameless, of_density
 from mavcal.calib.airframe.fit import FlightLikelihood, expanded
 from mavcal.calib.airframe.flown import FlownFlight, Unflown, flown, needed_log
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, NoAirframe
@@ -54,6 +55,7 @@ class _Flight:
     jumps: tuple[Jump, ...]
     glitches: tuple[Jump, ...]
     near: NearGround | None
+    air: Density | None
 
 
 def airframe_gap(
@@ -139,7 +141,8 @@ def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
     kept = replace(found, usable=found.usable & outside(found, jumped) & outside(found, wrong, GLITCHED_S))
     if kept.usable.mean() < 0.5:
         return NoAirframe(f"only {100 * kept.usable.mean():.0f} % of the flight can be judged", needed_log(recording))
-    return _Flight(kept, parameters, jumped, wrong, near_ground(recording, kept))
+    air = density_of(recording, float(kept.t[0]), float(kept.t[-1]))
+    return _Flight(kept, parameters, jumped, wrong, near_ground(recording, kept), air)
 
 
 def _kinds(sim: _Flight) -> tuple[Kind, ...]:
@@ -176,7 +179,10 @@ def _diagnosed(
         if reason := unusable(side.likelihood):
             return NoAirframe(f"{which} recording: {reason}", "a flight within the motors' limits")
     untestable = missing(ours.likelihood, theirs.likelihood)
-    effects = _testable(theirs, kind, untestable, without)
+    air = densities(real.air, sim.air, sim.parameters)
+    if isinstance(air, Missing):
+        untestable = (*untestable, air)
+    effects = _testable(theirs, kind, untestable, without, None if isinstance(air, Missing) else air)
     slewed = with_limit(ours, theirs, effects) if any(e.slew for e in effects) and not ended() else None
     effects = tuple(e for e in effects if slewed is not None or not e.slew)
     evidence = PairEvidence(ours, theirs, effects, None if slewed is None else slewed[0])
@@ -200,12 +206,14 @@ def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side
 
 
 def _testable(
-    sim: Side, kind: Kind, untestable: Sequence[Missing], without: frozenset[str]
+    sim: Side, kind: Kind, untestable: Sequence[Missing], without: frozenset[str], air: Densities | None
 ) -> tuple[AirframeEffect, ...]:
     gone = {m.id for m in untestable} | without
     layout = sim.fit.layout
     gains = [sim.fit.value(f"gain_{axis}") for axis in AXES]
     named = catalogue(layout, rotors_damp=kind.drag_by_rotor, hover_gain=gains)
+    if air is not None:
+        named = (*named, of_density(air, rotors_damp=kind.drag_by_rotor))
     torque = sim.likelihood.torque
     kept = [e for e in named if e.id not in gone and (torque or not e.torque)]
     free = (e for e in nameless(layout) if torque or not e.torque)

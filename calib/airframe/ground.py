@@ -20,11 +20,12 @@ from mavcal.calib.airframe.found import FoundEffect, FoundValue
 from mavcal.calib.airframe.low import CALM_M, LEGS_M, MEMORY_S, NEAR_M, LowFlight, NearGround, Pass, low_flight
 from mavcal.calib.airframe.pair import Side
 from mavcal.calib.airframe.testable import Missing
+from mavcal.calib.airframe.words import FIXES
 
 Array = NDArray[np.float64]
 
 ID: Final = "ground_effect"
-NEED: Final = "20 s of hover with the rotors 0.3 m above the ground and a slow landing, with a rangefinder, in both"
+NEED: Final = FIXES[ID]
 TOLD_AT_M: Final = 0.25
 """Height of the rotors at which the gain is told. Chosen, not measured: two radii of a 10-inch propeller."""
 LEAST_S: Final = 1.0
