@@ -45,6 +45,7 @@ class Sensor(StrEnum):
     MIXER = "mixer"  # what scales the mixer: lift_max, voltage ratio, thrust limit
     VOLTAGE = "voltage"  # of the battery, V
     HEIGHT = "height"  # above the ground, measured downwards, m
+    AIR = "air"  # pressure, Pa, and temperature of the barometer, degC
 
 
 _LOOKED_AT = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
@@ -253,8 +254,8 @@ class Recording:
     `reference` holds what is not of the vehicle's own sensors: what a simulated or ideal sensor read at the same time
     (ACCEL, GYRO, MAG), and the pose of a reference (ATTITUDE, PLACE, VELOCITY). No calibration touches it.
 
-    `dynamics` holds what the autopilot knows of its own flight: CONTROL, MIXER, VOLTAGE, HEIGHT, and the estimator's
-    ATTITUDE, VELOCITY and PLACE. Only the diagnosis of the airframe (:mod:`calib.airframe`) reads it.
+    `dynamics` holds what the autopilot knows of its own flight: CONTROL, MIXER, VOLTAGE, HEIGHT, AIR, and the
+    estimator's ATTITUDE, VELOCITY and PLACE. Only the diagnosis of the airframe (:mod:`calib.airframe`) reads it.
     """
 
     channels: tuple[Channel, ...]

@@ -7,9 +7,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from mavcal.calib.airframe import effects as airframe
+from mavcal.calib.airframe import ground
+from mavcal.calib.airframe.density import Densities, Density
 from mavcal.calib.airframe.effects import Act, AirframeEffect
 from mavcal.calib.airframe.physics import FORCE_ONLY, TORQUE_ONLY, Layout
-from mavcal.calib.airframe.testable import UNTESTED
 from mavcal.calib.airframe.words import FIXES
 from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, LatticeEffect, MeanEffect
@@ -86,13 +87,20 @@ def _coded(name: str) -> str:
 def airframe_table() -> str:
     """Every effect of airframe and air that a contest of two flights has, one line each."""
     forms: dict[str, list[AirframeEffect]] = {}
-    for effect in airframe.catalogue(Layout(4), rotors_damp=True, hover_gain=(1.0, 1.0, 1.0)):
+    known = Density(1.1, 0.01)
+    expected = airframe.of_density(Densities(known, known), rotors_damp=True)
+    for effect in (*airframe.catalogue(Layout(4), rotors_damp=True, hover_gain=(1.0, 1.0, 1.0)), expected):
         if effect.motor in {None, _A_MOTOR}:
             forms.setdefault(effect.id, []).append(effect)
-    never = "".join(
-        f"| `{i}` {plain_name(i)} | – | – | – | always `not_testable`: {need} |\n" for i, (_, need) in UNTESTED.items()
-    )
-    return AIRFRAME_HEADER + "".join(f"{airframe_row(id_, made)}\n" for id_, made in forms.items()) + never
+    rows = "".join(f"{airframe_row(id_, made)}\n" for id_, made in forms.items())
+    return f"{AIRFRAME_HEADER}{rows}{ground_row()}\n"
+
+
+def ground_row() -> str:
+    """The line of the effect that is judged outside the contest."""
+    label, unit = labels(ground.ID)["a"]
+    does = f"thrust / (1 - s / (4 z)²) with the rotors at z; told at {ground.TOLD_AT_M} m"
+    return f"| `{ground.ID}` {plain_name(ground.ID)} | {does} | `a` {label} ({unit}) | force | {ground.NEED} |"
 
 
 def airframe_row(id_: str, forms: Sequence[AirframeEffect]) -> str:

@@ -13,13 +13,17 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.air import GLITCHED_S, Jump, glitches, jumps, outside, turbulence
 from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands, Domain
 from mavcal.calib.airframe.commands import commands_of
-from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
+from mavcal.calib.airframe.density import Densities, Density, densities, density_of
+from mavcal.calib.airframe.effects import ODDS, AirframeEffect, catalogue, nameless, of_density
 from mavcal.calib.airframe.fit import FlightLikelihood, expanded
 from mavcal.calib.airframe.flown import FlownFlight, Unflown, flown, needed_log
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, NoAirframe
 from mavcal.calib.airframe.geometry import geometry_of
+from mavcal.calib.airframe.ground import ID as GROUND
+from mavcal.calib.airframe.ground import ground_gap
 from mavcal.calib.airframe.heldout import Parted, alone, held_out
 from mavcal.calib.airframe.load import with_load
+from mavcal.calib.airframe.low import NearGround, near_ground
 from mavcal.calib.airframe.nameless import GROUPS
 from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
@@ -50,6 +54,8 @@ class _Flight:
     parameters: dict[str, float]
     jumps: tuple[Jump, ...]
     glitches: tuple[Jump, ...]
+    near: NearGround | None
+    air: Density | None
 
 
 def airframe_gap(
@@ -135,7 +141,8 @@ def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
     kept = replace(found, usable=found.usable & outside(found, jumped) & outside(found, wrong, GLITCHED_S))
     if kept.usable.mean() < 0.5:
         return NoAirframe(f"only {100 * kept.usable.mean():.0f} % of the flight can be judged", needed_log(recording))
-    return _Flight(kept, parameters, jumped, wrong)
+    air = density_of(recording, float(kept.t[0]), float(kept.t[-1]))
+    return _Flight(kept, parameters, jumped, wrong, near_ground(recording, kept), air)
 
 
 def _kinds(sim: _Flight) -> tuple[Kind, ...]:
@@ -172,7 +179,10 @@ def _diagnosed(
         if reason := unusable(side.likelihood):
             return NoAirframe(f"{which} recording: {reason}", "a flight within the motors' limits")
     untestable = missing(ours.likelihood, theirs.likelihood)
-    effects = _testable(theirs, kind, untestable, without)
+    air = densities(real.air, sim.air, sim.parameters)
+    if isinstance(air, Missing):
+        untestable = (*untestable, air)
+    effects = _testable(theirs, kind, untestable, without, None if isinstance(air, Missing) else air)
     slewed = with_limit(ours, theirs, effects) if any(e.slew for e in effects) and not ended() else None
     effects = tuple(e for e in effects if slewed is not None or not e.slew)
     evidence = PairEvidence(ours, theirs, effects, None if slewed is None else slewed[0])
@@ -196,12 +206,14 @@ def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side
 
 
 def _testable(
-    sim: Side, kind: Kind, untestable: Sequence[Missing], without: frozenset[str]
+    sim: Side, kind: Kind, untestable: Sequence[Missing], without: frozenset[str], air: Densities | None
 ) -> tuple[AirframeEffect, ...]:
     gone = {m.id for m in untestable} | without
     layout = sim.fit.layout
     gains = [sim.fit.value(f"gain_{axis}") for axis in AXES]
     named = catalogue(layout, rotors_damp=kind.drag_by_rotor, hover_gain=gains)
+    if air is not None:
+        named = (*named, of_density(air, rotors_damp=kind.drag_by_rotor))
     torque = sim.likelihood.torque
     kept = [e for e in named if e.id not in gone and (torque or not e.torque)]
     free = (e for e in nameless(layout) if torque or not e.torque)
@@ -213,9 +225,13 @@ def _answer(
 ) -> AirframeAnswer:
     evidence = answer.evidence
     assert isinstance(evidence, PairEvidence)
-    found = effects_of(answer, evidence, slew, least=LIKELY)
-    parted = held_out(answer, evidence, found) if held else Parted((), None)
     side = evidence.side_of(answer.best.model)
+    ground = ground_gap((real.near, side), (sim.near, evidence.sim), ODDS)
+    if isinstance(ground, Missing):
+        untestable = (*untestable, ground)
+    beside = () if isinstance(ground, Missing) else (ground.told(),)
+    found = effects_of(answer, evidence, slew, least=LIKELY, beside=beside)
+    parted = held_out(answer, evidence, found) if held else Parted((), None)
     loud = turbulence(real.flight, side.fit.residual[:, :3], sim.flight, evidence.sim.fit.residual[:, :3])
     unknown, share, chance = _unnamed(answer, found)
     theta, _ = evidence.parameters(answer.best.model, answer.best.posterior)
@@ -228,13 +244,13 @@ def _answer(
         manoeuvres=needed_manoeuvres(found, untestable),
         traces=_traces(side, evidence, answer),
         facts=_facts(side),
-        probabilities=probabilities(answer, evidence.effects),
+        probabilities=probabilities(answer, evidence.effects, beside),
     )
     return AirframeAnswer(
         found=found,
         missing=untestable,
         part=part,
-        tested=len(answer.blocks),
+        tested=len(answer.blocks) + len(beside),
         turbulence=loud,
         jumps=real.jumps,
         glitches=real.glitches,
@@ -242,13 +258,15 @@ def _answer(
         unknown_share=share,
         nameless=chance,
         heldout=parted.nats,
-        warnings=doubtful(answer, evidence.effects, least=_DOUBTFUL, most=LIKELY),
+        warnings=doubtful(answer, evidence.effects, least=_DOUBTFUL, most=LIKELY, beside=beside),
     )
 
 
 def _unnamed(answer: Answer, found: Sequence[FoundEffect]) -> tuple[str, float, float]:
     """What has no name, its share of the evidence, and how probable it is."""
     of_air = {g.id for g in GROUPS if g.of_air}
+    if any(f.id == GROUND for f in found):
+        of_air.add("height_force")  # the same force, seen from above
     texts = {g.id: g.text for g in GROUPS}
     ids = [b.name for b in answer.blocks if b.nameless and b.name not in of_air]
     chance = answer.probability(*ids)

@@ -6,7 +6,7 @@ the simulator's flight has too is no gap: amplitudes are those of the real fligh
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.airframe.answer import Domain
+from mavcal.calib.airframe.density import ID as DENSITY
+from mavcal.calib.airframe.density import Densities
 from mavcal.calib.airframe.nameless import GROUPS, PREFIX, SIZES
 from mavcal.calib.airframe.physics import AXES, Layout
 
@@ -62,8 +64,14 @@ class AirframeEffect:
     motor: int | None = None
     torque: bool = False
     """Whether only torque shows it."""
+    mean: float = 0.0
+    """Of every amplitude before the flights: what the logs tell beside them."""
+    sides: tuple[float, float] | None = None
+    """The parameter in the real and the simulated flight, where the logs tell it."""
 
 
+FORMS: Final[Mapping[str, str]] = {"thrust_scale": "thrust", "thrust_by_mass": "mass"}
+"""Causes of one effect that a report tells apart, by block."""
 ODDS: Final = 0.05
 """Of each effect before a flight is seen. Source: mixtures of one to four of twenty effects (AIRFRAME 6) have a mean of
 about one."""
@@ -76,7 +84,7 @@ IDS: Final = frozenset(
         "thrust_scale", "thrust_expo", "rotor_drag", "body_drag", "inflow", "translational_lift", "inertia",
         "cg_offset", "motor_weak", "torque_bias", "yaw_coefficient", "angular_damping", "battery_sag", "motor_lag",
         "actuator_delay",
-        "payload_step", "wind",
+        "payload_step", "wind", "air_density",
     }
 )  # fmt: skip
 """Every name that the catalogue can give."""
@@ -169,6 +177,25 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     load = (Change(0, "load", plus),)
     yield AirframeEffect("payload_step", "payload_step", ("s",), (0.2,), load, ("load",), odds=ODDS / STEPS)
     yield _one("actuator_delay", "delay", 0.01, (Change(0, "delay", plus),), "delay", torque=True)
+
+
+def of_density(both: Densities, *, rotors_damp: bool) -> AirframeEffect:
+    """Another density of the air, as the logs tell it: all forces of the air, the rotors' drag by its root.
+
+    Rotors that carry the same weight in denser air turn more slowly, by the root of the density. Densities that differ
+    for certain are expected to show, beside another thrust; others stand in its place only.
+    """
+    whole = ("k", *(f"gain_{a}" for a in AXES), "c2", "ch", "climb")
+    damped = (*(f"damping_{a}" for a in AXES), "flap_x", "flap_y") if rotors_damp else ()
+    changes = (
+        *(Change(0, n, Act.TIMES) for n in whole),
+        *(Change(0, n, Act.TIMES, 0.5) for n in ("c1", "cz", *damped)),
+        Change(0, "spin_up", Act.OVER),
+    )
+    return AirframeEffect(
+        DENSITY, DENSITY, ("s",), (both.sd,), changes, ("k",), Domain.ENVIRONMENT, odds=1.0 if both.apart else ODDS,
+        exclusive="" if both.apart else "thrust", mean=both.excess, sides=(both.real.value, both.sim.value),
+    )  # fmt: skip
 
 
 def nameless(layout: Layout) -> tuple[AirframeEffect, ...]:

@@ -122,8 +122,10 @@ def needed_log(recording: Recording) -> str:
     return PROFILE_BITS if recording.identity.autopilot == "px4" else LOG_BITS
 
 
-def flown(recording: Recording, geometry: Geometry, commands: MotorCommands) -> FlownFlight | Unflown:
-    """The airborne span of a recording on one grid, or why there is none."""
+def flown(
+    recording: Recording, geometry: Geometry, commands: MotorCommands, *, from_ground: bool = False
+) -> FlownFlight | Unflown:
+    """The airborne span of a recording on one grid, or why there is none; `from_ground`: with take-off and landing."""
     need = needed_log(recording)
     inertial = _inertial(recording, commands)
     velocity, attitude = _state(recording, Sensor.VELOCITY), _state(recording, Sensor.ATTITUDE)
@@ -132,7 +134,7 @@ def flown(recording: Recording, geometry: Geometry, commands: MotorCommands) -> 
     if velocity is None or attitude is None:
         return Unflown("no velocity and attitude of the estimator at 4 Hz or more", need)
     unit, accel, gyro = inertial
-    span = _airborne(recording, commands)
+    span = _airborne(recording, commands, from_ground=from_ground)
     if span is None:
         return Unflown("the vehicle does not fly in this recording", "a flight of 20 s or more")
     start = max(span[0], *(c.t[0] for c in (accel, gyro, velocity, attitude)), commands.t[0])
@@ -142,7 +144,8 @@ def flown(recording: Recording, geometry: Geometry, commands: MotorCommands) -> 
             f"only {max(end - start, 0.0):.0f} s in the air with everything logged", "a flight of 20 s or more"
         )
     t = np.arange(start, end, 1.0 / GRID_HZ)
-    t = t[: prev_fast_len(len(t), real=True)]
+    if not from_ground:  # else the landing would be cut off
+        t = t[: prev_fast_len(len(t), real=True)]
     usable = ~(
         _gaps(t, accel.t, GAP_S) | _gaps(t, gyro.t, GAP_S) | _gaps(t, commands.t, max(GAP_S, 2.5 / commands.rate_hz))
         | _gaps(t, velocity.t, _STATE_GAP_S) | _gaps(t, attitude.t, _STATE_GAP_S)
@@ -218,8 +221,8 @@ def _state(recording: Recording, sensor: Sensor) -> Channel | None:
     return max(good, key=lambda c: round(_rate(c))) if good else None
 
 
-def _airborne(recording: Recording, commands: MotorCommands) -> tuple[float, float] | None:
-    """The longest span, armed, with running motors and above the ground."""
+def _airborne(recording: Recording, commands: MotorCommands, *, from_ground: bool) -> tuple[float, float] | None:
+    """The longest span, armed, with running motors and above the ground; or from the motors' start to their stop."""
     t, lift = commands.t, commands.c.mean(axis=1)
     running = lift > 0.02
     for event in recording.events:
@@ -228,10 +231,13 @@ def _airborne(recording: Recording, commands: MotorCommands) -> tuple[float, flo
             running &= ~((t >= event.t) & (t < min(later, default=np.inf)))
     if not running.any():
         return None
-    running &= lift > 0.5 * float(np.median(lift[running]))
-    height = _height(recording, t)
-    if np.isfinite(height).any():
-        running &= np.nan_to_num(height, nan=0.0) > CLEAR_M
+    if not from_ground:
+        running &= lift > 0.5 * float(np.median(lift[running]))
+        height = _height(recording, t)
+        if np.isfinite(height).any():
+            running &= np.nan_to_num(height, nan=0.0) > CLEAR_M
+        else:
+            running &= _between_passes(recording, t)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], running, [False]]).astype(np.int8)))
     spans = list(zip(edges[::2], edges[1::2], strict=True))
     if not spans:
@@ -243,7 +249,8 @@ def _airborne(recording: Recording, commands: MotorCommands) -> tuple[float, flo
         else:
             merged.append((first, last))
     first, last = max(merged, key=lambda s: t[s[1] - 1] - t[s[0]])
-    return float(t[first]) + _MARGIN_S, float(t[last - 1]) - _MARGIN_S
+    margin = 0.0 if from_ground else _MARGIN_S
+    return float(t[first]) + margin, float(t[last - 1]) - margin
 
 
 def _height(recording: Recording, t: Array) -> Array:
@@ -256,6 +263,15 @@ def _height(recording: Recording, t: Array) -> Array:
     if gps:
         return np.asarray(np.interp(t, gps[0].t, gps[0].values[:, 2] - gps[0].values[:, 2].min()))
     return np.full(len(t), np.nan)
+
+
+def _between_passes(recording: Recording, t: Array) -> Mask:
+    """From the first to the last row above the ground by a rangefinder, which may be out of its range in between."""
+    found = [c for c in recording.dynamics if c.sensor == Sensor.HEIGHT and (c.values[:, 0] > CLEAR_M).any()]
+    if not found:
+        return np.ones(len(t), dtype=bool)
+    clear = found[0].t[found[0].values[:, 0] > CLEAR_M]
+    return np.asarray((t >= clear[0]) & (t <= clear[-1]))
 
 
 def _gaps(t: Array, stamps: Array, longest: float) -> Mask:

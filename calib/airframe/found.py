@@ -49,6 +49,8 @@ class FoundEffect:
     probability: float
     share: float
     rivals: tuple[FoundRival, ...] = ()
+    forms: Mapping[str, float] = field(default_factory=dict)
+    """Probability of each of its causes, of which one is there; empty where it has one only."""
 
 
 @dataclass(frozen=True)

@@ -152,10 +152,9 @@ class PairEvidence:
 
         terms = (Term(self._reals[slewed], as_real), Term(self.sim.says, as_sim))
         of_effects = [s for e in chosen for s in e.sd]
-        start = np.concatenate([self.sim.fit.theta[places[rows]], np.zeros(width)])
-        value, z, covariance = laplace(
-            terms, start, np.concatenate([mean, np.zeros(width)]), np.concatenate([sd, of_effects])
-        )
+        expected = [e.mean for e in chosen for _ in e.names]
+        start = np.concatenate([self.sim.fit.theta[places[rows]], expected])
+        value, z, covariance = laplace(terms, start, np.concatenate([mean, expected]), np.concatenate([sd, of_effects]))
         where, at = {}, len(rows)
         for effect in chosen:
             where[effect.block] = slice(at, at + len(effect.names))

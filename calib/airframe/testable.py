@@ -25,13 +25,6 @@ _LEAST_TURNS: Final = 0.03
 _MOST_LIMITED: Final = 0.2
 """Numbers of AIRFRAME 5.8: speed both ways, m/s; speed for a square law (8 m/s reached in part of a flight); climbs;
 span of the collective command; of the voltage; part of a flight in which it is made to turn; part at a limit."""
-UNTESTED: Final[Mapping[str, tuple[str, str]]] = {
-    "ground_effect": (
-        "no height above the ground to 5 cm below 1.5 rotor radii",
-        "3 s of hover below 1.5 rotor radii with a rangefinder",
-    ),
-    "air_density": ("the altitude changes by less than 300 m", "a climb of 300 m or more"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -55,8 +48,6 @@ def missing(real: FlightLikelihood, sim: FlightLikelihood) -> tuple[Missing, ...
 
 
 def _missing(real: FlightLikelihood, sim: FlightLikelihood) -> Iterator[Missing]:
-    for id_, (reason, need) in UNTESTED.items():
-        yield Missing(id_, reason, need)
     pair = {"real": real, "simulated": sim}
     yield from _by_rates(pair)
     for which, one in pair.items():

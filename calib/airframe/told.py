@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.airframe.answer import Domain
-from mavcal.calib.airframe.effects import AirframeEffect
+from mavcal.calib.airframe.density import ID as DENSITY
+from mavcal.calib.airframe.density import altitude_of
+from mavcal.calib.airframe.effects import FORMS, AirframeEffect
 from mavcal.calib.airframe.found import FoundEffect, FoundRival, FoundValue
 from mavcal.calib.airframe.nameless import GROUPS
 from mavcal.calib.airframe.pair import PairEvidence
 from mavcal.calib.airframe.testable import Missing
-from mavcal.calib.airframe.words import FIXES, STANDARD_FLIGHT
+from mavcal.calib.airframe.words import BESIDE_STANDARD, FIXES, STANDARD_FLIGHT
 from mavcal.calib.inference.search import Answer
 
 Array = NDArray[np.float64]
@@ -42,19 +44,25 @@ _RELATIVE: Final = frozenset(
         "angular_damping",
         "motor_weak",
         "payload_step",
+        DENSITY,
     }
 )
 
 
-def effects_of(answer: Answer, evidence: PairEvidence, slew: float | None, *, least: float) -> tuple[FoundEffect, ...]:
-    """Every named effect whose probability is `least` or more, the one of most evidence first."""
+def effects_of(
+    answer: Answer, evidence: PairEvidence, slew: float | None, *, least: float, beside: Sequence[FoundEffect] = ()
+) -> tuple[FoundEffect, ...]:
+    """Every named effect whose probability is `least` or more, the one of most evidence first.
+
+    `beside` are effects that were judged on other rows of the flight.
+    """
     by_block = {e.block: e for e in evidence.effects}
     ids: dict[tuple[str, int | None], list[AirframeEffect]] = {}
     for effect in evidence.effects:
         if not effect.nameless:
             ids.setdefault((effect.id, effect.motor), []).append(effect)
     slow = [g.id for g in GROUPS if g.of_air]
-    found = []
+    found = [f for f in beside if f.probability >= least]
     for (id_, motor), forms in ids.items():
         chance = answer.probability(*(f.block for f in forms))
         inside = [f for f in forms if f.block in answer.best.model]
@@ -65,7 +73,8 @@ def effects_of(answer: Answer, evidence: PairEvidence, slew: float | None, *, le
         rivals = _rivals(answer, by_block, forms, id_)
         motors = () if motor is None else (motor,)
         df = sum(max(len(f.names), 1) for f in inside)
-        found.append(FoundEffect(id_, inside[0].domain, motors, values, nats, df, chance, 0.0, rivals))
+        causes = {FORMS[f.block]: answer.probability(f.block) / chance for f in forms if f.block in FORMS}
+        found.append(FoundEffect(id_, inside[0].domain, motors, values, nats, df, chance, 0.0, rivals, causes))
     for block in slow:
         chance = answer.probability(block)
         if block in answer.best.model and chance >= least:
@@ -77,30 +86,49 @@ def effects_of(answer: Answer, evidence: PairEvidence, slew: float | None, *, le
     return tuple(sorted((replace(f, share=f.nats / total) for f in found), key=lambda f: -f.nats))
 
 
-def probabilities(answer: Answer, effects: Sequence[AirframeEffect]) -> dict[str, float]:
+def probabilities(
+    answer: Answer, effects: Sequence[AirframeEffect], beside: Sequence[FoundEffect] = ()
+) -> dict[str, float]:
     """Probability of each effect by its id, the likeliest first; of a motor's effect, that any motor has it."""
     blocks: dict[str, list[str]] = {}
     for effect in effects:
         if not effect.nameless:
             blocks.setdefault(effect.id, []).append(effect.block)
     found = {id_: answer.probability(*names) for id_, names in blocks.items()}
+    found |= {effect.id: effect.probability for effect in beside}
     return {id_: round(chance, 4) for id_, chance in sorted(found.items(), key=lambda one: -one[1])}
 
 
-def doubtful(answer: Answer, effects: Sequence[AirframeEffect], *, least: float, most: float) -> tuple[str, ...]:
+def doubtful(
+    answer: Answer, effects: Sequence[AirframeEffect], *, least: float, most: float, beside: Sequence[FoundEffect] = ()
+) -> tuple[str, ...]:
     """Effects whose probability lies between: too likely to be left out, too doubtful to be set."""
     forms: dict[tuple[str, int | None], list[str]] = {}
     for effect in effects:
-        if not effect.nameless and effect.domain is Domain.AIRFRAME:
+        if not effect.nameless and (effect.domain is Domain.AIRFRAME or effect.id == DENSITY):
             forms.setdefault((effect.id, effect.motor), []).append(effect.block)
-    found = []
-    for (id_, motor), blocks in forms.items():
-        chance = answer.probability(*blocks)
+    chances = [(id_, motor, answer.probability(*blocks)) for (id_, motor), blocks in forms.items()]
+    chances += [(f.id, None, f.probability) for f in beside]
+    chances, found = _undecided(chances, most)
+    for id_, motor, chance in chances:
         if least <= chance < most:
             which = "" if motor is None else f" of motor {motor}"
             fly = FIXES.get(id_, STANDARD_FLIGHT)
             found.append(f"{id_}{which} has a probability of {100 * chance:.0f} %, too little to name it; fly {fly}")
     return tuple(found)
+
+
+_Chance = tuple[str, int | None, float]
+
+
+def _undecided(chances: Sequence[_Chance], least: float) -> tuple[list[_Chance], list[str]]:
+    """Thrust differs by `least`, but whether by the air is open: both in one sentence, and what is left of the list."""
+    both = {id_: chance for id_, _, chance in chances if id_ in {"thrust_scale", DENSITY}}
+    if len(both) < 2 or sum(both.values()) < least or max(both.values()) >= least:
+        return list(chances), []
+    told = " or ".join(f"{id_} ({100 * chance:.0f} %)" for id_, chance in both.items())
+    text = f"thrust differs by {told}, too open to name one; fly {FIXES[DENSITY]}"
+    return [c for c in chances if c[0] not in both], [text]
 
 
 def _nats(answer: Answer, blocks: Sequence[str]) -> float:
@@ -148,6 +176,8 @@ def _values(
     if effect.id == "payload_step":
         at = evidence.side_of(answer.best.model).likelihood.airframe.loaded_at or 0.0
         return FoundValue("s", float(mean[0]), float(sd[0]), "1", relative=True), FoundValue("t", at, 0.5, "s")
+    if effect.id == DENSITY and effect.sides is not None:
+        return _density(effect.sides, float(mean[0]), float(sd[0]))
     if effect.id == "inertia":
         axes = effect.block.removeprefix("inertia_")
         return tuple(FoundValue(a, float(mean[0]), float(sd[0]), "1", relative=True) for a in axes)
@@ -158,6 +188,13 @@ def _values(
         sides = tuple(float(theta[place[base]]) + _beside(theta, place, base) for theta in (real, sim))
         made.append(FoundValue(name, float(mean[k]), float(sd[k]), unit, relative, real=sides[0], sim=sides[1]))
     return tuple(made)
+
+
+def _density(sides: tuple[float, float], value: float, sd: float) -> tuple[FoundValue, ...]:
+    """The ratio, and the altitude at which the standard atmosphere of a simulator is as dense."""
+    low, high, at = (altitude_of(sides[1] * (1.0 + value + step)) for step in (-sd, sd, 0.0))
+    ratio = FoundValue("s", value, sd, "1", relative=True, real=sides[0], sim=sides[1])
+    return ratio, FoundValue("altitude", at, 0.5 * abs(high - low), "m", sim=altitude_of(sides[1]))
 
 
 def _beside(theta: Array, place: Mapping[str, int], base: str) -> float:
@@ -187,6 +224,6 @@ def _thrust_left(evidence: PairEvidence, effect: AirframeEffect, value: float, s
 def needed_manoeuvres(found: Sequence[FoundEffect], untestable: Sequence[Missing]) -> tuple[str, ...]:
     """What to fly so that rivals part, and so that what could not be tested can be."""
     wanted = [rival.fix for effect in found for rival in effect.rivals]
-    if any(m.id in FIXES for m in untestable):
+    if any(m.id in FIXES and m.id not in BESIDE_STANDARD for m in untestable):
         wanted.append(f"the standard flight: {STANDARD_FLIGHT}")
     return tuple(dict.fromkeys(wanted))

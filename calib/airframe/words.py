@@ -28,5 +28,11 @@ FIXES: Final[Mapping[str, str]] = {
     "angular_damping": "fast turns about the axis, beside doublets",
     "battery_sag": "a flight over the whole battery with the same hover before and after",
     "payload_step": "a hover before and after the load is dropped",
+    "air_density": "at an altitude 500 m apart with the barometer logged, or with the simulator at the altitude of "
+    "this air (SIM_OPOS_ALT)",
+    "ground_effect": "20 s of hover with the rotors 0.3 m above the ground and a slow landing, with a rangefinder, in "
+    "both flights",
     "wind": "runs out and back, and a turn through all headings",
 }
+BESIDE_STANDARD: Final = frozenset({"air_density", "ground_effect"})
+"""What the standard flight does not show."""

@@ -106,6 +106,7 @@ def _estimate(found: FoundEffect) -> EffectEstimate:
         evidence=evidence,
         confusable_with=rivals,
         domain=found.domain,
+        forms=found.forms,
     )
 
 

@@ -155,6 +155,8 @@ class EffectEstimate:
     gates: Gates = Gates()
     sim_patch: Mapping[str, Any] = field(default_factory=dict)
     domain: Domain = Domain.SENSOR
+    forms: Mapping[str, float] = field(default_factory=dict)
+    """Probability of each cause of an effect that has several: ``thrust`` and ``mass`` of a thrust scale."""
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ not measured: half of what independent noise would have."""
 _FOLLOWS: Final = 0.5
 """Slope of the difference of two units on an effect from which on the difference follows it. Source: nearer to 1, which
 is what the effect says, than to 0."""
+_SEEN: Final = 5.0
+"""Standard errors of that slope, of white noise, that it must have. Chosen: units' noise is not white."""
 _SAME_TIME_S: Final = 0.003
 """s between samples of two units that count as one moment. Source: one loop at 400 Hz."""
 _REST: Final = 0.03
@@ -146,7 +148,8 @@ def _follows(own: Channel, other: Channel, series: SeriesFit, id_: str) -> bool:
     x = np.where(steady, says, says - says.mean(axis=0)).ravel()
     y = np.where(steady, d[inside], d[inside] - d[inside].mean(axis=0)).ravel()
     size = float(x @ x)
-    return size == 0.0 or float(x @ y) / size > _FOLLOWS
+    error = np.sqrt(float((y**2).mean()) / size) if size > 0.0 else 0.0
+    return size == 0.0 or float(x @ y) / size > max(_FOLLOWS, _SEEN * error)
 
 
 def _off_at_rest(channel: Channel, real: Recording) -> bool:

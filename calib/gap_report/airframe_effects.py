@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from mavcal.calib.airframe.ground import TOLD_AT_M
 from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate, Rival
 from mavcal.calib.gap_report.intervals import after_number, bracketed, more_or_less, range_of, ratio_of, rounded, times
 
@@ -13,6 +14,8 @@ _AXES = {"x": "roll", "y": "pitch", "z": "yaw"}
 _PER_CENT, _MS = 100.0, 1000.0
 _FAST = 10.0
 """m/s at which the lift of forward flight is told. Chosen, not measured: a brisk flight of a small multicopter."""
+_DECIDED = 0.9
+"""Probability from which a cause is told as the one. Source: that from which an effect is named."""
 _Params = Mapping[str, ParameterEstimate]
 
 
@@ -117,6 +120,20 @@ def _has_by_axis(what: str) -> Callable[[_Params, EffectEstimate], str]:
     return told
 
 
+def _thrust(p: _Params, effect: EffectEstimate) -> str:
+    """The ratio, and which of thrust and mass differs; undecided below :data:`_DECIDED`."""
+    said = f"the real vehicle has {times(p['s'], 'the thrust for its mass')}"
+    if not effect.forms:
+        return said
+    cause, chance = max(effect.forms.items(), key=lambda form: form[1])
+    if chance < _DECIDED:
+        return f"{said}; the flight does not tell thrust from mass ({_PER_CENT * effect.forms['mass']:.0f} % mass)"
+    if cause == "mass":
+        weighs = 1.0 / ratio_of(p["s"])[0]
+        return f"{said}: it is {weighs:.2f} times as heavy (probability {_PER_CENT * chance:.0f} %)"
+    return f"{said}: its thrust differs, not its mass (probability {_PER_CENT * chance:.0f} %)"
+
+
 def _expo(p: _Params, _: EffectEstimate) -> str:
     amount = more_or_less(p["expo"], 1.0, "", "higher", "lower")
     return f"the thrust curve of the real vehicle has an expo that is {amount}"
@@ -176,7 +193,8 @@ def _sag(p: _Params, _: EffectEstimate) -> str:
 
 
 def _ground(p: _Params, _: EffectEstimate) -> str:
-    return f"near the ground the real vehicle has {more_or_less(p['a'], _PER_CENT, '% of thrust', 'more', 'less')}"
+    amount = more_or_less(p["a"], _PER_CENT, "% of thrust", "more", "less")
+    return f"with its rotors {TOLD_AT_M} m above the ground the real vehicle has {amount}"
 
 
 def _payload(p: _Params, _: EffectEstimate) -> str:
@@ -187,8 +205,8 @@ def _payload(p: _Params, _: EffectEstimate) -> str:
 
 def _density(p: _Params, _: EffectEstimate) -> str:
     value, low, high = ratio_of(p["s"])
-    said = f"{rounded(value, low, high, least=2)} times as dense{bracketed(low, high, least=2)}"
-    return f"the air was {said}"
+    said = f"the air was {rounded(value, low, high, least=2)} times as dense{bracketed(low, high, least=2)}"
+    return f"{said}, as at {p['altitude'].value:.0f} m in the standard atmosphere" if "altitude" in p else said
 
 
 def _wind(p: _Params, _: EffectEstimate) -> str:
@@ -221,7 +239,7 @@ def _axes(what: str, unit: str) -> Mapping[str, tuple[str, str]]:
 _KINDS: Mapping[str, _Kind] = {
     "thrust_scale": _Kind(
         "another thrust for its mass",
-        _has("s", "the thrust for its mass"),
+        _thrust,
         _sides(("s", "thrust over mass at full command", "m/s2")),
     ),
     "thrust_expo": _Kind("another thrust curve", _expo, _sides(("expo", "expo of the thrust curve", "1"))),
@@ -256,7 +274,11 @@ _KINDS: Mapping[str, _Kind] = {
         _sag,
         _sides(("exponent", "exponent of the voltage", "1"), ("s", "thrust under the sag", "")),
     ),
-    "air_density": _Kind("another air density", _density, _sides(("s", "air density", "kg/m3"))),
+    "air_density": _Kind(
+        "another air density",
+        _density,
+        _sides(("s", "air density", "kg/m3"), ("altitude", "altitude for the simulator", "m")),
+    ),
     "ground_effect": _Kind("ground effect", _ground, _sides(("a", "thrust gained at the ground", "1"))),
     "payload_step": _Kind("a change of payload", _payload, _sides(("s", "mass", ""), ("t", "time", "s"))),
     "wind": _Kind("wind", _wind, _sides(("north", "air moves north", "m/s"), ("east", "air moves east", "m/s"))),

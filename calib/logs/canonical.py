@@ -46,6 +46,7 @@ FLIGHT: Mapping[Sensor, tuple[tuple[str, ...], str]] = {
     Sensor.ATTITUDE: (("q_w", "q_x", "q_y", "q_z"), "1"),
     Sensor.VOLTAGE: (("voltage",), "V"),
     Sensor.HEIGHT: (("height",), "m"),
+    Sensor.AIR: (("pressure", "air_temperature"), "Pa degC"),
 }
 """Columns of what a vehicle knows of its own flight, and their units; the attitude is a sensor's column too."""
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
@@ -53,7 +54,7 @@ SINGLE = (Sensor.TEMPERATURE, Sensor.CURRENT, Sensor.THROTTLE)
 CANONICAL = re.compile(
     r"(?P<triad>accel|gyro|mag)(?P<of>[1-9]?)_(?P<axis>[xyz])|(?P<one>temperature|current|throttle)(?P<nr>[1-9]?)"
     r"|(?P<many>motor|rotor_hz)_(?P<k>[1-9]\d?)|q_(?P<q>[wxyz])|t|segment"
-    r"|vel_[ned]|voltage|height|ref_(?P<ref>accel|gyro|mag)_[xyz]|ref_(?P<refq>q)_[wxyz]|ref_(?P<refpath>pos|vel)_[ned]"
+    r"|vel_[ned]|voltage|height|pressure|air_temperature|ref_(?P<ref>accel|gyro|mag)_[xyz]|ref_(?P<refq>q)_[wxyz]|ref_(?P<refpath>pos|vel)_[ned]"
 )
 GROUP = re.compile(r"(ref_)?(accel|gyro|mag)|(accel|gyro|mag)[1-9]|(ref_)?q|ref_pos|ref_vel|motor|rotor_hz")
 """Names that stand for all of their columns in a mapping: ``accel=imu_acc`` is accel_x=imu_acc_0 and so on."""

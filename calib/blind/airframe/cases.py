@@ -25,7 +25,7 @@ from mavcal.calib.blind.airframe.logs import (
     draw_units,
     recording_of,
 )
-from mavcal.calib.blind.airframe.mission import draw_mission
+from mavcal.calib.blind.airframe.mission import draw_mission, with_low_hover
 from mavcal.calib.blind.airframe.pilot import Tuning, tuned
 from mavcal.calib.blind.airframe.sides import Entry, Kind, Pair, Rng, Side
 from mavcal.calib.blind.airframe.strange import STRANGE
@@ -132,6 +132,8 @@ def log_of(side: Side, draft: Draft, rng: Rng) -> tuple[Columns, Flown]:
 
 def _flown(side: Side, draft: Draft, rng: Rng) -> tuple[Flown, Errors]:
     mission = draw_mission(rng)
+    if side.low:
+        mission = with_low_hover(mission)
     count = round(mission.longest * LOOP_HZ) + 1
     t = np.arange(count) / LOOP_HZ
     air = air_over_time(side.weather, t, rng)

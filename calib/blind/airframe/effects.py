@@ -16,6 +16,8 @@ from mavcal.calib.blind.airframe.sides import Array, Entry, Kind, Pair, Rng
 
 GRID_S = LOOP_S / SUBSTEPS
 """Delays are whole steps of it."""
+TOLD_AT_M = 0.25
+"""Height of the rotors above the ground, m. Source: docs/gap-effects.md, ``ground_effect``."""
 
 
 def thrust_scale(rng: Rng, pair: Pair) -> Pair:
@@ -225,13 +227,13 @@ def air_density(rng: Rng, pair: Pair) -> Pair:
 
 
 def ground_effect(rng: Rng, pair: Pair) -> Pair:
-    """Only the real air feels the ground; `a` is the gain at a height of one radius."""
+    """Only the real air feels the ground; `a` is the gain at the height at which reports tell it. Both hover low."""
     strength = log_uniform(rng, 0.8, 3.0)
     flat = replace(pair.sim.vehicle, ground=0.0)
-    pair = replace(pair, sim=replace(pair.sim, vehicle=flat))
-    gain = 1.0 / (1.0 - strength / 16.0) - 1.0
+    pair = replace(pair, sim=replace(pair.sim, vehicle=flat, low=True), real=replace(pair.real, low=True))
     new = replace(pair.real.vehicle, ground=strength)
-    return pair.flown(new).said(Entry("ground_effect", "airframe", {"a": gain}, size=gain))
+    gain = 1.0 / (1.0 - strength * (new.propeller.radius / (4.0 * TOLD_AT_M)) ** 2) - 1.0
+    return pair.flown(new).said(Entry("ground_effect", "airframe", {"a": gain}, exact=("a",), size=gain))
 
 
 def payload_step(rng: Rng, pair: Pair) -> Pair:

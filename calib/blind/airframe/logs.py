@@ -11,7 +11,7 @@ from scipy.signal import butter, lfilter
 
 from mavcal.calib.blind.airframe.draw import log_uniform
 from mavcal.calib.blind.airframe.flight import LOOP_HZ, LOOP_S, Errors, Flown
-from mavcal.calib.blind.airframe.vehicle import FRAMES, Vehicle
+from mavcal.calib.blind.airframe.vehicle import FRAMES, SEA_LEVEL, Vehicle
 from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -20,7 +20,9 @@ Columns = dict[str, Array]
 
 RATES = (400, 200, 100)
 """Of the log, Hz."""
-SLOW_HZ = {"voltage": 10, "current": 10, "height": 20, "throttle": 10}
+SLOW_HZ = {"voltage": 10, "current": 10, "height": 20, "throttle": 10, "pressure": 10, "air_temperature": 10}
+GAS, WARMER, AIR_K = 287.05, (10.0, 5.0), (268.0, 308.0)
+"""Gas constant of air, J/(kg K); by how many K a barometer is warmer than the air, mean and deviation; days, K."""
 
 
 @dataclass(frozen=True)
@@ -138,10 +140,20 @@ def columns_of(
         "current": np.round(flown.current + 0.05 * rng.standard_normal(count), 2),
         "height": np.round(np.maximum(-flown.place[:, 2] + errors.height[:count], 0.0), 3),
         "throttle": np.round(flown.command.mean(axis=1), 4),
+        **_air(vehicle, start, count),
     }
     for name, values in slow.items():
         _put(columns, name, None, values[rows][:, None], logging.hz // SLOW_HZ[name])
     return columns
+
+
+def _air(vehicle: Vehicle, start: float, count: int) -> dict[str, Array]:
+    """What a barometer reads in air of the vehicle's density; the day is drawn from the log's first stamp."""
+    day = np.random.default_rng(round(1000.0 * start))
+    kelvin = float(day.uniform(*AIR_K))
+    warm = kelvin - 273.15 + float(day.normal(*WARMER))
+    pressure = vehicle.density * SEA_LEVEL * GAS * kelvin
+    return {"pressure": np.full(count, round(pressure, 1)), "air_temperature": np.full(count, round(warm, 2))}
 
 
 def _own_rate(flown: Flown, unit: Unit, rng: Rng) -> Array:
@@ -215,6 +227,7 @@ def recording_of(columns: Mapping[str, Array], frame: str, source: str) -> Recor
         channel(Sensor.VELOCITY, 0, [f"vel_{axis}" for axis in "ned"], "m/s"),
         channel(Sensor.VOLTAGE, 0, ["voltage"], "V"),
         channel(Sensor.HEIGHT, 0, ["height"], "m"),
+        channel(Sensor.AIR, 0, ["pressure", "air_temperature"], "Pa degC"),
     ]
     layout = FRAMES[frame]
     return Recording(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -19,6 +19,7 @@ class LegKind(StrEnum):
     TAKE_OFF = "take_off"  # until the height is reached
     FLY = "fly"  # at a velocity
     ROCK = "rock"  # sharp doublets of roll and pitch
+    LOW = "low"  # down to a height, and stay there
     LAND = "land"  # until the ground is felt
 
 
@@ -29,7 +30,7 @@ class Leg:
     Parameters
     ----------
     seconds
-        How long; of take-off and landing the longest.
+        How long; of take-off and landing the longest. A low leg has the way down in it.
     velocity
         Forward, right and up, m/s, in the heading at the leg's begin.
     turn
@@ -37,7 +38,7 @@ class Leg:
     rock
         Roll and pitch of the doublets, rad, and s of one side.
     height
-        To take off to, m.
+        To take off to, or to stay at, m.
     """
 
     kind: LegKind
@@ -71,6 +72,19 @@ def draw_mission(rng: Rng) -> Mission:
         *(hover, *middle, Leg(LegKind.FLY, rng.uniform(4.0, 6.0)), Leg(LegKind.LAND, 25.0), Leg(LegKind.REST, 4.0)),
     ]
     return Mission(tuple(legs), rng.uniform(-math.pi, math.pi))
+
+
+LOW_M, LOW_S = 0.15, 26.0
+"""Height of a low hover, m, and its time with the way down, s. Chosen, not measured: 20 s with the rotors at two radii.
+"""
+
+
+def with_low_hover(mission: Mission) -> Mission:
+    """The same with a hover near the ground before it lands."""
+    legs = list(mission.legs)
+    landing = next(k for k, leg in enumerate(legs) if leg.kind is LegKind.LAND)
+    legs.insert(landing, Leg(LegKind.LOW, LOW_S, height=LOW_M))
+    return replace(mission, legs=tuple(legs))
 
 
 def _climbs(rng: Rng) -> list[Leg]:

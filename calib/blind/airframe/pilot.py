@@ -159,6 +159,8 @@ class Pilot:
             return 0.0, 0.0, -2.0
         if leg.kind is LegKind.LAND:
             return 0.0, 0.0, min(2.5, max(0.35, 0.7 * (felt.height - 0.8)))
+        if leg.kind is LegKind.LOW:
+            return 0.0, 0.0, min(2.0, max(-0.5, 0.7 * (felt.height - leg.height)))
         forward, right, up = leg.velocity
         down = min(-up, max(0.0, 1.5 * (felt.height - FLOOR)))
         c, s = math.cos(self._heading), math.sin(self._heading)

@@ -53,6 +53,8 @@ class Side:
     units: tuple[Unit, Unit]
     slips: tuple[Slip, ...] = ()
     happenings: tuple[Happening, ...] = ()
+    low: bool = False
+    """Whether it hovers near the ground before it lands."""
 
     def events(self, count: int, rng: Rng) -> Events:
         """What happens over `count` loops."""

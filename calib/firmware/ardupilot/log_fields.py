@@ -107,7 +107,7 @@ WANTED: Final = frozenset(
         *(name for reading in (*INERTIAL, COMPASS) for name in reading.messages),
         *("ISBH", "ISBD", "PARM", "ATT", "XKQ", "NKQ", "AHR2", "GPS", "GPS2", "POS", "BAT", "BAT2", "CURR", "CUR2"),
         *("CTUN", "RCOU", "MOT", "ESC", "RPM", "SIM", "SIM2", "VIBE", "DSF", "VER", "MSG", "MODE", "EV", "ARM", "ERR"),
-        *("FMTU", "UNIT", "MULT", "RATE", "MOTB", "XKF1", "NKF1", "EKF1", "XKQ1", "NKQ1", "RFND", "FRAME"),
+        *("FMTU", "UNIT", "MULT", "RATE", "MOTB", "XKF1", "NKF1", "EKF1", "XKQ1", "NKQ1", "RFND", "BARO", "FRAME"),
     }
 )
 """Everything that a recording is made of."""

@@ -6,6 +6,7 @@ vehicle_angular_velocity    after ``IMU_GYRO_CUTOFF``
 vehicle_torque_setpoint     roll, pitch and yaw that the allocation is given, -1..1; with the thrust: CONTROL
 battery_status              VOLTAGE
 distance_sensor             HEIGHT
+vehicle_air_data            AIR
 ==========================  ==========================================================================================
 
 Source: AIRFRAME 3.2 (``logged_topics.cpp``).
@@ -25,7 +26,7 @@ _DOWNWARD = 25
 
 
 def dynamics_channels(topics: Topics) -> Iterator[Channel]:
-    """CONTROL, VOLTAGE, HEIGHT, filtered ACCEL and GYRO, and the estimator's ATTITUDE, VELOCITY and PLACE."""
+    """CONTROL, VOLTAGE, HEIGHT, AIR, filtered ACCEL and GYRO, and the estimator's ATTITUDE, VELOCITY and PLACE."""
     for name, sensor, unit in (
         ("vehicle_acceleration", Sensor.ACCEL, "m/s2"),
         ("vehicle_angular_velocity", Sensor.GYRO, "rad/s"),
@@ -40,6 +41,7 @@ def dynamics_channels(topics: Topics) -> Iterator[Channel]:
             yield Channel(Sensor.VOLTAGE, 0, sample_time(topic), volts, "V", Stage.RAW, "battery_status")
             break
     yield from _height(topics)
+    yield from _air(topics)
     yield from _estimates(topics)
 
 
@@ -62,6 +64,16 @@ def _height(topics: Topics) -> Iterator[Channel]:
             metres = columns(topic, "current_distance")[down]
             yield Channel(Sensor.HEIGHT, 0, sample_time(topic)[down], metres, "m", Stage.RAW, "distance_sensor")
             return
+
+
+def _air(topics: Topics) -> Iterator[Channel]:
+    topic = topics.get(("vehicle_air_data", 0))
+    warm = ("baro_temp_celcius", "ambient_temperature")  # PX4's own spelling; the other one since v1.16
+    name = None if topic is None else next((n for n in warm if n in topic), None)
+    if topic is not None and name is not None and "baro_pressure_pa" in topic:
+        values = columns(topic, "baro_pressure_pa", name)
+        good = np.isfinite(values).all(axis=1)
+        yield Channel(Sensor.AIR, 0, sample_time(topic)[good], values[good], "Pa degC", Stage.RAW, "vehicle_air_data")
 
 
 def _estimates(topics: Topics) -> Iterator[Channel]:

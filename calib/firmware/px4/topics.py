@@ -55,7 +55,13 @@ WANTED: Final = frozenset(
     | {"vehicle_attitude", "vehicle_gps_position", "sensor_gps", "vehicle_local_position", "battery_status"}
     | {"actuator_outputs", "actuator_motors", "esc_status", "vehicle_thrust_setpoint", "actuator_controls_0"}
     | {"vehicle_status", "actuator_armed"}
-    | {"vehicle_angular_velocity", "vehicle_acceleration", "vehicle_torque_setpoint", "distance_sensor"}
+    | {
+        "vehicle_angular_velocity",
+        "vehicle_acceleration",
+        "vehicle_torque_setpoint",
+        "distance_sensor",
+        "vehicle_air_data",
+    }
     | {f"vehicle_{what}{TRUTH}" for what in ("attitude", "local_position", "global_position")}
 )
 """Topics that are read; see :mod:`calib.firmware.px4.flight` for those beside the inertial ones."""

@@ -5,6 +5,7 @@ RATE      ROut POut YOut: inputs of the mixer with feed-forward, -1..1; AOut: th
 MOTB      LiftMax, BatVolt (filtered voltage by ``MOT_BAT_VOLT_MAX``), ThLimit (bit 17)
 XKF1 XKQ  velocity, place and attitude of each core of the estimator; EKF1, NKF1 in old firmwares
 RFND      height above the ground
+BARO      Press, Pa, and Temp, degC, of the first barometer: AIR
 ========  ============================================================================================================
 
 Source: AIRFRAME 3.1 (``Copter.cpp``, ``Log.cpp``, ``LogStructure.h``).
@@ -37,7 +38,7 @@ _ESTIMATED: Final = (
 
 
 def dynamics_channels(log: Log, clock: Clock) -> tuple[Channel, ...]:
-    """CONTROL, MIXER, VOLTAGE, HEIGHT, and the estimator's VELOCITY, PLACE and ATTITUDE, as far as the log has them."""
+    """CONTROL, MIXER, VOLTAGE, HEIGHT, AIR, and the estimator's VELOCITY, PLACE and ATTITUDE, as far as logged."""
     found = [*_plain(log, clock), *_estimates(log, clock), *_attitudes(log, clock)]
     return tuple(channel for channel in found if len(channel))
 
@@ -59,6 +60,10 @@ def _plain(log: Log, clock: Clock) -> Iterator[Channel]:
     column = None if finder is None else next((c for c in ("Dist", "Dist1") if c in finder), None)
     if finder is not None and column is not None:
         yield channel_of(Sensor.HEIGHT, finder, clock.times(finder), finder[column], "m")
+    barometer = log.get("BARO")
+    if barometer is not None and "Press" in barometer and "Temp" in barometer:
+        first = barometer.where(_first(barometer))
+        yield channel_of(Sensor.AIR, first, clock.times(first), first.arrays(("Press", "Temp"))[0], "Pa degC")
 
 
 def _first(table: Table) -> NDArray[np.bool_]:

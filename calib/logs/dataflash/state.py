@@ -34,6 +34,7 @@ MOST: Final[Mapping[Sensor, Array]] = {
     Sensor.MIXER: np.full(3, 10.0),
     Sensor.VOLTAGE: np.array([1000.0]),
     Sensor.HEIGHT: np.array([1e4]),
+    Sensor.AIR: np.array([2e5, 200.0]),
 }
 """No vehicle does more (unit of the channel): what does is damage."""
 FIX_3D: Final = 3

@@ -8,6 +8,7 @@ Plain floats throughout: at some hundred steps a second numpy would cost ten tim
     drag_i = mdrag sqrt(rho disc/n) sqrt(T_i) v_i,   v_i = air velocity + omega x r_i
     body   = rho/2 CdA v|v| axis by axis
     yaw_i  = factor 0.05 diagonal c_i T_i
+    near the ground, not SITL's: T_i / (1 - (radius / 4 z)^2), z = height of the rotors (Cheeseman and Bennett 1955)
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from mavcal.service.simvehicle.flight.parameters import FlightParameters
 
 _TURN_DAMPING = math.radians(400.0)
 """By refRotRate: the angular damping that is not of the rotors (``SIM_Frame.cpp``)."""
+LEGS_M = 0.15
+"""Height of the rotors when it stands. Chosen: legs of a vehicle of SITL's default size."""
 Quaternion = tuple[float, float, float, float]
 
 
@@ -79,7 +82,7 @@ class Airframe:
         u, v, s = r00 * an + r10 * ae + r20 * ad, r01 * an + r11 * ae + r21 * ad, r02 * an + r12 * ae + r22 * ad
         p, q, r = self.rate
         rho = density(self._altitude - self.place[2])
-        scale = (voltage / frame.full_voltage) ** 2 * self._fastest2
+        scale = (voltage / frame.full_voltage) ** 2 * self._fastest2 * self._near_ground()
         e, half, drag_rotor = frame.expo, 0.5 * rho * self._area, self._drag_per_rotor * math.sqrt(rho)
         change = frame.slew_max * dt
         follow = 1.0 if frame.motor_tau <= 0.0 else 1.0 - math.exp(-dt / frame.motor_tau)
@@ -135,6 +138,11 @@ class Airframe:
         if place[2] >= 0.0:
             self.on_ground = True
             self._rest()
+
+    def _near_ground(self) -> float:
+        """Thrust over that far from the ground."""
+        near = self._frame.ground_radius / (4.0 * (LEGS_M - self.place[2]))
+        return 1.0 / (1.0 - near * near)
 
     def _rest(self) -> None:
         """Stand level on the ground, with the heading that it has."""

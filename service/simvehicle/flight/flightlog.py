@@ -18,6 +18,7 @@ BAT = Message(88, "BAT", "QBfffffcfBBB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,En
 ATT = Message(72, "ATT", "QffffffB", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,AEKF")
 BARO = Message(64, "BARO", "QBfffcfIffBf", "TimeUS,I,Alt,AltAMSL,Press,Temp,CRt,SMS,Offset,GndTemp,H,CPress")
 MAG = Message(111, "MAG", "QBhhhhhhhhhBI", "TimeUS,I,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOX,MOY,MOZ,Health,S")
+RFND = Message(203, "RFND", "QBCBB", "TimeUS,Instance,Dist,Stat,Orient")
 XKF1 = Message(44, "XKF1", "QBccCfffffffccce", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH")
 XKF2 = Message(45, "XKF2", "QBccccchhhhhhfff", "TimeUS,C,AX,AY,AZ,VWN,VWE,MN,ME,MD,MX,MY,MZ,IDX,IDY,IS")
 XKQ = Message(52, "XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4")
@@ -28,7 +29,7 @@ MSG = Message(59, "MSG", "QZ", "TimeUS,Message")
 MODE = Message(120, "MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")
 ARM = Message(186, "ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
 EV = Message(181, "EV", "QB", "TimeUS,Id")
-MESSAGES = (IMU, RATE, RCOU, MOTB, CTUN, BAT, ATT, BARO, MAG, XKF1, XKF2, XKQ, GPS, GPA, PARM, MSG, MODE, ARM, EV)
+MESSAGES = (IMU, RATE, RCOU, MOTB, CTUN, BAT, ATT, BARO, RFND, MAG, XKF1, XKF2, XKQ, GPS, GPA, PARM, MSG, MODE, ARM, EV)
 
 SECOND_IMU, ESTIMATOR, HOUSEKEEPING, POSITIONING = 10, 16, 40, 80
 """Every so many loops: 40, 25, 10 and 5 Hz."""
@@ -36,6 +37,8 @@ FIELD_MGAUSS = (230.0, 55.0, -525.0)
 """North east down, near SITL's usual home."""
 GPS_WEEK, GPS_START_MS = 2446, 96_000_000
 _BOARD_C = 35.0
+_RANGED_M, _BELLY_M, _GOOD, _DOWN = 40.0, 0.05, 4, 25
+"""Range of the rangefinder, its height when the vehicle stands, RangeFinder::Status::Good, ROTATION_PITCH_270."""
 _AVERAGE_MOST = 0.1
 """MOTB.ThrAvMx by the hover throttle while idle (ATC_THR_MIX_MIN)."""
 
@@ -144,6 +147,8 @@ class FlightLog:
             BARO, us, 0, height, vehicle.altitude_home + height, press, ground_c, up, us // 1000, 0.0, ground_c, 1,
             press,
         )  # fmt: skip
+        if parameters["RNGFND1_TYPE"]:
+            self._out.write(RFND, us, 0, min(_BELLY_M - vehicle.airframe.place[2], _RANGED_M), _GOOD, _DOWN)
         field = [int(one) for one in vehicle.in_body(FIELD_MGAUSS)]
         self._out.write(MAG, us, 0, *field, *[int(o) for o in parameters.vector("COMPASS_OFS")], 0, 0, 0, 1, us)
 

@@ -1,6 +1,7 @@
 """The airframe's numbers under the key names of ArduPilot SITL's frame files, and where its motors sit.
 
-Key names, defaults and formulas: ``SIM_Frame.h``, ``SIM_Frame.cpp``. A key that SITL does not have is ``motorTau``.
+Key names, defaults and formulas: ``SIM_Frame.h``, ``SIM_Frame.cpp``. Keys that SITL does not have are ``motorTau`` and
+``groundRadius``.
 """
 
 from __future__ import annotations
@@ -60,6 +61,7 @@ class Frame:
     momentum_drag: float = _key("mdrag_coef", 0.2)
     motors: float = _key("num_motors", 4.0)
     motor_tau: float = _key("motorTau", 0.0)
+    ground_radius: float = _key("groundRadius", 0.0)
     moment_of_inertia: Vector = (0.0, 0.0, 0.0)
     positions: Mapping[int, Vector] = field(default_factory=dict)
     yaw_factors: Mapping[int, float] = field(default_factory=dict)

@@ -12,9 +12,12 @@ from tests.unit.simvehicle.flights import Flight
 
 
 def flight(
-    path: Path, frame: Mapping[str, Any] | None = None, *, other: bool = False, **parameters: float
+    path: Path, frame: Mapping[str, Any] | None = None, *, other: bool = False, low: bool = False, **parameters: float
 ) -> Recording:
-    """Doublets, yaw steps, climbs and runs; `other`: in the other order and directions."""
+    """Doublets, yaw steps, climbs and runs; `other`: in the other order and directions.
+
+    `low`: then a hover near the ground and a landing.
+    """
     one = Flight(path, frame, **parameters)
     way = -1.0 if other else 1.0
     one.take_off(10.0, 7.0)
@@ -22,6 +25,8 @@ def flight(
     for part in reversed(parts) if other else parts:
         part()
     one.follow(0.0, 0.0, 0.0, 1.5)
+    if low:
+        _near_ground(one)
     one.close()
     return read_dataflash(path)
 
@@ -39,3 +44,14 @@ def _runs(one: Flight, way: float) -> None:
     for north, east in ((8.0, 0.0), (0.0, 8.0)):
         one.follow(way * north, way * east, 0.0, 3.5)
         one.follow(-way * north, -way * east, 0.0, 4.0)
+
+
+def _near_ground(one: Flight) -> None:
+    """A hover at height, one at some decimetres, and a landing."""
+    one.follow(0.0, 0.0, 0.0, 8.0)
+    height = -one.vehicle.airframe.place[2]
+    one.follow(0.0, 0.0, 2.0, (height - 1.0) / 2.0)
+    for _ in range(50):
+        one.follow(0.0, 0.0, 0.5 * (-one.vehicle.airframe.place[2] - 0.2), 0.2)
+    one.land()
+    one.wait(2.0)

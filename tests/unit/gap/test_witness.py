@@ -91,6 +91,14 @@ def test_an_effect_that_the_other_unit_has_too_is_of_the_flight() -> None:
     assert not_borne_out(told(one, part, part), real) == (one,)
 
 
+def test_an_effect_too_small_to_be_seen_in_the_units_difference_is_not_that_units() -> None:
+    """The slope of noise on next to nothing is anything."""
+    part = 1e-5 * swing()
+    slopes = [(recording(REST + noise(k, 0.3), REST + noise(k + 50, 0.3))) for k in range(12)]
+    one = effect("accel_low_pass")
+    assert all(not_borne_out(told(one, part, part), real) == (one,) for real in slopes)
+
+
 def test_a_steady_offset_is_compared_by_its_mean() -> None:
     offset = np.tile([0.3, -0.2, 0.1], (len(T), 1))
     felt = offset * FLYING[:, None]

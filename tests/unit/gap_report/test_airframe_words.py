@@ -88,7 +88,7 @@ SAID = {
     "angular_damping": "the real vehicle has 1.58 times the damping of turns in roll (1.52 to 1.64)",
     "battery_sag": "thrust follows the voltage of the real battery with an exponent of 2.0 more (1.8 to 2.2)",
     "air_density": "the air was 0.94 times as dense (0.93 to 0.95)",
-    "ground_effect": "near the ground the real vehicle has 12 % of thrust more (10 to 14)",
+    "ground_effect": "with its rotors 0.25 m above the ground the real vehicle has 12 % of thrust more (10 to 14)",
     "payload_step": "at 62.0 s the real vehicle became 1.15 times as heavy (1.13 to 1.17)",
     "wind": "wind of 4.1 m/s from 75 deg",
     "turbulence": "the air was rougher by 0.47 m/s2 rms",

@@ -12,6 +12,7 @@ from tests.unit.logs.dataflash_file import FMT, Message, flight
 MOTB = Message(200, "MOTB", "QfffffB", "TimeUS,LiftMax,BatVolt,ThLimit,ThrAvMx,ThrOut,FailFlags")
 XKF1 = Message(201, "XKF1", "QBccCfffffff", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD")
 XKQ = Message(202, "XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4")
+BARO = Message(206, "BARO", "QBfffcfIffBf", "TimeUS,I,Alt,AltAMSL,Press,Temp,CRt,SMS,Offset,GndTemp,H,CPress")
 RFND = Message(203, "RFND", "QBCBB", "TimeUS,Instance,Dist,Stat,Orient")
 CURR = Message(204, "CURR", "QhhhhfBB", "TimeUS,Throttle,Volt,Curr,Vcc,CurrTot,A,B")
 EKF1 = Message(205, "EKF1", "QccCffffff", "TimeUS,Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD")
@@ -80,6 +81,12 @@ def test_a_rangefinder_tells_the_height() -> None:
     found = of(log(rows(RFND, 40, 10.0, Dist=250, Orient=25)), Sensor.HEIGHT)
     np.testing.assert_allclose(found.values, 2.5)
     assert found.unit == "m"
+
+
+def test_the_first_barometer_tells_pressure_and_temperature() -> None:
+    found = of(log(rows(BARO, 40, 10.0, I=np.arange(40) % 2, Press=94500.0, Temp=2970)), Sensor.AIR)
+    np.testing.assert_allclose(found.values, np.tile([94500.0, 29.7], (20, 1)), rtol=1e-3)
+    assert found.unit == "Pa degC"
 
 
 def test_each_core_of_the_estimator_has_its_own_trajectory() -> None:

@@ -22,6 +22,8 @@ _READ = frozenset(
     }
 )
 """Effects that :class:`Wanted` has a place for."""
+_EVEN = 0.5
+"""Source: even odds."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +59,19 @@ class Wanted:
 def wanted_of(effects: Iterable[EffectEstimate]) -> Wanted:
     """What `effects` (of the airframe) ask; others among them ask nothing."""
     reader = _Reader(tuple(effects))
+    thrust = reader.ratio("thrust_scale", "s")
+    # a lighter vehicle at its own mass: all accelerations by it, the rotors' drag by its root, and turns as before
+    light = thrust if reader.by_mass else 1.0
+    x, y, z = (light * reader.ratio("inertia", axis) for axis in "xyz")
     return Wanted(
-        thrust=reader.ratio("thrust_scale", "s"),
+        thrust=thrust,
         expo=reader.added("thrust_expo", "expo"),
         lag=reader.lag(),
         slew=reader.real("motor_lag", "slew"),
         weak=reader.weak(),
-        rotor_drag=reader.ratio("rotor_drag", "c1"),
-        body_drag=reader.ratio("body_drag", "c2"),
-        inertia=(reader.ratio("inertia", "x"), reader.ratio("inertia", "y"), reader.ratio("inertia", "z")),
+        rotor_drag=math.sqrt(light) * reader.ratio("rotor_drag", "c1"),
+        body_drag=light * reader.ratio("body_drag", "c2"),
+        inertia=(x, y, z),
         cg=(reader.added("cg_offset", "x"), reader.added("cg_offset", "y")),
         torque=(
             reader.added("torque_bias", "x"),
@@ -114,6 +120,12 @@ class _Reader:
 
     def damping(self, axis: str) -> float | None:
         return self.ratio("angular_damping", axis) if self.has("angular_damping", axis) else None
+
+    @property
+    def by_mass(self) -> bool:
+        """Whether another mass is the likelier cause of another thrust for its mass."""
+        effect = self.effect("thrust_scale")
+        return effect is not None and effect.forms.get("mass", 0.0) > _EVEN
 
     def added(self, effect_id: str, name: str) -> float:
         found = self._parameter(effect_id, name)

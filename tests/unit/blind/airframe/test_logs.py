@@ -66,7 +66,8 @@ def test_coloured_noise_has_its_deviation_and_its_time():
 
 def test_the_recording_says_its_frame_and_what_the_autopilot_knows(columns, vehicle):
     made = recording_of(columns, vehicle.frame, "real")
-    assert {c.sensor for c in made.dynamics} == {Sensor.ATTITUDE, Sensor.VELOCITY, Sensor.VOLTAGE, Sensor.HEIGHT}
+    known = {Sensor.ATTITUDE, Sensor.VELOCITY, Sensor.VOLTAGE, Sensor.HEIGHT, Sensor.AIR}
+    assert {c.sensor for c in made.dynamics} == known
     assert made.channel(Sensor.MOTOR).values.shape[1] == len(vehicle.rotors)
     assert made.instances(Sensor.GYRO) == (0, 1)
     assert made.parameters.final()["FRAME_CLASS"] == 1

@@ -70,6 +70,14 @@ def test_battery_height_and_trajectory() -> None:
     np.testing.assert_allclose(found[Sensor.PLACE].values, np.tile([4.0, 5.0, -6.0], (N, 1)))
 
 
+@pytest.mark.parametrize("name", ["baro_temp_celcius", "ambient_temperature"])
+def test_pressure_and_temperature_under_either_name(name: str) -> None:
+    pressure = np.where(np.arange(N) < 5, np.nan, 95578.0)
+    found = read({("vehicle_air_data", 0): topic(baro_pressure_pa=pressure, **{name: 15.0})})
+    np.testing.assert_allclose(found[Sensor.AIR].values, np.tile([95578.0, 15.0], (N - 5, 1)))
+    assert read({("vehicle_air_data", 0): topic(rho=1.2)}) == {}
+
+
 def test_a_quaternion_is_of_unit_size_and_an_empty_one_is_none() -> None:
     w = np.where(np.arange(N) < 5, 0.0, 2.0)
     found = read({("vehicle_attitude", 0): topic(q__0=w, q__1=0.0, q__2=0.0, q__3=0.0)})

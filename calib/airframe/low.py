@@ -1,0 +1,180 @@
+"""Rows of a flight near the ground but in the air: take-off, landing, a low hover.
+
+They lie outside the stretch that the airframe is fitted on. Thrust there is held against the airframe that the rest of
+the flight shows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.airframe.flown import FlownFlight, Unflown, flown
+from mavcal.calib.airframe.physics import Airframe, Layout
+from mavcal.calib.recording import Channel, Recording, Sensor
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LEGS_M: Final = (0.15, 0.05)
+"""Mean and standard deviation of the rotors' height when the vehicle stands. Chosen, not measured: small drones."""
+HEIGHT_SD: Final = {Sensor.HEIGHT: 0.03, Sensor.PLACE: 0.1}
+"""m, in one pass. Source: data sheets of rangefinders; the estimator's height between take-off and hover."""
+_CLEAR: Final = {Sensor.HEIGHT: 0.08, Sensor.PLACE: 0.2}
+"""Height above the stand, m, below which a row may be on the ground. Source: two to three of these errors."""
+_CONTACT_S: Final = 0.3
+"""Left out around such rows. Chosen, not measured: legs that bend, and the filter of the accelerometer."""
+NEAR_M: Final = 0.6
+"""Height of the rotors below which ground effect shows. Source: three radii of a 15-inch propeller, where one rotor
+alone gains 0.7 %."""
+_PASS_M: Final = 3.0
+"""Height up to which a pass over the ground is read, for its offset. Chosen, not measured: ten radii and more."""
+CALM_M: Final = 4.0
+"""Height from which on a row tells the noise of thrust. Chosen, not measured: above every pass."""
+_CALM_PUSH: Final = 1.5
+_CALM_CLIMB: Final = 1.5
+_CALM_SPEED: Final = 2.0
+"""Vertical force beside gravity, m/s2, climb and speed over ground, m/s, of calm flight. Chosen, not measured."""
+_LEAST_NOISE: Final = 1e-3
+"""Noise of relative thrust in one row that is always there. Source: a third of what the model is right to."""
+_BLOCK: Final = 10
+"""Rows of the grid in one row here: 0.1 s."""
+MEMORY_S: Final = 3.0
+"""Longest lag of the noise. Chosen, not measured: gusts through a hover."""
+_REST_S: Final = 3.0
+"""Before and after the motors run, in which the height of the stand is read."""
+_FEWEST: Final = 10
+_SHORTEST: Final = 2
+"""Rows of a height that is used, and of a pass."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """One stretch near the ground: relative gain of thrust (M,) and height above the stand (M,), m."""
+
+    gain: Array
+    height: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LowFlight:
+    """What a flight shows near the ground.
+
+    `noise` is the covariance of the relative gain of thrust by lag, `step` s between rows; `height_sd` m.
+    """
+
+    passes: tuple[Pass, ...]
+    noise: Array
+    step: float
+    height_sd: float
+
+    @property
+    def low_s(self) -> float:
+        """Time in the air with the rotors below :data:`NEAR_M`, s."""
+        return self.step * sum(int((p.height + LEGS_M[0] < NEAR_M).sum()) for p in self.passes)
+
+
+@dataclass(frozen=True, eq=False)
+class NearGround:
+    """A flight from its motors' start to their stop, and its height `above` the stand (N,), m; nan: not known.
+
+    `sensor` measured the height.
+    """
+
+    flight: FlownFlight
+    above: Array
+    sensor: Sensor
+
+
+def near_ground(recording: Recording, flight: FlownFlight) -> NearGround | None:
+    """The same flight with take-off and landing; None where no height is logged.
+
+    A rangefinder goes before the estimator, except far above the ground, where it may be out of its range.
+    """
+    found = {c.sensor: c for c in recording.dynamics if c.sensor in HEIGHT_SD and len(c) > _FEWEST}
+    whole = flown(recording, flight.geometry, flight.commands, from_ground=True) if found else None
+    if whole is None or isinstance(whole, Unflown):
+        return None
+    heights = {sensor: _above_stand(channel, whole) for sensor, channel in found.items()}
+    sensor = Sensor.HEIGHT if Sensor.HEIGHT in heights else Sensor.PLACE
+    above = heights[sensor]
+    if len(heights) > 1:
+        above = np.where(heights[Sensor.PLACE] > CALM_M, heights[Sensor.PLACE], above)
+    return NearGround(whole, above, sensor)
+
+
+def low_flight(near: NearGround, like: Airframe, theta: Array) -> LowFlight | None:
+    """Rows near the ground beside an airframe; None: too little calm flight to know the noise.
+
+    `theta` are its parameters on the layout of `like`.
+    """
+    flight, clear = near.flight, _CLEAR[near.sensor]
+    airframe = Airframe(
+        flight, like.kind, like.full_voltage, spin_low=like.spin_low, slew=like.slew, torque=False,
+        loaded_at=like.loaded_at,
+    )  # fmt: skip
+    theta = _on_layout(theta, like.layout, airframe.layout)
+    predicted, _ = airframe.predicted(theta)
+    thrust, _, _ = airframe.thrusts(theta)
+    lift = theta[airframe.layout.place["k"]] * thrust.mean(axis=1)
+    usable = flight.usable & (lift > 0.5 * flight.gravity) & np.isfinite(near.above) & _calm(flight)
+    gain = np.where(usable, (predicted[:, 2] - flight.force[:, 2]) / np.maximum(lift, 1e-3), np.nan)
+    rows = len(gain) // _BLOCK
+    gain, height = (x[: rows * _BLOCK].reshape(rows, _BLOCK).mean(axis=1) for x in (gain, near.above))
+    step = _BLOCK / flight.fs
+    noise = _covariance(np.where(height > CALM_M, gain, np.nan), round(MEMORY_S / step))
+    if noise is None:
+        return None
+    width = 2 * max(round(_CONTACT_S / step), 1) + 1
+    touched = np.convolve(~(height > clear), np.ones(width), mode="same") > 0.5
+    kept = np.isfinite(gain) & ~touched & (height < _PASS_M)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(np.int8)))
+    spans = zip(edges[::2], edges[1::2], strict=True)
+    passes = tuple(Pass(gain[a:b], height[a:b]) for a, b in spans if b - a >= _SHORTEST)
+    return LowFlight(passes, noise, step, HEIGHT_SD[near.sensor])
+
+
+def _above_stand(channel: Channel, flight: FlownFlight) -> Array:
+    """Height above where the vehicle stood before and after (N,), m; nan where it did not stand in the log."""
+    values = channel.values[:, 0] if channel.sensor == Sensor.HEIGHT else -channel.values[:, 2]
+    start, end = float(flight.t[0]), float(flight.t[-1])
+    known = []
+    for low, high, at in ((start - _REST_S, start, start), (end, end + _REST_S, end)):
+        rows = (channel.t >= low) & (channel.t <= high)
+        if rows.sum() >= 2:
+            known.append((at, float(np.median(values[rows]))))
+    if not known:
+        return np.full(len(flight.t), np.nan)
+    stand = np.interp(flight.t, [k[0] for k in known], [k[1] for k in known])
+    return np.asarray(np.interp(flight.t, channel.t, values) - stand)
+
+
+def _calm(flight: FlownFlight) -> Mask:
+    """Rows (N,) in which the rotors are near a hover: the formula is one of steady flow."""
+    push = np.abs(flight.force[:, 2] + flight.gravity)
+    speed = np.hypot(flight.velocity[:, 0], flight.velocity[:, 1])
+    return np.asarray((push < _CALM_PUSH) & (np.abs(flight.velocity[:, 2]) < _CALM_CLIMB) & (speed < _CALM_SPEED))
+
+
+def _covariance(gain: Array, memory: int) -> Array | None:
+    """By lag, of the noise that thrust has in calm flight away from the ground (nan elsewhere); None: too little."""
+    known = np.isfinite(gain)
+    if known.sum() < 2 * memory:
+        return None
+    centre, spread = float(np.median(gain[known])), np.percentile(gain[known], (1.0, 99.0))
+    off = np.where(known, np.clip(gain, *spread) - centre, 0.0)
+    full = np.array([float(off[: len(off) - k] @ off[k:]) for k in range(memory)]) / float(known.sum())
+    full *= 0.5 + 0.5 * np.cos(np.pi * np.arange(memory) / memory)  # a taper keeps it positive definite
+    full[0] += _LEAST_NOISE**2
+    return np.asarray(full)
+
+
+def _on_layout(theta: Array, layout: Layout, other: Layout) -> Array:
+    """`theta` on another layout; effects without a name are left out."""
+    found = np.zeros(len(other.names))
+    for name in set(layout.names) - set(layout.free):
+        found[other.place[name]] = theta[layout.place[name]]
+    return found
