@@ -80,4 +80,4 @@ def test_a_weak_pulse_is_told_as_the_thrust_that_it_leaves(
     assert (weak.id, weak.motors) == ("motor_weak", (motor,))
     values = {v.name: v for v in weak.values}
     assert 1.0 + values["s"].value == pytest.approx(left, abs=0.005)
-    assert 0.0 < values["s"].sd < 0.005
+    assert 0.0 < values["s"].sd < 0.006
