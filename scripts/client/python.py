@@ -21,6 +21,7 @@ def emit(document: Document) -> dict[str, str]:
     models = document.models()
     of = _modules(document)
     requests, events, told, job = ([n for n in models if n in of[m]] for m in ("requests", "events", "models", "jobs"))
+    asynchronous = _client(document)
     return {
         "enums.py": _enums(document),
         "requests.py": _models("What is asked of the service.", document, requests, {}, "Request"),
@@ -35,8 +36,8 @@ def emit(document: Document) -> dict[str, str]:
         ),
         "problems.py": _problems(document),
         "answers.py": _answers(document),
-        "waiting.py": _client(document, asynchronous=False),
-        "asynchronous.py": _client(document, asynchronous=True),
+        "waiting.py": _waiting(asynchronous),
+        "asynchronous.py": asynchronous,
     }
 
 
@@ -155,15 +156,31 @@ def _modules(document: Document) -> dict[str, set[str]]:
     return {"jobs": jobs, "models": told - jobs, "events": events, "requests": requests}
 
 
-def _client(document: Document, *, asynchronous: bool) -> str:
-    name, base = ("AsyncClient", "AsyncTransport") if asynchronous else ("Client", "Transport")
-    about = "waits for nothing" if asynchronous else "waits for each answer"
+WAITING = {
+    "waits for nothing": "waits for each answer",
+    "async def ": "def ",
+    "await ": "",
+    "AsyncClient": "Client",
+    "AsyncTransport": "Transport",
+    "AsyncIterable": "Iterable",
+    "AsyncIterator": "Iterator",
+}
+"""What the client that waits says in place of what the other one does."""
+
+
+def _waiting(asynchronous: str) -> str:
+    """The client that waits for each answer, out of the one that does not."""
+    return re.sub("|".join(WAITING), lambda found: WAITING[found.group()], asynchronous)
+
+
+def _client(document: Document) -> str:
+    about, base = "waits for nothing", "AsyncTransport"
     body: list[str] = []
     for operation in document.operations:
-        body += ["", *_method(operation, asynchronous=asynchronous)]
+        body += ["", *_method(operation)]
     used = set(re.findall(r"\b\w+\b", "\n".join(body)))
     imports = []
-    kinds = {"Iterable", "Iterator", "AsyncIterable", "AsyncIterator"} & used
+    kinds = {"AsyncIterable", "AsyncIterator"} & used
     imports.append(f"from collections.abc import {', '.join(sorted(kinds))}")
     if chosen := sorted(used & {"Any", "Literal"}):
         imports.append(f"from typing import {', '.join(chosen)}")
@@ -176,24 +193,21 @@ def _client(document: Document, *, asynchronous: bool) -> str:
             continue
         imports.append(f"from mavcal.client.{module} import {', '.join(sorted((used | {base}) & known))}")
     head = _head(f"The client that {about}: one method for each operation.", *imports)
-    first = "    def " if not asynchronous else "    async def "
-    assert any(line.startswith(first) for line in body)
-    return _text([*head, "", "", f"class {name}({base}):", *_docstring(f"Asks a service, and {about}."), *body])
+    return _text([*head, "", "", f"class AsyncClient({base}):", *_docstring(f"Asks a service, and {about}."), *body])
 
 
-def _method(operation: Operation, *, asynchronous: bool) -> list[str]:
+def _method(operation: Operation) -> list[str]:
     places = [_argument(p) for p in operation.parameters if p.place == "path"]
     if operation.raw:
-        places.append(f"content: bytes | {'AsyncIterable' if asynchronous else 'Iterable'}[bytes]")
+        places.append("content: bytes | AsyncIterable[bytes]")
     named = [p for p in operation.parameters if p.place != "path"]
     named = [*(p for p in named if p.required), *(p for p in named if not p.required)]
     star = ["*"] if named else []
     arguments = ", ".join(["self", *places, *star, *(_argument(p) for p in named)])
     told = _told(operation)
     if operation.stream:
-        told = f"{'AsyncIterator' if asynchronous else 'Iterator'}[{told}]"
-    plain = operation.stream or not asynchronous
-    lines = [f"    {'def' if plain else 'async def'} {operation.name}({arguments}) -> {told}:"]
+        told = f"AsyncIterator[{told}]"
+    lines = [f"    {'def' if operation.stream else 'async def'} {operation.name}({arguments}) -> {told}:"]
     lines += _docstring("\n\n".join(filter(None, (operation.summary, operation.text))), indent=" " * 8)
     path = re.sub(r"\{(\w+)\}", r"{segment(\1)}", operation.path)
     call = [f'{"f" if "{" in path else ""}"{path}"', *_further(operation)]
@@ -201,13 +215,12 @@ def _method(operation: Operation, *, asynchronous: bool) -> list[str]:
         call.insert(1, f"answers.{_adapter(_shape(operation.answer))}")
         return [*lines, f"        return self._follow({', '.join(call)})"]
     call.insert(0, f'"{operation.method}"')
-    await_ = "await " if asynchronous else ""
     if operation.answer is None:
-        return [*lines, f"        {await_}self._text({', '.join(call)})"]
+        return [*lines, f"        await self._text({', '.join(call)})"]
     if operation.plain:
-        return [*lines, f"        return {await_}self._text({', '.join(call)})"]
+        return [*lines, f"        return await self._text({', '.join(call)})"]
     call.insert(2, f"answers.{_adapter(_shape(operation.answer))}")
-    return [*lines, f"        return {await_}self._ask({', '.join(call)})"]
+    return [*lines, f"        return await self._ask({', '.join(call)})"]
 
 
 def _further(operation: Operation) -> Iterable[str]:
