@@ -7,11 +7,14 @@ import keyword
 import re
 import textwrap
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from scripts.client.spec import Document, Operation, Parameter, references, sentence
 
+ROOT = Path(__file__).resolve().parents[2]
 MARK = "# Written by scripts/generate-client from docs/openapi.json. Do not edit."
+TRANSPORT_MARK = "# Written by scripts/generate-client from client/transport.py. Do not edit."
 PRIMITIVES = {"string": "str", "number": "Number", "integer": "int", "boolean": "bool", "null": "None"}
 WIDTH = 116
 
@@ -37,6 +40,7 @@ def emit(document: Document) -> dict[str, str]:
         "problems.py": _problems(document),
         "answers.py": _answers(document),
         "waiting.py": _waiting(asynchronous),
+        "waiting_transport.py": _waiting_transport(),
         "asynchronous.py": asynchronous,
     }
 
@@ -156,21 +160,29 @@ def _modules(document: Document) -> dict[str, set[str]]:
     return {"jobs": jobs, "models": told - jobs, "events": events, "requests": requests}
 
 
-WAITING = {
-    "waits for nothing": "waits for each answer",
-    "async def ": "def ",
-    "await ": "",
-    "AsyncClient": "Client",
-    "AsyncTransport": "Transport",
-    "AsyncIterable": "Iterable",
-    "AsyncIterator": "Iterator",
-}
-"""What the client that waits says in place of what the other one does."""
+WAITING = (
+    ("waits for nothing", "waits for each answer"),
+    (r"\b(async|await) ", ""),
+    (r"\bimport asyncio\n", ""),
+    (r"\basyncio\.sleep\b", "time.sleep"),
+    (r"\bAsync(?=[A-Z])", ""),
+    (r"\b(__)?a(?=enter__|exit__|close\(|read\(|iter_bytes\()", r"\1"),
+    (r"\bfor found in (.+):\n +yield found", r"yield from \1"),
+    (r"\bmavcal\.client\.transport\b", "mavcal.client.waiting_transport"),
+)
+"""What a client that waits says in place of what an asynchronous one does."""
 
 
 def _waiting(asynchronous: str) -> str:
-    """The client that waits for each answer, out of the one that does not."""
-    return re.sub("|".join(WAITING), lambda found: WAITING[found.group()], asynchronous)
+    """A module of the client that waits for each answer, out of that of the other one."""
+    for pattern, instead in WAITING:
+        asynchronous = re.sub(pattern, instead, asynchronous)
+    return asynchronous
+
+
+def _waiting_transport() -> str:
+    about, _, rest = (ROOT / "client" / "transport.py").read_text(encoding="utf-8").partition("\n\n")
+    return _waiting("\n\n".join((about, TRANSPORT_MARK, rest)))
 
 
 def _client(document: Document) -> str:
@@ -188,7 +200,7 @@ def _client(document: Document) -> str:
     if "Number" in used:
         imports.append("from mavcal.client.base import Number")
     enums = {"enums": set(document.enums())}
-    for module, known in (enums | _modules(document) | {"transport": {base, "segment"}}).items():
+    for module, known in (enums | _modules(document) | {"transport": {base}, "exchange": {"segment"}}).items():
         if not (used | {base}) & known:
             continue
         imports.append(f"from mavcal.client.{module} import {', '.join(sorted((used | {base}) & known))}")
