@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import Enum
 from types import NoneType, UnionType
-from typing import Any, NoReturn, TypeVar, Union, get_args, get_origin
+from typing import Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 from cattrs import Converter
@@ -88,6 +88,7 @@ def _write_with(made: Converter) -> None:
     made.register_unstructure_hook(bytes, _without_form)
     for kind in (bool, NoneType):
         made.register_unstructure_hook(kind, lambda value: value)
+    made.register_unstructure_hook_func(_is_literal, made.unstructure)
     made.register_unstructure_hook_func(_is(Enum), lambda value: value.value)
     made.register_unstructure_hook_func(_is(*_LISTED), listed)
     made.register_unstructure_hook_func(_is(Mapping), mapping)
@@ -115,6 +116,11 @@ def _is(*kinds: type) -> Callable[[Any], bool]:
         return isinstance(own, type) and issubclass(own, kinds)
 
     return found
+
+
+def _is_literal(kind: Any) -> bool:
+    origin: Any = get_origin(kind)
+    return origin is Literal
 
 
 def _is_number(kind: Any) -> bool:

@@ -11,6 +11,7 @@ from mavcal.client import answers
 from mavcal.client.base import Number
 from mavcal.client.enums import Hand, ItemOutcome, JobState
 from mavcal.client.events import JobMessage, LiveMessage, Message, VehicleMessage
+from mavcal.client.exchange import segment
 from mavcal.client.jobs import JobModel, PlanModel
 from mavcal.client.models import (
     AuditCheck,
@@ -41,7 +42,7 @@ from mavcal.client.models import (
     WatchModel,
 )
 from mavcal.client.requests import PlanOptions, ReadingOptions
-from mavcal.client.transport import Transport, segment
+from mavcal.client.waiting_transport import Transport
 
 
 class Client(Transport):

@@ -27,11 +27,13 @@ _KEY_BYTES = 32
 
 @dataclass(frozen=True)
 class KnownKey:
-    """A key without the key: its name, the begin of its SHA-256, and where it is kept."""
+    """A signing key without the key."""
 
     name: str
     fingerprint: str
+    """The first 12 digits of the SHA-256 of the key's 32 bytes."""
     source: Literal["settings", "file"]
+    """Where it is kept."""
 
 
 class SigningKeys:

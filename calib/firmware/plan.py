@@ -32,30 +32,34 @@ class ParameterKind(StrEnum):
 
 @dataclass(frozen=True)
 class Change:
-    """One parameter to be set. Values are float32-exact for REAL32 and integers otherwise."""
+    """One parameter to be set."""
 
     name: str
-    old: Value | None
-    """None: the vehicle did not list it (hidden group); it is then set by name."""
+    old: Value | None  # a hidden one is set by name
+    """In `unit`; None: hidden, the vehicle did not list it."""
     new: Value
-    kind: ParameterKind
+    """In `unit`."""
+    kind: ParameterKind  # REAL32: the values are exact in float32; else they are integers
     why: str
-    sd: float | None = None
-    """Standard deviation of `new` in the parameter's unit; None: not an estimate (a flag, an id, a range)."""
+    sd: float | None = None  # none of a flag, an id or a range
+    """Standard deviation of `new`, in `unit`; None: not an estimate."""
     unit: str = ""
+    """Unit of the parameter; empty: a pure number."""
     sensor: Sensor | None = None
     instance: int = 0
+    """Which sensor of its kind, from 0."""
     needs_reboot: bool = False
     session: bool = False
-    """True: a setting of this session (autocal off), restored when the job ends."""
+    """A setting of this session, put back when the job ends."""
 
 
 @dataclass(frozen=True)
 class Loss:
-    """A part of the fit that this firmware cannot hold, with what it costs."""
+    """A part of the fit that this firmware cannot hold."""
 
     sensor: Sensor
     instance: int
+    """Which sensor of its kind, from 0."""
     what: str
     cost: float
     """Largest effect of leaving it out, over all directions, in `unit`."""
@@ -65,41 +69,47 @@ class Loss:
 
 @dataclass(frozen=True)
 class Agreement:
-    """A sensor that is left as it is: what was fitted differs from what is in force by less than its uncertainty."""
+    """A sensor that is left as it is: the fit agrees with what is in force."""
 
     sensor: Sensor
     instance: int
-    deviation: float
-    """Root mean square of the change over its independent parts, each in the standard deviation of the change."""
+    """Which sensor of its kind, from 0."""
+    deviation: float  # over its independent parts, each in the standard deviation of the change
+    """Root mean square of the change, in standard deviations."""
     text: str
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A sensor that was asked for and gets no new calibration, or only a part of it, and why."""
+    """A sensor that was asked for and gets no new calibration, or only a part of it."""
 
     sensor: Sensor
     instance: int
+    """Which sensor of its kind, from 0."""
     reason: str
 
 
 @dataclass(frozen=True)
 class AfterWrite:
-    """A MAVLink command to be sent when every parameter has been read back."""
+    """A MAVLink command that is sent when every parameter was read back."""
 
     command: int
+    """MAV_CMD."""
     params: tuple[float, float, float, float, float, float, float]
+    """Its seven parameters."""
     why: str
 
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """Whose plan it is: any difference means "plan again"."""
+    """Whose plan it is: any difference means that it has to be made again."""
 
     autopilot: str
     uid: str
+    """Hardware id, hexadecimal."""
     firmware: str
     device_ids: tuple[tuple[str, int], ...]
+    """Device ids of the sensors, by parameter."""
 
 
 def sensors_of(changes: Iterable[Change], agreements: Iterable[Agreement]) -> frozenset[Sensor]:
@@ -163,31 +173,31 @@ class ProofVerdict(StrEnum):
 
 @dataclass(frozen=True)
 class ParameterVerdict:
-    """The physical check of one parameter."""
+    """What the stream says of one written parameter."""
 
     name: str
     verdict: ProofVerdict
     effect: float
-    """How far the stream would be off if this one parameter had not been applied, in `unit`."""
+    """How far the stream would be off without this parameter, in `unit`; None: not finite."""
     sd: float
-    """Standard deviation of the check, same unit."""
+    """Standard deviation of the check, in `unit`; None: not finite."""
     unit: str
     text: str
-    acts_on_stream: bool = True
-    """False: no stream depends on it (a flag, an id, a trim behind the sensors); it is judged by read-back alone."""
+    acts_on_stream: bool = True  # not so a flag, an id, a trim behind the sensors
+    """False: no stream depends on it; it is judged by read-back alone."""
 
 
 @dataclass(frozen=True)
 class Movement:
-    """What would prove the parameters that are still open: a sentence, and the same as data."""
+    """What would prove the parameters that are still open."""
 
     text: str
-    faces: tuple[str, ...] = ()
-    """Poses to be held still, by the names of :class:`calib.procedures.protocol.Pose`."""
+    faces: tuple[str, ...] = ()  # names of calib.procedures.protocol.Pose
+    """Poses to be held still."""
     turn: bool = False
     """Turn the vehicle through all directions."""
     temperature: float | None = None
-    """Bring the sensors to about this temperature, degC. None: any."""
+    """Bring the sensors to about this, degC; None: any."""
 
 
 class SensorVerdict(StrEnum):
@@ -210,18 +220,19 @@ class SensorCheckId(StrEnum):
 
 @dataclass(frozen=True)
 class SensorCheck:
-    """What one sensor reads after the write beside what it should: zero, gravity, another unit's direction, level."""
+    """What a sensor reads after the write beside what it should."""
 
     id: SensorCheckId
     sensor: Sensor
     instance: int
+    """Which sensor of its kind, from 0."""
     value: float | None
     """How far it is off, in `unit`; None: not observed."""
     limit: float | None
-    """The most that noise, drift and the fit's own uncertainty explain, in `unit`."""
+    """The most that noise, drift and the fit explain, in `unit`."""
     unit: str
     sd: float | None
-    """Standard deviation of `value`, the uncertainty of the fit included."""
+    """Standard deviation of `value`, in `unit`."""
     verdict: SensorVerdict
     text: str
 

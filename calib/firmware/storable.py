@@ -13,6 +13,7 @@ class Storable:
     """What one autopilot keeps of a procedure's result."""
 
     writes: tuple[str, ...]
+    """Parameters."""
     cannot_represent: tuple[str, ...]
 
 

@@ -50,17 +50,19 @@ class ReasonCode(StrEnum):
 
 @dataclass(frozen=True)
 class Reason:
-    """One reason, in words. `sensor` None: the unit as a whole."""
+    """Why a unit should be calibrated again."""
 
     code: ReasonCode
+    sensor: Sensor | None
+    """None: the unit as a whole."""
+    instance: int | None
+    """0 for the first of its kind; None: all of them."""
     text: str
-    sensor: Sensor | None = None
-    instance: int | None = None
 
 
 @dataclass(frozen=True)
 class FailedCheck:
-    """A check of a preflight that did not pass."""
+    """A check of the last preflight that did not pass."""
 
     id: CheckId
     verdict: Verdict
@@ -149,7 +151,7 @@ def fleet_standing(
 def reasons(sensors: Sequence[SensorStanding], preflight: LastPreflight | None, now: float) -> tuple[Reason, ...]:
     """Why a unit with these sensors should be calibrated again, by the limits of the preflight."""
     if not any(s.calibrated_at is not None for s in sensors):
-        found = [Reason(ReasonCode.NEVER, "No verified calibration of this vehicle is known here.")]
+        found = [Reason(ReasonCode.NEVER, None, None, "No verified calibration of this vehicle is known here.")]
     else:
         found = [reason for s in sensors for reason in _of_sensor(s, now)]
     return (*found, *(_of_preflight(sensors, preflight) if preflight is not None else ()))
@@ -159,15 +161,15 @@ def _of_sensor(sensor: SensorStanding, now: float) -> list[Reason]:
     place = (sensor.newest.sensor, sensor.newest.instance)
     if sensor.calibrated_at is None:
         text = f"No verified calibration of {sensor.name} is known here."
-        return [Reason(ReasonCode.NEVER, text, *place)]
+        return [Reason(ReasonCode.NEVER, *place, text)]
     found = []
     age, limit = (now - sensor.calibrated_at) / DAY_S, limits.CALIBRATION_AGE
     if age > limit.value:
         text = f"The calibration of {sensor.name} is {age:.0f} d old, limit {limit.value:g} d."
-        found.append(Reason(ReasonCode.AGE, text, *place))
+        found.append(Reason(ReasonCode.AGE, *place, text))
     leaving = sensor.trend.leaving
     if leaving is not None and leaving.earliest is not None and leaving.earliest <= now:
-        found.append(Reason(ReasonCode.DRIFT, _left(sensor, leaving), *place))
+        found.append(Reason(ReasonCode.DRIFT, *place, _left(sensor, leaving)))
     return found
 
 
@@ -198,7 +200,7 @@ def _of_preflight(sensors: Sequence[SensorStanding], preflight: LastPreflight) -
             continue
         kinds = TREATED[check.id]
         text = f"The preflight of {day(preflight.at)} failed {check.id}: {check.reason}"
-        found.append(Reason(ReasonCode.PREFLIGHT, text, kinds[0] if len(kinds) == 1 else None))
+        found.append(Reason(ReasonCode.PREFLIGHT, kinds[0] if len(kinds) == 1 else None, None, text))
     return found
 
 

@@ -49,7 +49,7 @@ class Quantity(StrEnum):
 
 @dataclass(frozen=True)
 class Open:
-    """Something that the measurements do not determine, and why."""
+    """What the measurements do not determine."""
 
     quantity: Quantity
     why: str
@@ -57,23 +57,26 @@ class Open:
 
 @dataclass(frozen=True)
 class Slope:
-    """A slope along one axis: its middle, and the interval of 90 %."""
+    """A slope along one axis, with the interval that holds it with 90 %."""
 
     value: float
+    """Per year or per degC, in the unit of the drift."""
     low: float
+    """End of the interval, same unit."""
     high: float
+    """End of the interval, same unit."""
 
 
 @dataclass(frozen=True)
 class Leaving:
-    """When the bias leaves its limit, s since 1970. None: not within ten years from the last measurement.
-
-    It leaves between `earliest` and `latest` with a probability of 90 %, and before or after `middle` alike.
-    """
+    """When a bias leaves its limit; None: not within ten years from the last measurement."""
 
     earliest: float | None
+    """With 90 % it leaves between here and `latest`, s since 1970."""
     middle: float | None
+    """As likely before as after, s since 1970."""
     latest: float | None
+    """End of that interval, s since 1970."""
 
 
 @dataclass(frozen=True)

@@ -98,20 +98,25 @@ class Measure:
 
 @dataclass(frozen=True)
 class Check:
-    """One check. `value`, `sd`, `limit` and `unit` are those of its worst number; None: it has none."""
+    """One check; value, sd and limit are those of its worst number, None where it has none."""
 
     id: CheckId
     verdict: Verdict
     value: float | None
+    """In `unit`."""
     sd: float | None
+    """Standard deviation of `value`, in `unit`: noise and whatever else limits it."""
     limit: float | None
+    """In `unit`."""
     unit: str
+    """Empty: a pure number, or none."""
     reason: str
     remedy: str = ""
+    """What helps; empty where nothing has to be done."""
     evidence: tuple[str, ...] = ()
-    suspects: tuple[str, ...] = ()
-    """What is off. Several: all of them, or one of them and nothing that was looked at tells which, as the reason says.
-    Empty: nothing is, or it has no name."""
+    """Every number and fact that the check rests on."""
+    suspects: tuple[str, ...] = ()  # empty: nothing is off, or it has no name
+    """What is off; several: all of them, or one of them and nothing tells which, as the reason says."""
 
     def because_of(self, cause: CheckId) -> Check:
         """The same failure as a consequence of another check's: the sensor cannot be judged before that is mended."""

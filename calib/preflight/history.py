@@ -207,10 +207,12 @@ def calibrates_gyros(autopilot: str, parameters: Mapping[str, Value]) -> bool:
 
 @dataclass(frozen=True)
 class Covered:
-    """The temperatures that a calibration covers, degC, and how that is known."""
+    """The temperatures that a calibration covers, degC."""
 
     low: float
+    """degC"""
     high: float
+    """degC"""
     how: str
 
 

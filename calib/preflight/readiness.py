@@ -11,13 +11,14 @@ _ORDER = (Verdict.FAIL, Verdict.WARN, Verdict.UNKNOWN)
 
 @dataclass(frozen=True)
 class Readiness:
-    """Whether a vehicle would arm after its calibration."""
+    """What a preflight after the write says; the event `readiness` carries the same."""
 
     verdict: Verdict
-    """That of the whole report; unknown where there is none."""
+    """That of the preflight; unknown: the vehicle could not be looked at."""
     text: str
+    """This vehicle would arm now, or what stands against it in its own words."""
     against: tuple[str, ...] = ()
-    """Every check that does not pass with its reason, failures first; the vehicle's own texts are quoted."""
+    """Every check that does not pass, failures first."""
 
 
 def readiness(report: Report) -> Readiness:

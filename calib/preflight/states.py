@@ -54,13 +54,15 @@ class SensorState:
     """The procedure that would calibrate it."""
     verdict: Verdict
     label: str
-    """One or two words."""
+    """The verdict in one or two words."""
     text: str
     """When it was calibrated, at what temperature, how good it is."""
     advice: str
     """What it needs; empty: nothing."""
     at: float | None
+    """When it was calibrated, wall-clock time, s since 1970; None: never here."""
     job: str | None
+    """The job that did; None: never here."""
     temperature: float | None
     """Temperature of the calibration, degC; None: not known."""
 

@@ -31,13 +31,14 @@ class Pose(StrEnum):
 
 @dataclass(frozen=True)
 class Number:
-    """A number that the operator is asked for; its answer is the number as text."""
+    """A number that the operator is asked for; the answer is the number as text."""
 
-    name: str
-    """Machine-stable name: ``rate``, ``turns``."""
+    name: str  # stable, for programs: rate, turns
     unit: str
     low: float
+    """Least value, in `unit`."""
     high: float
+    """Greatest value, in `unit`."""
 
     def read(self, value: str) -> float | None:
         """`value` as a number; None: it is none, or lies outside the limits."""
@@ -70,16 +71,18 @@ class Tilt:
     """An oblique pose that is asked for, or that was taken."""
 
     direction: tuple[float, float, float]
-    """The body direction (FRD) that points down, a unit vector."""
+    """Body direction (front, right, down) that points down; a unit vector."""
     taken: bool
 
 
 @dataclass(frozen=True)
 class Silence:
-    """For how long the vehicle has not been heard, and after how long the job gives up, s."""
+    """For how long the vehicle has not been heard."""
 
     lasted: float
+    """s"""
     limit: float
+    """After so long the job gives up, s."""
 
 
 @dataclass(frozen=True)

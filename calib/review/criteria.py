@@ -24,15 +24,18 @@ MATRIX_ENTRIES: Final = 9
 
 @dataclass(frozen=True)
 class Criterion:
-    """One of them."""
+    """What speaks for or against a plan."""
 
     id: str
     verdict: Verdict
     value: float | None
+    """In `unit`; None: it has none."""
     limit: float | None
+    """In `unit`; None: it has none."""
     unit: str
     text: str
     remedy: str
+    """What helps; empty: nothing has to be done."""
 
 
 def criteria_of(fits: Sequence[FitResult], plan: WritePlan, options: Mapping[str, Any]) -> tuple[Criterion, ...]:

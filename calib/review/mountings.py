@@ -29,12 +29,15 @@ class MountingChoice:
 
 @dataclass(frozen=True)
 class StatedMounting:
-    """The mounting of one external compass; numbers are the firmware's."""
+    """The mounting of a compass; numbers are the firmware's."""
 
     instance: int
+    """Which compass, from 0."""
     stated: int
+    """What the vehicle is told now."""
     stated_text: str
     chosen: int | None
+    """What the plan takes instead; None: as it was found."""
 
 
 def mountings_of(

@@ -7,11 +7,14 @@ import keyword
 import re
 import textwrap
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from scripts.client.spec import Document, Operation, Parameter, references, sentence
 
+ROOT = Path(__file__).resolve().parents[2]
 MARK = "# Written by scripts/generate-client from docs/openapi.json. Do not edit."
+TRANSPORT_MARK = "# Written by scripts/generate-client from client/transport.py. Do not edit."
 PRIMITIVES = {"string": "str", "number": "Number", "integer": "int", "boolean": "bool", "null": "None"}
 WIDTH = 116
 
@@ -21,6 +24,7 @@ def emit(document: Document) -> dict[str, str]:
     models = document.models()
     of = _modules(document)
     requests, events, told, job = ([n for n in models if n in of[m]] for m in ("requests", "events", "models", "jobs"))
+    asynchronous = _client(document)
     return {
         "enums.py": _enums(document),
         "requests.py": _models("What is asked of the service.", document, requests, {}, "Request"),
@@ -35,8 +39,9 @@ def emit(document: Document) -> dict[str, str]:
         ),
         "problems.py": _problems(document),
         "answers.py": _answers(document),
-        "waiting.py": _client(document, asynchronous=False),
-        "asynchronous.py": _client(document, asynchronous=True),
+        "waiting.py": _waiting(asynchronous),
+        "waiting_transport.py": _waiting_transport(),
+        "asynchronous.py": asynchronous,
     }
 
 
@@ -155,15 +160,39 @@ def _modules(document: Document) -> dict[str, set[str]]:
     return {"jobs": jobs, "models": told - jobs, "events": events, "requests": requests}
 
 
-def _client(document: Document, *, asynchronous: bool) -> str:
-    name, base = ("AsyncClient", "AsyncTransport") if asynchronous else ("Client", "Transport")
-    about = "waits for nothing" if asynchronous else "waits for each answer"
+WAITING = (
+    ("waits for nothing", "waits for each answer"),
+    (r"\b(async|await) ", ""),
+    (r"\bimport asyncio\n", ""),
+    (r"\basyncio\.sleep\b", "time.sleep"),
+    (r"\bAsync(?=[A-Z])", ""),
+    (r"\b(__)?a(?=enter__|exit__|close\(|read\(|iter_bytes\()", r"\1"),
+    (r"\bfor found in (.+):\n +yield found", r"yield from \1"),
+    (r"\bmavcal\.client\.transport\b", "mavcal.client.waiting_transport"),
+)
+"""What a client that waits says in place of what an asynchronous one does."""
+
+
+def _waiting(asynchronous: str) -> str:
+    """A module of the client that waits for each answer, out of that of the other one."""
+    for pattern, instead in WAITING:
+        asynchronous = re.sub(pattern, instead, asynchronous)
+    return asynchronous
+
+
+def _waiting_transport() -> str:
+    about, _, rest = (ROOT / "client" / "transport.py").read_text(encoding="utf-8").partition("\n\n")
+    return _waiting("\n\n".join((about, TRANSPORT_MARK, rest)))
+
+
+def _client(document: Document) -> str:
+    about, base = "waits for nothing", "AsyncTransport"
     body: list[str] = []
     for operation in document.operations:
-        body += ["", *_method(operation, asynchronous=asynchronous)]
+        body += ["", *_method(operation)]
     used = set(re.findall(r"\b\w+\b", "\n".join(body)))
     imports = []
-    kinds = {"Iterable", "Iterator", "AsyncIterable", "AsyncIterator"} & used
+    kinds = {"AsyncIterable", "AsyncIterator"} & used
     imports.append(f"from collections.abc import {', '.join(sorted(kinds))}")
     if chosen := sorted(used & {"Any", "Literal"}):
         imports.append(f"from typing import {', '.join(chosen)}")
@@ -171,29 +200,26 @@ def _client(document: Document, *, asynchronous: bool) -> str:
     if "Number" in used:
         imports.append("from mavcal.client.base import Number")
     enums = {"enums": set(document.enums())}
-    for module, known in (enums | _modules(document) | {"transport": {base, "segment"}}).items():
+    for module, known in (enums | _modules(document) | {"transport": {base}, "exchange": {"segment"}}).items():
         if not (used | {base}) & known:
             continue
         imports.append(f"from mavcal.client.{module} import {', '.join(sorted((used | {base}) & known))}")
     head = _head(f"The client that {about}: one method for each operation.", *imports)
-    first = "    def " if not asynchronous else "    async def "
-    assert any(line.startswith(first) for line in body)
-    return _text([*head, "", "", f"class {name}({base}):", *_docstring(f"Asks a service, and {about}."), *body])
+    return _text([*head, "", "", f"class AsyncClient({base}):", *_docstring(f"Asks a service, and {about}."), *body])
 
 
-def _method(operation: Operation, *, asynchronous: bool) -> list[str]:
+def _method(operation: Operation) -> list[str]:
     places = [_argument(p) for p in operation.parameters if p.place == "path"]
     if operation.raw:
-        places.append(f"content: bytes | {'AsyncIterable' if asynchronous else 'Iterable'}[bytes]")
+        places.append("content: bytes | AsyncIterable[bytes]")
     named = [p for p in operation.parameters if p.place != "path"]
     named = [*(p for p in named if p.required), *(p for p in named if not p.required)]
     star = ["*"] if named else []
     arguments = ", ".join(["self", *places, *star, *(_argument(p) for p in named)])
     told = _told(operation)
     if operation.stream:
-        told = f"{'AsyncIterator' if asynchronous else 'Iterator'}[{told}]"
-    plain = operation.stream or not asynchronous
-    lines = [f"    {'def' if plain else 'async def'} {operation.name}({arguments}) -> {told}:"]
+        told = f"AsyncIterator[{told}]"
+    lines = [f"    {'def' if operation.stream else 'async def'} {operation.name}({arguments}) -> {told}:"]
     lines += _docstring("\n\n".join(filter(None, (operation.summary, operation.text))), indent=" " * 8)
     path = re.sub(r"\{(\w+)\}", r"{segment(\1)}", operation.path)
     call = [f'{"f" if "{" in path else ""}"{path}"', *_further(operation)]
@@ -201,13 +227,12 @@ def _method(operation: Operation, *, asynchronous: bool) -> list[str]:
         call.insert(1, f"answers.{_adapter(_shape(operation.answer))}")
         return [*lines, f"        return self._follow({', '.join(call)})"]
     call.insert(0, f'"{operation.method}"')
-    await_ = "await " if asynchronous else ""
     if operation.answer is None:
-        return [*lines, f"        {await_}self._text({', '.join(call)})"]
+        return [*lines, f"        await self._text({', '.join(call)})"]
     if operation.plain:
-        return [*lines, f"        return {await_}self._text({', '.join(call)})"]
+        return [*lines, f"        return await self._text({', '.join(call)})"]
     call.insert(2, f"answers.{_adapter(_shape(operation.answer))}")
-    return [*lines, f"        return {await_}self._ask({', '.join(call)})"]
+    return [*lines, f"        return await self._ask({', '.join(call)})"]
 
 
 def _further(operation: Operation) -> Iterable[str]:

@@ -97,6 +97,7 @@ def document(app: FastAPI) -> Json:
         servers=app.servers,
         tags=[{"name": name, "description": text} for name, text in TAGS.items()],
     )
+    made = _by_title(made)
     schemas = made["components"]["schemas"]
     for name in ERROR_SCHEMAS:
         schemas.pop(name, None)
@@ -171,7 +172,7 @@ def _further_schemas() -> Json:
         ],
         ref_template=REF,
     )
-    schemas: Json = found["$defs"]
+    schemas: Json = _by_title({"components": {"schemas": found["$defs"]}})["components"]["schemas"]
     texts = explanations()
     schemas["ProblemCode"] = {
         "title": "ProblemCode",
@@ -182,6 +183,24 @@ def _further_schemas() -> Json:
     }
     schemas["Problem"]["properties"]["code"] = {"$ref": REF.format(model="ProblemCode")}
     return schemas
+
+
+def _by_title(made: Json) -> Json:
+    """The document with each schema under its title: pydantic has a dataclass under the name of its class."""
+    titles = {name: schema.get("title", name) for name, schema in made["components"]["schemas"].items()}
+    references = {REF.format(model=name): REF.format(model=title) for name, title in titles.items()}
+
+    def renamed(part: Any) -> Any:
+        if isinstance(part, dict):
+            return {key: renamed(value) for key, value in part.items()}
+        if isinstance(part, list):
+            return [renamed(value) for value in part]
+        return references.get(part, part) if isinstance(part, str) else part
+
+    told: Json = renamed(made)
+    schemas = told["components"]["schemas"]
+    told["components"]["schemas"] = dict(sorted((titles[name], schema) for name, schema in schemas.items()))
+    return told
 
 
 def _answer(status: int) -> Json:

@@ -32,9 +32,9 @@ def fleet_unit_model(row: FleetUnit) -> FleetUnitModel:
             "preflight": _preflight(row),
             "age_days": row.age,
             "ages": {kind.value: age for kind, age in row.ages.items()},
-            "leaving": to_json(row.standing.leaving),
+            "leaving": row.standing.leaving,
             "needs_recalibration": bool(row.standing.reasons),
-            "reasons": to_json(row.standing.reasons),
+            "reasons": row.standing.reasons,
             "sensors": [_sensor(s, row.now) for s in row.standing.sensors],
         }
     )
@@ -49,10 +49,9 @@ def _preflight(row: FleetUnit) -> Json | None:
     found = row.standing.preflight
     if found is None or row.report is None:
         return None
-    failed = to_json(found.failed)
     summary = str(row.report.body.get("summary", ""))
     age = row.now - found.at
-    return {"at": found.at, "age_s": age, "verdict": found.verdict, "summary": summary, "failed": failed}
+    return {"at": found.at, "age_s": age, "verdict": found.verdict, "summary": summary, "failed": found.failed}
 
 
 def _sensor(sensor: SensorStanding, now: float) -> Json:
@@ -68,7 +67,7 @@ def _sensor(sensor: SensorStanding, now: float) -> Json:
         "calibrated_at": sensor.calibrated_at,
         "age_days": None if sensor.calibrated_at is None else (now - sensor.calibrated_at) / DAY_S,
         "job_id": sensor.job,
-        "covered": to_json(sensor.covered),
+        "covered": sensor.covered,
         "bias": None if measured is None else _shown(measured.bias, scale),
         "temperature": None if measured is None else measured.temperature,
         "drift": {
@@ -77,8 +76,8 @@ def _sensor(sensor: SensorStanding, now: float) -> Json:
             "limit": scale.limit.value,
             "per_year": _slopes(trend.per_year, scale),
             "per_degc": _slopes(trend.per_degc, scale),
-            "leaving": to_json(trend.leaving),
-            "open": to_json(trend.open),
+            "leaving": trend.leaving,
+            "open": trend.open,
         },
         "oddness": None if odd is None else {**to_json(odd), "odd": odd.odd},
     }
@@ -95,7 +94,7 @@ def _record(record: SensorRecord) -> SensorRecordModel:
         bias=_shown(record.bias, scale),
         sd=_shown(record.sd, scale),
         norm=norm,
-        covered=to_json(record.covered),
+        covered=record.covered,
     )
 
 
@@ -113,7 +112,7 @@ def _shown(values: Triple | None, scale: BiasLimit) -> Triple | None:
     return x, y, z
 
 
-def _slopes(slopes: tuple[Slope, Slope, Slope] | None, scale: BiasLimit) -> list[Json] | None:
+def _slopes(slopes: tuple[Slope, Slope, Slope] | None, scale: BiasLimit) -> list[Slope] | None:
     if slopes is None:
         return None
-    return [{name: value * scale.per_unit for name, value in vars(slope).items()} for slope in slopes]
+    return [Slope(**{name: value * scale.per_unit for name, value in vars(slope).items()}) for slope in slopes]

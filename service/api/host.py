@@ -13,7 +13,6 @@ from mavcal import calib
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models import (
     AuditCheck,
-    AuditModel,
     AuditPage,
     HealthModel,
     InfoModel,
@@ -111,7 +110,7 @@ async def audit(
 ) -> AuditPage:
     """Who asked for what, oldest first, a page at a time."""
     rows = await service.store.do(lambda: service.store.audit(after=after, limit=limit + 1))
-    page = [AuditModel(**vars(row)) for row in rows[:limit]]
+    page = list(rows[:limit])
     return AuditPage(rows=page, next=page[-1].id if len(rows) > limit else None)
 
 

@@ -13,7 +13,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from mavcal.calib.recording import Channel
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import LiveModel, SamplesModel, WatchModel, WatchRequest, WatchStatusModel
+from mavcal.service.api.models import LiveModel, SamplesModel, WatchModel, WatchRequest
 from mavcal.service.api.security import Scope, require
 from mavcal.service.api.vehicles import VehicleDep
 from mavcal.service.jobs.live_rates import LiveStatus, LiveWatch
@@ -79,7 +79,7 @@ def _model(batch: LiveBatch, status: LiveStatus | None) -> LiveModel:
         attitude=batch.attitude,
         model_field_ut=batch.field,
         loss=batch.loss,
-        watch=None if status is None else WatchStatusModel(**vars(status)),
+        watch=status,
     )
 
 

@@ -17,7 +17,7 @@ ADMIN = Depends(require(Scope.ADMIN))
 @router.get("/signing-keys", operation_id="list_signing_keys", dependencies=[ADMIN])
 async def signing_keys(service: ServiceDep) -> list[SigningKeyModel]:
     """Every signing key by name, without the key."""
-    return [SigningKeyModel(**vars(key)) for key in await service.signing.all()]
+    return list(await service.signing.all())
 
 
 @router.post("/signing-keys", operation_id="add_signing_key", status_code=201, dependencies=[ADMIN])
@@ -28,7 +28,7 @@ async def add_signing_key(
     given = None if body.key is None else body.key.get_secret_value()
     known = await service.signing.add(body.name, given, actor)
     response.headers["Location"] = relative(request, "api/v1/signing-keys")
-    return SigningKeyModel(**vars(known))
+    return known
 
 
 @router.delete("/signing-keys/{name}", operation_id="remove_signing_key", status_code=204, dependencies=[ADMIN])

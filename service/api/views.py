@@ -8,12 +8,12 @@ from typing import Any
 
 from fastapi import Response
 
-from mavcal.calib.firmware.plan import ParameterKind, WritePlan
+from mavcal.calib.firmware.plan import ParameterKind, Verification, WritePlan
 from mavcal.calib.preflight.states import SensorState, summary
+from mavcal.calib.procedures.protocol import Prompt
 from mavcal.calib.procedures.spec import ProcedureSpec
 from mavcal.calib.review.headline import text_of
 from mavcal.service.api.models import (
-    CriterionModel,
     GapModel,
     GapSummary,
     ItemModel,
@@ -21,7 +21,6 @@ from mavcal.service.api.models import (
     JobSummary,
     LinkModel,
     MountingChoiceModel,
-    MountingModel,
     OptionModel,
     ParameterModel,
     PlanModel,
@@ -30,7 +29,6 @@ from mavcal.service.api.models import (
     RecordingModel,
     ReviewModel,
     SensorEffectModel,
-    SensorStateModel,
     VehicleModel,
     VehicleSensorsModel,
 )
@@ -65,9 +63,9 @@ def job_model(job: Job) -> JobModel:
             "warnings": list(job.warnings),
             "results": to_json(job.results),
             "plan": None if job.plan is None else _plan(job.plan),
-            "verification": to_json(job.verification),
-            "readiness": to_json(readiness_of(job)),
-            "standing": to_json(job.standing),
+            "verification": None if job.verification is None else _verification(job.verification),
+            "readiness": readiness_of(job),
+            "standing": job.standing,
             "documents": [
                 {"name": name, "href": f"api/v1/jobs/{job.id}/documents/{name}"}
                 for name in job.context.get("documents", ())
@@ -80,8 +78,7 @@ def job_model(job: Job) -> JobModel:
 def sensors_model(states: Sequence[SensorState]) -> VehicleSensorsModel:
     """How the calibrations of a vehicle stand."""
     verdict, text = summary(states)
-    sensors = [SensorStateModel(**vars(state)) for state in states]
-    return VehicleSensorsModel(verdict=verdict, summary=text, sensors=sensors)
+    return VehicleSensorsModel(verdict=verdict, summary=text, sensors=list(states))
 
 
 def plan_model(plan: WritePlan) -> PlanModel:
@@ -90,7 +87,15 @@ def plan_model(plan: WritePlan) -> PlanModel:
 
 
 def _plan(plan: WritePlan) -> Json:
-    return {"left_out": [], **to_json(plan)}
+    return {**vars(plan), "needs_reboot": plan.needs_reboot, "sha256": plan.sha256}
+
+
+def _verification(check: Verification) -> Json:
+    return {**to_json(check), **vars(check)}
+
+
+def _prompt(prompt: Prompt) -> Json:
+    return {**to_json(prompt), "number": prompt.number, "tilts": prompt.tilts, "silence": prompt.silence}
 
 
 def review_model(job: Job, review: Review) -> ReviewModel:
@@ -109,9 +114,9 @@ def review_model(job: Job, review: Review) -> ReviewModel:
             )
             for effect in review.effects
         ],
-        criteria=[CriterionModel(**vars(criterion)) for criterion in review.criteria],
+        criteria=list(review.criteria),
         picture=None if review.picture is None else f"api/v1/jobs/{job.id}/picture.svg",
-        mountings=[MountingModel(**vars(mounting)) for mounting in review.mountings],
+        mountings=list(review.mountings),
         mounting_choices=[
             MountingChoiceModel(number=choice.number, text=choice.text, matrix=choice.matrix.tolist())
             for choice in review.mounting_choices
@@ -202,7 +207,7 @@ def preflight_model(found: Preflight, fixed: Sequence[Fix]) -> PreflightModel:
             "seconds": found.seconds,
             "verdict": found.report.verdict,
             "summary": found.report.summary,
-            "checks": to_json(found.report.checks),
+            "checks": found.report.checks,
             "notes": list(found.notes),
             "fixed": to_json(fixed),
         }
@@ -281,10 +286,10 @@ def _summary(job: Job) -> Json:
         "created_at": job.created_at,
         "updated_at": job.updated_at,
         "progress": to_json(job.progress),
-        "prompt": to_json(job.prompt),
+        "prompt": None if job.prompt is None else _prompt(job.prompt),
         "outcome": to_json(job.outcome),
-        "left_out": to_json(job.left_out),
-        "broken": to_json(job.broken),
-        "last_write": to_json(job.last_write),
+        "left_out": job.left_out,
+        "broken": job.broken,
+        "last_write": job.last_write,
         "options": dict(job.options),
     }

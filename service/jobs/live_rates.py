@@ -44,21 +44,13 @@ class LiveState(StrEnum):
 
 @dataclass(frozen=True)
 class LiveStatus:
-    """How it stands with the rates of a vehicle that is watched.
-
-    Parameters
-    ----------
-    state
-        What has become of the wish.
-    text
-        Why samples wait, or come slower than requested; empty: they come as requested.
-    rate_hz
-        The fastest rate that anybody who watches this vehicle has requested.
-    """
+    """How it stands with the rates that a watch wishes for."""
 
     state: LiveState
     text: str
+    """Why samples wait, or come slower than requested; empty: they come as requested."""
     rate_hz: float
+    """The fastest rate that anybody who watches this vehicle has requested, Hz."""
 
 
 @dataclass

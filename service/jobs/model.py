@@ -81,15 +81,15 @@ class Standing:
 
     name: str
     old: Value | None
-    """None: not known; the parameter is hidden, and no snapshot of it can be read."""
+    """The value before the write, in the unit of the parameter; None: not known."""
     new: Value
+    """The value that was to be written, in the same unit."""
     value: Value | None
-    """The last value heard; None: none since the last PARAM_SET left."""
-    certain: bool
-    """False: it may have changed since; `note` says why. Without a note it holds `old` or `new`."""
+    """The last value heard, in the same unit; None: none since the last PARAM_SET left."""
+    certain: bool  # if not, `note` says why; without a note it holds `old` or `new`
+    """False: it may have changed since."""
     note: str = ""
     holds: Holds = Holds.UNKNOWN
-    """Which value that is, as far as it is certain."""
 
 
 class WriteResult(StrEnum):
@@ -104,13 +104,16 @@ class WriteResult(StrEnum):
 
 @dataclass(frozen=True)
 class Attempt:
-    """The last attempt to write a job's plan; `sent` counts the parameters for which a PARAM_SET may have left."""
+    """The last attempt to write a job's plan; the event `write` carries the same when it ends."""
 
     result: WriteResult
+    """Failed: nothing was sent, and the job is in review again."""
     at: float
+    """Wall-clock time, s since 1970."""
     cause: str = ""
     remedy: str = ""
     sent: int = 0
+    """Parameters for which a PARAM_SET may have left."""
 
 
 @dataclass(frozen=True)

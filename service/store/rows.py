@@ -132,16 +132,18 @@ class LinkRow:
 
 @dataclass(frozen=True)
 class AuditRow:
-    """Who did what to what."""
+    """Who asked for what."""
 
     id: int
+    """Rows are numbered in the order of their arrival."""
     at: float
+    """Wall-clock time, s since 1970."""
     actor: str
     action: str
     subject: str
     detail: Json
-    sha256: str | None = None
-    """Covers this row and all before it (:mod:`service.store.chain`); None: from before there was a chain."""
+    sha256: str | None = None  # service.store.chain
+    """Covers this row and all before it; None: from before there was a chain."""
 
 
 @dataclass(frozen=True)

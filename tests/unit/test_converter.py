@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -43,6 +43,11 @@ class WholeThing:
     pair: tuple[str, int] | None = None
     best: float | int | None = None
     detail: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Kept:
+    where: Literal["settings", "file"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,3 +158,8 @@ def test_a_type_without_a_form_is_refused(value):
 def test_a_lenient_reader_passes_over_what_is_no_field():
     data = {**told(WHOLE), "summary": "of all"}
     assert lenient(make_converter(), WholeThing)(data, WholeThing) == WHOLE
+
+
+def test_a_word_out_of_a_list_stays_in_it() -> None:
+    assert told(Kept("file")) == {"where": "file"}
+    assert read(CONVERTER, {"where": "settings"}, Kept) == Kept("settings")

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import BaseModel, Field
 
-from mavcal.service.api.models.base import Json, Stamp
+from mavcal.service.api.models.wire import Wire
+from mavcal.service.store.rows import AuditRow
 
-
-class AuditModel(BaseModel):
-    """Who asked for what."""
-
-    id: int = Field(description="rows are numbered in the order of their arrival")
-    at: Stamp
-    actor: str
-    action: str
-    subject: str
-    detail: Json
-    sha256: str | None = Field(description="covers this row and all before it; null: from before there was a chain")
+AuditModel = Annotated[AuditRow, Wire("AuditModel")]
 
 
 class AuditPage(BaseModel):
@@ -29,6 +22,7 @@ class AuditPage(BaseModel):
 class AuditCheck(BaseModel):
     """Whether the audit trail is as it was written."""
 
+    # A ChainCheck with its verdict.
     intact: bool
     rows: int = Field(description="how many there are")
     head: str = Field(description="digest of the newest row; kept elsewhere it vouches for all rows up to it")

@@ -81,6 +81,7 @@ class GapCampaignRequest(_Campaign):
 class ItemModel(BaseModel):
     """One vehicle or upload of a campaign."""
 
+    # An Item with the state of its job; its result is taken apart.
     number: int = Field(description="its place in the campaign, from 1")
     subject: str = Field(description="id of the vehicle or upload; for a campaign of a command, the file")
     name: str = Field(description="file name of an upload; empty otherwise")

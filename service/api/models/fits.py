@@ -25,6 +25,7 @@ class FitJobRequest(FitRequest):
 class PolynomialModel(BaseModel):
     """How the offset follows the temperature T: the sum over k of coefficients[axis][k-1] * (T - t_ref)^k."""
 
+    # A ThermalPolynomial: its array as rows, no limit as null.
     t_ref: Number = Field(description="degC")
     t_min: Number | None = Field(description="degC; null: without a limit")
     t_max: Number | None = Field(description="degC; null: without a limit")
@@ -36,6 +37,7 @@ class PolynomialModel(BaseModel):
 class SensorModel(BaseModel):
     """corrected = matrix (measured - offset - polynomial(T))."""
 
+    # A TriadModel: its arrays as rows.
     offset: list[Number | None] = Field(description="x y z, in the unit of the fit; null: not determined")
     matrix: list[list[Number | None]] = Field(description="three rows of pure numbers; null: not determined")
     polynomial: PolynomialModel | None
@@ -53,6 +55,7 @@ class FitParameterModel(BaseModel):
 class FitModel(BaseModel):
     """The calibration of one sensor with its uncertainty, and what the data do not say about it."""
 
+    # A FitResult with its standard deviations and a list of its parameters; arrays as rows.
     method: str
     sensor: Sensor
     instance: int = Field(description="which sensor of its kind, from 0")

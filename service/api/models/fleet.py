@@ -7,11 +7,13 @@ from typing import Annotated
 from pydantic import BaseModel, Field, model_validator
 
 from mavcal.calib.fleet.observation import ObservationSource
-from mavcal.calib.fleet.standing import ReasonCode
-from mavcal.calib.fleet.trend import Quantity
-from mavcal.calib.preflight.check import CheckId, Verdict
+from mavcal.calib.fleet.standing import FailedCheck, Reason
+from mavcal.calib.fleet.trend import Leaving, Open, Slope
+from mavcal.calib.preflight.check import Verdict
+from mavcal.calib.preflight.history import Covered
 from mavcal.calib.recording import Sensor
 from mavcal.service.api.models.base import Request, Stamp, Vector
+from mavcal.service.api.models.wire import Wire
 from mavcal.service.settings import TAG
 
 Name = Annotated[str, Field(max_length=80, pattern=r"^[^\x00-\x1f\x7f]*$")]
@@ -33,32 +35,15 @@ class UnitRequest(Request):
         return self
 
 
-class SlopeModel(BaseModel):
-    """A slope along one axis, with the interval that holds it with 90 %."""
-
-    value: float = Field(description="per year or per degC, in the unit of the drift")
-    low: float = Field(description="end of the interval, same unit")
-    high: float = Field(description="end of the interval, same unit")
-
-
-class LeavingModel(BaseModel):
-    """When a bias leaves its limit; null: not within ten years from the last measurement."""
-
-    earliest: float | None = Field(description="with 90 % it leaves between here and `latest`, s since 1970")
-    middle: float | None = Field(description="as likely before as after, s since 1970")
-    latest: float | None = Field(description="end of that interval, s since 1970")
-
-
-class OpenModel(BaseModel):
-    """What the measurements do not determine."""
-
-    quantity: Quantity
-    why: str
+SlopeModel = Annotated[Slope, Wire("SlopeModel")]
+LeavingModel = Annotated[Leaving, Wire("LeavingModel")]
+OpenModel = Annotated[Open, Wire("OpenModel")]
 
 
 class DriftModel(BaseModel):
     """How a bias drifts. Slopes are along the sensor's axes; null: not determined, `open` says why."""
 
+    # A Trend in the unit of the limit, and that limit.
     n: int = Field(description="measurements that it rests on")
     unit: str
     limit: float = Field(description="how far the bias may be from what corrects it, in `unit`")
@@ -71,6 +56,7 @@ class DriftModel(BaseModel):
 class OddnessModel(BaseModel):
     """How far a sensor is from the middle of its type, in robust standard deviations of its worst axis."""
 
+    # An Oddness with its verdict.
     distance: float = Field(description="robust standard deviations")
     limit: float = Field(description="a healthy group has one sensor beyond it in 1 of 100 groups")
     axis: int = Field(description="0, 1 or 2")
@@ -78,17 +64,13 @@ class OddnessModel(BaseModel):
     odd: bool
 
 
-class CoveredModel(BaseModel):
-    """The temperatures that a calibration covers, degC."""
-
-    low: float = Field(description="degC")
-    high: float = Field(description="degC")
-    how: str
+CoveredModel = Annotated[Covered, Wire("CoveredModel")]
 
 
 class FleetSensorModel(BaseModel):
     """One sensor of a unit as it is known now."""
 
+    # A SensorStanding with times as ages, and biases in the unit of their limit.
     sensor: Sensor
     instance: int = Field(description="0 for the first of its kind")
     device_id: int = Field(description="0: not known")
@@ -106,17 +88,13 @@ class FleetSensorModel(BaseModel):
     oddness: OddnessModel | None = Field(description="null: fewer than six sensors of its type are known")
 
 
-class FailedCheckModel(BaseModel):
-    """A check of the last preflight that did not pass."""
-
-    id: CheckId
-    verdict: Verdict
-    reason: str
+FailedCheckModel = Annotated[FailedCheck, Wire("FailedCheckModel")]
 
 
 class UnitPreflightModel(BaseModel):
     """The last preflight of a unit."""
 
+    # A LastPreflight with its age and summary.
     at: Stamp
     age_s: float = Field(description="s since then")
     verdict: Verdict
@@ -124,13 +102,7 @@ class UnitPreflightModel(BaseModel):
     failed: list[FailedCheckModel]
 
 
-class ReasonModel(BaseModel):
-    """Why a unit should be calibrated again."""
-
-    code: ReasonCode
-    sensor: Sensor | None = Field(description="null: the unit as a whole")
-    instance: int | None = Field(description="0 for the first of its kind; null: all of them")
-    text: str
+ReasonModel = Annotated[Reason, Wire("ReasonModel")]
 
 
 class FleetUnitModel(BaseModel):
@@ -157,6 +129,7 @@ class FleetUnitModel(BaseModel):
 class SensorRecordModel(BaseModel):
     """One sensor as a job or a preflight measured it once."""
 
+    # A SensorRecord in the unit of the limit, its device id decoded.
     sensor: Sensor
     instance: int = Field(description="0 for the first of its kind")
     device_id: int = Field(description="as the firmware numbers it; 0: not known")

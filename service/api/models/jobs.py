@@ -7,12 +7,13 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field
 from typing_extensions import TypeAliasType
 
-from mavcal.calib.preflight.check import Verdict
-from mavcal.service.api.models.base import Json, Number, Request, Stamp
+from mavcal.calib.preflight.readiness import Readiness
+from mavcal.service.api.models.base import Json, Request, Stamp
 from mavcal.service.api.models.fits import FitModel
 from mavcal.service.api.models.plans import LeftOutModel, PlanModel, PlanOptions, VerificationModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
-from mavcal.service.jobs.model import Holds, WriteResult
+from mavcal.service.api.models.wire import Wire
+from mavcal.service.jobs.model import Attempt, Standing
 from mavcal.service.jobs.proof import ProofLevel
 from mavcal.service.jobs.states import JobState
 
@@ -34,6 +35,7 @@ class AnswerRequest(Request):
 class UnprovedModel(BaseModel):
     """A parameter that no stream has proved, or a sensor that could not be seen to read right with the new values."""
 
+    # An Unproved whose verdicts are listed.
     name: str
     verdict: Literal["consistent", "not_observable", "contradicted", "wrong"]
     why: str
@@ -48,6 +50,7 @@ class _Proof(BaseModel):
 class ResultModel(_Proof):
     """The job reached its goal."""
 
+    # A Result with its kind.
     kind: Literal["result"]
     text: str
 
@@ -55,6 +58,7 @@ class ResultModel(_Proof):
 class FailureModel(_Proof):
     """The job did not reach its goal."""
 
+    # A Failure with its kind and its proof, which is none.
     kind: Literal["failure"]
     code: str
     cause: str
@@ -64,6 +68,7 @@ class FailureModel(_Proof):
 class WriteFailedModel(_Proof):
     """The plan that was accepted could not be written. Nothing was sent, and the job is in review again."""
 
+    # An Unwritten with its kind and its proof, which is none.
     kind: Literal["write_failed"]
     code: str
     cause: str
@@ -75,41 +80,15 @@ OutcomeModel = TypeAliasType(
 )
 
 
-class StandingModel(BaseModel):
-    """What is known of one parameter that a job has written, or may have."""
-
-    name: str
-    old: Number | None = Field(description="the value before the write, in the unit of the parameter; null: not known")
-    new: Number | None = Field(description="the value that was to be written, in the same unit")
-    value: Number | None = Field(
-        description="the last value heard, in the same unit; null: none since the last PARAM_SET left"
-    )
-    certain: bool = Field(description="false: it may have changed since")
-    note: str
-    holds: Holds
-
-
-class WriteModel(BaseModel):
-    """The last attempt to write a job's plan; the event `write` carries the same when it ends."""
-
-    result: WriteResult = Field(description="failed: nothing was sent, and the job is in review again")
-    at: Stamp
-    cause: str
-    remedy: str
-    sent: int = Field(description="parameters for which a PARAM_SET may have left")
-
-
-class VehicleReadinessModel(BaseModel):
-    """What a preflight after the write says; the event `readiness` carries the same."""
-
-    verdict: Verdict = Field(description="that of the preflight; unknown: the vehicle could not be looked at")
-    text: str = Field(description="this vehicle would arm now, or what stands against it in its own words")
-    against: list[str] = Field(description="every check that does not pass, failures first")
+StandingModel = Annotated[Standing, Wire("StandingModel", not_finite=("new",))]
+WriteModel = Annotated[Attempt, Wire("WriteModel")]
+VehicleReadinessModel = Annotated[Readiness, Wire("VehicleReadinessModel")]
 
 
 class SegmentModel(BaseModel):
     """A span of a telemetry log."""
 
+    # A LogSpan without the folder of its log.
     path: str = Field(description="name of the log")
     start_byte: int = Field(description="first byte in the log, from 0")
     end_byte: int = Field(description="the byte behind the last one")
@@ -126,6 +105,7 @@ class DocumentModel(BaseModel):
 class JobSummary(BaseModel):
     """A job in a list."""
 
+    # A Job without its results, with its address.
     id: str
     href: str = Field(description="its address, relative to the root of the service")
     vehicle_id: str | None = Field(description="null: the job computes something of uploads and needs no vehicle")

@@ -17,6 +17,7 @@ class LinkRequest(Request):
 class LinkModel(BaseModel):
     """A link."""
 
+    # A Link as far as it can be told, with its vehicles.
     id: str
     url: str
     state: LinkState

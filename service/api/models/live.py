@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
 from mavcal.calib.firmware.stream.rates import INERTIAL_HZ, LIVE_MOST_HZ
 from mavcal.calib.recording import Sensor
 from mavcal.service.api.models.base import Attitude, Number, Request
-from mavcal.service.jobs.live_rates import LiveState
+from mavcal.service.api.models.wire import Wire
+from mavcal.service.jobs.live_rates import LiveStatus
 
 
 class WatchRequest(Request):
@@ -27,17 +28,13 @@ class WatchModel(BaseModel):
     rate_hz: float = Field(description="the requested rate, Hz")
 
 
-class WatchStatusModel(BaseModel):
-    """How it stands with the rates that a watch wishes for."""
-
-    state: LiveState
-    text: str = Field(description="why samples wait, or come slower than requested; empty: they come as requested")
-    rate_hz: float = Field(description="the fastest rate that anybody who watches this vehicle has requested, Hz")
+WatchStatusModel = Annotated[LiveStatus, Wire("WatchStatusModel")]
 
 
 class SamplesModel(BaseModel):
     """New samples of one sensor."""
 
+    # A Channel with fewer digits, its arrays as lists.
     sensor: Sensor
     instance: int = Field(description="which sensor of its kind, from 0")
     unit: str
@@ -49,6 +46,7 @@ class SamplesModel(BaseModel):
 class LiveModel(BaseModel):
     """Samples since the last message."""
 
+    # A LiveBatch with the status of the watch.
     channels: list[SamplesModel] = Field(description="as they are streamed; one a sensor and instance")
     bare: list[SamplesModel] = Field(description="compasses without the calibration in force, where that is known")
     attitude: Attitude | None = Field(

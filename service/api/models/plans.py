@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import BaseModel, Field
 
-from mavcal.calib.firmware.plan import ParameterKind, ProofVerdict, SensorCheckId, SensorVerdict
-from mavcal.calib.recording import Sensor
-from mavcal.service.api.models.base import Json, Number, Request
+from mavcal.calib.firmware.plan import (
+    AfterWrite,
+    Agreement,
+    Change,
+    Fingerprint,
+    LeftOut,
+    Loss,
+    Movement,
+    ParameterVerdict,
+    SensorCheck,
+)
+from mavcal.service.api.models.base import Json, Request
+from mavcal.service.api.models.wire import Wire
 
 
 class PlanOptions(Request):
@@ -52,70 +64,18 @@ class ApplyRequest(Request):
     )
 
 
-class FingerprintModel(BaseModel):
-    """Whose plan it is: any difference means that it has to be made again."""
-
-    autopilot: str
-    uid: str = Field(description="hardware id, hexadecimal")
-    firmware: str
-    device_ids: list[tuple[str, int]] = Field(description="device ids of the sensors, by parameter")
-
-
-class ChangeModel(BaseModel):
-    """One parameter to be set."""
-
-    name: str
-    old: Number | None = Field(description="in `unit`; null: hidden, the vehicle did not list it")
-    new: Number = Field(description="in `unit`")
-    kind: ParameterKind
-    why: str
-    sd: Number | None = Field(description="standard deviation of `new`, in `unit`; null: not an estimate")
-    unit: str = Field(description="unit of the parameter; empty: a pure number")
-    sensor: Sensor | None
-    instance: int = Field(description="which sensor of its kind, from 0")
-    needs_reboot: bool
-    session: bool = Field(description="a setting of this session, put back when the job ends")
-
-
-class LossModel(BaseModel):
-    """A part of the fit that this firmware cannot hold."""
-
-    sensor: Sensor
-    instance: int = Field(description="which sensor of its kind, from 0")
-    what: str
-    cost: Number = Field(description="largest effect of leaving it out, over all directions, in `unit`")
-    unit: str
-    text: str
-
-
-class AfterWriteModel(BaseModel):
-    """A MAVLink command that is sent when every parameter was read back."""
-
-    command: int = Field(description="MAV_CMD")
-    params: list[Number] = Field(description="its seven parameters", min_length=7, max_length=7)
-    why: str
-
-
-class AgreementModel(BaseModel):
-    """A sensor that is left as it is: the fit agrees with what is in force."""
-
-    sensor: Sensor
-    instance: int = Field(description="which sensor of its kind, from 0")
-    deviation: Number = Field(description="root mean square of the change, in standard deviations")
-    text: str
-
-
-class LeftOutModel(BaseModel):
-    """A sensor that was asked for and gets no new calibration, or only a part of it."""
-
-    sensor: Sensor
-    instance: int = Field(description="which sensor of its kind, from 0")
-    reason: str
+FingerprintModel = Annotated[Fingerprint, Wire("FingerprintModel")]
+ChangeModel = Annotated[Change, Wire("ChangeModel")]
+LossModel = Annotated[Loss, Wire("LossModel")]
+AfterWriteModel = Annotated[AfterWrite, Wire("AfterWriteModel")]
+AgreementModel = Annotated[Agreement, Wire("AgreementModel")]
+LeftOutModel = Annotated[LeftOut, Wire("LeftOutModel")]
 
 
 class PlanModel(BaseModel):
     """What would be written, in this order, why, and what it costs."""
 
+    # A WritePlan with its digest and whether it needs a restart.
     fingerprint: FingerprintModel
     snapshot_sha256: str = Field(description="digest of the parameters that the plan rests on")
     changes: list[ChangeModel]
@@ -129,46 +89,15 @@ class PlanModel(BaseModel):
     sha256: str = Field(description="digest of the plan; whoever accepts it quotes this")
 
 
-class ParameterVerdictModel(BaseModel):
-    """What the stream says of one written parameter."""
-
-    name: str
-    verdict: ProofVerdict
-    effect: Number | None = Field(
-        description="how far the stream would be off without this parameter, in `unit`; null: not finite"
-    )
-    sd: Number | None = Field(description="standard deviation of the check, in `unit`; null: not finite")
-    unit: str
-    text: str
-    acts_on_stream: bool = Field(description="false: no stream depends on it; it is judged by read-back alone")
-
-
-class MovementModel(BaseModel):
-    """What would prove the parameters that are still open."""
-
-    text: str
-    faces: list[str] = Field(description="poses to be held still")
-    turn: bool = Field(description="turn the vehicle through all directions")
-    temperature: Number | None = Field(description="bring the sensors to about this, degC; null: any")
-
-
-class SensorCheckModel(BaseModel):
-    """What a sensor reads after the write beside what it should."""
-
-    id: SensorCheckId
-    sensor: Sensor
-    instance: int = Field(description="which sensor of its kind, from 0")
-    value: Number | None = Field(description="how far it is off, in `unit`; null: not observed")
-    limit: Number | None = Field(description="the most that noise, drift and the fit explain, in `unit`")
-    unit: str
-    sd: Number | None = Field(description="standard deviation of `value`, in `unit`")
-    verdict: SensorVerdict
-    text: str
+ParameterVerdictModel = Annotated[ParameterVerdict, Wire("ParameterVerdictModel", not_finite=("effect", "sd"))]
+MovementModel = Annotated[Movement, Wire("MovementModel")]
+SensorCheckModel = Annotated[SensorCheck, Wire("SensorCheckModel")]
 
 
 class VerificationModel(BaseModel):
     """The physical check of a plan: do the parameters act, and do the sensors read right with them."""
 
+    # A Verification with its summary; `refuted` names the sensors.
     parameters: list[ParameterVerdictModel]
     movement: MovementModel | None = Field(description="what would prove the rest; null: nothing would")
     sensors: list[SensorCheckModel]

@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from mavcal.calib.preflight.check import CheckId, Verdict
+from mavcal.calib.preflight.check import Check, Verdict
 from mavcal.service.api.models.base import Json, Request, Stamp
+from mavcal.service.api.models.wire import Wire
 from mavcal.service.jobs.fixing import Fixable
 from mavcal.service.jobs.states import JobState
 
@@ -38,27 +39,13 @@ class RestoreRequest(Request):
         return self.model_dump(exclude_unset=True)
 
 
-class CheckModel(BaseModel):
-    """One check; value, sd and limit are those of its worst number, null where it has none."""
-
-    id: CheckId
-    verdict: Verdict
-    value: float | None = Field(description="in `unit`")
-    sd: float | None = Field(description="standard deviation of `value`, in `unit`: noise and whatever else limits it")
-    limit: float | None = Field(description="in `unit`")
-    unit: str = Field(description="empty: a pure number, or none")
-    reason: str
-    remedy: str = Field(description="what helps; empty where nothing has to be done")
-    evidence: list[str] = Field(description="every number and fact that the check rests on")
-    suspects: list[str] = Field(
-        default=[],
-        description="what is off; several: all of them, or one of them and nothing tells which, as the reason says",
-    )
+CheckModel = Annotated[Check, Wire("CheckModel", lacking=("suspects",))]
 
 
 class FixModel(BaseModel):
     """A calibration that was run before the checks."""
 
+    # A Fix without the sensors that would need a restart.
     kind: Fixable
     job_id: str
     state: JobState
@@ -68,6 +55,7 @@ class FixModel(BaseModel):
 class PreflightModel(BaseModel):
     """Whether a vehicle is fit to fly, as far as its sensors and their calibration go."""
 
+    # A Preflight with its report flattened, and what was calibrated before.
     vehicle_id: str
     at: Stamp
     seconds: float = Field(description="how long it took, s")

@@ -41,6 +41,7 @@ class ReadingOptions(Request):
 class RecordingModel(BaseModel):
     """An uploaded recording."""
 
+    # A RecordingRow without its path, with its address.
     id: str
     href: str = Field(description="its address, relative to the root of the service")
     name: str
@@ -53,6 +54,7 @@ class RecordingModel(BaseModel):
 class SeriesModel(BaseModel):
     """One sensor over a recording; thinned, so that its extremes stay."""
 
+    # A Series: its arrays as lists.
     sensor: Sensor
     instance: int = Field(description="which sensor of its kind, from 0")
     unit: str

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import BaseModel, Field
 
-from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.recording import Sensor
+from mavcal.calib.review.criteria import Criterion
+from mavcal.calib.review.mountings import StatedMounting
 from mavcal.service.api.models.base import Number
+from mavcal.service.api.models.wire import Wire
 
 
 class SensorEffectModel(BaseModel):
     """What a plan does for one sensor."""
 
+    # A SensorEffect without its curve, with a sentence that knows the state of the job.
     sensor: Sensor
     instance: int = Field(description="which sensor of its kind, from 0")
     quantity: str = Field(description="what is off: heading, rate at rest, acceleration, level or drift")
@@ -23,30 +28,14 @@ class SensorEffectModel(BaseModel):
     text: str
 
 
-class CriterionModel(BaseModel):
-    """What speaks for or against a plan."""
-
-    id: str
-    verdict: Verdict
-    value: Number | None = Field(description="in `unit`; null: it has none")
-    limit: Number | None = Field(description="in `unit`; null: it has none")
-    unit: str
-    text: str
-    remedy: str = Field(description="what helps; empty: nothing has to be done")
-
-
-class MountingModel(BaseModel):
-    """The mounting of a compass; numbers are the firmware's."""
-
-    instance: int = Field(description="which compass, from 0")
-    stated: int = Field(description="what the vehicle is told now")
-    stated_text: str
-    chosen: int | None = Field(description="what the plan takes instead; null: as it was found")
+CriterionModel = Annotated[Criterion, Wire("CriterionModel")]
+MountingModel = Annotated[StatedMounting, Wire("MountingModel")]
 
 
 class MountingChoiceModel(BaseModel):
     """A rotation that the firmware has by number."""
 
+    # A MountingChoice: its array as rows.
     number: int = Field(description="for the plan option `mountings`")
     text: str
     matrix: list[list[Number]] = Field(description="takes the sensor to the body")
@@ -55,6 +44,7 @@ class MountingChoiceModel(BaseModel):
 class ReviewModel(BaseModel):
     """What a plan does, and what speaks for and against it."""
 
+    # A Review with the address of its picture.
     headline: str
     sensors: list[SensorEffectModel]
     criteria: list[CriterionModel]

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, Field
+from typing import Annotated
+
+from pydantic import BaseModel
 
 from mavcal.calib.preflight.check import Verdict
-from mavcal.service.api.models.base import Number, Stamp
+from mavcal.calib.preflight.states import SensorState
+from mavcal.service.api.models.wire import Wire
 
-
-class SensorStateModel(BaseModel):
-    """How one kind of calibration stands."""
-
-    kind: str = Field(description="the procedure that would calibrate it")
-    verdict: Verdict
-    label: str = Field(description="the verdict in one or two words")
-    text: str = Field(description="when it was calibrated, at what temperature, how good it is")
-    advice: str = Field(description="what it needs; empty: nothing")
-    at: Stamp | None = Field(description="when it was calibrated, wall-clock time, s since 1970; null: never here")
-    job: str | None = Field(description="the job that did; null: never here")
-    temperature: Number | None = Field(description="temperature of the calibration, degC; null: not known")
+SensorStateModel = Annotated[SensorState, Wire("SensorStateModel")]
 
 
 class VehicleSensorsModel(BaseModel):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated
 
-from pydantic import BaseModel, Field, SecretStr
+from pydantic import Field, SecretStr
 
 from mavcal.service.api.models.base import Request
+from mavcal.service.api.models.wire import Wire
+from mavcal.service.signing_keys import KnownKey
 
 
 class SigningKeyRequest(Request):
@@ -16,12 +18,7 @@ class SigningKeyRequest(Request):
     key: SecretStr | None = Field(default=None, description="64 hexadecimal digits; null: a new random key")
 
 
-class SigningKeyModel(BaseModel):
-    """A signing key without the key."""
-
-    name: str
-    fingerprint: str = Field(description="the first 12 digits of the SHA-256 of the key's 32 bytes")
-    source: Literal["settings", "file"] = Field(description="where it is kept")
+SigningKeyModel = Annotated[KnownKey, Wire("SigningKeyModel")]
 
 
 class SigningRequest(Request):

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from mavcal.calib.procedures.protocol import Pose, PromptStep
+from mavcal.calib.firmware.storable import Storable
+from mavcal.calib.procedures import protocol
+from mavcal.calib.procedures.protocol import Pose, PromptStep, Silence, Tilt
 from mavcal.calib.recording import Sensor
 from mavcal.service.api.models.base import Json, Number, Vector
+from mavcal.service.api.models.wire import Wire
 
 
 class OptionModel(BaseModel):
     """A number or a switch that may be set when a job is started."""
 
+    # An Option without its type, which `default` and `unit` show; no limit is null, not infinite.
     name: str
     default: bool | Number | None = Field(description="in `unit`; null: it has to be given")
     help: str
@@ -22,16 +26,13 @@ class OptionModel(BaseModel):
     high: Number | None = Field(description="greatest value, in `unit`; null: without a limit")
 
 
-class HoldsModel(BaseModel):
-    """What one autopilot keeps of a procedure's result."""
-
-    writes: list[str] = Field(description="parameters")
-    cannot_represent: list[str]
+HoldsModel = Annotated[Storable, Wire("HoldsModel")]
 
 
 class ProcedureModel(BaseModel):
     """A procedure: what it needs, ends on, writes and cannot represent."""
 
+    # A ProcedureSpec without what only this service asks of it.
     kind: str
     title: str
     sensors: list[Sensor] = Field(description="these must stream")
@@ -43,32 +44,15 @@ class ProcedureModel(BaseModel):
     duration_s: float = Field(description="typical length with the default options, s of the vehicle's clock")
 
 
-class NumberModel(BaseModel):
-    """A number that the operator is asked for; the answer is the number as text."""
-
-    name: str
-    unit: str
-    low: Number = Field(description="least value, in `unit`")
-    high: Number = Field(description="greatest value, in `unit`")
-
-
-class TiltModel(BaseModel):
-    """An oblique pose that is asked for, or that was taken."""
-
-    direction: Vector = Field(description="body direction (front, right, down) that points down; a unit vector")
-    taken: bool
-
-
-class SilenceModel(BaseModel):
-    """For how long the vehicle has not been heard."""
-
-    lasted: Number = Field(description="s")
-    limit: Number = Field(description="after so long the job gives up, s")
+NumberModel = Annotated[protocol.Number, Wire("NumberModel")]
+TiltModel = Annotated[Tilt, Wire("TiltModel")]
+SilenceModel = Annotated[Silence, Wire("SilenceModel")]
 
 
 class PromptModel(BaseModel):
     """What the operator is asked to do now."""
 
+    # A Prompt with its type: events carry steps of several.
     type: Literal["prompt"]
     step: PromptStep
     text: str
@@ -97,6 +81,7 @@ class PromptModel(BaseModel):
 class ProgressModel(BaseModel):
     """The field list of a progress bar."""
 
+    # A Progress with its type: events carry steps of several.
     type: Literal["progress"]
     current: Number = Field(description="in `unit`")
     target: Number = Field(description="in `unit`")

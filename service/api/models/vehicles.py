@@ -14,6 +14,7 @@ from mavcal.service.vehicle.state import Landed
 class VehicleModel(BaseModel):
     """A vehicle in one page."""
 
+    # A Vehicle as far as it can be told.
     id: str
     link: str = Field(description="id of the link in use: everything is sent over it")
     links: list[str] = Field(description="ids of all links over which it was heard, the one in use first")
@@ -53,6 +54,7 @@ class TurnRequest(Request):
 class ParameterModel(BaseModel):
     """A parameter as the vehicle states it."""
 
+    # A Parameter without how the vehicle sent it; not finite is null.
     name: str
     value: Number | None = Field(description="in the unit that the firmware documents; null: not a finite number")
     kind: ParameterKind

@@ -88,7 +88,7 @@ def test_a_review_speaks_of_what_was_done_or_will_be() -> None:
     done = review_model(samples.done(), review(None))
     assert "will be" not in done.sensors[0].text
     assert waits.sensors[0].text != done.sensors[0].text
-    assert waits.mountings[0].model_dump() == {"instance": 0, "stated": 4, "stated_text": "yaw 180", "chosen": 6}
+    assert waits.mountings == [StatedMounting(0, 4, "yaw 180", 6)]
     assert waits.mounting_choices[0].matrix == np.eye(3).tolist()
     assert (waits.picture, done.picture) == ("api/v1/jobs/j1/picture.svg", None)
     assert (waits.sensors[0].before, waits.sensors[0].after, waits.sensors[0].instance) == (0.5, 0.01, 1)

@@ -1,0 +1,117 @@
+"""Dataclasses of the domain that go over HTTP as they are: the same fields, and the words of their docstrings."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from functools import cache
+from itertools import pairwise
+from typing import Any, cast
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from mavcal.calib.report import to_json
+
+Json = dict[str, Any]
+
+_NUMBER, _INTEGER, _NULL = ({"type": name} for name in ("number", "integer", "null"))
+
+
+class Wire:
+    """The name that a dataclass has in the OpenAPI document; written as ``Annotated[Loss, Wire("LossModel")]``.
+
+    ``calib.report`` writes its JSON. Docstrings of the class and its attributes describe it, with null for None.
+    An answer has every field, whatever its default.
+
+    Parameters
+    ----------
+    name
+        The name, which programs know from the generated clients.
+    lacking
+        Fields that an earlier version of the service does not send.
+    not_finite
+        Numbers that may be infinite or not a number, which JSON has as null.
+    """
+
+    def __init__(self, name: str, *, lacking: tuple[str, ...] = (), not_finite: tuple[str, ...] = ()) -> None:
+        self.name = name
+        self._lacking = lacking
+        self._not_finite = not_finite
+
+    def __get_pydantic_core_schema__(self, kind: type, handler: GetCoreSchemaHandler) -> CoreSchema:
+        self._kind = kind
+        written = core_schema.plain_serializer_function_ser_schema(to_json)
+        return cast(CoreSchema, {**handler(kind), "serialization": written})
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Json:
+        reference = handler(schema)
+        told = handler.resolve_ref_schema(reference)
+        told["properties"] = {name: self._property(name, part) for name, part in told["properties"].items()}
+        told["required"] = [name for name in told["properties"] if name not in self._lacking]
+        told["title"] = self.name
+        told["description"] = _null_for_none(inspect.getdoc(self._kind) or "")
+        return reference
+
+    def _property(self, name: str, part: Json) -> Json:
+        told = _plain(part)
+        if name in self._not_finite:
+            told.pop("type", None)
+            told = {"anyOf": [_NUMBER, _NULL], **told}
+        if (text := _attribute_texts(self._kind.__module__, self._kind.__qualname__).get(name)) is not None:
+            told["description"] = text
+        if "default" in told and name not in self._lacking:
+            del told["default"]
+        return told
+
+
+def _plain(part: Json) -> Json:
+    """A number that may be whole is a number, and a tuple of equals a list of fixed length."""
+    match part:
+        case {"anyOf": [*among]} if _NUMBER in among and _INTEGER in among:
+            left = [kind for kind in among if kind != _INTEGER]
+            head, old = (left[0] if len(left) == 1 else {"anyOf": left}), "anyOf"
+        case {"prefixItems": [first, *others]} if all(other == first for other in others):
+            head, old = {"items": first}, "prefixItems"
+        case _:
+            return dict(part)
+    return {**head, **{key: value for key, value in part.items() if key != old}}
+
+
+@cache
+def _attribute_texts(module: str, name: str) -> Mapping[str, str]:
+    """What the docstrings of attributes say, as descriptions; nothing where the source is not at hand."""
+    return {attribute: _description(text) for attribute, text in _attribute_docstrings(_class(module, name))}
+
+
+@cache
+def _parsed(module: str) -> ast.Module:
+    try:
+        return ast.parse(inspect.getsource(sys.modules[module]))
+    except OSError:
+        return ast.Module([], [])
+
+
+def _class(module: str, name: str) -> ast.ClassDef | None:
+    body = _parsed(module).body
+    return next((node for node in body if isinstance(node, ast.ClassDef) and node.name == name), None)
+
+
+def _attribute_docstrings(found: ast.ClassDef | None) -> Iterator[tuple[str, str]]:
+    for one, following in pairwise([] if found is None else found.body):
+        match one, following:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                yield name, text
+
+
+def _description(text: str) -> str:
+    """A docstring as a phrase: without its full stop, and with a small first letter unless a name begins it."""
+    said = _null_for_none(" ".join(text.split())).removesuffix(".")
+    return said if said[1:2].isupper() else said[:1].lower() + said[1:]
+
+
+def _null_for_none(text: str) -> str:
+    return re.sub(r"\bNone\b", "null", text)
