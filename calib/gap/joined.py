@@ -34,6 +34,7 @@ from mavcal.calib.recording import Recording, Sensor
 
 _Z95: Final = 1.959964
 """Standard errors on either side of 95 % of a normal distribution. Source: its quantile."""
+_INERTIAL: Final = frozenset({str(Sensor.ACCEL), str(Sensor.GYRO)})
 _LEAST_P: Final = 1e-300
 """Smallest probability that is written. Source: below lie numbers that a double holds with fewer digits."""
 
@@ -154,13 +155,14 @@ def _with_shares(effects: tuple[EffectEstimate, ...]) -> tuple[EffectEstimate, .
 
 
 def _unknown(report: GapReport, answer: AirframeAnswer, sensors: tuple[EffectEstimate, ...]) -> Unknown:
-    """What has no name in the flight; that of the sensors where a sensor's effect stands beside it."""
+    """What has no name in the flight; that of an inertial sensor only where an effect of that sensor stands."""
     if answer.unknown and answer.nameless >= LIKELY:
         return Unknown(flag=True, share=answer.unknown_share, shape=answer.unknown)
     left = report.unknown
-    inertial = {str(Sensor.ACCEL), str(Sensor.GYRO)}
-    nowhere_else = left.shape == NOT_LASTING and {w.channel.split(".")[0] for w in report.where} <= inertial
-    flown = (nowhere_else or any(name in left.shape for name in inertial)) and not sensors
+    right = _INERTIAL - {str(e.sensor) for e in sensors}
+    passing = left.shape == NOT_LASTING and {w.channel.split(".")[0] for w in report.where} <= right
+    spoken = {name for name in (*_INERTIAL, str(Sensor.MAG)) if name in left.shape}
+    flown = passing or (bool(spoken) and spoken <= right)
     return replace(left, flag=False, share=0.0, shape="") if left.flag and flown else left
 
 
@@ -173,9 +175,8 @@ def _as_simulated(effect: EffectEstimate) -> str:
 
 
 def _where(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> tuple:  # type: ignore[type-arg]
-    kept = {str(e.sensor) for e in sensors}
-    inertial = {str(Sensor.ACCEL), str(Sensor.GYRO)}
-    return tuple(w for w in report.where if w.channel.split(".")[0] not in inertial or w.channel.split(".")[0] in kept)
+    right = _INERTIAL - {str(e.sensor) for e in sensors}
+    return tuple(w for w in report.where if w.channel.split(".")[0] not in right)
 
 
 def _verdict(

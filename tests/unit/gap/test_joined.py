@@ -213,6 +213,8 @@ def test_what_the_sensors_could_not_name_is_no_unknown_where_the_flight_explains
     assert not joined(before, answer(thrust()), BARE).unknown.flag
     passing = replace(before, unknown=replace(left, shape=NOT_LASTING))
     assert not joined(passing, answer(thrust()), BARE).unknown.flag
+    turned = replace(report(effect("gyro_scale")), unknown=replace(left, shape="square of current on accel.z"))
+    assert not joined(turned, answer(thrust()), BARE).unknown.flag  # a gyroscope's effect says nothing of a force
     magnetic = replace(before, unknown=replace(left, shape="jumps on mag"))
     after = joined(magnetic, answer(thrust()), BARE)
     assert after.unknown.flag
