@@ -18,7 +18,9 @@ from mavcal.service.errors import LinkDown
 
 ATTITUDE_HZ, POSITION_HZ = 50.0, 25.0
 SILENT_S = 20.0
-"""Wall seconds without a state of the vehicle after which it hangs. Chosen, not measured."""
+"""Wall seconds without a newer state of the vehicle after which it hangs. Chosen, not measured."""
+RESTARTED_S = 1.0
+"""Fall of the vehicle's clock that is a restart. Chosen, not measured: messages overtake each other by less."""
 TRY_S = 1.0
 """Vehicle seconds between two tries."""
 _STREAMS_S = 2.0
@@ -79,7 +81,7 @@ class Conversation:
         self._check()
         if time.monotonic() - self._heard > SILENT_S:
             raise SimulatorSilent(
-                f"the vehicle has sent no state for {SILENT_S:g} s, {self.where()}.{self.said()} {HINT}"
+                f"the vehicle has sent no newer state for {SILENT_S:g} s, {self.where()}.{self.said()} {HINT}"
             )
         try:
             for message in self._link.poll():
@@ -126,11 +128,14 @@ class Conversation:
 
     def _move_on(self, ms: int) -> None:
         state, t = self.state, 1e-3 * ms
+        if t < state.t - RESTARTED_S:
+            raise MissionLeft(f"the vehicle restarted {self.where()}.{self.said()} {HINT}")
+        if t != state.t:  # a clock that stands still is silence: physics may hang behind a link that answers
+            self._heard = time.monotonic()
         share = min(max((t - state.t) / _TRIM_S, 0.0), 1.0)
         roll, pitch = state.trim
         state.trim = roll + share * (state.euler[0] - roll), pitch + share * (state.euler[1] - pitch)
         state.t = t
-        self._heard = time.monotonic()
 
     def _still_ours(self) -> None:
         if not self.state.armed:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from mavcal.calib.airframe.answer import Domain, Quantity
-from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict
+from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict, NotTestable
 from mavcal.calib.gap_report.airframe_effects import phrase
 from mavcal.calib.report import to_json
 from mavcal.service.closing.errors import OtherClosing
@@ -26,6 +26,8 @@ Json = dict[str, Any]
 
 SCHEMA = "closing/1"
 PROGRESS, FLOWN, ROUND, DIAGNOSIS = "progress.json", "flown.json", "round.json", "diagnosis.json"
+_AIRFRAME = "airframe"
+"""Id under which a report says that no airframe could be compared."""
 PREDICTED_S = 1.0
 """Length of the predicted flights whose error sums a round up."""
 
@@ -51,6 +53,8 @@ class RoundResult:
     not_set: tuple[str, ...]
     """Keys of the remedy that this simulator's command cannot take."""
     log: str
+    not_tested: tuple[str, ...] = ()
+    """Why the airframe, or anything at all, could not be compared."""
 
     @property
     def left(self) -> tuple[str, ...]:
@@ -72,6 +76,7 @@ class RoundResult:
             "to_set": _settings_json(self.to_set),
             "not_set": list(self.not_set),
             "log": self.log,
+            "not_tested": list(self.not_tested),
         }
 
 
@@ -94,7 +99,7 @@ def outcome_of(results: Sequence[RoundResult], rounds: int) -> Outcome | None:
     """Why there is no round after `results`; None: there is one. `rounds` may be flown with a remedy."""
     last = results[-1]
     if not last.left:
-        if not last.tested or last.verdict == GapVerdict.NOT_TESTABLE:
+        if not last.tested or last.not_tested or last.verdict == GapVerdict.NOT_TESTABLE:
             return Outcome.NOT_TESTABLE
         return Outcome.CLOSED if last.verdict in _NO_MORE else Outcome.NOTHING_TO_SET
     if last.to_set == last.settings:
@@ -147,7 +152,13 @@ def measured(number: int, report: GapReport, settings: SimSettings, log: str, *,
         to_set,
         not_set,
         log,
+        tuple(f"{n.id}: {n.reason}; needed: {n.need}" for n in report.not_testable if _matters(n, report)),
     )  # fmt: skip
+
+
+def _matters(untested: NotTestable, report: GapReport) -> bool:
+    """Whether it says that flights, not single effects, could not be compared."""
+    return untested.id == _AIRFRAME or not report.tested
 
 
 def is_material(effect: EffectEstimate) -> bool:
@@ -215,6 +226,7 @@ class WorkFolder:
             to_set=SimSettings(**kept["to_set"]),
             not_set=tuple(kept["not_set"]),
             log=kept["log"],
+            not_tested=tuple(kept.get("not_tested", ())),
         )
 
     def flown(self, number: int, settings: SimSettings) -> Path | None:

@@ -86,11 +86,13 @@ class Simulator:
         group = self._process.pid  # a session's leader gives its group its number
         self._signal(group, signal.SIGTERM)
         end = time.monotonic() + GRACE_S
-        while _lives(group) and time.monotonic() < end:
-            self._process.poll()  # a zombie would count as living
-            time.sleep(_LOOK_S)
-        self._signal(group, signal.SIGKILL)
-        self._process.wait()
+        try:
+            while _lives(group) and time.monotonic() < end:
+                self._process.poll()  # a zombie would count as living
+                time.sleep(_LOOK_S)
+        finally:  # whoever presses Ctrl-C again does not want to wait
+            self._signal(group, signal.SIGKILL)
+            self._process.wait()
         self._stopped = True
 
     @staticmethod

@@ -18,6 +18,8 @@ _ENDS = {
     Outcome.NOT_TESTABLE: "these flights do not allow an answer",
 }
 
+_MOST_UNTESTED = 3
+
 
 def sentence(result: ClosingResult) -> str:
     """How the loop ended, with the error before and after."""
@@ -40,6 +42,7 @@ def round_lines(result: RoundResult) -> list[str]:
     lines = [f"round {result.number}: {result.verdict}{error}{_closes(result)}"]
     lines += [f"  {one}" for one in _effects(result)]
     lines += [f"  set {one}" for one in _changes(result)]
+    lines += [f"  not tested: {one}" for one in result.not_tested[:_MOST_UNTESTED]]
     return lines + [f"  cannot be set by this command: {one}" for one in result.not_set]
 
 

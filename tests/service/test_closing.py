@@ -217,7 +217,7 @@ def test_a_vehicle_that_falls_silent_in_flight_is_given_up(
 
     stopper = threading.Thread(target=stop)
     stopper.start()
-    with pytest.raises(SimulatorSilent, match="has sent no state for 2 s"):
+    with pytest.raises(SimulatorSilent, match="has sent no newer state for 2 s"):
         Closing(slow, compare).run()
     stopper.join()
     assert nobody_left()

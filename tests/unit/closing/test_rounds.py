@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from mavcal.calib.gap.schema import (
     GapVerdict,
     Inputs,
     MultipleTesting,
+    NotTestable,
     ParameterEstimate,
     Shrink,
 )
@@ -166,6 +168,24 @@ def test_a_loop_is_told_round_by_round() -> None:
     assert "The loop of &lt;x&gt;" in made
     assert "hoverThrOut 0.43" in made
     assert "<td>body rate after " in made
+
+
+def test_a_round_that_tested_nothing_says_why() -> None:
+    why = NotTestable("airframe", "the flights have 4 and 6 motors", "two flights of one frame")
+    found = dataclasses.replace(report(verdict=GapVerdict.NOT_TESTABLE), not_testable=(why,))
+    result = measured(0, found, START, "log.bin", with_frame=True)
+    assert round_lines(result)[1:] == [
+        "  not tested: airframe: the flights have 4 and 6 motors; needed: two flights of one frame"
+    ]
+    assert result.as_json()["not_tested"] == list(result.not_tested)
+
+
+def test_sensors_that_agree_close_nothing_where_the_airframe_was_not_compared() -> None:
+    """A simulator with another frame: its sensors are alike, and nobody knows how it flies."""
+    why = NotTestable("airframe", "the flights have 4 and 6 motors", "two flights of one frame")
+    alike = dataclasses.replace(report(verdict=GapVerdict.NO_GAP), not_testable=(why,))
+    result = measured(0, alike, START, "log.bin", with_frame=True)
+    assert outcome_of([result], rounds=2) is Outcome.NOT_TESTABLE
 
 
 def test_a_loop_that_did_not_fly_again_says_what_is_left() -> None:
