@@ -28,16 +28,15 @@ from numpy.typing import ArrayLike, NDArray
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.auto import SOFT_IRON_SD
-from mavcal.calib.mag.blur import Rates, deblurred
-from mavcal.calib.mag.blur_axes import axes_of_gyro
+from mavcal.calib.mag.blur import Rates, axes_of_gyro, deblurred
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.distance import Distances, bisquare, score_rows, shape_prior
 from mavcal.calib.mag.ellipsoid import AUTO, ellipsoid_shape, fit_ellipsoid
-from mavcal.calib.mag.result import ShapeFit, magnetometer_result
+from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
 from mavcal.calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
-from mavcal.calib.mag.samples import Cloud, not_repeated
+from mavcal.calib.mag.samples import Cloud, counted_as, not_repeated, still_stretches
 from mavcal.calib.mag.shape import MagModel, correction
-from mavcal.calib.mag.still import counted_as, still_stretches
+from mavcal.calib.mag.shape_fit import Asked
 
 Array = NDArray[np.float64]
 
@@ -116,40 +115,28 @@ def fit_ellipsoid_deblurred(
     alone = None if worth is None else np.sqrt(worth)
     sharp, timing = kept, _Timing(np.zeros(len(_STEPS)), np.zeros((9, 9)), alone)
 
-    def fitted(*, robust: bool | None, fall_back: bool = False) -> ShapeFit:
-        return ellipsoid_shape(
-            sharp,
-            context,
-            model=model,
-            robust=robust,
-            prior_sd=prior_sd,
-            precision=timing.precision,
-            least_variance=timing.least_variance,
-            fall_back=fall_back,
-        )
-
-    def on_the_way() -> ShapeFit:
-        # Without any noise the blur that is not computed back yet looks like outliers, and may look like too many.
-        try:
-            return fitted(robust=robust)
-        except UndeterminedError:
-            return fitted(robust=False)
+    def asked(*, robust: bool | None = robust) -> Asked:
+        return Asked(context, robust, prior_sd, precision=timing.precision, least_variance=timing.least_variance)
 
     try:
         if slow.window == 0.0:
-            return magnetometer_result(fitted(robust=robust, fall_back=True), sharp, context)
-        shape = on_the_way()
-        slow = slow.turned(axes_of_gyro(correction(shape.ellipsoid, 1.0).apply(kept), slow))
-        for _ in range(_ROUNDS):
+            return ellipsoid_result(ellipsoid_shape(sharp, model, asked()), sharp, context)
+        for k in range(_ROUNDS + 1):
+            # Without any noise the blur that is not computed back yet looks like outliers, and may look like too many.
+            try:
+                shape = ellipsoid_shape(sharp, model, asked(), fall_back=False)
+            except UndeterminedError:
+                shape = ellipsoid_shape(sharp, model, asked(robust=False), fall_back=False)
+            if k == 0:
+                slow = slow.turned(axes_of_gyro(correction(shape.ellipsoid, 1.0).apply(kept), slow))
+            else:
+                timing = _timing(kept, slow, shape, timing, free=free, prior_sd=believed, worth=worth)
             sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
-            shape = on_the_way()
-            timing = _timing(kept, slow, shape, timing, free=free, prior_sd=believed, worth=worth)
-        sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
-        shape = fitted(robust=robust)
+        shape = ellipsoid_shape(sharp, model, asked(), fall_back=False)
     except UndeterminedError:  # the sphere, of the samples as they are
         return fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
     shape = dataclasses.replace(shape, covariance=shape.covariance + timing.left_open)
-    return magnetometer_result(shape, sharp, context)
+    return ellipsoid_result(shape, sharp, context)
 
 
 def _moved_on(kept: Array, slow: Rates, step: float) -> tuple[Array, Rates, Array | None]:

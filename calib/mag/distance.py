@@ -106,7 +106,7 @@ class Distances:
             points = frame.T @ self.cloud.rows(start)
             points -= (frame.T @ ellipsoid.offset)[:, None]
             block = rows[:, : points.shape[1]]
-            _fill_rows(block, points, axes, noise_variance, accuracy)
+            _fill_rows(block, *foot_points(points, axes, accuracy), axes, noise_variance)
             self._weigh(block, start)
             residuals[start : start + CHUNK] = block[9]
             if tukey_scale is None:
@@ -130,7 +130,7 @@ class Distances:
             points = frame.T @ self.cloud.rows(start)[:, : found.shape[1] - start]
             points -= (frame.T @ ellipsoid.offset)[:, None]
             block = rows[:, : points.shape[1]]
-            _fill_rows(block, points, axes, 0.0, _ROUGHLY)
+            _fill_rows(block, *foot_points(points, axes, _ROUGHLY), axes, 0.0)
             self._weigh(block, start)
             np.matmul(back, block[:N_PARAMETERS], out=found[:, start : start + block.shape[1]])
         return found
@@ -141,9 +141,11 @@ class Distances:
             block *= self.cloud.precision[start : start + block.shape[1]]
 
 
-def _fill_rows(block: Array, points: Array, axes: Array, noise_variance: float, accuracy: float) -> None:
-    """Derivatives of the distance by the nine parameters, in the eigenframe, and the debiased distance below them."""
-    t, w = foot_points(points, axes, accuracy)
+def _fill_rows(block: Array, t: Array, w: Array, axes: Array, noise_variance: float) -> None:
+    """Derivatives of the distance by the nine parameters, in the eigenframe, and the debiased distance below them.
+
+    `t` and `w` are those of :func:`foot_points`; `w` is overwritten.
+    """
     normal = np.square(w, out=block[:3])
     length = np.sqrt(_ONES @ normal)
     np.divide(w, length, out=normal)

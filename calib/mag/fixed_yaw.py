@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.orientation import rotation_matrix
+from mavcal.calib.mag.result import CompassFit, compass_result
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
@@ -95,8 +95,6 @@ def fit_fixed_yaw(
     model = TriadModel(offset=reading - back @ expected, matrix=mounting.T @ in_force.matrix)
     kept = KEPT_SD if _was_fitted(model.matrix) else NEVER_FITTED_SD
     full = _covariance(model, mounting, expected, _field_covariance(context, standing), reading_covariance, kept)
-    told = full.copy()
-    told[3:, :] = told[:, 3:] = 0.0
     worst = heading_sd_deg(model, full, field.norm, field.inclination, mounting)
     here = math.degrees(math.hypot(standing.heading_sd, declination_sd(field.horizontal)))
     moved = float(np.linalg.norm(model.offset - in_force.offset))
@@ -110,25 +108,28 @@ def fit_fixed_yaw(
         "soft_iron_sd_before": kept,
         "offset_moved": moved,
     }
-    made = context.made(METHOD, count, MOVEMENT)
     if worst > _WORST_HEADING_DEG:
-        return made.refused(
+        return context.made(METHOD, count, MOVEMENT).refused(
             f"one heading tells the others to {worst:.0f} deg only: the heading is known to {here:.1f} deg, and the "
             f"horizontal field is {field.horizontal:.0f} uT here",
             quality=quality,
         )
-    fit = made.fitted(
-        model,
-        told,
-        message=f"heading good to {here:.1f} deg as it stands, to {worst:.1f} deg at the worst other heading",
-        n_used=count,
-        residual_rms=0.0,
-        condition_number=1.0,
-        undetermined=dict.fromkeys((n for n in parameter_names() if n.startswith("matrix")), MOVEMENT),
-        warnings=_warnings(kept, moved, field.norm),
-        quality=quality,
+    return compass_result(
+        CompassFit(
+            METHOD,
+            model,
+            full,
+            n_samples=count,
+            n_used=count,
+            message=f"heading good to {here:.1f} deg as it stands, to {worst:.1f} deg at the worst other heading",
+            residual_rms=0.0,
+            condition_number=1.0,
+            quality=quality,
+            warnings=_warnings(kept, moved, field.norm),
+            undetermined=dict.fromkeys((n for n in parameter_names() if n.startswith("matrix")), MOVEMENT),
+        ),
+        context,
     )
-    return earthly(fit, context)
 
 
 def declination_sd(horizontal: float) -> float:

@@ -21,7 +21,6 @@ from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.attitude_check import unusable_attitude
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
 from mavcal.calib.mag.flight_input import FlightInput, given, unusable
 from mavcal.calib.mag.flight_path import Turning
@@ -29,6 +28,7 @@ from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
 from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log
 from mavcal.calib.mag.motor_text import disagreement, terms_text
+from mavcal.calib.mag.result import CompassFit, compass_result
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -117,7 +117,7 @@ def fit_motor(
     window
         Time over which the compass averages, s.
     **facts
-        :class:`calib.mag.result.MagContext`.
+        :class:`calib.mag.context.MagContext`.
 
     Returns
     -------
@@ -270,18 +270,22 @@ def _verdict(
         return _refusal(context, count, f"{_why_unknown(candidates[1:])}: {MOVEMENT}", **quality)
     best = chosen if chosen is not none else min(candidates[1:], key=lambda c: c.score)
     native = _native(candidates, chosen, data, in_force, context)
-    fit = context.made(METHOD, count).fitted(
-        in_force,
-        np.zeros((len(parameter_names()),) * 2),
-        message=_message(none, chosen, best, native, context.unit),
-        n_used=chosen.found.used,
-        residual_rms=quality["residual_rms"],
-        condition_number=quality["condition_number"],
-        warnings=_warnings(native, chosen, none, context),
-        quality=quality,
-        native=native,
+    return compass_result(
+        CompassFit(
+            METHOD,
+            in_force,
+            np.zeros((len(parameter_names()),) * 2),
+            n_samples=count,
+            n_used=chosen.found.used,
+            message=_message(none, chosen, best, native, context.unit),
+            residual_rms=quality["residual_rms"],
+            condition_number=quality["condition_number"],
+            quality=quality,
+            native=native,
+            warnings=_warnings(native, chosen, none, context),
+        ),
+        context,
     )
-    return earthly(fit, context)
 
 
 def _why_unknown(candidates: Sequence[Candidate]) -> str:

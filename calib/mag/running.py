@@ -24,8 +24,9 @@ from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.distance import ALL_SIDES
+from mavcal.calib.mag.ellipsoid_result import ShapeFit, judged_ellipsoid
 from mavcal.calib.mag.moments import POWERS, Moments, corrections, fill_monomials
-from mavcal.calib.mag.result import ShapeFit, concluded, refusal
+from mavcal.calib.mag.result import refusal
 from mavcal.calib.mag.samples import CHUNK, LEAST_VARIANCE, Cloud, check_not_flat, check_samples
 from mavcal.calib.mag.shape import SYMMETRIC_BASIS, Ellipsoid, MagModel
 from mavcal.calib.stats.residuals import WHITE, student_variance
@@ -174,14 +175,14 @@ class RunningEllipsoid:
         model
             What is free, :class:`~calib.mag.shape.MagModel`.
         **facts
-            What is known of sensor and field: :class:`calib.mag.result.MagContext`.
+            What is known of sensor and field: :class:`calib.mag.context.MagContext`.
         """
         context, form = MagContext(**facts), MagModel(model)
         try:
             fit, about = self._shape_fit(form, context)
         except UndeterminedError as error:
             return refusal(METHOD, error, self.count, context)
-        return concluded(fit, about, self.count, self.count, context)
+        return judged_ellipsoid(fit, about, self.count, self.count, context)
 
     def _shape_fit(self, model: MagModel, context: MagContext) -> tuple[ShapeFit, dict[str, Any]]:
         dof = self.n_effective - model.size

@@ -23,9 +23,8 @@ from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis
 from mavcal.calib.mag.gyro_aided import fit_gyro_aided
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION
 from mavcal.calib.mag.minmax import fit_minmax
-from mavcal.calib.mag.ring_centres import CENTRES
+from mavcal.calib.mag.ring_centres import CENTRES, LABELS
 from mavcal.calib.mag.rings import fit_rings
-from mavcal.calib.mag.rings_faces import LABELS
 from mavcal.calib.mag.sphere import fit_sphere
 from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, gravity_of
 from mavcal.calib.methods.source import Source

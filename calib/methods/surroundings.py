@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.mag.earthly import plausible_field
+from mavcal.calib.mag.result import plausible_field
 from mavcal.calib.methods.source import Source
 from mavcal.calib.recording import Channel, Recording
 

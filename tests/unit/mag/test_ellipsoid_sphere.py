@@ -10,6 +10,8 @@ from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.ellipsoid import ellipsoid_shape, fit_ellipsoid
+from mavcal.calib.mag.shape import MagModel
+from mavcal.calib.mag.shape_fit import Asked
 
 FIELD = 49.0 * np.array([np.cos(1.15), 0.0, np.sin(1.15)])
 OFFSET = np.array([8.0, -5.0, 12.0])
@@ -29,7 +31,7 @@ def hardly_tilted(seed, *, tilt, noise, change=0.0):
 def test_the_sphere_takes_its_place_with_an_honest_sd(model):
     samples = hardly_tilted(7, tilt=0.5, noise=5.0)
     with pytest.raises(UndeterminedError, match="settle on no ellipsoid"):
-        ellipsoid_shape(samples, MagContext(), fall_back=False)
+        ellipsoid_shape(samples, MagModel.SYMMETRIC, Asked(MagContext()), fall_back=False)
     fit = fit_ellipsoid(samples, model=model)
     if model == "auto" and fit.status == FitStatus.OK:
         return  # its prior made it converge
