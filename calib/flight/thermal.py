@@ -3,8 +3,11 @@
 What a rest does not tell is a nuisance of its own: an accelerometer's rest has a constant for its pose (gravity is in
 it), a gyroscope's log has one for its turn-on bias. Where two inertial units stand side by side, the difference of
 their accelerometers has no pose in it: all rests of a log then share one constant, and a rest after the flight tells
-what the unit did in flight. Where even the rests of both are too narrow, the flight itself counts (:mod:`~.flown`).
+what the unit did in flight. Where even the rests of both are too narrow, the flight itself counts.
 That is a statement about both of them; it is used only where the other one, by its own rests, does not drift.
+
+In flight ``f_1 - f_2 = c + N f_2 + p(T) + noise``: the vehicle's motion cancels up to N, by which the two differ in
+scale and mounting, and which the flight determines. Each cell of a second is weighted by its scatter.
 """
 
 from __future__ import annotations
@@ -16,16 +19,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.log_options import how_to_log_disarmed
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, FitStatus
-from mavcal.calib.flight.flown import flown_difference
-from mavcal.calib.flight.warm import Log, RestTemperatures, warmth
+from mavcal.calib.flight.rest import ground
+from mavcal.calib.flight.warm import Log, RestTemperatures, difference, warmth
 from mavcal.calib.procedures.drift_fit import PoseOffsets, fit_posed
-from mavcal.calib.recording import Sensor
-from mavcal.calib.thermal.fit import LINEAR_METHOD, POLYNOMIAL_METHOD, fit_drift_data, fit_linear
+from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.stats.windows import finite_rows
+from mavcal.calib.thermal.drift import DriftData
+from mavcal.calib.thermal.fit import LINEAR_METHOD, POLYNOMIAL_METHOD, PolynomialOptions, fit_drift_data, fit_linear
 
 Array = NDArray[np.float64]
-
 STEADY = {Sensor.ACCEL: 0.02, Sensor.GYRO: float(np.radians(0.05))}
 """Drift over the span, m/s2 and rad/s, below which a unit may be a reference: what a thermal calibration is asked to
 leave (defaults of the calibration's length)."""
@@ -33,12 +38,13 @@ _UNITS = ("m/s2", "rad/s")
 _WIDER = 1.25  # a difference must see this many times the span of the sensor by itself
 _LEAST_SPAN = 2.0  # degC, for the reference to be judged
 COLDER = f"log a warm-up at rest from cold, disarmed ({how_to_log_disarmed(None)}), better the cooling down too"
-
-
-_SAID = {
+_WARNINGS = {
     Sensor.ACCEL: "{} rests or logs, each with a constant of its own: only the shape is common to them",
     Sensor.GYRO: "{} logs, each with a turn-on bias of its own: the offset is that of the last one",
 }
+_CELL = 1.0  # s
+_LEAST_CELLS = 30
+_LEAST_SAMPLES = 8  # of a cell
 
 
 @dataclass(frozen=True)
@@ -91,18 +97,15 @@ def _fit(rows: RestTemperatures, number: NDArray[np.intp], wish: ThermalWish, re
             rows.channel,
             rows.data,
             number,
-            degree=wish.degree,
-            t_ref=wish.t_ref,
-            min_span=wish.min_span,
-            lag=wish.lag,
+            PolynomialOptions(wish.degree, wish.t_ref, wish.min_span, wish.lag),
             relative=relative,
-            said=_SAID[rows.channel.sensor],
+            warning=_WARNINGS[rows.channel.sensor],
         )
     poses = PoseOffsets.of(rows.data, number, 1)
     data = rows.data if poses is None else poses.lowered
     channel = dataclasses.replace(rows.channel, t=data.time, values=data.y, zero_bin=None)
     fit = fit_linear(channel, data.t, t_ref=wish.t_ref, through=wish.through, min_span=wish.min_span, relative=relative)
-    return fit if poses is None else poses.widened(fit, _SAID[rows.channel.sensor])
+    return fit if poses is None else poses.widened(fit, _WARNINGS[rows.channel.sensor])
 
 
 def _by_difference(
@@ -147,10 +150,7 @@ def _in_flight(
             flown.channel,
             flown.data,
             flown.data.samples,
-            degree=wish.degree,
-            t_ref=wish.t_ref,
-            min_span=wish.min_span,
-            lag=wish.lag,
+            PolynomialOptions(wish.degree, wish.t_ref, wish.min_span, wish.lag),
             relative=relative,
         )
         if fit.status == FitStatus.REFUSED:
@@ -265,3 +265,118 @@ def _refused(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalWi
     unit, count = channels[0].unit if channels else "", sum(len(c) for c in channels)
     made = FitBuilder(wish.method, sensor, instance, unit, count)
     return made.refused(f"{reason}; {COLDER}", movement=COLDER)
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """Differences freed of N and of the constant of each log, and what not knowing those costs."""
+
+    channel: Channel
+    """No samples yet; says the sensor and its unit."""
+    data: DriftData
+    loss: float  # largest factor by which the nuisances raise a variance of the curve
+    flight: float  # s
+    logs: int
+
+
+def flown_difference(logs: Sequence[Log], sensor: Sensor, instance: int, other: int, degree: int) -> Flown | None:
+    """Cells of one second of the whole logs; None: too few of them, or no difference can be taken."""
+    cells = [cell for k, log in enumerate(logs) if (cell := _cells(log, sensor, instance, other, k)) is not None]
+    if not cells:
+        return None
+    rows = np.concatenate(cells)
+    time, log, flying, count, t = rows[:, :5].T
+    y, second, variance = rows[:, 5:8], rows[:, 8:11], rows[:, 11]
+    if len(rows) < _LEAST_CELLS + 3 * degree or np.ptp(t) < 1.0:
+        return None
+    constants = (log[:, None] == np.unique(log)).astype(np.float64)
+    nuisance = np.hstack([constants, second - second.mean(axis=0)])
+    curve = ((t - t.mean()) / np.ptp(t))[:, None] ** np.arange(1, degree + 1)
+    weight = count / _noise(variance, count, flying)
+    for _ in range(2):  # the second time by what is left, which knows of what is slower than a cell
+        root = np.sqrt(weight)[:, None]
+        whole = np.hstack([nuisance, curve])
+        solution = np.linalg.lstsq(root * whole, root * y, rcond=1e-10)[0]
+        left = y - whole @ solution
+        weight = count / _noise((left**2).mean(axis=1) * count, count, flying)
+    freed = y - nuisance @ solution[: nuisance.shape[1]]
+    quiet = float(_noise(variance, count, flying).min())
+    counts = np.maximum(weight * quiet, 1e-6)  # worth as many quiet samples
+    channel = next(c for item in logs for c in item.recording.find(sensor, instance)).take(slice(0, 0))
+    data = DriftData(
+        time=time,
+        t=t,
+        y=freed,
+        half=None,
+        constant=np.zeros(3, dtype=np.bool_),
+        ignored=0,
+        counts=counts,
+        scatter=np.full(3, float((quiet * count).sum())),
+    )
+    root = np.sqrt(weight)[:, None]
+    loss = _loss(root * curve, root * np.ones((len(rows), 1)), root * nuisance)
+    return Flown(channel, data, loss, float(flying.sum()) * _CELL, len(cells))
+
+
+def _cells(log: Log, sensor: Sensor, instance: int, other: int, number: int) -> Array | None:
+    """Rows time, log, flying, samples, temperature, difference (3), second unit (3), variance of a sample."""
+    recording = log.recording
+    try:
+        first, second = recording.channel(sensor, instance), recording.channel(sensor, other)
+    except InvalidInputError:
+        return None
+    apart = difference(first, second)
+    thermometers = log.temperature_of
+    thermometer = thermometers.get(instance, thermometers.get(0))
+    if apart is None or thermometer is None or len(apart) < _LEAST_SAMPLES:
+        return None
+    apart = apart.take(finite_rows(apart.values))
+    warm = thermometer.take(finite_rows(thermometer.values))
+    if not len(apart) or not len(warm):
+        return None
+    cell = np.floor((apart.t - apart.t[0]) / _CELL).astype(np.intp)
+    size = int(cell[-1]) + 1
+    count = np.bincount(cell, minlength=size)
+    beside = np.column_stack([np.interp(apart.t, second.t, column) for column in second.values.T])
+    columns = [apart.t, *apart.values.T, *beside.T, (apart.values**2).sum(axis=1)]
+    used = count >= _LEAST_SAMPLES
+    means = np.array([np.bincount(cell, column, minlength=size) for column in columns])[:, used] / count[used]
+    variance = np.maximum(means[7] - (means[1:4] ** 2).sum(axis=0), 0.0) / 3.0
+    flying = _flying(recording, means[0])
+    temperature = np.interp(means[0], warm.t, warm.values[:, 0])
+    return np.column_stack(
+        [
+            means[0] + log.shift,
+            np.full(means.shape[1], number),
+            flying,
+            count[used],
+            temperature,
+            means[1:4].T,
+            means[4:7].T,
+            variance,
+        ]
+    )
+
+
+def _flying(recording: Recording, t: Array) -> NDArray[np.bool_]:
+    flying = np.zeros(len(t), dtype=np.bool_)
+    for span in ground(recording).running:
+        flying |= (t > span.start - _CELL) & (t < span.end + _CELL)
+    return flying
+
+
+def _noise(variance: Array, count: Array, flying: Array) -> Array:
+    """Variance of a sample for every cell: that of the rests, or of the flights."""
+    found = np.empty(len(variance))
+    for kind in (flying > 0, flying == 0):
+        if kind.any():
+            found[kind] = max(float(np.average(variance[kind], weights=count[kind])), 1e-18)
+    return found
+
+
+def _loss(curve: Array, one: Array, nuisance: Array) -> float:
+    """Largest factor by which `nuisance` raises the variance of a combination of the curve's terms, over `one`."""
+    plain, each = (curve - n @ np.linalg.lstsq(n, curve, rcond=1e-10)[0] for n in (one, nuisance))
+    factor = np.linalg.cholesky(each.T @ each + 1e-12 * np.trace(plain.T @ plain) * np.eye(len(plain.T)))
+    half = np.linalg.solve(factor, plain.T)
+    return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]))

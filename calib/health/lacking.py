@@ -7,9 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from mavcal.calib.firmware.log_options import Logged, how_to_log
+from mavcal.calib.firmware.log_options import Logged, how_to_log, how_to_stream
 from mavcal.calib.firmware.stream.source import telemetry
-from mavcal.calib.firmware.stream_options import how_to_stream
 from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.rest import Ground, how_to_rest
 from mavcal.calib.health.sampling import Sampled, lost

@@ -13,8 +13,7 @@ from pyulog.core import ULog
 from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.firmware.px4.dynamics import dynamics_channels
-from mavcal.calib.firmware.px4.flight import arming_events, flight_channels, truth_channels
+from mavcal.calib.firmware.px4.flight import arming_events, dynamics_channels, flight_channels, truth_channels
 from mavcal.calib.firmware.px4.topics import US, WANTED, inertial_channels
 from mavcal.calib.logs.ordered import in_order, moving
 from mavcal.calib.logs.zeros import without_zeros

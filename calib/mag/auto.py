@@ -102,9 +102,8 @@ def _with_prior(found: ShapeSolution, cloud: Cloud, asked: Asked) -> ShapeSoluti
         Distances(cloud),
         found.solution.ellipsoid,
         found.solution.noise_variance,
+        terms=asked.terms,
         tukey_scale=found.tukey_scale,
-        prior_sd=asked.prior_sd,
-        cross_sd=asked.cross_sd,
     )
     return ShapeSolution(solution, found.tukey_scale)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.mag.context import MagContext
-from mavcal.calib.mag.distance import ALL_SIDES, Distances, Solution, bisquare, gauss_newton
+from mavcal.calib.mag.distance import ALL_SIDES, Distances, ShapeTerms, Solution, bisquare, gauss_newton
 from mavcal.calib.mag.ellipsoid_result import ShapeFit
 from mavcal.calib.mag.robust import MOST_OUTLIERS, Start, robust_sd
 from mavcal.calib.mag.samples import LEAST_VARIANCE, Cloud
@@ -41,6 +41,11 @@ class Asked:
     least_variance: float = 0.0
     """Lower limit of the residuals' variance, in squared units of the samples."""
 
+    @property
+    def terms(self) -> ShapeTerms:
+        """What the minimisation needs of it."""
+        return ShapeTerms(self.model, self.prior_sd, self.cross_sd)
+
 
 @dataclass(frozen=True, eq=False)
 class ShapeSolution:
@@ -63,9 +68,7 @@ def minimum(cloud: Cloud, start: Start, asked: Asked) -> ShapeSolution:
             distances,
             start.ellipsoid,
             start.noise_sd**2,
-            prior_sd=asked.prior_sd,
-            cross_sd=asked.cross_sd,
-            model=asked.model,
+            terms=asked.terms,
             first=start.first,
         )
         return ShapeSolution(plain, None)
@@ -76,10 +79,8 @@ def minimum(cloud: Cloud, start: Start, asked: Asked) -> ShapeSolution:
             distances,
             ellipsoid,
             sd**2,
+            terms=asked.terms,
             tukey_scale=sd,
-            prior_sd=asked.prior_sd,
-            cross_sd=asked.cross_sd,
-            model=asked.model,
         )
         ellipsoid, previous = solution.ellipsoid, sd
         sd = robust_sd(solution.last.residuals, max(0.01 * sd, smallest))

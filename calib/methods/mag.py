@@ -26,7 +26,8 @@ from mavcal.calib.mag.minmax import fit_minmax
 from mavcal.calib.mag.ring_centres import CENTRES, LABELS
 from mavcal.calib.mag.rings import fit_rings
 from mavcal.calib.mag.sphere import fit_sphere
-from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, gravity_of
+from mavcal.calib.methods import worthwhile
+from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, Suggestion, gravity_of
 from mavcal.calib.methods.source import Source
 from mavcal.calib.methods.surroundings import of_one_surroundings
 from mavcal.calib.option import Option
@@ -298,6 +299,7 @@ METHODS = (
             ),
         ),
         mag_ellipsoid,
+        suggestion=Suggestion(7, worthwhile.ellipsoid),
     ),
     Method(
         "mag-rings",

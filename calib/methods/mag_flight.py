@@ -21,7 +21,8 @@ from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor import fit_motor
 from mavcal.calib.mag.motor_drives import METHOD as MOTOR
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
-from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
+from mavcal.calib.methods import worthwhile
+from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options, Suggestion
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Sensor, Stage
@@ -198,6 +199,7 @@ METHODS = (
             Option("drive", ("none", *_DRIVE), "auto", "what the motors' field is estimated against, beside"),
         ),
         mag_flight,
+        suggestion=Suggestion(5, worthwhile.mag_flight),
     ),
     Method(
         "mag-motor",
@@ -205,6 +207,7 @@ METHODS = (
         (*_FROM, Option("drive", _DRIVE, "auto", "what drives it; auto: what predicts unseen data best")),
         mag_motor,
         finds=FindingKind.MOTORS,
+        suggestion=Suggestion(6, worthwhile.mag_motor),
     ),
 )
 """In the order of the command line."""

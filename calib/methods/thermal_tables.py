@@ -13,10 +13,11 @@ from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.drift_fit import fit_posed
 from mavcal.calib.recording import Channel
 from mavcal.calib.thermal.drift import DriftData
+from mavcal.calib.thermal.fit import PolynomialOptions
 
 Array = NDArray[np.float64]
 
-SAID = "{} tables, each with an offset of its own"
+TABLES_WARNING = "{} tables, each with an offset of its own"
 _ROWS = 20_000  # of a table, that are enough to compare curves
 _SEEN = 50  # rows within and outside of the range of the others, with which one is judged
 _BETTER = 0.95  # of what the polynomial leaves, that a slope has to leave to be taken
@@ -35,14 +36,13 @@ class Outside:
     """degC that the others covered."""
 
 
-def fit_tables(
-    tables: Sequence[tuple[Channel, Array]], *, degree: int, t_ref: float, min_span: float, lag: bool, relative: bool
-) -> FitResult:
+def fit_tables(tables: Sequence[tuple[Channel, Array]], options: PolynomialOptions, *, relative: bool) -> FitResult:
     """The common curve of one sensor in several tables: its samples and a temperature (N,) for each, degC.
 
     A slope takes the place of the polynomial where it leaves less of a table that was held out, outside the range of
     the others.
     """
+    degree = options.degree
     found = outside_of(tables, degree)
     taken = 1 if found is not None and found.slope < _BETTER * found.polynomial else degree
     channel, temperature, number = _joined(tables)
@@ -55,12 +55,9 @@ def fit_tables(
         channel,
         data,
         number,
-        degree=taken,
-        t_ref=t_ref,
-        min_span=min_span,
-        lag=lag,
+        dataclasses.replace(options, degree=taken),
         relative=relative,
-        said=SAID,
+        warning=TABLES_WARNING,
     )
     if found is None or fit.status == FitStatus.REFUSED:
         return fit

@@ -20,16 +20,15 @@ from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.placing import Facing, facing, shown_down
-from mavcal.calib.procedures.pool import joined
+from mavcal.calib.procedures.pool import Pool, Tail, joined
 from mavcal.calib.procedures.poses import DOWN, TEXTS
 from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
+from mavcal.calib.procedures.results import annotated, mean_or_none, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.steady import Stretch
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
-from mavcal.calib.recording import Segment, Sensor
+from mavcal.calib.recording import Array, Channel, Segment, Sensor
 
 SPEC = ProcedureSpec(
     kind="gyro-turntable",
@@ -54,24 +53,72 @@ SPEC = ProcedureSpec(
     autopilots=GYRO,
     duration_s=120.0,
 )
-
 REST_S = 5.0
 """Rest that is taken first, s: it makes the residuals of a single axis testable."""
-
 TURN_S = 5.0
 """Least length of a turn, s; it goes once around at least, unless that takes longer than :data:`LONGEST`."""
-
 LONGEST = 60.0
 """A turn is taken as it is after this time, s."""
-
 SAME_RATE = 2.0
 """A turn whose rate is farther from the stated one than by this factor is another rate."""
-
 ROUNDS = 3
 """Times that all turns are taken before giving up."""
-
 _RATE = Number("rate", "deg/s", 1.0, 1000.0)
 _FACES = ((Pose.NOSE_DOWN, Pose.NOSE_UP), (Pose.RIGHT, Pose.LEFT), (Pose.LEVEL, Pose.BACK))
+GUARD_TICKS = 1
+"""The last quarter of a second before a change was noticed belongs to the change."""
+SETTLE_TICKS = 2
+"""The first ticks of a stretch may hold the end of a run-up."""
+STEADY = 0.05
+"""A tick whose rate is off by more of the rate belongs to another stretch: a run-up, or a turntable that slips."""
+STEADY_AT_LEAST = math.radians(1.0)
+"""The same for slow turns, rad/s."""
+
+
+class Stretch:
+    """Collects the ticks of one steady turn about `axis` (3,), a body axis; of a rest if it is zero."""
+
+    def __init__(self, axis: Array) -> None:
+        self.axis = axis
+        self.seconds = 0.0
+        self._pool = Pool((Sensor.GYRO, Sensor.TEMPERATURE))
+        self._tail = Tail(GUARD_TICKS)
+        self._skip = SETTLE_TICKS
+        self._rates: list[float] = []
+        self._last = math.nan
+
+    def goes_on(self, spin: Spin) -> bool:
+        """Whether a tick turns as the one before it."""
+        rate = spin.about(self.axis)
+        allowed = max(STEADY * abs(rate), STEADY_AT_LEAST)
+        return math.isnan(self._last) or abs(rate - self._last) <= allowed
+
+    def add(self, frame: TickChannels, spin: Spin) -> None:
+        """Take a tick."""
+        self._last = spin.about(self.axis)
+        if self._skip > 0:
+            self._skip -= 1
+            return
+        kept = self._tail.push(frame)
+        if kept is not None:
+            self._pool.add(kept)
+            self.seconds += spin.seconds
+            self._rates.append(self._last)
+
+    @property
+    def error(self) -> float:
+        """Standard error of the mean rate, from the scatter of the ticks, rad/s."""
+        if len(self._rates) < 4:
+            return math.inf
+        return float(np.std(self._rates, ddof=1)) / math.sqrt(len(self._rates))
+
+    def channel(self, instance: int) -> Channel | None:
+        """What one gyro read; None: nothing."""
+        return self._pool.get((Sensor.GYRO, instance))
+
+    def temperature(self, instance: int) -> float | None:
+        """Mean temperature of an inertial unit, degC; None: it does not stream."""
+        return mean_temperature(self._pool, instance)
 
 
 class GyroTurntableProcedure(TickedProcedure):

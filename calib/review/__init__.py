@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from mavcal.calib.review.criteria import Criterion, criteria_of
-from mavcal.calib.review.effect import ErrorCurve, SensorEffect, effects_of
-from mavcal.calib.review.headline import headline_of
+from mavcal.calib.review.effect import ErrorCurve, SensorEffect, effects_of, headline_of
 from mavcal.calib.review.mountings import MountingChoice, StatedMounting, choices_of, mountings_of
 from mavcal.calib.review.picture import picture_of
 

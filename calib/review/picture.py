@@ -11,8 +11,7 @@ from markupsafe import Markup
 from mavcal.calib.drawing import Chart, side_by_side
 from mavcal.calib.drawing.scale import limits_of
 from mavcal.calib.recording import Sensor
-from mavcal.calib.review.effect import ErrorCurve, SensorEffect
-from mavcal.calib.review.headline import NAMES, amount
+from mavcal.calib.review.effect import NAMES, ErrorCurve, SensorEffect, amount
 
 BEFORE, AFTER = "#b3261e", "#14713a"
 AXES: Final = ("x", "y", "z")

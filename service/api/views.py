@@ -11,7 +11,7 @@ from fastapi import Response
 from mavcal.calib.firmware.plan import ParameterKind, WritePlan
 from mavcal.calib.preflight.states import SensorState, summary
 from mavcal.calib.procedures.spec import ProcedureSpec
-from mavcal.calib.review.headline import text_of
+from mavcal.calib.review.effect import text_of
 from mavcal.service.api.models import (
     CriterionModel,
     GapModel,

@@ -7,7 +7,7 @@ import pytest
 
 from mavcal.calib.flight.item import FlightLimit, FlightVerdict, judged
 from mavcal.calib.flight.report import flight_report
-from mavcal.calib.health.overview import overview
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.recording import (
     Channel,
     Event,

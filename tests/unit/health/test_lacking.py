@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.health.overview import overview
 from mavcal.calib.health.report import health
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
 from tests.unit.health.made import CALIBRATED, flight
 

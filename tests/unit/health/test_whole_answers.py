@@ -13,7 +13,7 @@ import pytest
 
 from mavcal.calib import logs
 from mavcal.calib.errors import CalibError
-from mavcal.calib.health.overview import overview
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.recording import Event, Identity, Oddity, OddSamples, Recording, Sensor
 from tests.unit.health.made import flight
 from tests.unit.health.test_lacking import streamed

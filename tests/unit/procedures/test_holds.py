@@ -22,8 +22,8 @@ from mavcal.calib.procedures.poses import DOWN, FACES
 from mavcal.calib.procedures.protocol import Pose, PromptStep
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.procedures.results import annotated, mean_or_none, refusals, share_of_information
-from mavcal.calib.procedures.steady import Stretch
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
+from mavcal.calib.procedures.turntable import Stretch
 from mavcal.calib.recording import Channel, Identity, Sensor, Stage
 
 TICK = 0.25

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware.px4.dynamics import dynamics_channels
+from mavcal.calib.firmware.px4.flight import dynamics_channels
 from mavcal.calib.firmware.px4.topics import Topics
 from mavcal.calib.recording import Channel, Sensor, Stage
 

@@ -1,4 +1,7 @@
-"""What a log can give: which fits are worthwhile on it, and which are not, each with its reason."""
+"""Which methods are worthwhile on a vehicle's log, and which are not, each with its reason.
+
+A method that takes a log names its judgement in its own entry (:class:`calib.methods.method.Suggestion`).
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.flight.craft import Craft, craft_of
+from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.rest import Ground, Rest, how_to_rest, why_no_rest
+from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
 
@@ -19,7 +23,6 @@ Array = NDArray[np.float64]
 _APART: Final = np.radians(30.0)  # directions of gravity that count as two poses
 _POSES: Final = 4
 _ALLAN: Final = 600.0  # s
-_POLY_SPAN, _LINEAR_SPAN = 10.0, 2.0  # degC, the defaults of the methods
 _HEADINGS: Final = 8  # of twelve sectors of 30 degrees
 _TILT: Final = 40.0  # degrees about the horizontal axes, for a whole ellipsoid
 _LOAD: Final = 0.2  # range of throttle in flight
@@ -27,8 +30,8 @@ _CURRENT: Final = 3.0  # A
 
 
 @dataclass(frozen=True)
-class PlannedMethod:
-    """One method: whether it is worthwhile on this log, and why (or why not)."""
+class MethodAdvice:
+    """A method that takes a log, whether it is worthwhile on this one, and why (or why not)."""
 
     method: str
     worthwhile: bool
@@ -41,22 +44,29 @@ class PlannedMethod:
         return dict(vars(self))
 
 
-def next_steps(recording: Recording, rests: Sequence[Rest], ground: Ground) -> tuple[PlannedMethod, ...]:
+@dataclass(frozen=True)
+class LoggedTrip:
+    """A vehicle's log, and when the vehicle rested and ran its motors."""
+
+    recording: Recording
+    rests: Sequence[Rest]
+    ground: Ground
+
+    @property
+    def longest_rest(self) -> float:
+        """Duration of the longest rest, s."""
+        return max((r.duration for r in self.rests), default=0.0)
+
+
+def advice(trip: LoggedTrip) -> tuple[MethodAdvice, ...]:
     """Every method that takes a log, the worthwhile ones first."""
-    craft = craft_of(recording.identity)
+    suggested = [(m.name, m.suggestion) for m in METHODS.values() if m.suggestion is not None]
+    name = trip.recording.source or "FILE"
     found = [
-        ("gyro-rest", *_gyro(recording, rests)),
-        ("thermal-poly", *_thermal(recording, rests, _POLY_SPAN)),
-        ("thermal-linear", *_thermal(recording, rests, _LINEAR_SPAN)),
-        ("accel-multi", *_poses(recording, rests, craft)),
-        ("mag-flight", *_mag_flight(recording, ground, craft)),
-        ("mag-motor", *_mag_motor(recording, ground, craft)),
-        ("mag-ellipsoid", *_ellipsoid(recording, craft)),
-        ("allan", *_allan(recording, rests)),
+        MethodAdvice(method, *suggestion.judge(trip), f"mavcal fit {method} {name}")
+        for method, suggestion in sorted(suggested, key=lambda pair: pair[1].order)
     ]
-    name = recording.source or "FILE"
-    steps = [PlannedMethod(method, worth, reason, f"mavcal fit {method} {name}") for method, worth, reason in found]
-    return tuple(sorted(steps, key=lambda step: not step.worthwhile))
+    return tuple(sorted(found, key=lambda one: not one.worthwhile))
 
 
 def _usable(recording: Recording, sensor: Sensor) -> list[Channel]:
@@ -66,18 +76,21 @@ def _usable(recording: Recording, sensor: Sensor) -> list[Channel]:
     return [recording.channel(sensor, i) for i in kept]
 
 
-def _gyro(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
-    longest = max((r.duration for r in rests), default=0.0)
-    if not _usable(recording, Sensor.GYRO):
+def gyro_rest(trip: LoggedTrip) -> tuple[bool, str]:
+    """Offset of the gyroscope: a rest of five seconds."""
+    longest = trip.longest_rest
+    if not _usable(trip.recording, Sensor.GYRO):
         return False, "the log has no usable gyroscope"
-    if not rests:
-        return False, why_no_rest(recording)
+    if not trip.rests:
+        return False, why_no_rest(trip.recording)
     if longest < 5.0:
         return False, f"the longest rest lasts {longest:.0f} s: 5 are needed"
     return True, f"{longest:.0f} s at rest; most autopilots measure this bias at boot anyway"
 
 
-def _thermal(recording: Recording, rests: Sequence[Rest], least: float) -> tuple[bool, str]:
+def drift(trip: LoggedTrip, *, least: float) -> tuple[bool, str]:
+    """Drift with temperature: `least` degC at rest."""
+    recording, rests = trip.recording, trip.rests
     thermometers = [recording.channel(Sensor.TEMPERATURE, i) for i in recording.instances(Sensor.TEMPERATURE)]
     if not thermometers:
         return False, "the log has no temperature of the inertial units"
@@ -97,7 +110,9 @@ def _thermal(recording: Recording, rests: Sequence[Rest], least: float) -> tuple
     return True, f"at rest the temperature went from {low:.1f} to {high:.1f} degC; several logs may be given at once"
 
 
-def _poses(recording: Recording, rests: Sequence[Rest], craft: Craft) -> tuple[bool, str]:
+def poses(trip: LoggedTrip) -> tuple[bool, str]:
+    """Offset and matrix of the accelerometer: rests in four directions of gravity."""
+    recording, rests, craft = trip.recording, trip.rests, craft_of(trip.recording.identity)
     accels = _usable(recording, Sensor.ACCEL)
     if not accels:
         return False, "the log has no accelerometer"
@@ -118,10 +133,12 @@ def _poses(recording: Recording, rests: Sequence[Rest], craft: Craft) -> tuple[b
     return True, f"the rests show {len(directions)} directions of gravity"
 
 
-def _mag_flight(recording: Recording, ground: Ground, craft: Craft) -> tuple[bool, str]:
+def mag_flight(trip: LoggedTrip) -> tuple[bool, str]:
+    """Compass in flight: eight of twelve headings."""
+    recording, craft = trip.recording, craft_of(trip.recording.identity)
     if not recording.instances(Sensor.MAG):
         return False, "the log has no compass"
-    if not ground.running:
+    if not trip.ground.running:
         return False, f"the vehicle never {craft.moved}"
     sectors, tilt = _attitudes(recording)
     if sectors is None:
@@ -133,7 +150,9 @@ def _mag_flight(recording: Recording, ground: Ground, craft: Craft) -> tuple[boo
     return True, f"the {craft.trip} saw {sectors} of 12 headings and {tilt:.0f} deg of tilt"
 
 
-def _mag_motor(recording: Recording, ground: Ground, craft: Craft) -> tuple[bool, str]:
+def mag_motor(trip: LoggedTrip) -> tuple[bool, str]:
+    """Compensation of the motors: a load that changes in flight."""
+    recording, craft = trip.recording, craft_of(trip.recording.identity)
     if not recording.instances(Sensor.MAG):
         return False, "the log has no compass"
     loads = []
@@ -147,14 +166,16 @@ def _mag_motor(recording: Recording, ground: Ground, craft: Craft) -> tuple[bool
     corrupt = [n for n, v in recording.parameters.final().items() if n.startswith("COMPASS_MOT") and not np.isfinite(v)]
     if corrupt:
         return True, f"{', '.join(corrupt)} in force is not a number: it corrupts the compass, set it to zero first"
-    if not ground.running:
+    if not trip.ground.running:
         return False, "the motors never ran"
     if not loads:
         return False, f"neither current nor throttle moved enough: {craft.load}"
     return True, "; ".join(loads)
 
 
-def _ellipsoid(recording: Recording, craft: Craft) -> tuple[bool, str]:
+def ellipsoid(trip: LoggedTrip) -> tuple[bool, str]:
+    """Ellipsoid of the compass: eight of twelve headings, and tilt."""
+    recording, craft = trip.recording, craft_of(trip.recording.identity)
     if not recording.instances(Sensor.MAG):
         return False, "the log has no compass"
     sectors, tilt = _attitudes(recording)
@@ -184,10 +205,11 @@ def _attitudes(recording: Recording) -> tuple[int | None, float]:
     return len(sectors), float(np.quantile(tilt, 0.99))
 
 
-def _allan(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
-    longest = max((r.duration for r in rests), default=0.0)
-    if not rests:
-        return False, why_no_rest(recording)
-    if not _usable(recording, Sensor.GYRO) or longest < _ALLAN:
+def allan(trip: LoggedTrip) -> tuple[bool, str]:
+    """Allan variance: a rest of ten minutes."""
+    longest = trip.longest_rest
+    if not trip.rests:
+        return False, why_no_rest(trip.recording)
+    if not _usable(trip.recording, Sensor.GYRO) or longest < _ALLAN:
         return False, f"the longest rest lasts {longest:.0f} s: {_ALLAN:.0f} and more say something of bias instability"
     return True, f"{longest:.0f} s at rest"

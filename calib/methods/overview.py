@@ -8,6 +8,7 @@ from mavcal.calib.flight.report import flight_report
 from mavcal.calib.health.dead import living
 from mavcal.calib.health.report import HealthReport, health
 from mavcal.calib.logs.inspection import inspect
+from mavcal.calib.methods.worthwhile import LoggedTrip, advice
 from mavcal.calib.recording import Recording
 
 
@@ -22,9 +23,10 @@ def overview(recording: Recording, found: HealthReport | None = None) -> dict[st
         found = health(recording)
     heard = recording if found is None else living(recording, found.silent)
     report = flight_report(heard, None if found is None else found.shaking)
+    trip = None if report is None else LoggedTrip(heard, report.rests, report.ground)
     return {
         **inspect(recording),
         "health": None if found is None else found.document,
         "flight": None if report is None else report.document,
-        "next": None if report is None else [step.document for step in report.steps],
+        "next": None if trip is None else [one.document for one in advice(trip)],
     }

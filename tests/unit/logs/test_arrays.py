@@ -11,8 +11,7 @@ import pytest
 import scipy.io
 
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.logs.arrays import mat_columns
-from mavcal.calib.logs.matlab import matlab_arrays
+from mavcal.calib.logs.arrays import mat_columns, matlab_arrays
 
 KILLER = (138, 14), (176, 255)
 """Byte and value: with these the file below ends scipy's reader with SIGSEGV."""

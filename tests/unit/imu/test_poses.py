@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.imu.poses import find_poses, measure
-from mavcal.calib.imu.static import ACCEL_LADDER, GYRO_LADDER, ScatterWindows, candidates, steady
+from mavcal.calib.imu.poses import ACCEL_LADDER, GYRO_LADDER, ScatterWindows, candidates, find_poses, measure, steady
 
 G = 9.80665
 

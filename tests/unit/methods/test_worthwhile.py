@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.flight.plan import next_steps
 from mavcal.calib.flight.rest import Ground, Known, Phase, Rest, TimeSpan
+from mavcal.calib.methods.worthwhile import LoggedTrip, advice
 from mavcal.calib.recording import Channel, Identity, ParameterTimeline, Recording, Sensor, Stage
 
 T = np.arange(0.0, 100.0, 0.1)
@@ -34,12 +34,13 @@ COPTER, ROVER, SUB = 2, 10, 12
 def step(method, *channels, rests=(), ground=FLEW, parameters=None, source="", kind=COPTER):
     timeline = ParameterTimeline.constant({} if parameters is None else parameters)
     identity = Identity("ardupilot", kind)
-    made = next_steps(Recording(channels, parameters=timeline, identity=identity, source=source), rests, ground)
+    recording = Recording(channels, parameters=timeline, identity=identity, source=source)
+    made = advice(LoggedTrip(recording, rests, ground))
     return next(s for s in made if s.method == method)
 
 
 def test_worthwhile_fits_come_first_and_each_has_its_command():
-    made = next_steps(Recording((GYRO, MAG), source="a.bin"), [rest(0.0, 20.0)], FLEW)
+    made = advice(LoggedTrip(Recording((GYRO, MAG), source="a.bin"), [rest(0.0, 20.0)], FLEW))
     assert [s.worthwhile for s in made] == sorted((s.worthwhile for s in made), reverse=True)
     assert made[0].method == "gyro-rest"
     assert {s.command for s in made} == {f"mavcal fit {s.method} a.bin" for s in made}
