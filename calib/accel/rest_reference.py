@@ -232,14 +232,14 @@ def _dip(vector: Array) -> tuple[float, float]:
 
 
 def _message(native: dict[str, Any], quality: dict[str, Any]) -> str:
-    def said(name: str, value: float | None, sd: float | None) -> str:
+    def value_text(name: str, value: float | None, sd: float | None) -> str:
         return f"{name} open" if value is None or sd is None else f"{name} {value + 0.0:.2f} +- {sd:.2g} deg"
 
     return ", ".join(
         (
-            said("roll", native["roll_deg"], quality["roll_sd_deg"]),
-            said("pitch", native["pitch_deg"], quality["pitch_sd_deg"]),
-            said("heading", native["heading_deg"], quality["heading_sd_deg"]),
+            value_text("roll", native["roll_deg"], quality["roll_sd_deg"]),
+            value_text("pitch", native["pitch_deg"], quality["pitch_sd_deg"]),
+            value_text("heading", native["heading_deg"], quality["heading_sd_deg"]),
         )
     )
 

@@ -91,7 +91,7 @@ _ARDUPILOT: Final[Mapping[int, Mapping[Logged, LogBit]]] = MappingProxyType(
 )
 
 
-"""By kind of vehicle as :func:`calib.logs.dataflash.said.identity_of` tells them; copters of every shape are one."""
+"""By kind of vehicle as :func:`calib.logs.dataflash.events.identity_of` tells them; copters of every shape are one."""
 
 
 _DISARMED: Final = {"ardupilot": "LOG_DISARMED 1", "px4": "SDLOG_MODE 2"}

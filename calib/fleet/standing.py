@@ -159,12 +159,12 @@ def fleet_standing(
     """Every unit, compared with all others; `records` have an entry for each. `now`: wall clock, s since 1970."""
     sensors = {unit: _sensors(known, trend_of) for unit, known in records.items()}
     odd = _compared([s for found in sensors.values() for s in found])
-    told = {}
+    standings = {}
     for unit, found in sensors.items():
         compared = tuple(dataclasses.replace(s, oddness=odd.get(id(s))) for s in found)
         preflight = preflights.get(unit)
-        told[unit] = UnitStanding(unit, compared, preflight, now)
-    return told
+        standings[unit] = UnitStanding(unit, compared, preflight, now)
+    return standings
 
 
 def reasons(sensors: Sequence[SensorStanding], preflight: LastPreflight | None, now: float) -> tuple[Reason, ...]:

@@ -113,8 +113,8 @@ def bias_trend(observations: Sequence[BiasObservation], limit: float) -> Trend:
         quantities = dict.fromkeys((Quantity.TIME, *(o.quantity for o in left_open), Quantity.LEAVING))
         if warm:
             quantities[Quantity.TEMPERATURE] = None
-        told = {o.quantity: o.why for o in left_open}
-        return Trend(n, None, None, None, tuple(Open(q, told.get(q, short)) for q in quantities))
+        reasons = {o.quantity: o.why for o in left_open}
+        return Trend(n, None, None, None, tuple(Open(q, reasons.get(q, short)) for q in quantities))
     applied = [o for o in seen if o.applied]
     reference = applied[-1] if applied else seen[-1]
     days = np.array([o.at for o in seen]) / DAY_S

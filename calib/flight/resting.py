@@ -71,11 +71,13 @@ def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[JudgedIte
     gravity, known = gravity_of_place(recording)
     items = [_gravity(i, means, gravity, known, why) for i, means in accels.items()]
     items += [_level(recording, i, means, why) for i, means in accels.items()]
-    items += [_apart("accel_consistency", "accel", pair, limits.APART, accels, why) for pair in combinations(accels, 2)]
-    for instance, means in gyros.items():
-        items += [_bias(instance, means, why), _wander(recording, instance, means, why)]
     items += [
-        _apart("gyro_consistency", "gyro", pair, limits.RATES_APART, gyros, why) for pair in combinations(gyros, 2)
+        _difference("accel_consistency", "accel", pair, limits.APART, accels, why) for pair in combinations(accels, 2)
+    ]
+    for instance, means in gyros.items():
+        items += [_bias(instance, means, why), _bias_change(recording, instance, means, why)]
+    items += [
+        _difference("gyro_consistency", "gyro", pair, limits.RATES_APART, gyros, why) for pair in combinations(gyros, 2)
     ]
     return items
 
@@ -177,7 +179,7 @@ def _bias(instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
     )
 
 
-def _wander(recording: Recording, instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
+def _bias_change(recording: Recording, instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
     """Change of the bias between the first and the last rest."""
     subject = f"gyro {instance + 1}"
     if not means:
@@ -209,7 +211,7 @@ def _wander(recording: Recording, instance: int, means: Sequence[RestMean], why:
     )
 
 
-def _apart(
+def _difference(
     name: str, sensor: str, pair: tuple[int, int], limit: FlightLimit, means: Mapping[int, Sequence[RestMean]], why: str
 ) -> JudgedItem:
     """The largest difference of two instances in the same rest, the vertical one halved as by ArduPilot's check."""

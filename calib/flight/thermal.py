@@ -23,7 +23,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.log_options import how_to_log_disarmed
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, FitStatus
 from mavcal.calib.flight.rest import ground
-from mavcal.calib.flight.warm import Log, RestTemperatures, difference, warmth
+from mavcal.calib.flight.rest_temperatures import Log, RestTemperatures, difference, rest_temperatures
 from mavcal.calib.procedures.drift_fit import PoseOffsets, fit_posed
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
@@ -48,7 +48,7 @@ _LEAST_SAMPLES = 8  # of a cell
 
 
 @dataclass(frozen=True)
-class ThermalWish:
+class ThermalRequest:
     """What is asked for; `degree` 0 is the straight line of thermal-linear."""
 
     degree: int
@@ -64,19 +64,19 @@ class ThermalWish:
         return POLYNOMIAL_METHOD if self.degree else LINEAR_METHOD
 
 
-def fit_rests(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalWish, *, relative: bool) -> FitResult:
+def fit_rests(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalRequest, *, relative: bool) -> FitResult:
     """Drift of one sensor over the rests of `logs`; refused with the span that is there and the one that is needed."""
-    own = warmth(logs, sensor, instance)
+    own = rest_temperatures(logs, sensor, instance)
     if own is None:
         return _refused(logs, sensor, instance, wish, "the vehicle never rested with its motors off in this log")
     if sensor == Sensor.GYRO:
         alone, best, why = (
-            _told(_fit(own, own.log, wish, relative), own, "each log with its own turn-on bias"),
+            _described(_fit(own, own.log, wish, relative), own, "each log with its own turn-on bias"),
             None,
             "",
         )
     else:
-        alone = _told(_fit(own, own.rest, wish, relative), own, "each rest with its own pose")
+        alone = _described(_fit(own, own.rest, wish, relative), own, "each rest with its own pose")
         best, why = (None, "") if wish.reference == "gravity" else _by_difference(logs, own, wish, relative)
     if best is None and alone.status == FitStatus.REFUSED and wish.reference != "gravity" and wish.degree:
         best, why = _in_flight(logs, own, wish, relative)
@@ -87,7 +87,7 @@ def fit_rests(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalW
     return alone if not why else dataclasses.replace(alone, warnings=(*alone.warnings, why))
 
 
-def _fit(rows: RestTemperatures, number: NDArray[np.intp], wish: ThermalWish, relative: bool) -> FitResult:
+def _fit(rows: RestTemperatures, number: NDArray[np.intp], wish: ThermalRequest, relative: bool) -> FitResult:
     """The drift with one constant for every `number` (N,)."""
     covered = rows.covered(number)
     if covered < wish.min_span:
@@ -109,14 +109,14 @@ def _fit(rows: RestTemperatures, number: NDArray[np.intp], wish: ThermalWish, re
 
 
 def _by_difference(
-    logs: Sequence[Log], own: RestTemperatures, wish: ThermalWish, relative: bool
+    logs: Sequence[Log], own: RestTemperatures, wish: ThermalRequest, relative: bool
 ) -> tuple[FitResult | None, str]:
     """The drift against another accelerometer that has none, where that sees more; or why not."""
     instance = own.channel.instance
     others = sorted({i for log in logs for i in log.recording.instances(Sensor.ACCEL)} - {instance})
     why = ""
     for other in others:
-        rows = warmth(logs, Sensor.ACCEL, instance, other=other)
+        rows = rest_temperatures(logs, Sensor.ACCEL, instance, other=other)
         if rows is None:
             continue
         if wish.reference == "auto" and rows.covered(rows.log) < _WIDER * own.covered(own.rest):
@@ -127,19 +127,19 @@ def _by_difference(
             continue
         fit = _fit(rows, rows.log, wish, relative)
         if fit.status != FitStatus.REFUSED:
-            return _told(_against(fit, other, steady), rows, "each log with its own difference of offsets"), ""
+            return _described(_against(fit, other, steady), rows, "each log with its own difference of offsets"), ""
         why = fit.message
     return None, why
 
 
 def _in_flight(
-    logs: Sequence[Log], own: RestTemperatures, wish: ThermalWish, relative: bool
+    logs: Sequence[Log], own: RestTemperatures, wish: ThermalRequest, relative: bool
 ) -> tuple[FitResult | None, str]:
     """The drift against another unit over whole logs, flights included; or why not."""
     sensor, instance = own.channel.sensor, own.channel.instance
     why = ""
     for other in sorted({i for log in logs for i in log.recording.instances(sensor)} - {instance}):
-        flown = flown_difference(logs, sensor, instance, other, wish.degree)
+        flown = flight_difference(logs, sensor, instance, other, wish.degree)
         if flown is None or flown.data.span < wish.min_span:
             continue
         steady = _steady(logs, sensor, other, flown.data.span)
@@ -160,7 +160,7 @@ def _in_flight(
             f"the rests span too few degC: the difference of the units in {flown.flight:.0f} s of flight counts as well"
         )
         fit = dataclasses.replace(fit, covariance=fit.covariance * flown.loss, warnings=(*fit.warnings, text))
-        return _told(_against(_without_offset(fit), other, steady), own, "and the flights between them"), ""
+        return _described(_against(_without_offset(fit), other, steady), own, "and the flights between them"), ""
     return None, why
 
 
@@ -171,22 +171,22 @@ def _without_offset(fit: FitResult) -> FitResult:
     covariance = fit.covariance.copy()
     covariance[:3] = covariance[:, :3] = 0.0
     model = dataclasses.replace(fit.model, offset=np.zeros(3))
-    told = {
+    movements = {
         n: fit.movements.get(n, "only the difference to another unit was seen: rest it (gyro-rest)") for n in open_names
     }
     return dataclasses.replace(
-        fit, model=model, covariance=covariance, undetermined=open_names, movements=told, status=FitStatus.PARTIAL
+        fit, model=model, covariance=covariance, undetermined=open_names, movements=movements, status=FitStatus.PARTIAL
     )
 
 
 def _steady(logs: Sequence[Log], sensor: Sensor, other: int, span: float) -> Array | str:
     """Slopes (3,) that the reference may have by its own rests, with their sd; or why it is none over `span` degC."""
-    rows = warmth(logs, sensor, other)
+    rows = rest_temperatures(logs, sensor, other)
     name = f"{'accelerometer' if sensor == Sensor.ACCEL else 'gyroscope'} {other + 1}"
     if rows is None:
         return f"{name} never rested"
     groups = rows.rest if sensor == Sensor.ACCEL else rows.log
-    line = _fit(rows, groups, ThermalWish(degree=1, t_ref=35.0, min_span=_LEAST_SPAN, lag=False), relative=False)
+    line = _fit(rows, groups, ThermalRequest(degree=1, t_ref=35.0, min_span=_LEAST_SPAN, lag=False), relative=False)
     if line.status == FitStatus.REFUSED or line.model.polynomial is None or len(line.undetermined) > 3:
         return f"{name} cannot be judged as a reference: {line.message}"
     slope = line.model.polynomial.coefficients[:, 0]
@@ -219,7 +219,7 @@ def _against(fit: FitResult, other: int, slopes: Array) -> FitResult:
     return dataclasses.replace(fit, covariance=covariance, warnings=(*fit.warnings, text), quality=quality)
 
 
-def _told(fit: FitResult, rows: RestTemperatures, constants: str) -> FitResult:
+def _described(fit: FitResult, rows: RestTemperatures, constants: str) -> FitResult:
     """The fit with what it was made from."""
     logs = f"{rows.logs} log{'s' if rows.logs > 1 else ''}"
     warnings = list(fit.warnings)
@@ -250,7 +250,7 @@ def _none(fit: FitResult) -> str:
     return ", ".join(a for a, none in zip(AXES, small, strict=True) if none)
 
 
-def _narrow(rows: RestTemperatures, wish: ThermalWish, covered: float) -> FitResult:
+def _narrow(rows: RestTemperatures, wish: ThermalRequest, covered: float) -> FitResult:
     data, channel = rows.data, rows.channel
     return FitBuilder(wish.method, channel.sensor, channel.instance, channel.unit, data.samples).refused(
         f"at rest the temperature moved by {covered:.1f} degC ({data.t_min:.1f} to {data.t_max:.1f} over "
@@ -260,7 +260,7 @@ def _narrow(rows: RestTemperatures, wish: ThermalWish, covered: float) -> FitRes
     )
 
 
-def _refused(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalWish, reason: str) -> FitResult:
+def _refused(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalRequest, reason: str) -> FitResult:
     channels = [c for log in logs for c in log.recording.find(sensor, instance)]
     unit, count = channels[0].unit if channels else "", sum(len(c) for c in channels)
     made = FitBuilder(wish.method, sensor, instance, unit, count)
@@ -268,7 +268,7 @@ def _refused(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalWi
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class FlightDifference:
     """Differences freed of N and of the constant of each log, and what not knowing those costs."""
 
     channel: Channel
@@ -279,7 +279,9 @@ class Flown:
     logs: int
 
 
-def flown_difference(logs: Sequence[Log], sensor: Sensor, instance: int, other: int, degree: int) -> Flown | None:
+def flight_difference(
+    logs: Sequence[Log], sensor: Sensor, instance: int, other: int, degree: int
+) -> FlightDifference | None:
     """Cells of one second of the whole logs; None: too few of them, or no difference can be taken."""
     cells = [cell for k, log in enumerate(logs) if (cell := _cells(log, sensor, instance, other, k)) is not None]
     if not cells:
@@ -299,14 +301,14 @@ def flown_difference(logs: Sequence[Log], sensor: Sensor, instance: int, other: 
         solution = np.linalg.lstsq(root * whole, root * y, rcond=1e-10)[0]
         left = y - whole @ solution
         weight = count / _noise((left**2).mean(axis=1) * count, count, flying)
-    freed = y - nuisance @ solution[: nuisance.shape[1]]
+    curve_alone = y - nuisance @ solution[: nuisance.shape[1]]
     quiet = float(_noise(variance, count, flying).min())
     counts = np.maximum(weight * quiet, 1e-6)  # worth as many quiet samples
     channel = next(c for item in logs for c in item.recording.find(sensor, instance)).take(slice(0, 0))
     data = DriftData(
         time=time,
         t=t,
-        y=freed,
+        y=curve_alone,
         half=None,
         constant=np.zeros(3, dtype=np.bool_),
         ignored=0,
@@ -315,7 +317,7 @@ def flown_difference(logs: Sequence[Log], sensor: Sensor, instance: int, other: 
     )
     root = np.sqrt(weight)[:, None]
     loss = _loss(root * curve, root * np.ones((len(rows), 1)), root * nuisance)
-    return Flown(channel, data, loss, float(flying.sum()) * _CELL, len(cells))
+    return FlightDifference(channel, data, loss, float(flying.sum()) * _CELL, len(cells))
 
 
 def _cells(log: Log, sensor: Sensor, instance: int, other: int, number: int) -> Array | None:
@@ -342,7 +344,7 @@ def _cells(log: Log, sensor: Sensor, instance: int, other: int, number: int) -> 
     used = count >= _LEAST_SAMPLES
     means = np.array([np.bincount(cell, column, minlength=size) for column in columns])[:, used] / count[used]
     variance = np.maximum(means[7] - (means[1:4] ** 2).sum(axis=0), 0.0) / 3.0
-    flying = _flying(recording, means[0])
+    flying = _airborne(recording, means[0])
     temperature = np.interp(means[0], warm.t, warm.values[:, 0])
     return np.column_stack(
         [
@@ -358,7 +360,7 @@ def _cells(log: Log, sensor: Sensor, instance: int, other: int, number: int) -> 
     )
 
 
-def _flying(recording: Recording, t: Array) -> NDArray[np.bool_]:
+def _airborne(recording: Recording, t: Array) -> NDArray[np.bool_]:
     flying = np.zeros(len(t), dtype=np.bool_)
     for span in ground(recording).running:
         flying |= (t > span.start - _CELL) & (t < span.end + _CELL)

@@ -28,7 +28,7 @@ from mavcal.calib.health.finding import (
     worst,
 )
 from mavcal.calib.health.inertial import inertial_findings
-from mavcal.calib.health.lacking import every_sample, lacking
+from mavcal.calib.health.missing_data import every_sample, missing_data
 from mavcal.calib.health.rectified import explained, rectified
 from mavcal.calib.health.sampling import SENSORS, sampled, sampling_findings
 from mavcal.calib.health.support import support_of
@@ -125,7 +125,7 @@ def health(recording: Recording) -> HealthReport:
     findings = [f for f in findings if f in dead or (f.sensor, f.instance) not in silent]
     named = sorted({(f.sensor, f.instance) for f in findings}, key=lambda one: (SENSORS.index(one[0]), one[1]))
     sensors = tuple(sensor_health(sensor, instance, findings) for sensor, instance in named)
-    return HealthReport(sensors, tuple(lacking(heard, stood, every, silent)), shaking, frozenset(silent))
+    return HealthReport(sensors, tuple(missing_data(heard, stood, every, silent)), shaking, frozenset(silent))
 
 
 def temperature_findings(recording: Recording) -> Iterator[HealthFinding]:

@@ -38,7 +38,7 @@ from mavcal.calib.logs.canonical import (
     reference_sensor,
 )
 from mavcal.calib.logs.columns import TableColumns, text_columns
-from mavcal.calib.logs.ordered import moving
+from mavcal.calib.logs.time_order import moving
 from mavcal.calib.logs.zeros import without_zeros
 from mavcal.calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 

@@ -153,7 +153,7 @@ def rates_during(t: ArrayLike, gyro_t: ArrayLike, gyro: ArrayLike, window: float
     from scipy.interpolate import CubicHermiteSpline  # loads scipy.optimize: 14 MB that an idle service does without
 
     interval = float(np.median(np.diff(times)))
-    known = _known(ends, times, window, interval)
+    known = _covered_by_gyro(ends, times, window, interval)
     if window == 0.0:
         nothing = np.zeros((len(ends), 3, 3))
         return Rates(ends, np.zeros((len(ends), 3)), nothing, nothing, known, 0.0, interval)
@@ -187,7 +187,7 @@ def _scatters(
     return found[0], found[1], found[2]
 
 
-def _known(ends: Array, times: Array, window: float, interval: float) -> NDArray[np.bool_]:
+def _covered_by_gyro(ends: Array, times: Array, window: float, interval: float) -> NDArray[np.bool_]:
     """Whether the gyro covers the window before every one of `ends` without a gap."""
     slack = 1.5 * interval
     inside = (ends - window >= times[0] - slack) & (ends <= times[-1] + slack)

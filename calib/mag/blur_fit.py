@@ -72,7 +72,7 @@ class _Timing:
 
     state: Array
     """Gain, lag, and what the axes of the gyro are more than those of the compass, row by row, (11,)."""
-    left_open: Array
+    from_timing: Array
     """Covariance (9, 9) of the ellipsoid's numbers that comes from what is not known of them."""
     precision: Array | None = None
     """Precision of the samples; None: they are alike."""
@@ -107,12 +107,12 @@ def fit_ellipsoid_deblurred(
     rows[rows] = not_repeated(array[rows])
     kept, slow = array[rows], rates.take(rows)
     context = MagContext(**facts)
-    kept, slow, worth = _moved_on(kept, slow, context.quantum)
-    if not len(kept) or (slow.window == 0.0 and worth is None):
+    kept, slow, readings_worth = _still_means(kept, slow, context.quantum)
+    if not len(kept) or (slow.window == 0.0 and readings_worth is None):
         return fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
-    believed = SOFT_IRON_SD if model == AUTO and prior_sd is None else prior_sd
+    prior = SOFT_IRON_SD if model == AUTO and prior_sd is None else prior_sd
     free = np.eye(9) if model == AUTO else MagModel(model).basis
-    alone = None if worth is None else np.sqrt(worth)
+    alone = None if readings_worth is None else np.sqrt(readings_worth)
     sharp, timing = kept, _Timing(np.zeros(len(_STEPS)), np.zeros((9, 9)), alone)
 
     def asked(*, robust: bool | None = robust) -> Asked:
@@ -130,16 +130,16 @@ def fit_ellipsoid_deblurred(
             if k == 0:
                 slow = slow.turned(axes_of_gyro(correction(shape.ellipsoid, 1.0).apply(kept), slow))
             else:
-                timing = _timing(kept, slow, shape, timing, free=free, prior_sd=believed, worth=worth)
+                timing = _timing(kept, slow, shape, timing, free=free, prior_sd=prior, readings_worth=readings_worth)
             sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
         shape = ellipsoid_shape(sharp, model, asked(), fall_back=False)
     except UndeterminedError:  # the sphere, of the samples as they are
         return fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
-    shape = dataclasses.replace(shape, covariance=shape.covariance + timing.left_open)
+    shape = dataclasses.replace(shape, covariance=shape.covariance + timing.from_timing)
     return ellipsoid_result(shape, sharp, context)
 
 
-def _moved_on(kept: Array, slow: Rates, step: float) -> tuple[Array, Rates, Array | None]:
+def _still_means(kept: Array, slow: Rates, step: float) -> tuple[Array, Rates, Array | None]:
     """Means of the readings between which the field did not leave its `step`, and how many each is worth.
 
     The samples as they are, and None, where it always did.
@@ -162,7 +162,7 @@ def _timing(
     *,
     free: Array,
     prior_sd: float | None,
-    worth: Array | None,
+    readings_worth: Array | None,
 ) -> _Timing:
     """What is known of the blur, improved by one step from `before`; `shape` is the fit of `before`."""
     model = correction(shape.ellipsoid, None)
@@ -178,7 +178,7 @@ def _timing(
     distances = Distances(Cloud(samples, np.zeros(3), 1.0)).at(shape.ellipsoid, 0.0, None).residuals
     distances = distances - np.average(distances)
     doubt = np.hypot(_WINDOW_SD * by_timing[:, 0], slow.interval / math.sqrt(12.0) * by_timing[:, 1])
-    precision, least = _precision(distances, doubt, np.ones(len(kept)) if worth is None else worth)
+    precision, least = _precision(distances, doubt, np.ones(len(kept)) if readings_worth is None else readings_worth)
     weight, variance = _weights(distances * precision, precision, len(free.T))
     variance = max(variance, least) * shape.variance_inflation
     by_free = by_shape @ free
@@ -190,16 +190,16 @@ def _timing(
     pull = by_timing.T @ (weight * distances) / variance - share.T @ (weighed.T @ distances)
     state = before.state - covariance @ (pull + _PRIOR @ before.state)
     spread = free @ share
-    left_open = spread @ covariance @ spread.T
-    alike = least == 0.0 and worth is None
-    return _Timing(state, left_open) if alike else _Timing(state, left_open, precision, least)
+    from_timing = spread @ covariance @ spread.T
+    alike = least == 0.0 and readings_worth is None
+    return _Timing(state, from_timing) if alike else _Timing(state, from_timing, precision, least)
 
 
 def _adjusted(rates: Rates, state: Array) -> Rates:
     return rates.adjusted(float(state[0]), float(state[1]), np.eye(3) + state[2:].reshape(3, 3))
 
 
-def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, float]:
+def _precision(distances: Array, doubt: Array, readings_worth: Array) -> tuple[Array, float]:
     """One over the relative noise of every sample, and the variance at precision one (0: blur makes no difference).
 
     The variance of a sample that is worth n readings is ``v/n + c^2 doubt^2`` with the likeliest v and c; c is at least
@@ -208,14 +208,14 @@ def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, flo
     squares = doubt**2
     typical = float(np.mean(squares))
     if not typical > 0.0:
-        return np.sqrt(worth), 0.0
+        return np.sqrt(readings_worth), 0.0
     # Far off is only what neither the noise of all nor the doubt of its own explains.
     clipped = np.maximum(_clipped(distances), np.minimum(distances**2, _CLIP**2 * squares))
 
     from scipy.optimize import minimize_scalar  # 11 MB that an idle service does without
 
     def deviance(log_noise: float, log_doubt: float) -> float:
-        variances = math.exp(log_noise) * typical / worth + math.exp(log_doubt) * squares
+        variances = math.exp(log_noise) * typical / readings_worth + math.exp(log_doubt) * squares
         return float(np.log(variances).sum() + (clipped / variances).sum())
 
     def likeliest(log_doubt: float) -> tuple[float, float]:
@@ -229,9 +229,9 @@ def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, flo
         if worse < least - _BETTER:
             least, log_noise, factor = worse + _BETTER, other, math.exp(log_doubt)
     noise = math.exp(log_noise) * typical
-    precision = np.sqrt(noise / (noise / worth + factor * squares))
-    alike = bool((precision > _ALIKE * np.sqrt(worth)).all())
-    return (np.sqrt(worth), 0.0) if alike else (precision, noise)
+    precision = np.sqrt(noise / (noise / readings_worth + factor * squares))
+    alike = bool((precision > _ALIKE * np.sqrt(readings_worth)).all())
+    return (np.sqrt(readings_worth), 0.0) if alike else (precision, noise)
 
 
 def _clipped(distances: Array) -> Array:

@@ -158,7 +158,7 @@ def _sphere_instead(samples: NDArray[Any], asked: Asked, error: NotConvergedErro
         covariance=covariance,
         form="sphere",
         undetermined=dict.fromkeys([*names, *(f"matrix_{a}{b}" for a in AXES for b in AXES)], ALL_SIDES),
-        because=f"the ellipsoid did not converge: {_why(thinned, fit)}",
+        fallback_reason=f"the ellipsoid did not converge: {_why(thinned, fit)}",
         warnings=(
             f"a sphere takes the place of the ellipsoid: the sd of its offset includes soft iron of "
             f"{100.0 * SPHERE_SOFT_IRON_SD:.0f} %, the matrix stays as it is",

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from mavcal.calib.fit import OFFSETS, FitResult, parameter_names
 from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.distance import score_rows
-from mavcal.calib.mag.hurried import TurningField
 from mavcal.calib.mag.result import (
     FIELD_TOLERANCE,
     SCALE_UNKNOWN,
@@ -30,13 +29,14 @@ from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, white_variance
 from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance
+from mavcal.calib.mag.undersampled import TurningField
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
 _ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
-_WANDERS = 0.05  # residual relative to the radius, above the noise, that is 5 deg of heading now and then
+_CHANGED_FIELD = 0.05  # residual relative to the radius, above the noise, that is 5 deg of heading now and then
 _PIECES = 10.0
 """Pieces of misfit over which an error averages out at most: it follows the movement, not the number of samples."""
 _VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
@@ -61,7 +61,7 @@ class ShapeFit:
     n_outliers: int = 0
     native: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
-    because: str = ""
+    fallback_reason: str = ""
     """Why it is not the form that was asked for; empty where it is."""
     undetermined: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """Parameters that the method leaves as they are, each with the movement that would determine it."""
@@ -100,10 +100,10 @@ def judged_ellipsoid(
     strength_sd = 0.0 if context.field is None else context.field.norm_sd
     full = correction_covariance(fit.ellipsoid, fit.covariance, context.strength, strength_sd)
     quality = dict(about_samples) | _quality(fit, context, model, full)
-    reason = _wanders(fit, quality) or _why_not(fit, quality["residual_rms"], model, full)
+    reason = _field_changed(fit, quality) or _why_not(fit, quality["residual_rms"], model, full)
     if reason is not None:
         message, names = reason
-        message = f"{fit.because}. {message[0].upper()}{message[1:]}" if fit.because else message
+        message = f"{fit.fallback_reason}. {message[0].upper()}{message[1:]}" if fit.fallback_reason else message
         made = context.made(fit.method, n_samples)
         return made.refused(message, names, message, quality=MappingProxyType(quality))
     return compass_result(
@@ -118,7 +118,11 @@ def judged_ellipsoid(
             condition_number=fit.condition_number,
             quality=quality,
             native=_native(fit.ellipsoid, model) | dict(fit.native),
-            warnings=(*((fit.because,) if fit.because else ()), *fit.warnings, *_warnings(fit, context, quality)),
+            warnings=(
+                *((fit.fallback_reason,) if fit.fallback_reason else ()),
+                *fit.warnings,
+                *_warnings(fit, context, quality),
+            ),
             undetermined=fit.undetermined,
         ),
         context,
@@ -221,10 +225,10 @@ def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tup
     return message, names
 
 
-def _wanders(fit: ShapeFit, quality: Mapping[str, Any]) -> tuple[str, tuple[str, ...]] | None:
+def _field_changed(fit: ShapeFit, quality: Mapping[str, Any]) -> tuple[str, tuple[str, ...]] | None:
     """Why an ellipsoid whose residuals are no noise, and degrees of heading, may not be used; None if it may."""
     rough = quality["residual_rms"] / fit.ellipsoid.mean_radius
-    if fit.form != "ellipsoid" or not _WANDERS < rough <= _ROUGHEST or not _misfits(fit, quality):
+    if fit.form != "ellipsoid" or not _CHANGED_FIELD < rough <= _ROUGHEST or not _misfits(fit, quality):
         return None
     message = (
         f"the field wandered by {rough:.0%} of itself while turning, which is no noise and costs "

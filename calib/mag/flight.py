@@ -18,8 +18,8 @@ from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
 from mavcal.calib.mag.attitude_check import unusable_attitude
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, believed_soft_iron, estimate
-from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, given, unusable
+from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, estimate, estimated_soft_iron_sd
+from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, SHAPES
 from mavcal.calib.mag.heading import heading_sd_deg
@@ -90,7 +90,7 @@ def fit_flight(
     """
     context = MagContext(**facts)
     made = context.made(METHOD, len(mag), MOVEMENT)
-    data = given(mag, turning, in_force, drive, window, context)
+    data = prepared(mag, turning, in_force, drive, window, context)
     reason = unusable(data)
     if reason:
         return made.refused(reason)
@@ -107,7 +107,7 @@ def _fitted(data: FlightInput, context: MagContext, soft_iron: SoftIron) -> Flig
     found = estimate(data.samples, data.turning, Knowledge(context.field, SOFT_IRON_SD))
     if soft_iron == "free":
         return found
-    return estimate(data.samples, data.turning, Knowledge(context.field, believed_soft_iron(found)))
+    return estimate(data.samples, data.turning, Knowledge(context.field, estimated_soft_iron_sd(found)))
 
 
 def _departure(rough: float, outliers: float) -> str:

@@ -148,7 +148,7 @@ def estimate(samples: Samples, turning: Turning, known: Knowledge) -> FlightEsti
     return FlightEstimate(solved, flight, prior, layout, model, noise, inflation)
 
 
-def believed_soft_iron(found: FlightEstimate) -> float:
+def estimated_soft_iron_sd(found: FlightEstimate) -> float:
     """The sd of the matrix' entries that makes the data most likely: those entries that they determine say it.
 
     `found` was fitted with :data:`SOFT_IRON_SD`; what its likelihood alone says of the entries has the information

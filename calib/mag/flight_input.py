@@ -47,7 +47,7 @@ class FlightInput:
     tilt_range_deg: float
 
 
-def given(
+def prepared(
     mag: Channel,
     turning: Turning,
     in_force: TriadModel | None,
@@ -115,7 +115,7 @@ def unusable(data: FlightInput) -> str:
     return ""
 
 
-def flown(recording_end: float, accel: Channel | None, attitude: Channel | None) -> float:
+def end_of_flight(recording_end: float, accel: Channel | None, attitude: Channel | None) -> float:
     """Time (s) at which the flight ends for a compass: a crash throws it about and bends what it hangs on.
 
     The first shock of more than 60 m/s2 together with a tilt of more than 75 degrees within two seconds, less two.

@@ -18,10 +18,18 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.imu.unknowns import UNKNOWNS, ImuPrior, symmetric
-from mavcal.calib.imu.weigh import groups
+from mavcal.calib.imu.weighting import groups
 from mavcal.calib.mag.blur import deblurred, rates_during
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.gyro_chain import BENT, BIAS_SD, LONGEST_DELAY, Chain, ChainSolution, rotation_of, weak_prior
+from mavcal.calib.mag.gyro_chain import (
+    BIAS_SD,
+    FREE_GYRO_MATRIX,
+    LONGEST_DELAY,
+    Chain,
+    ChainSolution,
+    rotation_of,
+    weak_prior,
+)
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.result import SCALE_UNKNOWN, UNDETERMINED_SD, CompassFit, compass_result, with_strength_sd
 from mavcal.calib.recording import Channel
@@ -78,7 +86,7 @@ def fit_gyro_aided(
     reason = _unusable(mag, gyro)
     if reason:
         return made.refused(reason)
-    sharp = _sharp(mag, gyro, window)
+    sharp = _slow_enough(mag, gyro, window)
     chain = Chain(mag.take(sharp), gyro, context)
     found = chain.solved(delay)
     if found is not None and window > 0.0:
@@ -89,7 +97,7 @@ def fit_gyro_aided(
     return _verdict(made.n_samples, chain, found, context) or made.refused(*_open(found, context))
 
 
-def _sharp(mag: Channel, gyro: Channel, window: float) -> NDArray[np.bool_]:
+def _slow_enough(mag: Channel, gyro: Channel, window: float) -> NDArray[np.bool_]:
     """The samples of the compass that averaging while turning hardly shrank; all, where too few are left."""
     if window <= 0.0:
         return np.ones(len(mag), dtype=np.bool_)
@@ -217,7 +225,7 @@ def _native(found: ChainSolution, covariance: Array) -> dict[str, Any]:
         "rotation_sd_deg": _rotation_sd_deg(found, covariance),
         "gyro_bias": x[18:21].tolist(),
         "gyro_bias_sd": np.sqrt(np.diag(covariance)[18:21]).tolist(),
-        "gyro_matrix": (rotation @ G).tolist() if found.coordinates is BENT else None,
+        "gyro_matrix": (rotation @ G).tolist() if found.coordinates is FREE_GYRO_MATRIX else None,
         "delay": found.delay,
         "delay_sd": found.delay_sd or None,
     }
@@ -248,7 +256,7 @@ def _warnings(found: ChainSolution, context: MagContext) -> tuple[str, ...]:
     warnings = []
     if context.strength is None:
         warnings.append(SCALE_UNKNOWN)
-    if found.coordinates is BENT:
+    if found.coordinates is FREE_GYRO_MATRIX:
         warnings.append("the gyroscope's scale or axes are off: its matrix was estimated too, calibrate it")
     if np.linalg.norm(found.solution.x[18:21]) > BIAS_SD:
         warnings.append(f"the gyroscope's offset is {np.linalg.norm(found.solution.x[18:21]):.3g} rad/s: rest it first")

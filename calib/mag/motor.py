@@ -22,7 +22,7 @@ from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.attitude_check import unusable_attitude
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
-from mavcal.calib.mag.flight_input import FlightInput, given, unusable
+from mavcal.calib.mag.flight_input import FlightInput, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
@@ -131,7 +131,7 @@ def fit_motor(
         If the clocks go back, or units or shapes do not fit.
     """
     context = MagContext(**facts)
-    plain = given(mag, turning, in_force, None, window, context)
+    plain = prepared(mag, turning, in_force, None, window, context)
     reason = unusable(plain)
     if not reason and not drives:
         reason = "neither current nor throttle nor motor outputs that change are in the recording"
@@ -167,7 +167,7 @@ def _candidates(
     found = []
     every: tuple[Drive | None, ...] = (None, *drives)
     for tried in every:
-        data = given(mag, turning, in_force, tried, window, context)
+        data = prepared(mag, turning, in_force, tried, window, context)
         reason = unusable(data)
         if reason:
             raise UndeterminedError(reason)
@@ -196,14 +196,14 @@ def _beats(better: Candidate, worse: Candidate, sure: float) -> bool:
 def _chosen(candidates: Sequence[Candidate]) -> Candidate:
     """The simplest of those that are as good as the best, of those that hidden samples want at all."""
     none = candidates[0]
-    wanted = [c for c in candidates[1:] if _wanted(c, none)]
+    wanted = [c for c in candidates[1:] if _improves_prediction(c, none)]
     if not wanted:
         return none
     best = min(wanted, key=lambda c: c.score)
     return next(c for c in wanted if c is best or not _beats(best, c, 1.0))
 
 
-def _wanted(candidate: Candidate, none: Candidate) -> bool:
+def _improves_prediction(candidate: Candidate, none: Candidate) -> bool:
     """Whether hidden samples want the term: over all blocks, and in every part of the flight by either attitude."""
     enough = candidate.hidden_rms < (1.0 - _LEAST_GAIN) * none.hidden_rms
     return enough and _beats(candidate, none, SURE) and _matters(candidate) and not _unhelped(candidate, none)
@@ -348,9 +348,9 @@ def _native(
         "drive": None if drive is None else str(drive.kind),
         "held_out_rms_before": none.hidden_rms,
         "held_out_rms_after": chosen.hidden_rms,
-        **(_told(chosen, none, gain, context) if drive is not None else {}),
-        "candidates": {c.kind: _told(c, none, gain, context) for c in candidates[1:]},
-        "attitude_trusted": _trusting(candidates),
+        **(_term(chosen, none, gain, context) if drive is not None else {}),
+        "candidates": {c.kind: _term(c, none, gain, context) for c in candidates[1:]},
+        "attitude_trusted": _with_logged_attitude(candidates),
         "offset_beside": (gain @ offset).tolist(),
         "offset_beside_sd": np.sqrt(np.diag(gain @ chosen.found.solved.covariance[OFFSET, OFFSET] @ gain.T)).tolist(),
         "never_calibrated": bool(
@@ -360,7 +360,7 @@ def _native(
     }
 
 
-def _trusting(candidates: Sequence[Candidate]) -> dict[str, Any] | None:
+def _with_logged_attitude(candidates: Sequence[Candidate]) -> dict[str, Any] | None:
     """What least squares find that take the log's attitude, heading included, for the truth; to compare, not to use.
 
     Its heading came from a compass: where it is corrected at arming or in the air, that step is taken for the motors'.
@@ -383,7 +383,7 @@ def _one_or_all(rows: Array) -> list[Any]:
     return list((rows[0] if len(rows) == 1 else rows).tolist())
 
 
-def _told(candidate: Candidate, none: Candidate, gain: Array, context: MagContext) -> dict[str, Any]:
+def _term(candidate: Candidate, none: Candidate, gain: Array, context: MagContext) -> dict[str, Any]:
     """The term behind the correction in force: what the motors add, and what would take it away."""
     drive = candidate.drive
     if drive is None:
@@ -394,7 +394,7 @@ def _told(candidate: Candidate, none: Candidate, gain: Array, context: MagContex
     term = (gain @ candidate.term).T
     log = candidate.log
     return {
-        "proposed": _wanted(candidate, none),
+        "proposed": _improves_prediction(candidate, none),
         "interference": _one_or_all(term),
         "interference_sd": _one_or_all(sd),
         "compensation": _one_or_all(-term),

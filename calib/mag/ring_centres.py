@@ -240,7 +240,7 @@ def faces_of(centres: Array, stated: Sequence[Array | None]) -> Array:
         If labels are missing and the centres do not tell, or a face is missing.
     """
     known = [direction for direction in stated if direction is not None]
-    faces = np.array(known) if len(known) == len(stated) else _seen(centres)
+    faces = np.array(known) if len(known) == len(stated) else _faces_by_centres(centres)
     missing = [
         f"{AXES[axis]}-{'down' if side > 0.0 else 'up'}"
         for axis in range(3)
@@ -256,7 +256,7 @@ def faces_of(centres: Array, stated: Sequence[Array | None]) -> Array:
     return faces
 
 
-def _seen(centres: Array) -> Array:
+def _faces_by_centres(centres: Array) -> Array:
     from_middle = centres - 0.5 * (centres.max(axis=0) + centres.min(axis=0))
     length = np.linalg.norm(from_middle, axis=1)
     axis = np.abs(from_middle).argmax(axis=1)

@@ -16,7 +16,7 @@ from mavcal.calib.firmware.stream.messages import COMPASS_WINDOW
 from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
 from mavcal.calib.mag.flight import METHOD as FLIGHT
 from mavcal.calib.mag.flight import SOFT_IRON, fit_flight
-from mavcal.calib.mag.flight_input import between, flown
+from mavcal.calib.mag.flight_input import between, end_of_flight
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor import fit_motor
 from mavcal.calib.mag.motor_drives import METHOD as MOTOR
@@ -98,7 +98,7 @@ def _turning(source: Source, options: Options) -> tuple[Turning, float]:
     gyro = _gyroscope(source, options["gyro"])
     end = options["until"]
     if end is None:
-        end = flown(log.span[1], accel[0] if accel else None, attitude)
+        end = end_of_flight(log.span[1], accel[0] if accel else None, attitude)
     if options["attitude"] == "log" and attitude is None:
         raise InvalidInputError("the recording has no attitude: use the gyroscope alone, --attitude gyro")
     if options["attitude"] == "gyro" and gyro is None:

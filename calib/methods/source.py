@@ -75,7 +75,7 @@ class Source:
         if self.of_vehicle or self.recording.segments or len(channel) < 2:
             return not self.timed
         apart = float(np.median(np.diff(channel.t)))
-        return not self.timed or 2.0 * apart > HELD.shortest or _lies_anew(channel)
+        return not self.timed or 2.0 * apart > HELD.shortest or _rows_are_poses(channel)
 
     @property
     def of_vehicle(self) -> bool:
@@ -138,7 +138,7 @@ class Source:
         return any(c.stage != Stage.DEBIASED for c in self.recording.find(sensor, instance))
 
 
-def _lies_anew(channel: Channel) -> bool:
+def _rows_are_poses(channel: Channel) -> bool:
     """Whether the vector of `channel` turned by 60 degrees and more from most rows to the next."""
     lengths = np.linalg.norm(channel.values, axis=1)
     cosines = np.einsum("ni,ni->n", channel.values[1:], channel.values[:-1])

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.flight.thermal import ThermalWish, fit_rests
-from mavcal.calib.flight.warm import logs_of, no_temperature
+from mavcal.calib.flight.rest_temperatures import logs_of, no_temperature
+from mavcal.calib.flight.thermal import ThermalRequest, fit_rests
 from mavcal.calib.methods import worthwhile
 from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options, Suggestion
 from mavcal.calib.methods.source import Source
@@ -50,7 +50,7 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
     return fits
 
 
-def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalWish) -> list[FitResult]:
+def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalRequest) -> list[FitResult]:
     """The same from what vehicles logged: only their rests on the ground."""
     for source in sources:
         if not source.recording.instances(Sensor.TEMPERATURE):
@@ -97,7 +97,7 @@ def linear_pooled(sources: Sequence[Source], options: Options) -> list[FitResult
     if through is not None and options["sensor"] == "all" and len({c.sensor for c in _inertial(sources[0])}) > 1:
         raise InvalidInputError("a fixed point is one sensor's: choose it with --sensor accel or --sensor gyro")
     if _logged(sources):
-        wish = ThermalWish(0, options["tref"], options["min_span"], through=through, reference=options["reference"])
+        wish = ThermalRequest(0, options["tref"], options["min_span"], through=through, reference=options["reference"])
         return _from_logs(sources, options, wish)
 
     if len(sources) > 1:
@@ -153,7 +153,7 @@ def poly_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
         if not 1 <= degree <= 5:
             raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
         lag = options["lag"] == "auto"
-        wish = ThermalWish(degree, options["tref"], options["min_span"], lag=lag, reference=options["reference"])
+        wish = ThermalRequest(degree, options["tref"], options["min_span"], lag=lag, reference=options["reference"])
         return _from_logs(sources, options, wish)
     return _poly_of_table(sources[0], options) if len(sources) == 1 else _of_tables(sources, options, options["degree"])
 

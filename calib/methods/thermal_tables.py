@@ -44,7 +44,7 @@ def fit_tables(tables: Sequence[tuple[Channel, Array]], options: PolynomialOptio
     """
     degree = options.degree
     found = outside_of(tables, degree)
-    taken = 1 if found is not None and found.slope < _BETTER * found.polynomial else degree
+    used_degree = 1 if found is not None and found.slope < _BETTER * found.polynomial else degree
     channel, temperature, number = _joined(tables)
     good = np.isfinite(channel.values).all(axis=1) & np.isfinite(temperature)
     data = DriftData.of(channel.take(good), temperature[good])
@@ -55,15 +55,17 @@ def fit_tables(tables: Sequence[tuple[Channel, Array]], options: PolynomialOptio
         channel,
         data,
         number,
-        dataclasses.replace(options, degree=taken),
+        dataclasses.replace(options, degree=used_degree),
         relative=relative,
         warning=TABLES_WARNING,
     )
     if found is None or fit.status == FitStatus.REFUSED:
         return fit
-    held = dataclasses.asdict(found) | {"degree": taken}
+    held = dataclasses.asdict(found) | {"degree": used_degree}
     return dataclasses.replace(
-        fit, warnings=(*fit.warnings, _told(found, degree, taken, fit.unit)), quality={**fit.quality, "held_out": held}
+        fit,
+        warnings=(*fit.warnings, _comparison(found, degree, used_degree, fit.unit)),
+        quality={**fit.quality, "held_out": held},
     )
 
 
@@ -93,9 +95,9 @@ def outside_of(tables: Sequence[tuple[Channel, Array]], degree: int) -> Outside 
     return Outside(float(slope_rms), float(polynomial_rms), float(clamped_rms), reach[0], reach[1])
 
 
-def _told(found: Outside, degree: int, taken: int, unit: str) -> str:
+def _comparison(found: Outside, degree: int, used_degree: int, unit: str) -> str:
     """The comparison in a sentence, and what clamping costs."""
-    better = "a slope is fitted" if taken == 1 else f"degree {taken} stays"
+    better = "a slope is fitted" if used_degree == 1 else f"degree {used_degree} stays"
     cost = found.clamped / max(min(found.slope, found.polynomial), 1e-300)
     return (
         f"a held-out table is left, outside the temperatures of the others, with {found.slope:.2g} {unit} by a slope "

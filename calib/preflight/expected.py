@@ -111,7 +111,9 @@ def expected(
                 moved.append(f"device id {device} was {Subject(sensor, then)} and is {place.about} now")
             values += _of_sensor(autopilot, parameters, entry, place)
     values += () if only else _shared(history, autopilot)
-    return ExpectedCalibration(tuple(_once(values)), tuple(missing), tuple(moved), tuple(homeless), frozenset(by_place))
+    return ExpectedCalibration(
+        tuple(_unique(values)), tuple(missing), tuple(moved), tuple(homeless), frozenset(by_place)
+    )
 
 
 @dataclass(frozen=True)
@@ -238,7 +240,7 @@ def _shared(history: Sequence[VerifiedCalibration], autopilot: str) -> Iterator[
                 yield ExpectedValue(name, value, None, None, name, entry)
 
 
-def _once(values: Sequence[ExpectedValue]) -> Iterator[ExpectedValue]:
+def _unique(values: Sequence[ExpectedValue]) -> Iterator[ExpectedValue]:
     """Each name once: the switch of a group comes with every member."""
     seen: set[str] = set()
     for value in values:

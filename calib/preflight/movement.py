@@ -30,7 +30,7 @@ class ObservedMovement:
     rates: dict[int, float]
     attitude: float = 0.0
 
-    def seen_by_others(self, key: tuple[Sensor, int]) -> str:
+    def movement_seen_by_others(self, key: tuple[Sensor, int]) -> str:
         """What shows a turn that this sensor should have followed; empty: nothing does beyond doubt."""
         kind, _ = key
         angles = {other: angle for other, angle in self.turned.items() if other != key and angle > TURNED_DEG}

@@ -271,7 +271,7 @@ def sensors_at_rest(plan: WritePlan, after: Recording) -> tuple[SensorCheck, ...
     motion = moved(gyros, accels)
     rates = rest_measures(gyros) if motion is None else {}
     forces = force_measures(accels, None) if motion is None else {}
-    return tuple(_told(Sensor(s), i, (rates if s == Sensor.GYRO else forces).get(i)) for s, i in about)
+    return tuple(_sensor_check(Sensor(s), i, (rates if s == Sensor.GYRO else forces).get(i)) for s, i in about)
 
 
 def _means(recording: Recording, sensor: Sensor) -> dict[int, Mean]:
@@ -279,7 +279,7 @@ def _means(recording: Recording, sensor: Sensor) -> dict[int, Mean]:
     return {i: mean for i, mean in found.items() if isinstance(mean, Mean)}
 
 
-def _told(sensor: Sensor, instance: int, measure: Measure | None) -> SensorCheck:
+def _sensor_check(sensor: Sensor, instance: int, measure: Measure | None) -> SensorCheck:
     gyro = sensor == Sensor.GYRO
     id_, unit = (SensorCheckId.GYRO_ZERO, "rad/s") if gyro else (SensorCheckId.ACCEL_GRAVITY, "m/s2")
     if measure is None or measure.verdict == Verdict.UNKNOWN:

@@ -104,7 +104,7 @@ def _dead(kind: str, found: FinishedCalibration | None, finished: Sequence[Finis
     return tuple({out.instance: out for out in later}.values())
 
 
-def _told(out: LeftOut) -> str:
+def _reason(out: LeftOut) -> str:
     return f"{_TITLES_OF[out.sensor].capitalize()} {out.instance + 1} was left out: {out.reason.rstrip('.')}."
 
 
@@ -114,7 +114,7 @@ def _state(
     what, _, sensor = TILES[kind]
     if dead:
         at, job = (None, None) if found is None else (found.at, found.job)
-        text = " ".join(map(_told, dead))
+        text = " ".join(map(_reason, dead))
         return SensorState(kind, Verdict.FAIL, "left out", text, "Check or replace it. Then calibrate.", at, job, None)
     if found is None:
         text = f"The {what} were not calibrated here yet." if sensor else f"The {what} was not measured here yet."
@@ -141,7 +141,7 @@ def _judged(
             return Verdict.FAIL, "changed", f"{_changed(moved)} Restore them, or calibrate again."
     missed = [out for out in found.left_out if out.sensor == sensor]
     if missed:
-        return Verdict.WARN, "in part", " ".join(map(_told, missed))
+        return Verdict.WARN, "in part", " ".join(map(_reason, missed))
     age = (snapshot.now - found.at) / DAY_S
     if age > limits.CALIBRATION_AGE.value:
         return Verdict.WARN, "old", f"It is {age:.0f} days old; the limit is {limits.CALIBRATION_AGE.value:.0f}."

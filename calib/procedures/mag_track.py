@@ -106,7 +106,7 @@ class MagTrack:
             self._force.append(motion.force[sharp])
             self._turning.append(motion.turning[sharp])
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Bring coverage and the predicted heading error up to date."""
         shape = self._shape.rough()
         if shape is None:

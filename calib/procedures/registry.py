@@ -9,6 +9,7 @@ from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.procedures.accel import AccelProcedure
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.fixed_yaw import MagFixedYawProcedure
 from mavcal.calib.procedures.gyro import GyroProcedure
@@ -22,7 +23,6 @@ from mavcal.calib.procedures.six_face import AccelSixFaceProcedure
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.thermal import ThermalProcedure
 from mavcal.calib.procedures.thread import GyroThreadProcedure
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turntable import GyroTurntableProcedure
 from mavcal.calib.recording import Recording
 

@@ -20,12 +20,13 @@ from mavcal.calib.mag.orientation import ASKEW, RIGHT_ANGLES, FittedRotation, Mo
 from mavcal.calib.mag.result import FIELD_TOLERANCE, rotation_covariance
 from mavcal.calib.mag.rings import fit_rings
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.mag_track import mounting_quality
 from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
-from mavcal.calib.procedures.placing import Facing, facing, place, shown_down
+from mavcal.calib.procedures.placing import Facing, down_direction, facing, place
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
@@ -33,7 +34,6 @@ from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, Promp
 from mavcal.calib.procedures.results import annotated, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import Spin, SpinWatch
 from mavcal.calib.recording import Array, Channel, Sensor
 
@@ -142,16 +142,16 @@ class MagRingsProcedure(TickedProcedure):
         self._spins = SpinWatch({i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)})
         if self.context.earth_field is None:
             self._warn("the place is not known: the field strength cannot be judged, and the common scale is not set")
-        self._say(self._place_prompt())
+        self._show(self._place_prompt())
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         spin = self._spins.update(frame, self.present(Sensor.GYRO), end - start, resting=verdict.counted)
-        direction = shown_down(self._watch, self._level, self.present(Sensor.ACCEL))
+        direction = down_direction(self._watch, self._level, self.present(Sensor.ACCEL))
         if spin is not None and direction is not None:
             self._follow(frame, verdict, spin, facing(direction))
         if self.outcome is None:
-            self._tell(verdict)
+            self._update_prompt(verdict)
 
     def _follow(self, frame: TickChannels, verdict: Stillness, spin: Spin, at: Facing) -> None:
         if self._asked is not None and (not at.square or at.face != self._asked):
@@ -167,9 +167,9 @@ class MagRingsProcedure(TickedProcedure):
                 return
             if verdict.counted or self._asked is not None:
                 self._asked = at.face
-                self._say(self._turn_prompt(at, moving=False))
+                self._show(self._turn_prompt(at, moving=False))
                 return
-        self._say(self._place_prompt())
+        self._show(self._place_prompt())
 
     def _left(self) -> tuple[Pose, ...]:
         return tuple(face for face in FACES if face not in self._done)
@@ -191,13 +191,13 @@ class MagRingsProcedure(TickedProcedure):
             self._ring, self._asked = RingTrack(at.face), at.face
         self._note = ""
         self._ring.add(frame, spin)
-        self._say(self._turn_prompt(at, moving=True))
+        self._show(self._turn_prompt(at, moving=True))
         if self._ring.complete(self.present(Sensor.MAG)):
             self._rings.append(self._ring)
             self._done.add(self._ring.face)
             self._ring, self._asked, self._last_taken = None, None, self.time
             if self._left():
-                self._say(self._place_prompt())
+                self._show(self._place_prompt())
             else:
                 self._evaluate()
 
@@ -269,7 +269,7 @@ class MagRingsProcedure(TickedProcedure):
 
     # -- telling ---------------------------------------------------------------------------------------------------
 
-    def _tell(self, verdict: Stillness) -> None:
+    def _update_prompt(self, verdict: Stillness) -> None:
         if self.time - max(self._last_taken, self._began) >= self.options["patience"]:
             cause, remedy = self._missing()
             self._give_up(f"no new ring within {self.options['patience']:.0f} s; {cause}", remedy)

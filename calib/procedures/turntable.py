@@ -15,18 +15,18 @@ from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import AXES, FitResult, FitStatus
 from mavcal.calib.gyro import PLAUSIBLE_BIAS, fit_turntable
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import Facing, facing, shown_down
+from mavcal.calib.procedures.placing import Facing, down_direction, facing
 from mavcal.calib.procedures.pool import Pool, Tail, joined
 from mavcal.calib.procedures.poses import DOWN, TEXTS
 from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_or_none, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
 from mavcal.calib.recording import Array, Channel, Segment, Sensor
 
@@ -148,7 +148,7 @@ class GyroTurntableProcedure(TickedProcedure):
         if not self._axes:
             self._give_up("no axis was chosen", "set at least one of the options x, y and z")
         self._next_round()
-        self._say(self._rest_prompt(resting=False))
+        self._show(self._rest_prompt(resting=False))
 
     def _next_round(self) -> None:
         self._round += 1
@@ -157,16 +157,16 @@ class GyroTurntableProcedure(TickedProcedure):
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         spin = self._spins.update(frame, self.present(Sensor.GYRO), end - start, resting=self._at_rest(verdict))
-        direction = shown_down(self._watch, self._level, self.present(Sensor.ACCEL))
+        direction = down_direction(self._watch, self._level, self.present(Sensor.ACCEL))
         if spin is not None and direction is not None:
             if not self._rested:
                 self._rest(frame, spin, verdict)
             elif not self._rate:
-                self._say(self._rest_prompt(resting=verdict.counted))
+                self._show(self._rest_prompt(resting=verdict.counted))
             else:
                 self._follow(frame, spin, facing(direction))
         if self.outcome is None:
-            self._tell()
+            self._update_prompt()
 
     def _at_rest(self, verdict: StillnessVerdict) -> bool:
         return verdict.counted and not self._rested
@@ -194,7 +194,7 @@ class GyroTurntableProcedure(TickedProcedure):
                     seen = f"{math.degrees(self._spins.offset):.1f} deg/s"
                     self._warn(f"a gyro reads {seen} at rest: was the turntable turning slowly then?")
                 self._stretch = None
-        self._say(self._rest_prompt(resting=verdict.counted))
+        self._show(self._rest_prompt(resting=verdict.counted))
 
     def _on_answer(self, value: str) -> None:
         rate = _RATE.read(value)
@@ -213,7 +213,7 @@ class GyroTurntableProcedure(TickedProcedure):
             self._stretch, self._doing = Stretch(turned.vector), turned
         self._note = ""
         self._stretch.add(frame, spin)
-        self._say(self._turn_prompt(at, turned, stable=True))
+        self._show(self._turn_prompt(at, turned, stable=True))
         if self._complete(self._stretch):
             self._taken.append((f"{turned.name}{self._round}", turned.sign, self._stretch))
             self._left.remove(turned)
@@ -248,11 +248,11 @@ class GyroTurntableProcedure(TickedProcedure):
             wanted = here[0]
             if turned is not None and turned not in self._left and abs(spin.rate[axis]) > TURNING:
                 self._note = "This way is done. "
-            self._say(self._turn_prompt(at, wanted, stable=False))
+            self._show(self._turn_prompt(at, wanted, stable=False))
         else:
             face = _FACES[self._left[0].axis][0]
             text = f"{self._note}Stop the turntable, and fix the vehicle on it square {TEXTS[face]}."
-            self._say(Prompt(PromptStep.PLACE, text, pose=face, remaining=(face,)))
+            self._show(Prompt(PromptStep.PLACE, text, pose=face, remaining=(face,)))
 
     def _turn_prompt(self, at: Facing, turned: Turned, *, stable: bool) -> Prompt:
         x, y, z = (float(v) + 0.0 for v in turned.vector)  # no negative zeros
@@ -323,7 +323,7 @@ class GyroTurntableProcedure(TickedProcedure):
 
     # -- telling ---------------------------------------------------------------------------------------------------
 
-    def _tell(self) -> None:
+    def _update_prompt(self) -> None:
         since = self.time - max(self._last_taken, self._began)
         if since >= self.options["patience"]:
             cause, remedy = self._missing()

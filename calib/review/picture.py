@@ -20,10 +20,10 @@ SHADES: Final = ("#b3261e", "#c9731f", "#7a4fb5")
 """Axes of a drift before."""
 
 
-def picture_of(effects: Sequence[SensorEffect], told: str, columns: int | None = None) -> Markup | None:
-    """The sensors in rows of `columns` (None: one row); None: none has a curve. `told` is for who cannot see it."""
+def picture_of(effects: Sequence[SensorEffect], alt_text: str, columns: int | None = None) -> Markup | None:
+    """The sensors in rows of `columns` (None: one row); None: none has a curve. `alt_text` is for who cannot see it."""
     charts = [_chart(effect, effect.curve) for effect in effects if effect.curve is not None]
-    return side_by_side(charts, told, columns=columns) if charts else None
+    return side_by_side(charts, alt_text, columns=columns) if charts else None
 
 
 def _chart(effect: SensorEffect, curve: ErrorCurve) -> Chart:

@@ -24,10 +24,10 @@ from mavcal.calib.thermal.quality import (
     block_statistics,
     common_warnings,
     declined_warnings,
+    fit_message,
     noise_quality,
     or_none,
     remedy_for,
-    said_of,
     two_way_warnings,
 )
 from mavcal.calib.thermal.sweeps import (
@@ -126,7 +126,7 @@ def fit_linear(
     return made.fitted(
         TriadModel(polynomial=polynomial),
         covariance,
-        message=said_of("slope", data, estimated),
+        message=fit_message("slope", data, estimated),
         n_used=data.n,
         residual_rms=_rms(residual, estimated),
         condition_number=blocks.condition,
@@ -263,7 +263,7 @@ def fit_drift_data(
     return made.fitted(
         model,
         covariance,
-        message=said_of("polynomial", data, estimated),
+        message=fit_message("polynomial", data, estimated),
         n_used=data.samples,
         residual_rms=_rms(residual, estimated),
         condition_number=axes.blocks.condition,

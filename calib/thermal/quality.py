@@ -18,7 +18,7 @@ from mavcal.calib.thermal.sweeps import ThermometerLag
 Array = NDArray[np.float64]
 
 
-def said_of(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str:
+def fit_message(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str:
     """What was fitted, on which axes, over which range."""
     axes = ", ".join(AXES[i] for i in range(3) if estimated[i]) or "no axis"
     return f"{what} of {axes} over {data.t_min:.1f} to {data.t_max:.1f} degC from {data.samples} rows"

@@ -138,8 +138,8 @@ def thermal_lag(
         if abs(total / weight) < 1e-3 / math.sqrt(weight):
             break
     sd = 1.0 / math.sqrt(weight)
-    told = _SIGNIFICANT * sd < abs(seconds) < longest
-    return ThermometerLag(seconds, sd) if told else None
+    significant = _SIGNIFICANT * sd < abs(seconds) < longest
+    return ThermometerLag(seconds, sd) if significant else None
 
 
 def _lag_step(blocks: DriftBlocks, design: Array, moved: Array, axis: int) -> tuple[float, float, float, float]:

@@ -16,7 +16,7 @@ from typing import Any
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware import sensor_ids
-from mavcal.calib.firmware.compose.foresee import STREAMED_INSTANCES
+from mavcal.calib.firmware.compose.early_warnings import STREAMED_INSTANCES
 from mavcal.calib.firmware.in_force.fingerprint import BY_ITSELF, REWRITTEN_AT_REST, means_the_same
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS, needed
 from mavcal.calib.firmware.in_force.rewritten import CertainOffsets, rewrites_meanwhile

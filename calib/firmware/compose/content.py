@@ -38,10 +38,10 @@ class Contents:
 
 def contents(fits: Sequence[FitResult]) -> Contents:
     """Sort fits by what they say; refused ones are left out."""
-    told = [fit for fit in fits if fit.status != FitStatus.REFUSED]
-    levels = tuple(fit for fit in told if trim.is_level(fit))
-    motors = tuple(fit for fit in told if mag_motor.is_motor(fit))
-    rest = [fit for fit in told if not (trim.is_level(fit) or mag_motor.is_motor(fit))]
+    usable = [fit for fit in fits if fit.status != FitStatus.REFUSED]
+    levels = tuple(fit for fit in usable if trim.is_level(fit))
+    motors = tuple(fit for fit in usable if mag_motor.is_motor(fit))
+    rest = [fit for fit in usable if not (trim.is_level(fit) or mag_motor.is_motor(fit))]
     corrections = tuple(Correction(fit) for fit in rest if _corrects(fit))
     return Contents(corrections, levels, motors, tuple(fit for fit in rest if not _corrects(fit)))
 

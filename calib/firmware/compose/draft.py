@@ -215,9 +215,9 @@ class Draft:
 
     def block(self, text: str, about: Subject | None = None) -> None:
         """Forbid the write of one sensor, or of everything (None)."""
-        told = self._blockers if about is None else self._refused.setdefault(about, [])
-        if text not in told:
-            told.append(text)
+        reasons = self._blockers if about is None else self._refused.setdefault(about, [])
+        if text not in reasons:
+            reasons.append(text)
 
     @property
     def refused(self) -> dict[Subject, tuple[str, ...]]:

@@ -141,7 +141,7 @@ def mounting_turn(
     elif verdict == MountingVerdict.BY_ANGLES:
         turn = MountingRotation(name, matrix, np.array(found["covariance"], dtype=np.float64))
         if found["nearest"] == "none" and float(found["askew_deg"]) <= TOLERATED:
-            return _if_wanted(draft, about, turn, float(found["askew_deg"]), follows)
+            return _small_rotation(draft, about, turn, float(found["askew_deg"]), follows)
         return turn
     return None
 
@@ -179,7 +179,7 @@ def _as_chosen(
     return turn if angle_between(turn.matrix, np.eye(3)) > EXACT else None
 
 
-def _if_wanted(
+def _small_rotation(
     draft: Draft, about: Subject, turn: MountingRotation, askew: float, follows: str
 ) -> MountingRotation | None:
     """A turn so small that the stated mounting may stay: it is offered, and made if the operator confirms it."""

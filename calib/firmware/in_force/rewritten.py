@@ -53,7 +53,7 @@ class CertainOffsets:
         """Return the samples and parameters that are certain so far, oldest first."""
         for entry in chunk.parameters.entries:
             if entry.name in REWRITTEN_AT_REST:
-                self._see(entry)
+                self._read_entry(entry)
         if not self._hold:
             return self._certain(chunk)
         if any(event.kind == "reboot" for event in chunk.events):  # its times begin again
@@ -64,7 +64,7 @@ class CertainOffsets:
         self._waiting = [_from(whole, until)]
         return self._certain(_before(whole, until))
 
-    def _see(self, entry: ParameterEntry) -> None:
+    def _read_entry(self, entry: ParameterEntry) -> None:
         since, value = self._seen.get(entry.name, (entry.t, entry.value))
         self._seen[entry.name] = entry.t, entry.value
         if value == entry.value:
@@ -73,10 +73,10 @@ class CertainOffsets:
             self._doubtful.append((since - GUARD_BEFORE_S, entry.t + GUARD_AFTER_S))
 
     def _certain(self, recording: Recording) -> Recording:
-        kept = (self._without_doubt(channel) for channel in recording.channels)
+        kept = (self._certain_samples(channel) for channel in recording.channels)
         return recording.with_channels(channel for channel in kept if len(channel))
 
-    def _without_doubt(self, channel: Channel) -> Channel:
+    def _certain_samples(self, channel: Channel) -> Channel:
         if not self._doubtful:
             return channel
         doubtful = np.zeros(len(channel), dtype=bool)

@@ -40,7 +40,7 @@ from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
 ALL_APPLIED: Hypothesis = frozenset()
-_BLIND: Final = 1e-3
+_UNOBSERVABLE: Final = 1e-3
 """Distance below which a check says nothing of a direction; its standard deviation is then a thousand effects."""
 TEMPERATURE_SLACK: Final = 0.3
 """degC beyond the range of a fit within which its drift still counts as known (streams carry about 1 Hz of it)."""
@@ -141,7 +141,7 @@ class StreamCheck:
         """Standard deviation of the check along the effect of `name`, in the unit of the stream."""
         distance, effect = self.judgement.distance[name], self.effect(name)
         if effect > 0.0:
-            return effect / max(distance, _BLIND)
+            return effect / max(distance, _UNOBSERVABLE)
         matrix = self.covariance(self.capture, equality=self.equality)
         return float(np.sqrt(np.diag(matrix).min()))
 
@@ -278,7 +278,7 @@ def _judge(
     if turned and capture.sensor != Sensor.GYRO and capture.expected is not None:
         candidates = ~kept
         candidates[np.array(turned) + len(matrix) - len(capture.invariant)] = True
-        kept = ~spoilt(np.array(list(vectors.values())), matrix, candidates)
+        kept = ~outliers(np.array(list(vectors.values())), matrix, candidates)
     whitening = np.linalg.inv(np.linalg.cholesky(matrix[np.ix_(kept, kept)]))
 
     def whitened(refused: Hypothesis) -> Array | None:
@@ -302,7 +302,7 @@ def _weight(check: StreamCheck, name: str) -> tuple[int, float]:
     return order.index(check.judgement.verdicts[name].value), check.judgement.distance[name]
 
 
-def spoilt(vectors: Array, covariance: Array, candidates: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def outliers(vectors: Array, covariance: Array, candidates: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which rows (n,) to leave out.
 
     Parameters

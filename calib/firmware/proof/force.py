@@ -151,15 +151,15 @@ class Force:
         roles = px4.calibration_names(self.parameters, about.sensor, about.instance)
         new = {change.name: float(change.new) for change in self.changes if change.name in applied}
 
-        def taken(held: Array, triple: names.Triple) -> Array:
+        def in_memory(held: Array, triple: names.Triple) -> Array:
             return np.array([new.get(roles.get(role, ""), held[i]) for i, role in enumerate(triple)])
 
         return px4.Px4Calibration(
             about.sensor,
             about.instance,
-            offset=taken(old.offset, names.OFFSET),
-            scale=taken(old.scale, names.SCALE),
-            cross=taken(old.cross, names.CROSS),
+            offset=in_memory(old.offset, names.OFFSET),
+            scale=in_memory(old.scale, names.SCALE),
+            cross=in_memory(old.cross, names.CROSS),
         )
 
 

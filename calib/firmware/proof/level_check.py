@@ -77,7 +77,7 @@ def level_checks(
     if not all(corrections.possible(h, readings) for h in (ALL_APPLIED, corrections.every)):
         return {}, (_level(about, (), fit),)
     earlier = corrections.readable(then.readings.get(about, ()))[-1:]
-    there = [r for r in readings if _stands(corrections, fit, r)]
+    there = [r for r in readings if _same_pose(corrections, fit, r)]
     if force.autopilot != "ardupilot":
         return {}, (_level(about, [_down(r) for r in there], fit),)
     names = [c for c in plan.changes if c.name in AHRS_TRIM]
@@ -120,7 +120,7 @@ def _attitude(
     )
 
 
-def _stands(corrections: Corrections, fit: FitResult, reading: StillMean) -> bool:
+def _same_pose(corrections: Corrections, fit: FitResult, reading: StillMean) -> bool:
     """Whether the vehicle stands as it did when `fit` was made: with the old trim it would read what the fit read."""
     if not reading.mean.any():
         return False  # a sensor that streams zeros stands nowhere

@@ -96,8 +96,8 @@ def verify(
     force = force_of(plan.fingerprint.autopilot, known, plan.changes)
     now = gather(after)
     then = gather(before) if before is not None else StreamEvidence({}, {}, frozenset())
-    told = contents([f for f in fits if not f.relative])
-    pairs = {p.about: p for p in pair_fits(told.corrections)}
+    usable = contents([f for f in fits if not f.relative])
+    pairs = {p.about: p for p in pair_fits(usable.corrections)}
     acting: dict[Subject, tuple[str, ...]] = {}
     checks: dict[Subject, StreamCheck] = {}
     outside: dict[Subject, str] = {}
@@ -120,7 +120,7 @@ def verify(
             checks[about] = check
         elif beyond := out_of_range(about, force, pairs.get(about), now):
             outside[about] = beyond
-    trims, level = level_checks(plan, told.levels, force, before=before, after=after, then=then, now=now)
+    trims, level = level_checks(plan, usable.levels, force, before=before, after=after, then=then, now=now)
     verdicts = tuple(
         trims.get(change.name) or _verdict(change, checks, acting, now, outside, force) for change in plan.changes
     )
@@ -177,7 +177,7 @@ def _verdict(
         return ParameterVerdict(name, verdict, check.effect(name), check.sd(name), check.unit, text)
     waiting = [about for about, names in acting.items() if name in names]
     if waiting:
-        text = next((outside[about] for about in waiting if about in outside), "") or _why_nothing(waiting, now)
+        text = next((outside[about] for about in waiting if about in outside), "") or _no_evidence_reason(waiting, now)
     elif now.raw:
         text = _RAW
     elif change.sensor in CALIBRATED and name in force.without_alternative(Subject(change.sensor, change.instance)):
@@ -201,7 +201,7 @@ def _text(verdict: ProofVerdict, check: StreamCheck) -> str:
     return f"{by} behave as if the old value were still in force{scatter}"
 
 
-def _why_nothing(waiting: Sequence[Subject], now: StreamEvidence) -> str:
+def _no_evidence_reason(waiting: Sequence[Subject], now: StreamEvidence) -> str:
     streamed = [about for about in waiting if about in now.readings]
     which = ", ".join(map(str, streamed or waiting))
     if not streamed:

@@ -322,9 +322,9 @@ class Assembler:
 
     def _parameters(self, t: Array, found: Sequence[tuple[int, Frame]]) -> list[ParameterEntry]:
         entries = []
-        encoding = usual_encoding(self._autopilot)
+        format_ = usual_encoding(self._autopilot)
         for time, (_, frame) in zip(t.tolist(), found, strict=True):
-            heard = heard_value(frame, encoding)
+            heard = heard_value(frame, format_)
             if heard is None or heard.kind is None:
                 continue
             entries.append(ParameterEntry(time, heard.name, heard.value))

@@ -26,8 +26,8 @@ from mavcal.calib.firmware.slots import ardupilot_calibration_names
 from mavcal.calib.logs.dataflash.channels import SensorChannels, instances
 from mavcal.calib.logs.dataflash.clock import Clock
 from mavcal.calib.logs.dataflash.dynamics import dynamics_channels
+from mavcal.calib.logs.dataflash.events import counted_events, identity_of, parameter_entries, spoken_events
 from mavcal.calib.logs.dataflash.log import DataFlash
-from mavcal.calib.logs.dataflash.said import counted_events, identity_of, parameter_entries, spoken_events
 from mavcal.calib.logs.dataflash.scan import LONGEST
 from mavcal.calib.logs.dataflash.state import reference_channels, state_channels
 from mavcal.calib.logs.dataflash.tables import Log, Table
@@ -108,7 +108,7 @@ def read_dataflash_text(path: Path | str) -> Recording:
 
 
 def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Recording:
-    log = {name: table for name, table in log.items() if _as_known(table)}
+    log = {name: table for name, table in log.items() if _types_match(table)}
     clock = Clock(log)
     identity = identity_of(log)
     parameters, said = _parameters(log, clock, identity, whole=whole)
@@ -160,7 +160,7 @@ def _parameters(log: Log, clock: Clock, identity: Identity, *, whole: bool) -> t
     return timeline, events
 
 
-def _as_known(table: Table) -> bool:
+def _types_match(table: Table) -> bool:
     """Whether numbers stand where numbers are known to stand, and texts where texts are."""
     texts = TEXT_COLUMNS.get(table.name, ())
     arrays = ("x", "y", "z") if table.name == "ISBD" else ()

@@ -11,7 +11,7 @@ from mavcal.calib.firmware.compose.content import contents
 from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.compose.trim import force_when_level, trim_from_force
 from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, ProofVerdict, WritePlan
-from mavcal.calib.firmware.proof.check import MOST, PRICE, spoilt
+from mavcal.calib.firmware.proof.check import MOST, PRICE, outliers
 from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.fit import parameter_names
@@ -355,10 +355,10 @@ def test_single_wild_samples_are_found_and_no_healthy_one(seed):
     rng = np.random.default_rng(seed)
     wrong = 2.0 * rng.normal(size=N)  # what the old values would leave
     data = rng.normal(0.0, 0.08, N) + rng.normal(0.0, 0.14)
-    assert not spoilt(np.array([data, data + wrong]), covariance(), EVERY).any()
+    assert not outliers(np.array([data, data + wrong]), covariance(), EVERY).any()
     wild = rng.choice(N, 3, replace=False)
     data[wild] -= 0.62
-    out = spoilt(np.array([data, data + wrong]), covariance(), EVERY)
+    out = outliers(np.array([data, data + wrong]), covariance(), EVERY)
     assert set(np.flatnonzero(out)) == set(wild)
 
 
@@ -367,15 +367,15 @@ def test_what_the_old_values_explain_is_not_left_out():
     rng = np.random.default_rng(1)
     effect = np.where(np.arange(N) < 5, 1.0, 0.0)
     data = rng.normal(0.0, 0.08, N) + effect  # nothing was applied
-    assert not spoilt(np.array([data, data - effect]), covariance(), EVERY).any()
+    assert not outliers(np.array([data, data - effect]), covariance(), EVERY).any()
 
 
 def test_no_more_than_a_fifth_and_no_reading_at_rest_is_left_out():
     rng = np.random.default_rng(2)
     data = rng.normal(0.0, 5.0, N)
-    assert spoilt(data[None], 0.01 * np.eye(N), EVERY).sum() == int(MOST * N)
+    assert outliers(data[None], 0.01 * np.eye(N), EVERY).sum() == int(MOST * N)
     moving = np.arange(N) >= 20
-    out = spoilt(data[None], 0.01 * np.eye(N), moving)
+    out = outliers(data[None], 0.01 * np.eye(N), moving)
     assert out.sum() == int(MOST * 10)
     assert not out[:20].any()
     assert PRICE > 4.0

@@ -60,7 +60,7 @@ class Weighed:
     moves_out: int
 
     @property
-    def doubt(self) -> float:
+    def student_factor(self) -> float:
         """Factor on variances whose noise was found from the residuals themselves, few as they are; else one."""
         return student_variance(max(self.problem.freedom, 1)) if any(self.problem.extra) else 1.0
 

@@ -94,7 +94,7 @@ def census(snapshot: Snapshot, announced: Mapping[Key, Announced], movement: Obs
                 thin[key] = f"only {rows} messages with {name} came in {_span(recording):.0f} s"
             elif rows >= LEAST and STANDS * count > rows:
                 thin[key] = f"only {count} readings of {name} came in {_span(recording):.0f} s"
-            elif key in announced and rows == 0 and not _known(snapshot, announced[key]):
+            elif key in announced and rows == 0 and not _was_installed(snapshot, announced[key]):
                 left_over[key] = f"{name}{by} sends nothing and was not seen here before"
             elif key in announced:
                 dead[key] = f"{name}{by} {_absent(recording, key, rows, count)}"
@@ -161,7 +161,7 @@ def _count(found: Census, kind: Sensor) -> str:
     return f"{alive} {word}" if alive == installed else f"{alive} of {installed} {word}"
 
 
-def _known(snapshot: Snapshot, one: Announced) -> bool:
+def _was_installed(snapshot: Snapshot, one: Announced) -> bool:
     """Whether the sensor surely was there: by the firmware's own row, or by a verified calibration."""
     return one.kept or any(one.device in entry.device_ids.values() for entry in snapshot.history)
 
@@ -187,12 +187,12 @@ def _frozen(snapshot: Snapshot, key: Key, channel: Channel, movement: ObservedMo
     kind, _ = key
     if channel.quantum == 0.0 and kind != Sensor.MAG:
         return f"{len(channel)} readings without rounding are all the same, and a living one has noise"
-    turned = movement.seen_by_others(key)
+    turned = movement.movement_seen_by_others(key)
     if turned:
         return f"it read one value all the time while {turned}"
     if _left_out_by_px4(snapshot, kind):
         return "it read one value all the time, and PX4, which drops a sensor that stands still, sends no attitude"
-    siblings = [c for _, c in _kin(snapshot.recording, key) if not _repeats(c)]
+    siblings = [c for _, c in _of_same_device(snapshot.recording, key) if not _repeats(c)]
     noises = [noise for c in siblings if (noise := float(c.values.std(axis=0).min())) < _HEALTHY[kind]]
     if noises and _chance(channel, min(noises) / QUIETER[kind]) < CHANCE:
         return f"{len(channel)} readings are all the same while the others of its kind are noisy"
@@ -233,7 +233,7 @@ def _best(recording: Recording, key: Key) -> Channel | None:
     return max(found, key=lambda c: (len(c) >= LEAST and c.quantum == 0.0, len(c)), default=None)
 
 
-def _kin(recording: Recording, key: Key) -> list[tuple[Key, Channel]]:
+def _of_same_device(recording: Recording, key: Key) -> list[tuple[Key, Channel]]:
     kind, instance = key
     others: Collection[int] = [i for i in recording.instances(kind) if i not in (instance,) and i < STREAMED]
     best = {(kind, i): _best(recording, (kind, i)) for i in others}

@@ -44,7 +44,7 @@ def foreseen(identity: Identity, parameters: Mapping[str, Value], options: Compo
     """What could not be written of a measured drift of every inertial sensor, and what the vehicle does meanwhile."""
     known = [key for key in sorted(_ids(identity, parameters)) if key[0] != Sensor.MAG]
     asked = [key for key in known if not options.only or key in options.only]
-    told = [
+    announced = [
         f"{Subject(*key)} does not stream, since MAVLink carries {STREAMED_INSTANCES} inertial units: its drift is "
         "not measured"
         for key in asked
@@ -52,12 +52,14 @@ def foreseen(identity: Identity, parameters: Mapping[str, Value], options: Compo
     ]
     drifts = [_drift(*key) for key in asked if key[1] < STREAMED_INSTANCES]
     if identity.autopilot == "px4" and int(parameters.get("IMU_GYRO_CAL_EN", 0)) != 0:
-        told.append(OWN_OFFSETS)
+        announced.append(OWN_OFFSETS)
     try:
-        told += unwritable(drifts, parameters, fingerprint(identity, parameters), options=options) if drifts else ()
+        announced += (
+            unwritable(drifts, parameters, fingerprint(identity, parameters), options=options) if drifts else ()
+        )
     except FirmwareError as error:
-        told.append(str(error))
-    return tuple(told)
+        announced.append(str(error))
+    return tuple(announced)
 
 
 def _ids(identity: Identity, parameters: Mapping[str, Value]) -> dict[tuple[Sensor, int], int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcal.calib.firmware.compose.foresee import foreseen, unknown_sensors
+from mavcal.calib.firmware.compose.early_warnings import foreseen, unknown_sensors
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.options import ComposeOptions

@@ -39,7 +39,7 @@ def every_sample(recording: Recording) -> str:
     return f"Set {_BATCHES} (batch sampling){raw}"
 
 
-def lacking(
+def missing_data(
     recording: Recording, stood: Ground, every: Sequence[Sampled], silent: Collection[Key] = ()
 ) -> Iterator[str]:
     """What was not recorded, what it would tell, and how it is logged; `silent` are sensors that delivered nothing."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.procedures.warmth import Warmth
+from mavcal.calib.procedures.warming import Warmth
 from mavcal.calib.recording import Channel, Sensor, Stage
 
 MINUTE = 60.0
@@ -66,7 +66,7 @@ def test_nothing_moved_before_anything_was_read():
     warmth = Warmth(MINUTE)
     assert (warmth.moved, warmth.span, warmth.rate) == (0.0, 0.0, 0.0)
     assert warmth.settles(1.0) is None
-    assert not warmth.settled(100.0)
+    assert not warmth.is_steady(100.0)
 
 
 def test_the_rate_is_that_of_the_last_minute():
@@ -82,15 +82,15 @@ def test_two_readings_of_one_time_have_no_rate():
     assert warmth.rate == 0.0
 
 
-@pytest.mark.parametrize(("seconds", "settled"), [(59.0, False), (60.0, True)])
-def test_a_whole_minute_is_needed_to_call_it_settled(seconds, settled):
-    assert followed(lambda t: 30.0, seconds).settled(0.1) is settled
+@pytest.mark.parametrize(("seconds", "is_steady"), [(59.0, False), (60.0, True)])
+def test_a_whole_minute_is_needed_to_call_it_settled(seconds, is_steady):
+    assert followed(lambda t: 30.0, seconds).is_steady(0.1) is is_steady
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize(("per_minute", "settled"), [(0.19, True), (0.21, False)])
-def test_a_rate_below_the_bound_is_settled_either_way(sign, per_minute, settled):
-    assert followed(lambda t: 30.0 + sign * per_minute * t / 60.0, 90.0).settled(0.2) is settled
+@pytest.mark.parametrize(("per_minute", "is_steady"), [(0.19, True), (0.21, False)])
+def test_a_rate_below_the_bound_is_settled_either_way(sign, per_minute, is_steady):
+    assert followed(lambda t: 30.0 + sign * per_minute * t / 60.0, 90.0).is_steady(0.2) is is_steady
 
 
 @pytest.mark.parametrize(("start", "end"), [(20.0, 50.0), (70.0, 30.0)])

@@ -34,7 +34,7 @@ PROGRESS_EVERY = 1.0
 class TickedProcedure(ABC):
     """A procedure that decides at the ticks of :mod:`calib.procedures.intake`.
 
-    Subclasses hold the state of one run; they say what they have to say through :meth:`_say`, :meth:`_report` and
+    Subclasses hold the state of one run; they say what they have to say through :meth:`_show`, :meth:`_report` and
     :meth:`_finish`, and every decision depends on ticks alone.
     """
 
@@ -66,7 +66,7 @@ class TickedProcedure(ABC):
         if self.outcome is None:
             self._intake.add(chunk)
             self._work(to_the_end=False)
-        return self._told()
+        return self._new_steps()
 
     def end(self) -> tuple[Step, ...]:
         """No samples will come any more: work off what waits, then say what was missing."""
@@ -81,7 +81,7 @@ class TickedProcedure(ABC):
             if self.outcome is None:
                 cause, remedy = self._missing()
                 self._give_up(f"the recording ends before the goal is reached: {cause}", remedy)
-        return self._told()
+        return self._new_steps()
 
     def answer(self, value: str) -> tuple[Step, ...]:
         """Take an operator's answer."""
@@ -91,7 +91,7 @@ class TickedProcedure(ABC):
             choice = (self._prompt.choice if self._prompt else "") or "none: the data answer"
             raise ProcedureError(f"{value!r} is no answer to this step; it accepts {choice}")
         self._on_answer(value)
-        return self._told()
+        return self._new_steps()
 
     def schedule(self, answers: Sequence[OperatorAnswer]) -> None:
         """Give these answers when the procedure's `time` comes to theirs (a replayed job)."""
@@ -122,13 +122,13 @@ class TickedProcedure(ABC):
     def _on_answer(self, value: str) -> None:
         raise ProcedureError(f"the {self.spec.kind} procedure takes no answers")
 
-    def _on_lost(self, instance: Instance) -> None:
+    def _on_dropout(self, instance: Instance) -> None:
         """An instance fell out; the operator is warned already."""
         self._watch.drop(instance)
 
     # -- what a procedure says -------------------------------------------------------------------------------------
 
-    def _say(self, prompt: Prompt) -> None:
+    def _show(self, prompt: Prompt) -> None:
         if prompt != self._prompt:
             self._prompt = prompt
             self._steps.append(prompt)
@@ -181,7 +181,7 @@ class TickedProcedure(ABC):
                 if self._roster_ready(tick):
                     self._settle_roster()
             else:
-                self._take(tick)
+                self._process_tick(tick)
             if self.outcome is not None:
                 return
         if self._intake.broken:
@@ -216,9 +216,9 @@ class TickedProcedure(ABC):
         self._on_start(present)
         for tick in backlog:
             if self.outcome is None:
-                self._take(tick)
+                self._process_tick(tick)
 
-    def _take(self, tick: Tick) -> None:
+    def _process_tick(self, tick: Tick) -> None:
         assert self._roster is not None
         self._apply_scheduled(self.time)
         if self.outcome is not None:
@@ -235,13 +235,13 @@ class TickedProcedure(ABC):
         if instance[0] in self.spec.sensors and not self.present(instance[0]):
             self._give_up(reason, "restart the vehicle; if it stays so, the sensor or its wiring is broken")
             return
-        self._on_lost(instance)
+        self._on_dropout(instance)
 
     def _apply_scheduled(self, until: float) -> None:
         while self._scheduled and self._scheduled[0].t <= until and self.outcome is None:
             self._on_answer(self._scheduled.pop(0).value)
 
-    def _told(self) -> tuple[Step, ...]:
+    def _new_steps(self) -> tuple[Step, ...]:
         steps, self._steps = tuple(self._steps), []
         return steps
 

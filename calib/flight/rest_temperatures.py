@@ -107,7 +107,9 @@ def no_temperature(recording: Recording) -> str:
     )
 
 
-def warmth(logs: Sequence[Log], sensor: Sensor, instance: int, *, other: int | None = None) -> RestTemperatures | None:
+def rest_temperatures(
+    logs: Sequence[Log], sensor: Sensor, instance: int, *, other: int | None = None
+) -> RestTemperatures | None:
     """The rests of that sensor in every log; None: there is no row.
 
     With `other` its samples less those of that instance: what the vehicle does cancels, and so does gravity.

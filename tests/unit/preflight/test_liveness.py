@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.preflight.alive import census
 from mavcal.calib.preflight.check import CheckId, Report, Verdict
 from mavcal.calib.preflight.installed import announced
+from mavcal.calib.preflight.liveness import census
 from mavcal.calib.preflight.movement import movement
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.recording import Recording, Sensor

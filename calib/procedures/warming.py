@@ -90,10 +90,10 @@ class Warmth:
         found = []
         for share in _PARTS:
             start = begin + share * (end - begin)
-            told = _extrapolated([point for point in self._history if point[0] >= start])
-            if told is None:
+            rate = _extrapolated([point for point in self._history if point[0] >= start])
+            if rate is None:
                 return None
-            found.append(told)
+            found.append(rate)
         constant, at = found[0]
         spread = max(abs(other - at) for _, other in found[1:])
         if spread > max(_SPREAD * abs(at - last), _NEAR):
@@ -101,7 +101,7 @@ class Warmth:
         left = constant * math.log(max(abs(self.rate) * 60.0 / bound, 1.0))
         return WarmUpEnd(left, at, spread)
 
-    def settled(self, bound: float) -> bool:
+    def is_steady(self, bound: float) -> bool:
         """Whether the rate over a whole minute lies below `bound` (degC per minute)."""
         if len(self._history) < 2 or self._history[-1][0] - self._history[0][0] < self._over:
             return False

@@ -34,7 +34,7 @@ def blamed(found: Headings, *, followed: int) -> list[Measure]:
     measures = [_dip(i, m, found, together=together) for i, m in found.dips.items()]
     measures += [_pair(i, k, m, found, followed) for (i, k), m in found.pairs.items()]
     measures += [_own(i, m, found, followed, together=together) for i, m in found.own.items()]
-    measures += [_given(i, m, found, together=together) for i, m in found.given.items()]
+    measures += [_by_stated_heading(i, m, found, together=together) for i, m in found.given.items()]
     return measures + ([] if found.declination is None else [found.declination])
 
 
@@ -45,16 +45,18 @@ def _off(measure: Measure) -> bool:
 def _dip(i: int, measure: Measure, found: Headings, *, together: bool) -> Measure:
     count = len(found.dips)
     if count > 1 and together and all(map(_off, found.dips.values())):
-        told = f"All {count} compasses agree with each other: the position is wrong, or iron is near the whole vehicle."
+        explanation = (
+            f"All {count} compasses agree with each other: the position is wrong, or iron is near the whole vehicle."
+        )
         remedy = "Look whether the vehicle's position is right; if it is, move it ten metres away and check again."
-        return _with(measure, ("position", "surroundings"), told, remedy)
+        return _with(measure, ("position", "surroundings"), explanation, remedy)
     if count == 1:
         return _with(measure, (_compass(i), "position"), "No second compass tells whether the position is wrong.")
     return _with(measure, (_compass(i),))
 
 
 def _pair(i: int, k: int, measure: Measure, found: Headings, followed: int) -> Measure:
-    odd = _odd(i, k, found)
+    odd = _outlier_of_pair(i, k, found)
     if odd is not None:
         return _with(measure, (_compass(odd),), f"The other compasses agree: it is compass {odd + 1}.")
     for what, witness in (("its dip is not the model's", found.dips), ("by the heading given", found.given)):
@@ -63,13 +65,13 @@ def _pair(i: int, k: int, measure: Measure, found: Headings, followed: int) -> M
             return _with(measure, (_compass(bad[0]),), f"Compass {bad[0] + 1} is the one that is off: {what}.")
     other = k if followed == i else i
     if followed in (i, k) and found.own and _off(found.own[followed]) and not _off(found.own[other]):
-        told = f"Compass {followed + 1} is the one that is off: the vehicle's own heading agrees with compass "
-        return _with(measure, (_compass(followed),), f"{told}{other + 1}.")
-    told = "Nothing that was looked at tells which of both is off"
+        explanation = f"Compass {followed + 1} is the one that is off: the vehicle's own heading agrees with compass "
+        return _with(measure, (_compass(followed),), f"{explanation}{other + 1}.")
+    explanation = "Nothing that was looked at tells which of both is off"
     if found.own:
-        told += f"; the vehicle's own heading follows compass {followed + 1}, and is no witness for it"
+        explanation += f"; the vehicle's own heading follows compass {followed + 1}, and is no witness for it"
     remedy = f"{_GIVE} Else look at both mounts."
-    return _with(measure, (_compass(i), _compass(k)), f"{told}.", remedy)
+    return _with(measure, (_compass(i), _compass(k)), f"{explanation}.", remedy)
 
 
 def _own(i: int, measure: Measure, found: Headings, followed: int, *, together: bool) -> Measure:
@@ -83,16 +85,16 @@ def _own(i: int, measure: Measure, found: Headings, followed: int, *, together: 
         who = _compass(i) if _off(found.given[i]) else _VEHICLE
         return _with(measure, (who,), "The heading that was given tells.")
     if len(found.own) == 1:
-        told = "Nothing that was looked at tells whether the compass or the vehicle's own heading is off."
-        return _with(measure, (_compass(i), _VEHICLE), told, _OWN)
-    told = f"All {len(found.own)} compasses agree with each other, so none of them is off by itself."
-    return _with(measure, (_VEHICLE, "how the autopilot is mounted"), told, _OWN)
+        explanation = "Nothing that was looked at tells whether the compass or the vehicle's own heading is off."
+        return _with(measure, (_compass(i), _VEHICLE), explanation, _OWN)
+    explanation = f"All {len(found.own)} compasses agree with each other, so none of them is off by itself."
+    return _with(measure, (_VEHICLE, "how the autopilot is mounted"), explanation, _OWN)
 
 
-def _given(i: int, measure: Measure, found: Headings, *, together: bool) -> Measure:
+def _by_stated_heading(i: int, measure: Measure, found: Headings, *, together: bool) -> Measure:
     if len(found.given) > 1 and together and all(map(_off, found.given.values())):
-        told = f"All {len(found.given)} compasses agree with each other."
-        return _with(measure, ("what all compasses share", "the heading given"), told, _SHARED)
+        explanation = f"All {len(found.given)} compasses agree with each other."
+        return _with(measure, ("what all compasses share", "the heading given"), explanation, _SHARED)
     return _with(measure, (_compass(i),))
 
 
@@ -100,7 +102,7 @@ _OWN = "Wait until the vehicle's estimate has settled, and check again; the true
 _SHARED = "Look at the orientation that is set for the autopilot, and whether the heading given is a true one."
 
 
-def _odd(i: int, k: int, found: Headings) -> int | None:
+def _outlier_of_pair(i: int, k: int, found: Headings) -> int | None:
     """The one of two that disagrees with every other compass, while these agree with each other."""
     compasses = {n for pair in found.pairs for n in pair}
     if len(compasses) < 3:
