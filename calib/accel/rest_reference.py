@@ -1,4 +1,4 @@
-"""What accelerometer and magnetometer read at rest, and the attitude that it implies (METHODS S5).
+"""Reference vectors of accelerometer and magnetometer at rest, and the attitude (METHODS S5).
 
 The means of a hundred samples serve as reference vectors. Down is against the specific force, east is across down and
 field: two vectors, one attitude (the triad). Nothing is calibrated by it: offsets of both sensors are in the answer.

@@ -65,7 +65,7 @@ def svg(width: float, height: float, parts: Iterable[Markup], title: str) -> Mar
 def side_by_side(
     pictures: Sequence[Picture], alt_text: str, *, columns: int | None = None, heading: str = ""
 ) -> Markup:
-    """A file with pictures in rows of `columns` (None: one row); `alt_text` is what a reader without eyes is told."""
+    """An SVG with pictures in rows of `columns` (None: one row); `alt_text` serves screen readers."""
     across = columns or len(pictures)
     rows = [pictures[i : i + across] for i in range(0, len(pictures), across)]
     width = max(sum(p.width for p in row) for row in rows)

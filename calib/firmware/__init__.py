@@ -1,4 +1,4 @@
-"""What autopilots do to sensor data and what can be done about it: streams, parameters, undoing, plans, proofs.
+"""Firmware knowledge: streams, parameters, undoing of corrections, write plans and proofs.
 
 The knowledge of each firmware lies in its own modules; what is exported here asks for the autopilot by name
 (``ardupilot`` or ``px4``, as in :class:`calib.recording.Identity`).

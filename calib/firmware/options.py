@@ -1,4 +1,4 @@
-"""What the operator may decide about a plan, by name: one table for the command line, the REST API and every advice.
+"""Options of a plan that the operator sets: one table for command line, REST API and advice.
 
 Values come as plain data (``{"keep_gyro_at_boot": true, "only": ["gyro0", "accel0"]}``) and stay so in the store;
 :func:`compose_options` turns them into what ``compose`` takes. Sensors are named as in a plan's fingerprint: ``gyro0``

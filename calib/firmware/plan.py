@@ -1,4 +1,4 @@
-"""What is to be written to a vehicle, why, at what cost, and how it will be proved.
+"""Write plans and their verification, as data.
 
 A :class:`WritePlan` is pure data: ``compose`` of an autopilot makes it from fits, the service executes it, ``verify``
 of the autopilot judges the stream afterwards. It is bound to one vehicle and to the snapshot that it was composed on.
@@ -153,7 +153,7 @@ class WritePlan:
 
 
 class ProofVerdict(StrEnum):
-    """What the stream says of one written parameter."""
+    """Verdict on one written parameter."""
 
     PROVED = "proved"  # the stream agrees with the new value and contradicts the old one
     CONSISTENT = "consistent"  # agrees with the new value, cannot tell it from another combination
@@ -242,7 +242,7 @@ class Verification:
 
     @property
     def settled(self) -> bool:
-        """Whether another look at a resting vehicle would change nothing: all was seen, and no sensor is in doubt."""
+        """Whether another check of a resting vehicle would change no verdict."""
         return not self.unseen and not self.refuted
 
     @property

@@ -1,4 +1,4 @@
-"""Which row of parameters belongs to which stream.
+"""Assignment of parameter rows to streamed instances.
 
 ArduPilot's inertial units stream by slot. Its compasses stream by *rank* (``COMPASS_PRIOn_ID``) while their parameters
 lie in state slots (``COMPASS_DEV_IDn``). PX4 matches every row by device id. FLIGHT_CONTROLLERS 1.3, 1.4, 2.2.

@@ -1,4 +1,4 @@
-"""Drift of one sensor with time and temperature, and when its calibration will have left its limit.
+"""Drift of one sensor with time and temperature, and the date on which it exceeds its limit.
 
 The lasting part of a bias is the line and the walk, without the scatter from start to start. The bias has left its
 limit when that part is farther than the limit from the bias that corrects the sensor. Both are taken at the temperature
@@ -164,7 +164,7 @@ def _temperature(seen: Sequence[BiasObservation]) -> tuple[bool, tuple[Open, ...
 
 
 def _goes_with_time(seen: Sequence[BiasObservation], warmth: Sequence[float]) -> bool:
-    """Whether a straight line in time leaves nothing of the temperatures."""
+    """Whether temperature and time cannot be separated."""
     days = np.array([o.at for o in seen]) / DAY_S
     line = np.stack([np.ones(len(days)), days - days.mean()], axis=1)
     known = np.array(warmth)

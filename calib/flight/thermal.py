@@ -220,7 +220,7 @@ def _against(fit: FitResult, other: int, slopes: Array) -> FitResult:
 
 
 def _described(fit: FitResult, rows: RestTemperatures, constants: str) -> FitResult:
-    """The fit with what it was made from."""
+    """The fit with its sources in message, warnings and quality."""
     logs = f"{rows.logs} log{'s' if rows.logs > 1 else ''}"
     warnings = list(fit.warnings)
     if rows.only_still:
@@ -269,7 +269,7 @@ def _refused(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalRe
 
 @dataclass(frozen=True, eq=False)
 class FlightDifference:
-    """Differences freed of N and of the constant of each log, and what not knowing those costs."""
+    """Difference of two units without N and the constant of each log, with the cost of these nuisances."""
 
     channel: Channel
     """No samples yet; says the sensor and its unit."""

@@ -1,4 +1,4 @@
-"""The gyroscope at rest: its offset, and why a steady turn is not one."""
+"""Gyroscope offset at rest, and the test that tells a rest from a steady turn."""
 
 from __future__ import annotations
 

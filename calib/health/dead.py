@@ -1,4 +1,4 @@
-"""Sensors that deliver nothing: zero, constant, distrusted throughout, or announced by parameters and never heard.
+"""Sensors without data: zero, constant, rejected throughout, or announced but never received.
 
 They are judged first and left out of every other check: what a dead sensor reads speaks against no other one.
 """

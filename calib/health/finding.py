@@ -1,4 +1,4 @@
-"""What a health check found: one number of one sensor against its limit, and what to do about it."""
+"""A finding: one number of one sensor against its limit, and the action."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ def inertial_findings(
 
 
 def _within(laid: Sequence[Still], spans: Sequence[TimeSpan]) -> tuple[Still, ...]:
-    """What lies wholly in one of `spans`."""
+    """The parts that lie wholly in one of `spans`."""
     return tuple(s for s in laid if any(span.start <= s.start and s.end <= span.end for span in spans))
 
 
@@ -204,7 +204,7 @@ def _drift(channel: Channel, laid: Sequence[Still]) -> HealthFinding:
 
 @dataclass(frozen=True, eq=False)
 class _MotionReference:
-    """What a gyroscope is compared with while its vehicle moves."""
+    """References for a gyroscope while its vehicle moves."""
 
     attitude: Channel | None
     support: Support

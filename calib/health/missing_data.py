@@ -1,4 +1,4 @@
-"""What a log lacks to say more: messages and rates, what they would tell, and the parameter that has them logged."""
+"""Data that a log lacks: messages and rates, their use, and the parameter that logs them."""
 
 from __future__ import annotations
 

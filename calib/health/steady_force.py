@@ -1,4 +1,4 @@
-"""What an inertial unit tells by itself while it flies: rates across a force that stands still.
+"""Gyroscope offset in flight from the stretches where the specific force keeps its direction.
 
 A vehicle whose force keeps its direction and the length of gravity for seconds does not turn over meanwhile. The rate
 across that direction, on average, is then the gyroscope's offset. About it the vehicle may turn as it likes.

@@ -1,4 +1,4 @@
-"""What shook the inertial units: the levels that the autopilot measured, its clip counts, and what sampling hides."""
+"""Vibration of the inertial units: levels and clip counts of the autopilot, and limits of the sampling."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The still poses of a recording: which spans they are, and what both sensors read in them, with honest noise.
+"""Still poses of a recording: their spans, and both sensors' means with noise.
 
 The noise of a sensor is the same in every pose, so it is pooled; a pose keeps its own only where it is clearly more (a
 hand that sways). Sway turns the body, so it shows across gravity and not along it. A movement begins and ends at the

@@ -1,4 +1,4 @@
-"""Noise that the residuals show beyond the sensors' own, and the poses or movements that are off.
+"""Weights from the residuals: excess noise, and outlying poses or movements.
 
 The scatter within a pose does not show a hand's sway, the sensors' non-linearity or acceleration that the gyroscope
 feels. The residuals of the poses, or of the movements, may then exceed their noise by more than chance. If so, one

@@ -1,4 +1,4 @@
-"""Which samples are kept where time goes back."""
+"""Selects samples where the time stamps go back."""
 
 from __future__ import annotations
 

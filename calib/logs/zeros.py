@@ -1,4 +1,4 @@
-"""Samples of an accelerometer or a compass that are exactly nothing, which such a sensor reads only when it is dead."""
+"""Removes samples of accelerometers and compasses that are exactly zero: these come from dead sensors only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A magnetometer fit that grows with its samples: what a live procedure asks once a second."""
+"""Magnetometer fit of the samples so far, for a live procedure that asks once a second."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ class Vertical:
 
 @dataclass(frozen=True, eq=False)
 class AlignFit:
-    """What was found in scaled samples ``(y - centre) / scale``, and everything that tells how far to trust it."""
+    """Solution in scaled samples ``(y - centre) / scale``, with its information and diagnostics."""
 
     alignment: AlignmentSolution
     centre: Array

@@ -1,4 +1,4 @@
-"""How much soft iron is there? The data say, and where they cannot, a prior does.
+"""Ellipsoid averaged over the size of the soft iron, from the data and a prior.
 
 To choose between sphere, three radii and the full matrix, and to forget the others, is wrong twice. Next to the
 threshold the stated uncertainty is too small. Where the movement was small, "no soft iron seen" is no evidence of "no
@@ -62,7 +62,7 @@ class _Likelihood:
         return state, covariance, evidence
 
     def loss(self, model: MagModel) -> float:
-        """By how much chi2 is larger with nothing but `model` free."""
+        """Increase of chi2 with only `model` free."""
         free = model.basis
         best = [p @ np.linalg.pinv(p.T @ self.information @ p) @ p.T @ self.pull for p in (np.eye(9), free)]
         return float(self.pull @ (best[0] - best[1]))

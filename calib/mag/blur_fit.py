@@ -1,4 +1,4 @@
-"""The ellipsoid of a compass that averages while it turns, with what is not known of the averaging in its uncertainty.
+"""Ellipsoid of a compass that averages while it turns, with the uncertainty of the averaging.
 
 The blur of a window is computed back from the gyro (:mod:`calib.mag.blur`). Some of it is not known, and for a nearly
 noise-free compass that is all that limits it:
@@ -140,7 +140,7 @@ def fit_ellipsoid_deblurred(
 
 
 def _still_means(kept: Array, slow: Rates, step: float) -> tuple[Array, Rates, Array | None]:
-    """Means of the readings between which the field did not leave its `step`, and how many each is worth.
+    """Means over stretches in which the field stayed within its `step`, and the equivalent count of each.
 
     The samples as they are, and None, where it always did.
     """

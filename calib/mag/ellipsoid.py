@@ -1,4 +1,4 @@
-"""Full ellipsoid: offset and symmetric matrix by orthogonal distance, with a covariance that holds.
+"""Full ellipsoid: offset and symmetric matrix by orthogonal distance, with covariance.
 
 Adjusted least squares give the start in one pass, a debiased Gauss-Newton finishes (METHODS 3.1); outliers are weighed
 down by Tukey's bisquare, and a prior on the soft iron can stand in for movements that were not made.

@@ -1,4 +1,4 @@
-"""The verdict on an ellipsoid: what it is worth, what its residuals say, and whether it may be used."""
+"""Verdict on an ellipsoid from its covariance, residuals and coverage."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _MANY = 20_000  # samples that are enough to draw a coverage mask
 
 @dataclass(frozen=True, eq=False)
 class ShapeFit:
-    """What a method found: an ellipsoid, and everything that tells how far to trust it."""
+    """An ellipsoid with covariance, residuals and diagnostics."""
 
     method: str
     ellipsoid: Ellipsoid
@@ -130,7 +130,7 @@ def judged_ellipsoid(
 
 
 def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
-    """What the residuals of `fit` say of it."""
+    """Figures of the residuals of `fit`, for ``quality``."""
     squares = float(fit.residuals @ fit.residuals)
     noise = context.noise_variance
     floor = white_variance(fit.residuals) if noise is None else noise
@@ -192,7 +192,7 @@ def _misfits(fit: ShapeFit, quality: Mapping[str, Any]) -> bool:
 
 
 def _quality(fit: ShapeFit, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
-    """What the ellipsoid and its covariance say of it."""
+    """Figures of the ellipsoid and its covariance, for ``quality``."""
     return {
         "dof": fit.dof,
         "variance_inflation": fit.variance_inflation,
@@ -203,7 +203,7 @@ def _quality(fit: ShapeFit, context: MagContext, model: TriadModel, full: Array)
 
 
 def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tuple[str, tuple[str, ...]] | None:
-    """Why nothing of the fit may be used, and the parameters that are open; None if it may. `rough`: residual rms."""
+    """Reason to refuse the fit, and the undetermined parameters; None: it may be used. `rough`: residual rms."""
     radius = fit.ellipsoid.mean_radius
     if rough > _ROUGHEST * radius:
         message = (
@@ -226,7 +226,7 @@ def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tup
 
 
 def _field_changed(fit: ShapeFit, quality: Mapping[str, Any]) -> tuple[str, tuple[str, ...]] | None:
-    """Why an ellipsoid whose residuals are no noise, and degrees of heading, may not be used; None if it may."""
+    """Reason to refuse residuals far beyond the noise, worth degrees of heading; None: they are small enough."""
     rough = quality["residual_rms"] / fit.ellipsoid.mean_radius
     if fit.form != "ellipsoid" or not _CHANGED_FIELD < rough <= _ROUGHEST or not _misfits(fit, quality):
         return None

@@ -1,4 +1,4 @@
-"""The offset of a compass from one reading at a known heading: for vehicles that cannot be turned.
+"""Compass offset from one reading at a known heading, for vehicles that cannot be turned.
 
 The field of the place, turned into the vehicle by its tilt and its true heading, is what the corrected compass has to
 read. The matrix in force is kept, so the offset is what is left: ``b = m - C^-1 R_body_ned F``. One reading has no
@@ -43,7 +43,7 @@ _WORST_HEADING_DEG = 10.0  # of the heading, anywhere: an offset that is known w
 
 @dataclass(frozen=True)
 class KnownAttitude:
-    """How the vehicle stands, rad: tilt by its accelerometer, heading of the nose from true north, and its sd."""
+    """Attitude at rest, rad: tilt by the accelerometer, heading of the nose from true north, and its sd."""
 
     roll: float
     pitch: float
@@ -63,7 +63,7 @@ def fit_fixed_yaw(
     standing: KnownAttitude,
     **facts: Unpack[MagFacts],
 ) -> FitResult:
-    """The offset of a compass that reads `reading` where it stands.
+    """The offset of a compass from one `reading` at a known attitude.
 
     Parameters
     ----------

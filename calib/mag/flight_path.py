@@ -1,4 +1,4 @@
-"""How the vehicle turned, for a compass that is calibrated from a flight: the gyroscope's turns and the log's attitude.
+"""Attitude over a flight for the compass fit: integrated gyroscope, and the log's attitude.
 
 The log's attitude is never taken as the truth: its heading came from the very compass that is to be calibrated. The
 gyroscope carries the attitude; the log's attitude only says roughly where it stands. Every knot of time has an unknown

@@ -1,4 +1,4 @@
-"""The field of the motors at a compass, from an ordinary flight: against current, throttle, or every output.
+"""Field of the motors at a compass from an ordinary flight, against current, throttle or motor outputs.
 
 Each way of driving it is fitted together with everything else that a flight leaves unknown (:mod:`calib.mag.flight`:
 offset, attitude, gyroscope, delay), so that none of these is taken for it. Before anything is proposed, the models
@@ -204,7 +204,7 @@ def _chosen(candidates: Sequence[Candidate]) -> Candidate:
 
 
 def _improves_prediction(candidate: Candidate, none: Candidate) -> bool:
-    """Whether hidden samples want the term: over all blocks, and in every part of the flight by either attitude."""
+    """Whether the term improves held-out prediction over all blocks, and in every part by either attitude."""
     enough = candidate.hidden_rms < (1.0 - _LEAST_GAIN) * none.hidden_rms
     return enough and _beats(candidate, none, SURE) and _matters(candidate) and not _unhelped(candidate, none)
 
@@ -234,7 +234,7 @@ def _matters(candidate: Candidate) -> bool:
 
 
 def _sds(candidate: Candidate) -> float:
-    """By how many standard deviations the term differs from nothing, per number of it."""
+    """Standard deviations by which each number of the term differs from zero."""
     term = candidate.term.T.ravel()
     return math.sqrt(max(float(term @ np.linalg.solve(candidate.covariance, term)), 0.0) / len(term))
 
@@ -361,7 +361,7 @@ def _native(
 
 
 def _with_logged_attitude(candidates: Sequence[Candidate]) -> dict[str, Any] | None:
-    """What least squares find that take the log's attitude, heading included, for the truth; to compare, not to use.
+    """Fit with the log's attitude and heading as the truth, for comparison only.
 
     Its heading came from a compass: where it is corrected at arming or in the air, that step is taken for the motors'.
     """

@@ -1,4 +1,4 @@
-"""The motors' field at a compass in words: what it is by each attitude, and where the two disagree."""
+"""Sentences on the motors' field: its size by each attitude, and where the two disagree."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _listed(term: Sequence[Any], sd: Sequence[Any], term_of_drive: Mapping[str, 
 
 
 def disagreement(native: Mapping[str, Any], unit: str) -> list[str]:
-    """Where the logged attitude, taken for the truth, tells of other motors than the gyroscope does."""
+    """A warning where the logged attitude gives another motor term than the gyroscope."""
     trusted = native["attitude_trusted"]
     if trusted is None:
         return []

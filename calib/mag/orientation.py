@@ -57,7 +57,7 @@ _OPEN = math.radians(5.0)  # sd of a misalignment beyond which it counts as not 
 
 
 class MountingVerdict(StrEnum):
-    """What the data say about the mounting."""
+    """Verdict on the mounting."""
 
     AS_STATED = "as_stated"  # no rotation is needed
     ROTATED = "rotated"  # one other rotation explains the data, the stated one does not

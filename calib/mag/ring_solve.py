@@ -33,7 +33,7 @@ _MOST_CONDITION = 20.0  # of the columns: a matrix beyond it is noise, or no com
 
 @dataclass(frozen=True, eq=False)
 class RingsFit:
-    """What the centres say, and everything that tells how far to trust it. Samples are in their own unit."""
+    """Offset and columns from the ring centres, with covariance and diagnostics, in the unit of the samples."""
 
     rings: tuple[Ring, ...]
     way: str

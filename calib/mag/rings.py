@@ -164,7 +164,7 @@ class _Scale:
         return np.concatenate([offset, matrix.ravel()])
 
     def square_radius(self, centres: Array, columns: Array) -> float:
-        """Mean square of the rings' radii in units of the vertical field, ``cot^2 d``, freed of the noise in it."""
+        """Mean square of the rings' radii in units of the vertical field, ``cot^2 d``, without its noise."""
         inverse = np.linalg.inv(columns)
         noise = 0.0 if self.fit.noise_sd is None else self.fit.noise_sd**2
         total, count = 0.0, 0

@@ -1,4 +1,4 @@
-"""Outliers: a start that they do not spoil, and how large the noise is without them."""
+"""Start values and noise estimates that withstand outliers."""
 
 from __future__ import annotations
 

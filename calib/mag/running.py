@@ -1,4 +1,4 @@
-"""One pass, a state of fixed size, and an answer with its covariance at any time: adjusted least squares, recursively.
+"""Recursive adjusted least squares: one pass, a state of fixed size, a covariance at any time.
 
 Only moments of the samples are kept. The estimate needs them to the fourth order (:mod:`calib.mag.moments`), its
 covariance to the sixth. Products of neighbours show the serial correlation of its residuals. Moments add up, so chunks
@@ -65,7 +65,7 @@ _SIXTH = _sixth_order_table()
 
 @dataclass(frozen=True, eq=False)
 class RunningEllipsoid:
-    """Everything that a magnetometer said so far, in a state of fixed size; immutable.
+    """Moments of all magnetometer samples so far, in a state of fixed size; immutable.
 
     Start with :meth:`about`. `centre` and `scale` only serve the conditioning: the middle and the radius of the cloud,
     roughly. `forgetting` is the factor by which a sample's weight falls with each one that follows: 1 remembers all,

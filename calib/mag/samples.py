@@ -1,4 +1,4 @@
-"""What every magnetometer fit asks of its samples, and how fits of many samples read them without a copy."""
+"""Checks of magnetometer samples, and access to large sets without a copy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A compass that was read more slowly than it turned: what blur and lag can do to it, and what they are seen to do.
+"""Blur and lag of a compass that was sampled more slowly than it turned.
 
 Residuals of slow samples are no series: from one to the next everything has changed, so misfit cannot be told from
 noise by its correlation in time. What causes blur and lag is known, though: the turn. A mean over a window ``w``

@@ -1,4 +1,4 @@
-"""Methods for the magnetometer that need no hands: from ordinary flights."""
+"""Methods for the magnetometer from ordinary flights."""
 
 from __future__ import annotations
 

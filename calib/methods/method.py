@@ -1,4 +1,4 @@
-"""What a method is: a name, what it needs, its options, and the function that runs it on a recording."""
+"""A method: its name, needs, options, and the function that runs it on a recording."""
 
 from __future__ import annotations
 

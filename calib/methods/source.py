@@ -1,4 +1,4 @@
-"""What a method is given: a recording with the calibration in force undone, and which of it is asked for."""
+"""Input of a method: a recording with the calibration in force undone, and the requested instances."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several tables of one device against temperature: one curve, an offset for each, and what holding one out shows."""
+"""One temperature curve over several tables of a device, an offset for each, cross-validated."""
 
 from __future__ import annotations
 

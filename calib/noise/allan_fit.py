@@ -1,4 +1,4 @@
-"""The method ``allan``: what a record at rest says of a sensor's noise, axis by axis.
+"""The method ``allan``: noise figures of a sensor at rest, axis by axis.
 
 It calibrates nothing: the model of the result is the identity, and every parameter of it is named as undetermined.
 """

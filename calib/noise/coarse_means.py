@@ -1,4 +1,4 @@
-"""Means of several parts of one channel in coarse bins: their noise is the same, so every part helps to know it.
+"""Means of several parts of one quantised channel, with a common noise.
 
 Where the noise is below half a bin, two things tell how far a mean lies from the edge of its bin: how often the next
 bin is met, and the noise. One part alone hardly knows the noise: on six faces its means err by up to three times the

@@ -1,4 +1,4 @@
-"""What a check says, and the one rule by which a value with its uncertainty is judged against a limit."""
+"""Results of checks, and the rule by which a value with its uncertainty is judged against a limit."""
 
 from __future__ import annotations
 

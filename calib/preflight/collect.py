@@ -1,4 +1,4 @@
-"""A few seconds of frames to a snapshot: what to ask the vehicle for, and what came of it."""
+"""A snapshot of the vehicle from a few seconds of frames, and the messages to request for it."""
 
 from __future__ import annotations
 

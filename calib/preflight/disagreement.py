@@ -1,4 +1,4 @@
-"""Who is off where headings disagree: the one that a third witness tells, else all that it may be.
+"""Finds the compass at fault where headings disagree, by a third reference; else names all candidates.
 
 Witnesses are the majority of three compasses, the dip of the field, a heading that the operator gives, and the
 vehicle's own heading. The last is a witness against the compass that it follows, and never for it.
@@ -103,7 +103,7 @@ _SHARED = "Look at the orientation that is set for the autopilot, and whether th
 
 
 def _outlier_of_pair(i: int, k: int, found: Headings) -> int | None:
-    """The one of two that disagrees with every other compass, while these agree with each other."""
+    """The one of two compasses that disagrees with all others, which agree with each other."""
     compasses = {n for pair in found.pairs for n in pair}
     if len(compasses) < 3:
         return None

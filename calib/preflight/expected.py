@@ -1,4 +1,4 @@
-"""What the parameters should be by the last verified calibrations, wherever their sensors sit now.
+"""Parameters expected from the last verified calibrations, wherever their sensors sit now.
 
 A device id names a sensor. ArduPilot's rows follow the place of a sensor, so the values of one that moved belong into
 another row. PX4 finds a row by the id in it, so any free row will do. A value that belongs to no sensor alone, such as

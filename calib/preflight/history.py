@@ -1,4 +1,4 @@
-"""What the parameters say beside earlier verified calibrations: age, sensors, changes, temperature, motors."""
+"""Parameters against earlier verified calibrations: age, sensors, changes, temperature, motors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which sensors a vehicle should show: those that its parameters announce and use, by streamed instance.
+"""Sensors that the parameters announce and use, by streamed instance.
 
 FLIGHT_CONTROLLERS 1.1, 1.3, 1.4, 2.1, 2.2. ArduPilot clears the ids of inertial units that it did not find at its
 start; a compass is announced by its rank or by its slot. PX4 keeps a row for each sensor that was ever calibrated. It

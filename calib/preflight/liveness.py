@@ -1,4 +1,4 @@
-"""Whether every installed sensor is heard and alive: absent, zero and frozen ones are named.
+"""Checks that every installed sensor delivers: absent, zero and frozen ones are named.
 
 A sensor whose values never change is frozen only where a living one would have changed. Streams are whole numbers of
 1 mG, 1 mrad/s and 1 mgauss, so a quiet sensor at rest may repeat one value for long (FLIGHT_CONTROLLERS 2.1, 9). It is

@@ -1,4 +1,4 @@
-"""Motor compensation of the compasses: whether it can be right, as far as that shows at rest."""
+"""Plausibility of the compasses' motor compensation, at rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who saw the vehicle turn while it was looked at: what one sensor alone shows is its fault, not a movement."""
+"""Sensors that saw the vehicle turn during the check: a turn of one sensor alone is its fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a preflight after a calibration comes to: this vehicle would arm now, or what stands against it."""
+"""Whether the vehicle would arm after a calibration, and the reasons against it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the inertial units read at rest: means with their uncertainty, noise, and whether it was rest at all."""
+"""Means of the inertial units at rest with uncertainty and noise, and a test of the rest."""
 
 from __future__ import annotations
 

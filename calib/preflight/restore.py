@@ -1,4 +1,4 @@
-"""The last verified calibration as a plan: what a firmware change, or somebody, has taken away is put back.
+"""The last verified calibration as a plan, to restore lost or changed parameters.
 
 Nothing is estimated here. The plan belongs to the very unit whose calibration was verified; the service writes it like
 any other plan. Afterwards the sensors have to read right by the limits of a preflight: the calibration may be old.

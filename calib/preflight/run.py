@@ -1,4 +1,4 @@
-"""The whole preflight: every check on one snapshot, with consequences told from causes."""
+"""The whole preflight: every check on one snapshot, causes before consequences."""
 
 from __future__ import annotations
 

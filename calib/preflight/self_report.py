@@ -1,4 +1,4 @@
-"""What the vehicle says of itself: shaking, a calibration of its own, its arming checks and whether they pass."""
+"""The vehicle's own report: vibration, onboard calibration, arming checks and their result."""
 
 from __future__ import annotations
 

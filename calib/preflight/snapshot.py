@@ -1,4 +1,4 @@
-"""What a preflight looks at."""
+"""Input of a preflight."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Shaking:
 
 @dataclass(frozen=True)
 class OwnView:
-    """What the vehicle says of itself. None: it did not say."""
+    """The vehicle's own report. None: not reported."""
 
     present: bool | None = None
     """Whether SYS_STATUS has the bit of the prearm check among what is present and switched on; None: not heard."""

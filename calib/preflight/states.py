@@ -1,4 +1,4 @@
-"""The state of each kind of calibration of a vehicle, in a line that a pilot reads: from what was verified before."""
+"""State of each kind of calibration of a vehicle in one line, from earlier verified results."""
 
 from __future__ import annotations
 

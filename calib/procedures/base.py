@@ -1,4 +1,4 @@
-"""What all procedures share: ticks, the roster of instances, prompts only when changed, answers, and the end."""
+"""Base of all procedures: ticks, roster of instances, prompts, answers, and the end."""
 
 from __future__ import annotations
 

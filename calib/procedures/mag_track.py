@@ -1,4 +1,4 @@
-"""What a magnetometer procedure knows of one compass: its samples with the motion at their times, and its fit."""
+"""One compass of a magnetometer procedure: its samples with the motion at their times, and its fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The temperatures of the inertial units over time: how far they have moved, and whether they still do."""
+"""Temperatures of the inertial units over time: span and rate of the warm-up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A plan as a person reads it: what is wrong now, what it will be, what stands against it, and a picture of both."""
+"""Review of a plan: errors before and after, criteria, mountings, and a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What speaks for and against a plan: each criterion with its number, its limit and what helps."""
+"""Criteria for and against a plan, each with its number, limit and remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a sensor is off with the calibration in force, and how far it will be with the planned one.
+"""Error of a sensor with the calibration in force and with the planned one.
 
 Both are corrections of the same raw readings, so what is compared is ``old(new^-1(truth)) - truth``. The truths are a
 level turn and tilts for a compass, all directions of gravity for an accelerometer, and rest for a gyro. What the

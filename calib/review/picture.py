@@ -1,4 +1,4 @@
-"""The same picture everywhere: each sensor before and after, as an SVG that needs nothing else."""
+"""Picture of each sensor's error before and after a plan, as a self-contained SVG."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SHADES: Final = ("#b3261e", "#c9731f", "#7a4fb5")
 
 
 def picture_of(effects: Sequence[SensorEffect], alt_text: str, columns: int | None = None) -> Markup | None:
-    """The sensors in rows of `columns` (None: one row); None: none has a curve. `alt_text` is for who cannot see it."""
+    """Error curves of the sensors in rows of `columns` (None: one row); None: no sensor has a curve."""
     charts = [_chart(effect, effect.curve) for effect in effects if effect.curve is not None]
     return side_by_side(charts, alt_text, columns=columns) if charts else None
 

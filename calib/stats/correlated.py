@@ -1,4 +1,4 @@
-"""How much the mean of correlated samples knows.
+"""Variance of the mean of correlated samples.
 
 What a vehicle streams went through a low-pass filter and rides on slow drift, so N samples are worth fewer than N. The
 *long-run variance* S of a series is what makes ``var(mean) = S / N`` true; for white noise it is the variance.

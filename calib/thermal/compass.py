@@ -1,4 +1,4 @@
-"""Drift of a compass with temperature: what each axis does in every pose, and which of it repeats.
+"""Drift of a compass with temperature per axis and pose, and its repeatability.
 
 A motionless compass reads ``b + k_b (T - t_ref) + (1 + k_m (T - t_ref)) M field``: a drift of its offset is the same in
 every pose, one of its sensitivity goes with the field along the axis. One pose cannot tell the two apart, several can.

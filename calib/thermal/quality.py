@@ -1,4 +1,4 @@
-"""What :mod:`calib.thermal.fit` says of its fits: warnings, remedies and the numbers of ``quality``."""
+"""Warnings, remedies and ``quality`` figures of :mod:`calib.thermal.fit`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Does a drift repeat: warming against cooling, one sweep judged by the others, and the lag of the thermometer.
+"""Repeatability of a drift: warming against cooling, cross-validated sweeps, thermometer lag.
 
 All from the block means of :class:`calib.thermal.drift.DriftBlocks`, with errors that know of a slow wander.
 """

@@ -1,4 +1,4 @@
-"""The temperature at any instant, from a thermometer whose readings are repeated.
+"""Temperature at any instant, interpolated from a thermometer with repeated readings.
 
 Autopilots read a thermometer about once a second and send the last reading with every sample. A reading is true when
 it is taken and grows old from there. When it was taken must be told from the stream: a value that differs was just

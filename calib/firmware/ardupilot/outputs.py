@@ -1,4 +1,4 @@
-"""Which outputs of an ArduPilot drive motors, and how far each pulse drives its motor.
+"""Motor outputs of an ArduPilot, and the drive that each pulse width means.
 
 A range (copter, throttle of a plane) runs from rest at its least pulse. A reversible output rests at its neutral pulse:
 thrusters of a sub (``AP_Motors6DOF``: 1500 us), throttles of rovers and boats (``SERVOn_TRIM``), throttles of planes

@@ -1,4 +1,4 @@
-"""Says in the first second of a warm-up, not after it, what this vehicle does meanwhile and what it could not store.
+"""Warnings at the start of a warm-up: results that this vehicle cannot store, and its own recalibrations.
 
 A plan is composed as if the drift of every sensor had been measured well. What it says now is then what the real plan
 will say.

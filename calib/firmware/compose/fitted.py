@@ -1,4 +1,4 @@
-"""What was fitted of each sensor, brought into the form that every composer asks for."""
+"""Fits of each sensor in the form that the composers need."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The level trim: what the vehicle takes for level, carried over to a new accelerometer calibration or measured again.
+"""The level trim: converted to a new accelerometer calibration, or measured again.
 
 Both firmwares say with two angles how the board is turned in the vehicle. ArduPilot turns the attitude, behind all
 streams (``AP_AHRS::update_trim_rotation_matrices``: vehicle from board is ``from_euler(trim)``); PX4 turns every sensor

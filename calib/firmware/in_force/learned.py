@@ -1,4 +1,4 @@
-"""When an autopilot put another offset of a compass into force by itself: what it logs as corrected changes then."""
+"""Times at which an autopilot changed a compass offset by itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whose sensors a recording is of, and whether a vehicle carries the same ones in the same places."""
+"""Compares the sensors of a recording with those of a vehicle, by device id and position."""
 
 from __future__ import annotations
 

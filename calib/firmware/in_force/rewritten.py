@@ -1,4 +1,4 @@
-"""Samples count where the gyro offsets in force are certain, although PX4 rewrites them meanwhile.
+"""Samples whose gyro offsets in force are certain, while PX4 rewrites these offsets.
 
 PX4's ``gyro_calibration`` rewrites CAL_GYROn_*OFF of a vehicle that warms up at rest. It sends the new value up to
 0.4 s after it acts. It sends nothing if the value was saved before: ``mavlink_parameters.cpp`` sends what is unsaved.

@@ -112,7 +112,7 @@ class Corrections:
 
 @dataclass(frozen=True, eq=False)
 class StreamCheck:
-    """What one sensor's stream says of `names`, the changes that act on it."""
+    """Check of one sensor's stream against `names`, the changes that act on it."""
 
     corrections: Corrections
     capture: BeforeAfter

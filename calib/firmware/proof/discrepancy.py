@@ -1,4 +1,4 @@
-"""How far the streams are from what a hypothesis about the parameters in force predicts, with the covariance of that.
+"""Discrepancy between the streams and a hypothesis about the parameters in force, with covariance.
 
 Under a hypothesis the stream is undone to raw readings. Two things are known of those:
 

@@ -1,4 +1,4 @@
-"""Which correction would be in force if only some of a plan's changes had taken effect."""
+"""The correction in force if only some of a plan's changes took effect."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ MOST_EXHAUSTIVE: Final = 8
 
 @dataclass(frozen=True, eq=False)
 class StreamJudgement:
-    """What the streams of one sensor say of the changes that act on it."""
+    """Verdicts on the changes that act on one sensor, from its streams."""
 
     verdicts: dict[str, ProofVerdict]
     distance: dict[str, float]

@@ -1,4 +1,4 @@
-"""What the topics of a PX4 log really carry, as channels (FLIGHT_CONTROLLERS 2.2; ``logger/logged_topics.cpp``).
+"""Topics of a PX4 log as channels (FLIGHT_CONTROLLERS 2.2; ``logger/logged_topics.cpp``).
 
 ======================  ================================================================================================
 sensor_accel/gyro/mag   the driver's output, uncorrected, every instance; thinned to 1 Hz unless SDLOG_PROFILE asks more

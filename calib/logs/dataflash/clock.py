@@ -1,4 +1,4 @@
-"""Times of a DataFlash log in seconds since boot, and which of them can be believed.
+"""Times of a DataFlash log in seconds since boot, without the corrupt ones.
 
 A damaged byte may lie in a time stamp, where it would move a sample to any moment. The messages lie in the file in the
 order of time, so a stamp that contradicts its neighbours is seen and its message left out; a clock that starts again in

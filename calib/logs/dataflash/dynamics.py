@@ -1,4 +1,4 @@
-"""What a DataFlash log says of the flight itself: inputs of the mixer, battery, height, the estimator's trajectory.
+"""Flight data of a DataFlash log: mixer inputs, battery, height, the estimator's trajectory.
 
 ========  ============================================================================================================
 RATE      ROut POut YOut: inputs of the mixer with feed-forward, -1..1; AOut: throttle 0..1 (loop rate with bit 0)

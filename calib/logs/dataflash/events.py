@@ -1,4 +1,4 @@
-"""What a DataFlash log says in words: parameters and their changes, whose log it is, arming, modes, errors, texts."""
+"""Parameters, identity and events of a DataFlash log: arming, modes, errors, texts."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def parameter_entries(log: Log, clock: Clock) -> tuple[ParameterEntry, ...]:
 
 
 def identity_of(log: Log) -> Identity:
-    """Firmware, kind of vehicle and chip, as far as the log says."""
+    """Firmware, vehicle type and chip id, as far as the log has them."""
     identity = Identity(autopilot="ardupilot")
     for text in _texts(log):
         found = _FIRMWARE.search(text)

@@ -1,4 +1,4 @@
-"""What a DataFlash log says beside the calibrated sensors: pose, place, currents, motors, the simulator's truth."""
+"""Other channels of a DataFlash log: attitude, position, currents, motors, the simulator's truth."""
 
 from __future__ import annotations
 
