@@ -110,7 +110,7 @@ def sensors_of(changes: Iterable[Change], agreements: Iterable[Agreement]) -> fr
 
 @dataclass(frozen=True)
 class WritePlan:
-    """Parameters to be written in this order, and everything that must be said before.
+    """Parameters to write in this order, with warnings, losses and blockers.
 
     `blockers` not empty: nothing of it may be written.
     """
@@ -133,7 +133,7 @@ class WritePlan:
 
     @property
     def nothing_to_write(self) -> bool:
-        """Whether the vehicle holds already what was fitted, and nothing stands against that."""
+        """Whether the vehicle already holds the fitted values, without a blocker."""
         return not self.changes and not self.blockers
 
     @property
@@ -210,7 +210,7 @@ class SensorCheckId(StrEnum):
 
 @dataclass(frozen=True)
 class SensorCheck:
-    """What one sensor reads after the write beside what it should: zero, gravity, another unit's direction, level."""
+    """Reading of one sensor after the write against zero, gravity, another unit's direction, or level."""
 
     id: SensorCheckId
     sensor: Sensor

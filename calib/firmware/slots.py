@@ -118,7 +118,7 @@ def px4_instance(parameters: Mapping[str, Value], sensor: Sensor, slot: int) -> 
 
 
 def px4_thermal_slot(parameters: Mapping[str, Value], sensor: Sensor, device_id: int) -> int | None:
-    """``TC_*`` row that holds `device_id`, else the row without an id that is left for it; None: there is no row.
+    """``TC_*`` row that holds `device_id`, else the free row assigned to it; None: there is no row.
 
     Sensors without a row share out the free rows in the order of their ``CAL_*`` rows. A plan over several of them
     therefore never takes one row twice. A magnetometer has none: PX4 computes its thermal term and never uses it.

@@ -92,7 +92,7 @@ class Leaving:
 
 @dataclass(frozen=True)
 class Trend:
-    """Drift along the sensor's axes, in the unit of the bias. None: not determined, `open` says why."""
+    """Drift along the sensor's axes, in the unit of the bias. None: not determined; `open` has the reasons."""
 
     n: int
     """Measurements that it rests on."""

@@ -44,7 +44,7 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class RestTemperatures:
-    """What the rests of every log say of one sensor: rows, and for each of them its rest and its log."""
+    """Samples of one sensor in the rests of every log, each row with its rest and its log."""
 
     channel: Channel
     """No samples yet; says the sensor, its unit and its resolution."""
@@ -61,7 +61,7 @@ class RestTemperatures:
 
     @property
     def only_still(self) -> bool:
-        """Whether nothing but stillness tells that the motors were off."""
+        """Whether only stillness indicates that the motors were off."""
         return any(rest.known == Known.STILLNESS for rest in self.rests)
 
     def covered(self, number: NDArray[np.intp]) -> float:
@@ -110,7 +110,7 @@ def no_temperature(recording: Recording) -> str:
 def rest_temperatures(
     logs: Sequence[Log], sensor: Sensor, instance: int, *, other: int | None = None
 ) -> RestTemperatures | None:
-    """The rests of that sensor in every log; None: there is no row.
+    """Samples of that sensor in the rests of every log; None: there is no row.
 
     With `other` its samples less those of that instance: what the vehicle does cancels, and so does gravity.
 
@@ -182,7 +182,7 @@ def _add(pool: DriftPool, channel: Channel, thermometer: Channel, rest: Rest, sh
 
 
 def _cut(channel: Channel, edges: Array) -> list[Channel]:
-    """The samples between consecutive edges; what lies beyond the last one belongs to the last piece."""
+    """The samples between consecutive edges; later ones belong to the last piece."""
     at = np.searchsorted(channel.t, edges)
     bounds = [*at[:-1], len(channel)] if len(at) > 1 else [at[0], len(channel)]
     return [channel.take(slice(int(i), int(j))) for i, j in pairwise(bounds)]

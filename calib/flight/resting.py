@@ -64,7 +64,7 @@ def rest_means(recording: Recording, sensor: Sensor, instance: int, rests: Seque
 
 
 def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[JudgedItem]:
-    """Every item that rests can tell, of every instance."""
+    """Every item of the rests, for every instance."""
     why = why_no_rest(recording)
     accels = {i: rest_means(recording, Sensor.ACCEL, i, rests) for i in recording.instances(Sensor.ACCEL)}
     gyros = {i: rest_means(recording, Sensor.GYRO, i, rests) for i in recording.instances(Sensor.GYRO)}
@@ -83,7 +83,7 @@ def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[JudgedIte
 
 
 def gravity_of_place(recording: Recording) -> tuple[float, bool]:
-    """Normal gravity where the vehicle was, m/s2, and whether the log says where that is."""
+    """Normal gravity at the vehicle's position, m/s2, and whether the log has the position."""
     found = recording.find(Sensor.POSITION)
     if found:
         values = found[0].values[finite_rows(found[0].values)]

@@ -165,7 +165,7 @@ def _in_flight(
 
 
 def _without_offset(fit: FitResult) -> FitResult:
-    """A fit of a difference says nothing of the offset of one of the two."""
+    """The fit without an offset, which a difference of two units does not determine."""
     names = tuple(f"offset_{axis}" for axis in AXES)
     open_names = tuple(n for n in fit.names if n in {*fit.undetermined, *names})
     covariance = fit.covariance.copy()

@@ -180,7 +180,7 @@ def _gravity(
 
 
 def _drift(channel: Channel, laid: Sequence[Still]) -> HealthFinding:
-    """How far the length of the force wandered while nothing moved."""
+    """Change of the specific force's length while the vehicle was still."""
     long = [span for span in laid if span.duration >= _SPAN_S]  # in a shorter one a climb begins or ends
     means = _still_means(channel, long)
     total = sum(span.duration for span in long)
@@ -220,7 +220,7 @@ def _accel_of_unit(recording: Recording, instance: int) -> Channel | None:
 def _rate(
     channel: Channel, reference: _MotionReference, laid: Sequence[Still], rested: Sequence[Still]
 ) -> HealthFinding:
-    """The mean rate where nothing turned, or the rate beyond what a witness saw: whichever is known better.
+    """Mean rate at rest, or the rate beyond that of a reference: whichever is known better.
 
     `laid` are motionless spans, a calm hover that turns slowly among them, `rested` those with the motors off.
     """

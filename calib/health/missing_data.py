@@ -42,7 +42,7 @@ def every_sample(recording: Recording) -> str:
 def missing_data(
     recording: Recording, stood: Ground, every: Sequence[Sampled], silent: Collection[Key] = ()
 ) -> Iterator[str]:
-    """What was not recorded, what it would tell, and how it is logged; `silent` are sensors that delivered nothing."""
+    """Data that were not recorded, their use, and how to log them; `silent` are sensors without data."""
     for sensor, what, name, tells in (
         (
             Sensor.ATTITUDE,
@@ -71,7 +71,7 @@ def _line(text: str, how: str) -> str:
 
 
 def _loads(recording: Recording) -> Iterator[str]:
-    """What tells of the motors' field."""
+    """Data on the motors' field."""
     currents = recording.find(Sensor.CURRENT)
     tells = "interference of the motors with the compass"
     if not currents and not recording.find(Sensor.THROTTLE):
@@ -81,7 +81,7 @@ def _loads(recording: Recording) -> Iterator[str]:
 
 
 def _inertial(recording: Recording) -> Iterator[str]:
-    """Rates and levels that tell of vibration."""
+    """Rates and levels for vibration."""
     accels = [c for c in recording.channels if c.sensor == Sensor.ACCEL and len(c) > 1]
     periods = [float(np.median(np.diff(c.t))) for c in accels]
     fastest = max((1.0 / period for period in periods if period > 0.0), default=0.0)

@@ -52,7 +52,7 @@ class WindowMeans:
 
 
 def usable(channel: Channel) -> Channel:
-    """The finite samples whose time goes on."""
+    """The finite samples with increasing times."""
     good = finite_rows(channel.values)
     good[1:] &= channel.t[1:] > channel.t[:-1]
     return channel if good.all() else channel.take(good)

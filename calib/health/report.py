@@ -44,7 +44,7 @@ _WARM: Final = "Calibrate over these temperatures: log a warm-up at rest from co
 
 @dataclass(frozen=True)
 class HealthReport:
-    """Every sensor's health, and what would have to be logged to say more."""
+    """Every sensor's health, and the data that would allow more checks."""
 
     sensors: tuple[SensorHealth, ...]
     lacks: tuple[str, ...]

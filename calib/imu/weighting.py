@@ -41,7 +41,7 @@ class GroupFit:
 
     @property
     def p_value(self) -> float | None:
-        """Chance of so large a sum; None where nothing is redundant."""
+        """Probability of so large a sum; None without redundancy."""
         return float(scipy.special.chdtrc(self.dof, self.chi2)) if self.dof >= 0.5 else None
 
 

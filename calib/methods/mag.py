@@ -81,7 +81,7 @@ def _field(source: Source, mag: Channel, options: Options) -> EarthField | None:
 
 
 def mag_of(fit: Callable[..., FitResult]) -> Callable[[Source, Options], list[FitResult]]:
-    """A method that takes nothing but the samples."""
+    """A method that takes the samples alone."""
 
     def run(source: Source, options: Options) -> list[FitResult]:
         def alone(mag: Channel) -> FitResult:
@@ -147,7 +147,7 @@ def _stated_order(text: str | None) -> list[Array | None]:
 
 
 def _rings(source: Source, mag: Channel) -> tuple[list[Array], list[Array | None]]:
-    """Samples of every ring and the axis that was down; None: no label says."""
+    """Samples of every ring, and the axis that was down; None: not labelled."""
     if source.recording.segments:
         parts = [(down_of(s.label), mag.between(s.start, s.end).values) for s in source.recording.segments]
         return [values for _, values in parts if len(values)], [down for down, values in parts if len(values)]

@@ -163,7 +163,7 @@ def _field(source: Source, mag: Channel, turning: Turning, options: Options) -> 
 
 
 def _year(source: Source) -> float | None:
-    """By the clock of the log's own satellites; None: it does not say."""
+    """Decimal year by the log's satellite time; None: it has none."""
     for event in source.recording.events:
         if event.kind == "utc":
             date = datetime.fromisoformat(event.text)

@@ -30,7 +30,7 @@ class Source:
 
     @classmethod
     def of(cls, recording: Recording, instance: int | None) -> Source:
-        """What `recording` says of the bare sensors; None: every instance."""
+        """`recording` with the calibration in force undone; `instance` None: every instance."""
         known = recording.identity.autopilot in {"ardupilot", "px4"}
         return cls(undo(recording) if known else recording, instance, recording)
 
@@ -46,7 +46,7 @@ class Source:
         return self.recording.channel(sensor, instance) if self._usable(sensor, instance) else None
 
     def companion(self, sensor: Sensor, instance: int) -> Channel | None:
-        """That channel, else the first one of its kind: on one body any of them tells whether it moves.
+        """That channel, else the first one of its kind: on a rigid body any of them shows motion.
 
         PX4 counts accelerometers and gyroscopes by their own calibration rows, so one unit may have two numbers.
         """
@@ -67,7 +67,7 @@ class Source:
         return not any(event.kind == NO_TIME for event in self.recording.events)
 
     def readings(self, channel: Channel) -> bool:
-        """Whether every row of `channel` is a reading by itself: of a face, a pose or a turn, written down one by one.
+        """Whether every row of `channel` is a single reading of a face, a pose or a turn.
 
         So are the rows of a table without time. With a time stamp they are where a rest cannot show, as fewer than two
         rows are in the shortest one. So they are, too, where the sensor lies another way at every row.
@@ -97,7 +97,7 @@ class Source:
         return grounded(self.recording, found, limits.shortest) if self.of_vehicle else found
 
     def held_too_short(self, fit: FitResult, instance: int, min_still: float) -> FitResult:
-        """A refused `fit` that says how long poses were held, where more were held for less than `min_still` s."""
+        """A refused `fit` with the duration of the poses, where more were held for less than `min_still` s."""
         if fit.status != FitStatus.REFUSED or self.recording.segments or not self.timed:
             return fit
         found = len(self.stills(instance, held=True, min_still=min_still))

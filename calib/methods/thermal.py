@@ -201,7 +201,7 @@ def mag_thermal(source: Source, options: Options) -> list[FitResult]:
 
 
 def mag_thermal_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
-    """The same of several recordings of one device, each in a pose of its own."""
+    """The same for several recordings of one device, each in its own pose."""
     fits = []
     for mag in sources[0].channels(Sensor.MAG):
         poses, relative = [], False

@@ -83,7 +83,7 @@ class Measure:
 
     @property
     def verdict(self) -> Verdict:
-        """Fail only beyond doubt; a value that is too uncertain to tell a failure from a pass says nothing."""
+        """Fail only beyond the uncertainty; a value too uncertain for a verdict is unknown."""
         if self.value - SURE * self.sd > self.limit:
             return Verdict.FAIL
         if SURE * self.sd > self.limit:
@@ -114,7 +114,7 @@ class Check:
     Empty: nothing is, or it has no name."""
 
     def because_of(self, cause: CheckId) -> Check:
-        """The same failure as a consequence of another check's: the sensor cannot be judged before that is mended."""
+        """The same failure as a consequence of another check: the sensor cannot be judged before its repair."""
         reason = f"{self.reason} This follows from {cause}, which failed."
         remedy = f"Mend {cause} first, then check again."
         return dataclasses.replace(self, verdict=Verdict.UNKNOWN, reason=reason, remedy=remedy, suspects=())
@@ -135,7 +135,7 @@ class Report:
 
     @property
     def summary(self) -> str:
-        """One sentence: fit, or what stands against it."""
+        """One sentence: fit, or the reasons against it."""
         named = {v: [c.id.value for c in self.checks if c.verdict == v] for v in Verdict}
         if self.verdict == Verdict.PASS:
             return f"All {len(self.checks)} checks pass: this vehicle would arm now."

@@ -132,7 +132,7 @@ def _stamp(message: Any) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Collected:
-    """What the frames said."""
+    """Contents of the frames."""
 
     recording: Recording
     """Corrected, in the body frame."""

@@ -32,7 +32,7 @@ _LEVEL_NOSE = math.cos(math.radians(60.0))
 
 @dataclass(frozen=True, eq=False)
 class Upright:
-    """What the other sensors say of the vehicle's attitude."""
+    """Attitude of the vehicle by the other sensors."""
 
     down: Array
     """Unit vector in the body frame, by the accelerometers."""
@@ -144,7 +144,7 @@ def compass_direction(
 
 
 def _agreed(judged_: int, installed: int, field: EarthField | None, upright: Upright) -> str:
-    """What a pass says: no more than what was compared."""
+    """Text of a pass: it names only what was compared."""
     with_ = ["the model"] if field is not None else []
     with_ += ["each other"] if judged_ > 1 else []
     with_ += ["the vehicle's own heading"] if field is not None and upright.north is not None else []
@@ -232,7 +232,7 @@ def _against(name: str, mean: Mean, north: Array, field: EarthField, upright: Up
 
 
 def _known_north(upright: Upright) -> Array | None:
-    """True north in the body frame, from the known heading of the nose; None: there is no such."""
+    """True north in the body frame, from the known heading of the nose; None: not known."""
     nose = _level(upright.down, np.array([1.0, 0.0, 0.0]))
     if upright.heading is None or np.linalg.norm(nose) < _LEVEL_NOSE:
         return None

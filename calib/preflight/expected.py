@@ -46,7 +46,7 @@ class ExpectedValue:
 
 @dataclass(frozen=True)
 class ExpectedCalibration:
-    """Everything that the verified calibrations say of a vehicle's parameters now."""
+    """Parameter values that the verified calibrations imply for a vehicle."""
 
     values: tuple[ExpectedValue, ...] = ()
     missing: tuple[str, ...] = ()
@@ -71,7 +71,7 @@ def expected(
     *,
     only: Collection[Key] = (),
 ) -> ExpectedCalibration:
-    """What `history` (oldest first) says that `parameters` should be.
+    """Expected `parameters` by `history` (oldest first).
 
     Gyro offsets that the vehicle writes by itself are left out. `only`: these sensors, as they stream now, and nothing
     shared; empty: everything.

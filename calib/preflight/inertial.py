@@ -19,7 +19,7 @@ _ACCEL = "Calibrate the accelerometers; if one stays off by itself, it is damage
 
 
 def gyro_rest(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0) -> Check:
-    """The rate that every gyroscope shows while the vehicle stands still; `installed`: 0 for as many as were heard."""
+    """Rate of every gyroscope at rest; `installed`: 0 for as many as were received."""
     if not gyros:
         return unknown(CheckId.GYRO_REST, _no_data("gyroscope", silent), "Look at the link and at the sensor.")
     if motion is not None:
@@ -126,7 +126,7 @@ def _differences(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> li
 
 
 def _between(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> Measure:
-    """Two accelerometers from each other. Gravity is the third witness: it tells which is off, unless both read g."""
+    """Difference of two accelerometers. Gravity decides which one is off, unless both read g."""
     (i, one), (k, other) = sorted(accels.items())
     off = float(np.linalg.norm(one.value - other.value))
     sd = _vector_sd(math.hypot(*one.sd, *other.sd))

@@ -49,7 +49,7 @@ _POWER = (
 
 @dataclass(frozen=True)
 class Census:
-    """What became of every sensor: alive, dead with the reason, or too seldom heard to tell."""
+    """State of every sensor: alive, dead with the reason, or too few samples."""
 
     alive: frozenset[Key]
     dead: Mapping[Key, str]
@@ -202,7 +202,7 @@ def _frozen(snapshot: Snapshot, key: Key, channel: Channel, movement: ObservedMo
 
 
 def _left_out_by_px4(snapshot: Snapshot, kind: Sensor) -> bool:
-    """Whether PX4 has nothing to estimate from: it gives up a sensor after 100 equal readings (``DataValidator.hpp``).
+    """Whether PX4 rejects all sensors: it drops one after 100 equal readings (``DataValidator.hpp``).
 
     HIGHRES_IMU shows the inertial unit that it has chosen, and ATTITUDE needs one. Two messages are not lost by chance.
     """

@@ -21,7 +21,7 @@ class Readiness:
 
 
 def readiness(report: Report) -> Readiness:
-    """The report in a sentence, and what stands against arming."""
+    """The report in a sentence, and the reasons against arming."""
     against = tuple(f"{c.id.value}: {c.reason}" for v in _ORDER for c in report.checks if c.verdict == v)
     prearm = report.check(CheckId.VEHICLE_PREARM)
     if report.verdict == Verdict.PASS:

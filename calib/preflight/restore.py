@@ -120,7 +120,7 @@ def require_same_unit(history: Sequence[VerifiedCalibration], uid: str | None) -
 def expected_names(
     history: Sequence[VerifiedCalibration], autopilot: str | None, parameters: Mapping[str, Value]
 ) -> frozenset[str]:
-    """Names of the parameters that a restore would set, as far as `parameters` tell where the sensors are."""
+    """Names of the parameters that a restore would set, with the sensors located by `parameters`."""
     return frozenset(value.name for value in expected(history, autopilot, parameters).values)
 
 
@@ -186,7 +186,7 @@ class _Restoration:
                 yield wanted
 
     def _untold(self) -> Iterator[Subject]:
-        """Sensors that no device id tells apart."""
+        """Sensors without distinct device ids."""
         for sensor in sorted(self._wanted.by_place):
             about = {w.about for w in self._wanted.values if w.about is not None and w.about.sensor == sensor}
             if about:

@@ -92,7 +92,7 @@ def preflight(snapshot: Snapshot) -> Report:
 
 
 def _without_sensor(there: Census, found: list[Check]) -> list[Check]:
-    """Checks that have no sensor left: the link's fault is no sensor's, and a dead one is told once."""
+    """Checks without a sensor: a link failure counts for no sensor, and a dead sensor is reported once."""
     told: dict[CheckId, tuple[str, str]] = {}
     for kind, checks in _ABOUT.items():
         dead = [why for (of, _), why in there.dead.items() if of == kind]
@@ -119,7 +119,7 @@ def _still(there: Census, found: list[Check]) -> list[Check]:
 
 
 def _astray(there: Census, rest: Check, followed: int) -> bool:
-    """Whether the vehicle's own heading is no witness: a gyroscope or the compass that it follows is ill."""
+    """Whether the vehicle's heading cannot serve as a reference, as its gyroscope or compass failed."""
     dead = any(kind == Sensor.GYRO for kind, _ in there.dead)
     return rest.verdict in (Verdict.FAIL, Verdict.WARN) or dead or (Sensor.MAG, followed) in there.dead
 
@@ -134,7 +134,7 @@ def _followed(autopilot: str, parameters: Mapping[str, Value], installed: Mappin
 
 
 def _undisturbed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
-    """A sensor that was calibrated while it was looked at, say by PX4 at rest, has two readings and no verdict."""
+    """A sensor that was recalibrated during the check, say by PX4 at rest, gets no verdict."""
     said: dict[CheckId, str] = {}
     for name in snapshot.rewritten:
         sensor = history.sensor_of(name)
@@ -196,7 +196,7 @@ def _means(snapshot: Snapshot, there: Census, sensor: Sensor) -> _Kind:
 
 
 def _place(recording: Recording) -> tuple[float, float, float] | None:
-    """Latitude, longitude (deg) and altitude (m) that the vehicle said last."""
+    """Last reported latitude, longitude (deg) and altitude (m)."""
     for channel in recording.find(Sensor.POSITION):
         for latitude, longitude, altitude in channel.values[::-1].tolist():
             if latitude or longitude:  # (0, 0) is "no fix"

@@ -140,7 +140,7 @@ def agrees_soon(autopilot: str, prearm: Check, texts: Sequence[str]) -> bool:
 
 
 def _bits(view: OwnView) -> tuple[str, ...]:
-    """What SYS_STATUS and the request said, as lines of evidence."""
+    """Contents of SYS_STATUS and of the reply, as lines of evidence."""
     asked = "its checks were run on request" if view.asked else "its checks were not run on request"
     if view.present is None:
         return (asked, "SYS_STATUS was not heard")

@@ -48,7 +48,7 @@ class FinishedCalibration:
 
 @dataclass(frozen=True)
 class SensorState:
-    """How one kind of calibration stands."""
+    """State of one kind of calibration."""
 
     kind: str
     """The procedure that would calibrate it."""
@@ -171,7 +171,7 @@ def _temperature(snapshot: Snapshot) -> float | None:
 
 
 def _quality(kind: str, fits: Sequence[FitResult]) -> str:
-    """How well it is known, of the worst instance; empty: nothing says."""
+    """Uncertainty of the worst instance, as text; empty: not known."""
     if kind == "thermal":
         curves = [fit.model.polynomial for fit in fits if fit.model.polynomial is not None]
         spans = [curve.t_max - curve.t_min for curve in curves if math.isfinite(curve.t_max - curve.t_min)]

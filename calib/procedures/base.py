@@ -69,7 +69,7 @@ class TickedProcedure(ABC):
         return self._new_steps()
 
     def end(self) -> tuple[Step, ...]:
-        """No samples will come any more: work off what waits, then say what was missing."""
+        """End of the samples: process what waits, then report what was missing."""
         if self.outcome is None:
             self._work(to_the_end=True)
             self._apply_scheduled(math.inf)
@@ -143,7 +143,7 @@ class TickedProcedure(ABC):
             self.warnings.append(text)
 
     def _leave_out(self, instance: Instance, reason: str) -> None:
-        """An instance takes no part; `reason` goes on from "is left out:"."""
+        """An instance takes no part; `reason` continues the text "is left out:"."""
         self._warn(f"{label(*instance)} is left out: {reason}")
         self._left_out.setdefault(instance, reason)
 

@@ -30,7 +30,7 @@ MOVED = "the vehicle was moved: {} still spans, each with its own pose"
 
 
 class DriftPool:
-    """What the still spans said of every sensor and thermometer, in the same memory however long they last."""
+    """Samples of every sensor and thermometer over the still spans, in bounded memory."""
 
     def __init__(self) -> None:
         self._cells: dict[Instance, DriftCells] = {}
@@ -96,7 +96,7 @@ def fit_posed(
 
 @dataclass(frozen=True, eq=False)
 class PoseOffsets:
-    """Samples with the offset that each pose has of its own taken away, and what not knowing them costs."""
+    """Samples without the offset of each pose, and the covariance that the unknown offsets add."""
 
     lowered: DriftData
     steps: Array  # (K, 3) offset of each pose less that of the last

@@ -95,7 +95,7 @@ class MagFixedYawProcedure(TickedProcedure):
         self._finish(Done(results, f"the heading is known to {good:.1f} deg as it stands; soft iron is kept"))
 
     def _standing(self) -> KnownAttitude | None:
-        """How the vehicle stands; None: the job has ended, since its accelerometer does not tell."""
+        """Attitude of the vehicle; None: the job has ended, since its accelerometer cannot determine it."""
         accel = self._pool.channel((Sensor.ACCEL, self._accel))
         model = in_force(self.context, Sensor.ACCEL, self._accel)
         if model is None:

@@ -12,7 +12,7 @@ from mavcal.calib.triad import TriadModel
 
 
 def in_force(context: ProcedureContext, sensor: Sensor, instance: int) -> TriadModel | None:
-    """The correction that the vehicle applies: raw to corrected body frame. None: the parameters do not say.
+    """The correction that the vehicle applies, raw to corrected body frame. None: parameters are missing.
 
     Without parameters, or of an unknown autopilot, raw and corrected are taken as the same.
     """
@@ -25,7 +25,7 @@ def in_force(context: ProcedureContext, sensor: Sensor, instance: int) -> TriadM
 
 
 def body_from_sensor(context: ProcedureContext, sensor: Sensor, instance: int) -> Array:
-    """Rotation (3, 3) from the raw frame of a sensor to the body; the identity where the parameters do not say."""
+    """Rotation (3, 3) from the raw frame of a sensor to the body; the identity where parameters are missing."""
     if not _mounting_is_stated(context):
         return np.eye(3)
     try:

@@ -227,7 +227,7 @@ class FieldWatch:
         self._latest: dict[Instance, list[Array]] = {}
 
     def update(self, frame: TickChannels) -> str:
-        """Take a tick at rest; what turned, or nothing."""
+        """Take a tick at rest; returns the movement that was seen, if any."""
         for instance, channel in frame.items():
             if instance[0] != Sensor.MAG:
                 continue

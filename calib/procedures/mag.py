@@ -167,7 +167,7 @@ class MagProcedure(TickedProcedure):
         return t[later], values[later]
 
     def _judge_strength(self) -> None:
-        """Tell a magnet at a compass early: nobody shall turn for minutes and then fail."""
+        """Report a magnet at a compass early, before minutes of turning that would fail."""
         if self.elapsed < HARD_IRON_AFTER:
             return
         field = self.context.earth_field.norm if self.context.earth_field is not None else 65.0

@@ -146,7 +146,7 @@ class MagTrack:
             self.fit = None
 
     def mounting(self, sine: float | None = None) -> OrientationResult | None:
-        """Which mounting explains the compass; None: the movement says nothing of it, or there is no fit.
+        """Mounting that explains the compass; None: the movement does not determine it, or there is no fit.
 
         `sine`: that of the dip, as other compasses of the vehicle have it; used where the place does not say it.
         """

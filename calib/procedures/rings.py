@@ -90,7 +90,7 @@ class RingTrack:
         self.angle += spin.about(self.down) * spin.seconds
 
     def channel(self, instance: int) -> Channel | None:
-        """What one compass read; None: nothing."""
+        """Samples of one compass; None: it has none."""
         return self._pool.get((Sensor.MAG, instance))
 
     def complete(self, instances: tuple[int, ...]) -> bool:
@@ -297,7 +297,7 @@ class MagRingsProcedure(TickedProcedure):
 
 
 def _mounted(fit: FitResult, instance: int, field: EarthField | None, stated: Array) -> FitResult:
-    """The fit (in the body) with what its rotation says of the mounting; refused if the axes are mirrored.
+    """The fit in the body frame with the mounting from its rotation; refused if the axes are mirrored.
 
     The centres of the rings lie where the vertical field points, or all opposite if an odd number of axes is reversed:
     which of the two it is, only the `field` of the place tells. `stated` (3, 3) is the stated mounting.

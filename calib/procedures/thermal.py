@@ -165,7 +165,7 @@ class ThermalProcedure(TickedProcedure):
             )
 
     def _try(self, because: str, *, last: bool) -> None:
-        """Fit; finish if the curves are known well enough, or if nothing more is to come."""
+        """Fit; finish if the curves are known well enough, or if these are the last samples."""
         fits = self._fit()
         self._missed = self._shortfall(fits)
         if not self._missed:
@@ -184,7 +184,7 @@ class ThermalProcedure(TickedProcedure):
         )
 
     def _shortfall(self, fits: tuple[FitResult, ...]) -> str:
-        """What keeps the fits from the goal; empty if nothing does."""
+        """Reason why the fits miss the goal; empty if they reach it."""
         if not fits:
             return f"the vehicle was still for {self._still:.0f} s only ({self._why})"
         usable = [f for f in fits if f.status != FitStatus.REFUSED]

@@ -125,7 +125,7 @@ class GyroThreadProcedure(TickedProcedure):
             self._update_prompt()
 
     def _resting(self, verdict: StillnessVerdict, spin: Spin) -> bool:
-        """A steady slow turn is still to the eye of one tick: its rate tells."""
+        """Whether the vehicle rests, by its rate: within one tick a steady slow turn looks still."""
         return verdict.counted and (not self._spins.rested or float(np.linalg.norm(spin.rate)) < 0.3 * TURNING)
 
     def _rested(self, end: float, verdict: StillnessVerdict) -> None:

@@ -113,7 +113,7 @@ class Stretch:
         return float(np.std(self._rates, ddof=1)) / math.sqrt(len(self._rates))
 
     def channel(self, instance: int) -> Channel | None:
-        """What one gyro read; None: nothing."""
+        """Samples of one gyro; None: it has none."""
         return self._pool.get((Sensor.GYRO, instance))
 
     def temperature(self, instance: int) -> float | None:
@@ -182,7 +182,7 @@ class GyroTurntableProcedure(TickedProcedure):
         return Prompt(PromptStep.STATE, f"{text} State the true rate of the turntable.", stable=resting, number=_RATE)
 
     def _rest(self, frame: TickChannels, spin: Spin, verdict: StillnessVerdict) -> None:
-        """A rest, before anything turns: its offset is what turns are told by."""
+        """A rest before the first turn: turns are detected against its offset."""
         if not verdict.still:
             self._stretch = None
         elif verdict.counted:

@@ -25,7 +25,7 @@ def fit_message(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str
 
 
 def common_warnings(data: DriftData, estimated: NDArray[np.bool_]) -> tuple[str, ...]:
-    """What any fit of `data` has to say: constant axes, and rows that do not count."""
+    """Warnings of any fit of `data`: constant axes, and rows that do not count."""
     warnings = []
     constant = ", ".join(AXES[i] for i in range(3) if data.constant[i] and not estimated[i])
     if constant and not data.quantised:

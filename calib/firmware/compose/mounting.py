@@ -1,4 +1,4 @@
-"""A magnetometer whose mounting differs from what the vehicle's parameters say.
+"""Magnetometers whose mounting differs from the vehicle's parameters.
 
 The magnetometer procedure leaves its finding in ``quality["orientation"]``: ``verdict`` (a
 :class:`calib.mag.orientation.MountingVerdict`), ``name`` and ``matrix``, the rotation from what is taken for the body
@@ -149,7 +149,7 @@ def mounting_turn(
 def _as_chosen(
     draft: Draft, rotation: tuple[str, int], about: Subject, fit: FitResult, stated: Array, follows: str
 ) -> MountingRotation | None:
-    """The rotation to the mounting that the operator chose, where nothing that was seen speaks against it."""
+    """The rotation to the mounting that the operator chose, unless the data contradict it."""
     words, compass = rotation_words(*rotation), f"compass {about.instance + 1}"
     if follows:
         draft.block(f"{compass} follows {follows}: it has no mounting of its own that could be chosen.")

@@ -71,7 +71,7 @@ def compose(
     *,
     options: ComposeOptions = DEFAULT_OPTIONS,
 ) -> WritePlan:
-    """Plan what to write so that the vehicle corrects as `fits` say.
+    """Plan the parameters with which the vehicle corrects by `fits`.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ class _Composition:
             compose_ardupilot.boot_calibration(draft, planned=planned)
 
     def _finished(self, draft: Draft) -> WritePlan:
-        """The plan with what was left out said in it; where nothing remains, that is what stands against it."""
+        """The plan with its omissions; where nothing remains, they become its blocker."""
         left = [text for texts in self._left.values() for text in texts]
         self.unwritable = tuple(dict.fromkeys((*left, *draft.dropped.values())))
         agreements = [*self._agreed.values(), *([self._level] if self._level is not None else [])]
@@ -243,7 +243,7 @@ class _Composition:
 
 
 def agreement(draft: Draft, autopilot: str, pair: Pair) -> Agreement | None:
-    """That the sensor agrees with what is in force; None: it does not, or it cannot be told."""
+    """Agreement of the sensor with the calibration in force; None: it differs, or this is unknown."""
     if draft.ranks(pair.about) & NEWS or _is_news(draft, autopilot, pair):
         return None
     try:
@@ -267,7 +267,7 @@ def _model(draft: Draft, autopilot: str, parameters: Mapping[str, Value], about:
 
 
 def _is_news(draft: Draft, autopilot: str, pair: Pair) -> bool:
-    """Whether the write says more than numbers: the first calibration, or the first known temperature."""
+    """Whether the write is the first calibration, or states the first known temperature."""
     about = pair.about
     if pair.absolute is None:
         return False

@@ -62,7 +62,7 @@ def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
 
 
 def set_row(draft: Draft, about: Subject) -> bool:
-    """Make sure that the sensor has a row of its own, that is, that its device id is known."""
+    """Give the sensor its own row, which needs its device id."""
     try:
         roles = row_of(draft, about)
     except FirmwareError as error:

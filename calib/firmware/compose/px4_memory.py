@@ -64,7 +64,7 @@ def row_of(draft: Draft, about: Subject) -> Mapping[Role, str]:
 
 
 def held_by(draft: Draft, about: Subject) -> px4.Px4Calibration:
-    """What PX4 has in memory for `about` after a restart as things stand."""
+    """PX4's values in memory for `about` after a restart."""
     here = placed(draft, about, draft.parameters)
     return px4.Px4Calibration.load(draft.parameters, about.sensor, here.instance)
 

@@ -172,7 +172,7 @@ def check_stream(
     *,
     restarted: bool,
 ) -> StreamCheck | None:
-    """Hold the stream of `about` against every combination of `names`; None if there is nothing to hold it against.
+    """Test the stream of `about` against every combination of `names`; None: there is none to test.
 
     `restarted`: whether the vehicle was restarted after `then` was taken.
 
@@ -225,7 +225,7 @@ def _capture(
 
 
 def within(polynomial: ThermalPolynomial | None, readings: tuple[StillMean, ...]) -> tuple[StillMean, ...]:
-    """Those of `readings` at temperatures where the drift is known: beyond, the firmware clamps and the sensor goes on.
+    """`readings` at temperatures where the drift is known: beyond these the firmware clamps it.
 
     Readings without a temperature stay: what is not known of them is in the covariance.
     """
@@ -292,7 +292,7 @@ def _undoing(corrections: Corrections, refused: Hypothesis) -> Undo:
 
 
 def strongest(checks: Mapping[Subject, StreamCheck], name: str) -> StreamCheck | None:
-    """The check with the most to say of `name`: a contradiction first, then the largest distance."""
+    """The most significant check of `name`: a contradiction first, then the largest distance."""
     about = [c for c in checks.values() if name in c.names]
     return max(about, key=lambda c: _weight(c, name), default=None)
 

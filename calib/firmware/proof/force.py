@@ -113,7 +113,7 @@ class Force:
         return "" if invertible else f"the correction of {about} has no inverse: a scale or a diagonal is zero"
 
     def without_alternative(self, about: Subject) -> frozenset[str]:
-        """Names of the changes whose old value fits beside no other: no stream can tell them."""
+        """Names of the changes without a valid old value, which no stream can test."""
         every = frozenset(change.name for change in self.changes)
         return frozenset(
             name

@@ -67,7 +67,7 @@ def level_checks(
     then: StreamEvidence,
     now: StreamEvidence,
 ) -> tuple[dict[str, ParameterVerdict], tuple[SensorCheck, ...]]:
-    """What ATTITUDE says of ArduPilot's trim by its parameters' names, and whether the vehicle reads level."""
+    """Verdicts on ArduPilot's trim from ATTITUDE, by parameter name, and whether the vehicle reads level."""
     if not levels:
         return {}, ()
     fit = min(levels, key=lambda f: f.instance)
@@ -121,7 +121,7 @@ def _attitude(
 
 
 def _same_pose(corrections: Corrections, fit: FitResult, reading: StillMean) -> bool:
-    """Whether the vehicle stands as it did when `fit` was made: with the old trim it would read what the fit read."""
+    """Whether the vehicle has the attitude of the `fit`: with the old trim it would read the same."""
     if not reading.mean.any():
         return False  # a sensor that streams zeros stands nowhere
     raw = corrections.raw(ALL_APPLIED, (reading,))

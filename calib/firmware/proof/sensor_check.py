@@ -78,7 +78,7 @@ class Deviation:
 def sensor_checks(
     plan: WritePlan, pairs: Mapping[Subject, Pair], now: StreamEvidence, force: Force
 ) -> tuple[SensorCheck, ...]:
-    """Judge every inertial sensor whose offset the plan changes and whose fit says where it stands."""
+    """Judge every inertial sensor whose offset the plan changes and the fit determines."""
     written = {
         about: pair.absolute
         for about, pair in pairs.items()

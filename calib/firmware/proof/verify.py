@@ -150,7 +150,7 @@ offset was seen there within 2 s; to judge by that, the state of the estimator h
 
 
 def _unknown(about: Subject, force: Force, now: StreamEvidence) -> str:
-    """In words, why nothing undoes the stream of `about` as it should be by now; empty if something does."""
+    """Reason why the stream of `about` cannot be undone with the expected values; empty if it can."""
     readings = (*now.readings.get(about, ()), *now.moving.get(about, ()))
     why = Corrections(force, about).why_impossible(ALL_APPLIED, readings)
     return f"the stream of {about} cannot be undone ({why}); it was read back" if why else ""
@@ -212,7 +212,7 @@ def _no_evidence_reason(waiting: Sequence[Subject], now: StreamEvidence) -> str:
 
 
 def movement_for(verdicts: Sequence[ParameterVerdict], checks: Mapping[Subject, StreamCheck]) -> Movement | None:
-    """What an operator can do about the parameters that are still open; None if nothing, or if none is."""
+    """Movement that would prove the open parameters; None: there is none, or none are open."""
     settled = (ProofVerdict.PROVED, ProofVerdict.CONTRADICTED)
     open_ones = {v.name for v in verdicts if v.acts_on_stream and v.verdict not in settled}
     seen = {name for check in checks.values() for name in check.names}

@@ -46,7 +46,7 @@ def flight_channels(topics: Topics, kind: int | None = None) -> list[Channel]:
 
 
 def truth_channels(topics: Topics) -> list[Channel]:
-    """What a simulator says of the vehicle: attitude, place, velocity and position of the ``*_groundtruth`` topics."""
+    """Simulator truth from the ``*_groundtruth`` topics: attitude, place, velocity and position."""
     made = (
         *_attitude(topics, "vehicle_attitude" + TRUTH),
         *_local(topics, "vehicle_local_position" + TRUTH),

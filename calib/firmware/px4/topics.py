@@ -97,7 +97,7 @@ class Rows:
         return self._of.get((sensor, device), multi_id)
 
     def primary(self, sensor: Sensor) -> int:
-        """Instance of the sensor that older firmwares name as the primary one; 0 where nothing is said."""
+        """Instance of the primary sensor in older firmwares; 0 where it is not logged."""
         short = {Sensor.ACCEL: "ACC", Sensor.GYRO: "GYRO", Sensor.MAG: "MAG"}[sensor]
         device = int(self._parameters.get(f"CAL_{short}_PRIME", 0))
         return self._of.get((sensor, device), 0)
@@ -126,7 +126,7 @@ def instances_of(topics: Topics, name: str) -> Iterator[tuple[int, Topic]]:
 
 
 def sample_time(topic: Topic) -> Array:
-    """When the sensor was read, s; when the row was published where that is not said."""
+    """Time of the sensor's reading, s; of the row's publication where that is not logged."""
     stamp = topic["timestamp"].astype(np.float64)
     if "timestamp_sample" in topic:
         sampled = topic["timestamp_sample"].astype(np.float64)
@@ -176,7 +176,7 @@ def _drivers(topics: Topics, rows: Rows) -> Iterator[Channel]:
 
 
 def _compass_drivers_calibrate(topics: Topics) -> bool:
-    """Firmwares before 1.12: there vehicle_magnetometer does not say whose field it is, and corrects nothing."""
+    """Firmwares before 1.12: vehicle_magnetometer has no device id, and its samples are uncorrected."""
     fields = topics.get(("vehicle_magnetometer", 0))
     return fields is not None and "device_id" not in fields
 

@@ -68,7 +68,7 @@ class SensorChannels:
                     yield channel
 
     def _in_time(self, rows: Table, instance: int, t: Array) -> Mask:
-        """The rows whose time goes on; how many do not is said."""
+        """The rows with increasing times; the others are counted in an event."""
         keep = ordered(t)
         back = int((np.isfinite(t) & ~keep).sum())
         stood = np.flatnonzero(keep)[~moving(t[keep])]
