@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
-from mavcal.calib.firmware.in_force.learned import compass_offset_changes
+from mavcal.calib.firmware.in_force.rewritten import compass_offset_changes
 from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES, Role
 from mavcal.calib.firmware.plan import Value

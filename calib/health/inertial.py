@@ -16,7 +16,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
-from mavcal.calib.health import limits, motion, steady_force
+from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import judged_channel, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value, shown_sd
 from mavcal.calib.health.parameters import never_calibrated
@@ -156,7 +156,7 @@ def _gravity(
     against, unsure = "", _FLOOR_FORCE
     if attitude is not None and not _lay(channel, laid):
         if support.tilt:
-            windows, how, unsure = steady_force.mean_lengths(channel, laid), "on average", _FLOOR_LENGTH
+            windows, how, unsure = motion.mean_lengths(channel, laid), "on average", _FLOOR_LENGTH
             against = f"{_NO_JUDGE}{support.tilt}"
         else:
             windows = motion.vertical_force(channel, attitude)
@@ -251,14 +251,14 @@ def _rate(
 def _moving(channel: Channel, reference: _MotionReference, laid: Sequence[Still]) -> tuple[motion.WindowMeans, str]:
     """The rate beyond what the best witness of a movement saw, and who that is; no window: there is none."""
     if reference.attitude is None:
-        return motion.nothing(3), ""
+        return motion.no_windows(3), ""
     if reference.support.tilt:
         if reference.accel is None:
-            return motion.nothing(3), ""
-        return steady_force.rates_across(channel, reference.accel, laid), _ACROSS
+            return motion.no_windows(3), ""
+        return motion.rates_across(channel, reference.accel, laid), _ACROSS
     part, how = (motion.RatePart.LEVEL, _LEVEL) if reference.support.heading else (motion.RatePart.ALL, _BEYOND)
     seen = motion.rate_error(channel, reference.attitude, part)
-    return (seen, how) if seen.enough else (motion.nothing(3), "")
+    return (seen, how) if seen.enough else (motion.no_windows(3), "")
 
 
 def _heading_open(channel: Channel, reference: _MotionReference) -> tuple[HealthVerdict, str]:

@@ -9,6 +9,7 @@ every sensor are left out together: a gyro that pauses alone would be taken for 
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Final
 
@@ -26,6 +27,9 @@ HOLD_S: Final = 5.0
 """How long samples wait for the reading after them, s: two readings, and the time that one takes."""
 REGULAR: Final = 3
 """So many readings of the value known before show that the offsets are read regularly, not only told."""
+_PX4_SAYS: Final = re.compile(r"^\[vehicle_magnetometer\] (\d+) \(\d+\) EST:\d+ offset: ")
+"""PX4 stores what its estimator learned when it disarms (``VehicleMagnetometer.cpp``): the parameter changes later."""
+_OFFSETS: Final = re.compile(r"^(?:CAL_MAG(?P<px4>\d)_[XYZ]OFF|COMPASS_OFS(?P<ardupilot>[23]?)_[XYZ])$")
 
 
 class CertainOffsets:
@@ -112,3 +116,16 @@ def read_again(kind: str, autopilot: str | None, parameters: Mapping[str, Value]
 
 def _has_sensor(name: str, parameters: Mapping[str, Value]) -> bool:
     return bool(parameters.get(f"{name.rpartition('_')[0]}_ID", 0))
+
+
+def compass_offset_changes(recording: Recording) -> dict[int, tuple[float, ...]]:
+    """By instance of a compass, the moments at which its offset in force changed, s, ascending."""
+    found: dict[int, set[float]] = {}
+    for event in recording.events:
+        if said := _PX4_SAYS.match(event.text):
+            found.setdefault(int(said[1]), set()).add(event.t)
+    for entry in recording.parameters.changes(("CAL_MAG", "COMPASS_OFS")):
+        if named := _OFFSETS.match(entry.name):
+            instance = int(named["px4"]) if named["px4"] is not None else int(named["ardupilot"] or 1) - 1
+            found.setdefault(instance, set()).add(entry.t)
+    return {instance: tuple(sorted(times)) for instance, times in found.items()}

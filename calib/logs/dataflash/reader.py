@@ -25,11 +25,10 @@ from mavcal.calib.firmware.names import ARDUPILOT_COMPASS_SLOTS
 from mavcal.calib.firmware.slots import ardupilot_calibration_names
 from mavcal.calib.logs.dataflash.channels import SensorChannels, instances
 from mavcal.calib.logs.dataflash.clock import Clock
-from mavcal.calib.logs.dataflash.dynamics import dynamics_channels
 from mavcal.calib.logs.dataflash.events import counted_events, identity_of, parameter_entries, spoken_events
 from mavcal.calib.logs.dataflash.log import DataFlash
 from mavcal.calib.logs.dataflash.scan import LONGEST
-from mavcal.calib.logs.dataflash.state import reference_channels, state_channels
+from mavcal.calib.logs.dataflash.state import dynamics_channels, reference_channels, state_channels
 from mavcal.calib.logs.dataflash.tables import Log, Table
 from mavcal.calib.logs.dataflash.text import TextLog
 from mavcal.calib.recording import (
