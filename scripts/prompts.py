@@ -27,9 +27,9 @@ MODULES = {
 }  # fmt: skip
 """The module of each kind of job."""
 SHARED = {
-    "All procedures": ("ticked", "intake", "motion", "roster", "placing", "results", "protocol"),
+    "All procedures": ("base", "intake", "motion", "roster", "placing", "results", "protocol"),
     "Poses": ("poses", "pose_fit"),
-    "Compasses": ("mag_track", "ring_track"),
+    "Compasses": ("mag_track",),
 }
 JOBS = {
     "While a plan is written and proved": ("verify", "watch", "transaction", "patience", "restart"),

@@ -1,4 +1,4 @@
-"""Faces of a fixture: what was read on each, which axis was down, and how long gravity is there (METHODS S4)."""
+"""Faces of a fixture: readings, the axis that was down, and local gravity (METHODS S4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What accelerometer and magnetometer read at rest, and the attitude that it implies (METHODS S5).
+"""Reference vectors of accelerometer and magnetometer at rest, and the attitude (METHODS S5).
 
 The means of a hundred samples serve as reference vectors. Down is against the specific force, east is across down and
 field: two vectors, one attitude (the triad). Nothing is calibrated by it: offsets of both sensors are in the answer.
@@ -232,14 +232,14 @@ def _dip(vector: Array) -> tuple[float, float]:
 
 
 def _message(native: dict[str, Any], quality: dict[str, Any]) -> str:
-    def said(name: str, value: float | None, sd: float | None) -> str:
+    def value_text(name: str, value: float | None, sd: float | None) -> str:
         return f"{name} open" if value is None or sd is None else f"{name} {value + 0.0:.2f} +- {sd:.2g} deg"
 
     return ", ".join(
         (
-            said("roll", native["roll_deg"], quality["roll_sd_deg"]),
-            said("pitch", native["pitch_deg"], quality["pitch_sd_deg"]),
-            said("heading", native["heading_deg"], quality["heading_sd_deg"]),
+            value_text("roll", native["roll_deg"], quality["roll_sd_deg"]),
+            value_text("pitch", native["pitch_deg"], quality["pitch_sd_deg"]),
+            value_text("heading", native["heading_deg"], quality["heading_sd_deg"]),
         )
     )
 

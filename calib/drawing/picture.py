@@ -62,8 +62,10 @@ def svg(width: float, height: float, parts: Iterable[Markup], title: str) -> Mar
     )
 
 
-def side_by_side(pictures: Sequence[Picture], told: str, *, columns: int | None = None, heading: str = "") -> Markup:
-    """A file with pictures in rows of `columns` (None: one row); `told` is what a reader without eyes is told."""
+def side_by_side(
+    pictures: Sequence[Picture], alt_text: str, *, columns: int | None = None, heading: str = ""
+) -> Markup:
+    """An SVG with pictures in rows of `columns` (None: one row); `alt_text` serves screen readers."""
     across = columns or len(pictures)
     rows = [pictures[i : i + across] for i in range(0, len(pictures), across)]
     width = max(sum(p.width for p in row) for row in rows)
@@ -83,5 +85,5 @@ def side_by_side(pictures: Sequence[Picture], told: str, *, columns: int | None 
     )
     paper = Markup('<rect width="{}" height="{}" fill="#ffffff"/>').format(width, y)
     return Markup('{} role="img" aria-label="{}"><style>{}</style>{}{}</svg>\n').format(
-        frame, told, SHEET, paper, Markup().join(groups)
+        frame, alt_text, SHEET, paper, Markup().join(groups)
     )

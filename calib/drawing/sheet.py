@@ -1,4 +1,4 @@
-"""A picture that is finished: a notebook shows it, and it saves itself."""
+"""A finished picture, for a notebook or a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What autopilots do to sensor data and what can be done about it: streams, parameters, undoing, plans, proofs.
+"""Firmware knowledge: streams, parameters, undoing of corrections, write plans and proofs.
 
 The knowledge of each firmware lies in its own modules; what is exported here asks for the autopilot by name
 (``ardupilot`` or ``px4``, as in :class:`calib.recording.Identity`).
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
-from mavcal.calib.firmware.in_force.learned import compass_offset_changes
+from mavcal.calib.firmware.in_force.rewritten import compass_offset_changes
 from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES, Role
 from mavcal.calib.firmware.plan import Value

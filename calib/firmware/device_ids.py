@@ -1,4 +1,4 @@
-"""What a device id says: bus, address and type of a part (FLIGHT_CONTROLLERS 1.5).
+"""Bus, address and type of a part from its device id (FLIGHT_CONTROLLERS 1.5).
 
 Both firmwares pack it alike and number the types differently, so an id is read with its autopilot's table. It names
 no single part: an equal board has equal ids.

@@ -1,4 +1,4 @@
-"""Calibration parameters of an ArduPilot that no calibration can have written: corrupt, or far beyond reason."""
+"""ArduPilot calibration parameters that are corrupt, or far out of range."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a calibration value may go before it is refused.
+"""Limits beyond which a calibration value is refused.
 
 Neither firmware checks a range when a parameter is set (FLIGHT_CONTROLLERS 3.1), so the limits are ours to enforce.
 """

@@ -1,4 +1,4 @@
-"""The parts of a fitted model, what a firmware leaves out of it, and what that costs.
+"""Parts of a fitted model that a firmware cannot store, with their cost.
 
 A fit corrects by ``C (m - b)``. Firmwares store a symmetric matrix at most (magnetometers), a diagonal one
 (accelerometers) or none (gyroscopes), so ``C = Q S`` is split by polar decomposition: ``S`` symmetric, ``Q`` a

@@ -1,4 +1,4 @@
-"""What the operator may decide about a plan, by name: one table for the command line, the REST API and every advice.
+"""Options of a plan that the operator sets: one table for command line, REST API and advice.
 
 Values come as plain data (``{"keep_gyro_at_boot": true, "only": ["gyro0", "accel0"]}``) and stay so in the store;
 :func:`compose_options` turns them into what ``compose`` takes. Sensors are named as in a plan's fingerprint: ``gyro0``
@@ -25,7 +25,7 @@ _KEY: Final = re.compile(rf"({'|'.join(CALIBRATED)})([0-9])")
 
 @dataclass(frozen=True)
 class ComposeOptions:
-    """What the operator decided beside the fits."""
+    """Decisions of the operator on a plan."""
 
     keep_gyro_at_boot: bool = False
     """ArduPilot: write INS_GYR_CAL = 0, so that the next boot does not estimate the gyro offsets again."""
@@ -199,7 +199,7 @@ CONFIRMATIONS: Final = tuple(name for name in PLAN_OPTIONS if name.startswith("c
 
 
 def compose_options(data: Mapping[str, Any], **facts: Any) -> ComposeOptions:
-    """The options that plain `data` say; `facts` are set where the operator gave nothing.
+    """Options from plain `data`; `facts` fill those that the operator did not give.
 
     Raises
     ------

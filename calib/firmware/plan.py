@@ -1,4 +1,4 @@
-"""What is to be written to a vehicle, why, at what cost, and how it will be proved.
+"""Write plans and their verification, as data.
 
 A :class:`WritePlan` is pure data: ``compose`` of an autopilot makes it from fits, the service executes it, ``verify``
 of the autopilot judges the stream afterwards. It is bound to one vehicle and to the snapshot that it was composed on.
@@ -120,7 +120,7 @@ def sensors_of(changes: Iterable[Change], agreements: Iterable[Agreement]) -> fr
 
 @dataclass(frozen=True)
 class WritePlan:
-    """Parameters to be written in this order, and everything that must be said before.
+    """Parameters to write in this order, with warnings, losses and blockers.
 
     `blockers` not empty: nothing of it may be written.
     """
@@ -143,7 +143,7 @@ class WritePlan:
 
     @property
     def nothing_to_write(self) -> bool:
-        """Whether the vehicle holds already what was fitted, and nothing stands against that."""
+        """Whether the vehicle already holds the fitted values, without a blocker."""
         return not self.changes and not self.blockers
 
     @property
@@ -163,7 +163,7 @@ class WritePlan:
 
 
 class ProofVerdict(StrEnum):
-    """What the stream says of one written parameter."""
+    """Verdict on one written parameter."""
 
     PROVED = "proved"  # the stream agrees with the new value and contradicts the old one
     CONSISTENT = "consistent"  # agrees with the new value, cannot tell it from another combination
@@ -220,7 +220,7 @@ class SensorCheckId(StrEnum):
 
 @dataclass(frozen=True)
 class SensorCheck:
-    """What a sensor reads after the write beside what it should."""
+    """Reading of one sensor after the write against zero, gravity, another unit's direction, or level."""
 
     id: SensorCheckId
     sensor: Sensor
@@ -253,7 +253,7 @@ class Verification:
 
     @property
     def settled(self) -> bool:
-        """Whether another look at a resting vehicle would change nothing: all was seen, and no sensor is in doubt."""
+        """Whether another check of a resting vehicle would change no verdict."""
         return not self.unseen and not self.refuted
 
     @property

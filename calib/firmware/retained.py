@@ -1,4 +1,4 @@
-"""Which values a firmware still holds after a restart: it does not save every one that it takes.
+"""Values that a firmware keeps over a restart: it does not save every accepted one.
 
 PX4 does not save a float within FLT_EPSILON of its default, by absolute difference
 (``param_export_internal`` in PX4 src/lib/parameters/parameters.cpp). It is echoed, read back and in force until the

@@ -68,8 +68,8 @@ def _distance(change: Array, covariance: Array) -> tuple[float, int] | None:
     sd = np.sqrt(np.diag(covariance)[free])
     scaled = change[free] / sd
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sd, sd))
-    told = values > 1e-10 * values[-1]
+    determined = values > 1e-10 * values[-1]
     along = vectors.T @ scaled
-    if np.linalg.norm(along[~told]) > 1e-3 * max(1.0, float(np.linalg.norm(along))):
+    if np.linalg.norm(along[~determined]) > 1e-3 * max(1.0, float(np.linalg.norm(along))):
         return None
-    return float((along[told] ** 2 / values[told]).sum()), int(told.sum())
+    return float((along[determined] ** 2 / values[determined]).sum()), int(determined.sum())

@@ -1,4 +1,4 @@
-"""Which row of parameters belongs to which stream.
+"""Assignment of parameter rows to streamed instances.
 
 ArduPilot's inertial units stream by slot. Its compasses stream by *rank* (``COMPASS_PRIOn_ID``) while their parameters
 lie in state slots (``COMPASS_DEV_IDn``). PX4 matches every row by device id. FLIGHT_CONTROLLERS 1.3, 1.4, 2.2.
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 CALIBRATED = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 """The sensors that have calibration parameters."""
-NOTHING: Final[Mapping[tuple[Sensor, int], int]] = MappingProxyType({})
+NO_DEVICE_IDS: Final[Mapping[tuple[Sensor, int], int]] = MappingProxyType({})
 
 
 def ardupilot_compass_slot(parameters: Mapping[str, Value], priority: int) -> int:
@@ -63,14 +63,14 @@ def ardupilot_calibration_names(parameters: Mapping[str, Value], sensor: Sensor,
 
 
 def px4_rows(
-    parameters: Mapping[str, Value], sensor: Sensor, told: Mapping[tuple[Sensor, int], int] = NOTHING
+    parameters: Mapping[str, Value], sensor: Sensor, device_ids: Mapping[tuple[Sensor, int], int] = NO_DEVICE_IDS
 ) -> tuple[int, ...]:
     """``CAL_*`` row of each streamed instance of `sensor`; rows that are left count as those of further instances.
 
     The stream does not carry device ids. The rows that hold an id are taken in their order, which is how the firmware
     fills them, then the free ones. That is a guess: PX4 leaves the id of a sensor that was taken away in its row.
-    `told` are device ids that somebody has read, by streamed instance. Such a sensor has the row with its id, else its
-    row by order if that is free, else the first free one.
+    `device_ids` were read by somebody, by streamed instance. Such a sensor has the row with its id, else its row by
+    order if that is free, else the first free one.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def px4_rows(
     """
     ids = _px4_ids(parameters, sensor)
     ordered = [slot for slot, held in enumerate(ids) if held != 0] + [slot for slot, held in enumerate(ids) if not held]
-    known = {i: device for (kind, i), device in sorted(told.items()) if kind == sensor and i < len(ordered)}
+    known = {i: device for (kind, i), device in sorted(device_ids.items()) if kind == sensor and i < len(ordered)}
     rows = {i: ids.index(device) for i, device in known.items() if device in ids}
     for i in sorted(known.keys() - rows.keys()):
         free = [slot for slot in (ordered[i], *ordered) if not ids[slot] and slot not in rows.values()]
@@ -97,7 +97,7 @@ def px4_slot(
     parameters: Mapping[str, Value],
     sensor: Sensor,
     instance: int,
-    told: Mapping[tuple[Sensor, int], int] = NOTHING,
+    device_ids: Mapping[tuple[Sensor, int], int] = NO_DEVICE_IDS,
 ) -> int:
     """``CAL_*`` row of `sensor` `instance`; see :func:`px4_rows`.
 
@@ -106,7 +106,7 @@ def px4_slot(
     FirmwareError
         If there is no row left.
     """
-    rows = px4_rows(parameters, sensor, told)
+    rows = px4_rows(parameters, sensor, device_ids)
     if instance >= len(rows):
         raise FirmwareError(f"PX4 has {names.PX4_SLOTS} rows for {sensor}; instance {instance} has none")
     return rows[instance]
@@ -118,7 +118,7 @@ def px4_instance(parameters: Mapping[str, Value], sensor: Sensor, slot: int) -> 
 
 
 def px4_thermal_slot(parameters: Mapping[str, Value], sensor: Sensor, device_id: int) -> int | None:
-    """``TC_*`` row that holds `device_id`, else the row without an id that is left for it; None: there is no row.
+    """``TC_*`` row that holds `device_id`, else the free row assigned to it; None: there is no row.
 
     Sensors without a row share out the free rows in the order of their ``CAL_*`` rows. A plan over several of them
     therefore never takes one row twice. A magnetometer has none: PX4 computes its thermal term and never uses it.
@@ -168,13 +168,13 @@ def ardupilot_sensor_ids(parameters: Mapping[str, Value]) -> dict[tuple[Sensor, 
 
 
 def px4_sensor_ids(
-    parameters: Mapping[str, Value], told: Mapping[tuple[Sensor, int], int] = NOTHING
+    parameters: Mapping[str, Value], device_ids: Mapping[tuple[Sensor, int], int] = NO_DEVICE_IDS
 ) -> dict[tuple[Sensor, int], int]:
     """Device id of every calibrated sensor, by streamed instance; see :func:`px4_rows`."""
     found = {}
     for sensor in CALIBRATED:
         ids = _px4_ids(parameters, sensor)
-        rows = px4_rows(parameters, sensor, told)
+        rows = px4_rows(parameters, sensor, device_ids)
         found.update({(sensor, i): ids[slot] for i, slot in enumerate(rows) if ids[slot] != 0})
     return found
 

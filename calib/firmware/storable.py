@@ -1,4 +1,4 @@
-"""What each autopilot stores of a calibration, and what it cannot: one statement for every job that ends in it."""
+"""Parts of a calibration that each autopilot stores, and those that it cannot."""
 
 from __future__ import annotations
 

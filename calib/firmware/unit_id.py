@@ -24,8 +24,8 @@ def unit_id(autopilot: str | None, uid2: bytes, uid: int) -> str | None:
     PX4's simulator adds its system id less one to both numbers (mavlink_main.cpp, send_autopilot_capabilities): two of
     them with one system id say the same.
     """
-    telling = uid2[1:] if autopilot == "px4" else uid2
-    if any(telling) and set(uid2) != {0xFF}:
+    significant = uid2[1:] if autopilot == "px4" else uid2
+    if any(significant) and set(uid2) != {0xFF}:
         return uid2.rstrip(b"\0").hex()
     shared = any(0 <= uid - base <= 0xFF for base in SHARED_UIDS)
     return f"{uid:016x}" if uid and not shared else None

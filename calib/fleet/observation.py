@@ -1,4 +1,4 @@
-"""What was measured of one sensor, and the limit that its bias has to keep."""
+"""A measured bias of one sensor, and its limit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one job or preflight left of one sensor, and how all of them become the histories of parts."""
+"""Records of one sensor from jobs and preflights, and the history of each part."""
 
 from __future__ import annotations
 

@@ -1,9 +1,15 @@
-"""Drift of one sensor with time and temperature, and when its calibration will have left its limit.
+"""Drift of one sensor with time and temperature, and the date on which it exceeds its limit.
 
 The lasting part of a bias is the line and the walk, without the scatter from start to start. The bias has left its
 limit when that part is farther than the limit from the bias that corrects the sensor. Both are taken at the temperature
 of that calibration. Three axes count together. Intervals are of 90 %; docs/measured/accuracy.md has how often they held
 the truth in simulations.
+
+Each axis follows ``y_i = a + d t_i + s (T_i - T_0) + w(t_i) + v_i + e_i``: `w` is a random walk, `v` the scatter from
+start to start, `e` the measurement noise with known standard deviation. The sizes of `w` and `v` are integrated over on
+a grid, with the marginal likelihood of all three axes together. Their prior is log-uniform, and favours the walk, which
+predicts worse. The drift has a prior of unknown typical size, so it can be near zero (decision 22); with a flat one
+every sensor would leave its limit.
 """
 
 from __future__ import annotations
@@ -17,10 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.fleet.observation import BiasObservation
-from mavcal.calib.fleet.process import Belief, Draws, Measured, draw
 
 Array = NDArray[np.float64]
-
 DAY_S = 86400.0
 YEAR_D = 365.25
 HORIZON_D = 10.0 * YEAR_D
@@ -37,6 +41,16 @@ _DRAWS, _SEED = 4000, 21
 _PATHS = 400
 """Draws whose future is followed; the quantiles of slopes rest on all of them."""
 _AHEAD_D = np.concatenate([[0.0], np.geomspace(0.5, HORIZON_D, 96)])
+SHARES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+"""Share of the walk in what scatters, over one mean interval between measurements."""
+LEAN = np.array([0.01, 0.01, 0.03, 0.1, 0.85])
+"""Prior of the shares."""
+SIZES = np.geomspace(0.1, 20.0, 17)
+"""Standard deviation of what scatters, in those of the residuals."""
+LEAST_NOISE = 0.02
+"""A measurement is no better than that, in residuals: a smaller one would only make the matrices worse."""
+DRIFTS, LEAST_DRIFT, MOST_DRIFT = 10, 0.03, 10.0
+"""Grid of the typical change over the whole span: from so many residuals to so many times what a plain line finds."""
 
 
 class Quantity(StrEnum):
@@ -81,7 +95,7 @@ class Leaving:
 
 @dataclass(frozen=True)
 class Trend:
-    """Drift along the sensor's axes, in the unit of the bias. None: not determined, `open` says why."""
+    """Drift along the sensor's axes, in the unit of the bias. None: not determined; `open` has the reasons."""
 
     n: int
     """Measurements that it rests on."""
@@ -102,8 +116,8 @@ def bias_trend(observations: Sequence[BiasObservation], limit: float) -> Trend:
         quantities = dict.fromkeys((Quantity.TIME, *(o.quantity for o in left_open), Quantity.LEAVING))
         if warm:
             quantities[Quantity.TEMPERATURE] = None
-        told = {o.quantity: o.why for o in left_open}
-        return Trend(n, None, None, None, tuple(Open(q, told.get(q, short)) for q in quantities))
+        reasons = {o.quantity: o.why for o in left_open}
+        return Trend(n, None, None, None, tuple(Open(q, reasons.get(q, short)) for q in quantities))
     applied = [o for o in seen if o.applied]
     reference = applied[-1] if applied else seen[-1]
     days = np.array([o.at for o in seen]) / DAY_S
@@ -153,7 +167,7 @@ def _temperature(seen: Sequence[BiasObservation]) -> tuple[bool, tuple[Open, ...
 
 
 def _goes_with_time(seen: Sequence[BiasObservation], warmth: Sequence[float]) -> bool:
-    """Whether a straight line in time leaves nothing of the temperatures."""
+    """Whether temperature and time cannot be separated."""
     days = np.array([o.at for o in seen]) / DAY_S
     line = np.stack([np.ones(len(days)), days - days.mean()], axis=1)
     known = np.array(warmth)
@@ -220,3 +234,104 @@ def _leaving(away: Sequence[Array], last: float) -> Leaving:
 def _at(ordered: Array, share: float) -> float:
     """The quantile that is one of the values: some are infinite."""
     return float(ordered[round(share * (len(ordered) - 1))])
+
+
+class Belief(StrEnum):
+    """What is believed of a drift before anything is measured."""
+
+    ANY = "any"  # every drift is as likely as every other one
+    SOME = "some"  # it has a typical size, and nothing is known about it
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Joint draws of what the measurements leave open; arrays have shape (draws,) or (draws, 3)."""
+
+    now: Array
+    """The lasting part of the bias at the last measurement and the reference temperature, shape (draws, 3)."""
+    per_day: Array
+    """Its drift, shape (draws, 3)."""
+    per_degc: Array | None
+    """Its slope with temperature, shape (draws, 3); None: not among the unknowns."""
+    walk: Array
+    """Variance of the random walk over one day, shape (draws,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Measurements of one sensor in the order of time: more of them than unknowns, over more than one instant."""
+
+    days: Array
+    """Shape (n,)."""
+    bias: Array
+    """Shape (n, 3)."""
+    sd: Array
+    """One axis, shape (n,)."""
+    warmth: Array | None
+    """Temperature above the reference one, degC, shape (n,); None: it is left out."""
+
+
+def draw(seen: Measured, belief: Belief, rng: np.random.Generator, count: int) -> Draws:
+    """Draw from what the measurements leave open."""
+    days, bias, sd, warmth = seen.days, seen.bias, seen.sd, seen.warmth
+    span = float(days[-1] - days[0])
+    columns = [np.ones(len(days)), (days - days[-1]) / span]
+    if warmth is not None:
+        columns.append(warmth / 10.0)
+    design = np.stack(columns, axis=1)
+    gap = span / (len(days) - 1)
+    walks = np.minimum(days[:, None], days) - days[0]
+    size, change = _scales(design, bias, sd)
+    noise = np.maximum(sd, LEAST_NOISE * size) ** 2
+    shares, sizes = (grid.ravel() for grid in np.meshgrid(SHARES, SIZES * size, indexing="ij"))
+    shaped = shares[:, None, None] * walks / gap + (1.0 - shares)[:, None, None] * np.eye(len(days))
+    covariance = sizes[:, None, None] ** 2 * shaped + np.diag(noise)
+    solved = np.linalg.inv(covariance)
+    drifts = np.geomspace(LEAST_DRIFT * size, MOST_DRIFT * max(change, size), DRIFTS)
+    precisions = np.zeros(1) if belief is Belief.ANY else drifts**-2.0
+    weight, best, spread = _lines(design, bias - bias[-1], covariance, solved, precisions)
+    drawn = rng.choice(weight.size, size=count, p=weight.ravel() / weight.sum())
+    cell = drawn // len(precisions)
+    factor = np.linalg.cholesky(spread).reshape(-1, *spread.shape[2:])[drawn]
+    unknown = best.reshape(-1, *best.shape[2:])[drawn] + factor @ rng.standard_normal((count, design.shape[1], 3))
+    unknown[:, 0] += bias[-1]
+    # the walk at the last measurement, given the line
+    power = sizes**2 * shares / gap
+    towards = power[:, None] * walks[:, -1]
+    gain = np.einsum("ci,cij->cj", towards, solved)
+    rest = np.sqrt(np.clip(power * walks[-1, -1] - np.einsum("ci,ci->c", gain, towards), 0.0, None))
+    walked = (gain @ bias)[cell] - np.einsum("dk,dka->da", (gain @ design)[cell], unknown)
+    walked += rest[cell, None] * rng.standard_normal((count, 3))
+    per_degc = None if warmth is None else unknown[:, 2] / 10.0
+    return Draws(unknown[:, 0] + walked, unknown[:, 1] / span, per_degc, power[cell])
+
+
+def _lines(
+    design: Array, bias: Array, covariance: Array, solved: Array, precisions: Array
+) -> tuple[Array, Array, Array]:
+    """Weight of every cell and precision of the drift's prior, with the line's mean and covariance in each."""
+    prior = np.zeros((len(precisions), design.shape[1], design.shape[1]))
+    prior[:, 1, 1] = precisions
+    information = (design.T @ solved @ design)[:, None] + prior
+    spread = np.linalg.inv(information)
+    spread = 0.5 * (spread + np.swapaxes(spread, -1, -2))
+    towards = (design.T @ solved @ bias)[:, None]
+    best = spread @ towards
+    misfit = np.einsum("ia,cij,ja->c", bias, solved, bias)[:, None] - np.einsum("cdua,cdua->cd", best, towards)
+    scatter = _logdet(covariance)[:, None] + _logdet(information) - np.log(np.where(precisions > 0.0, precisions, 1.0))
+    lean = np.log(np.repeat(LEAN, len(SIZES)))[:, None]
+    log_weight = lean - 0.5 * (3.0 * scatter + misfit)
+    weight: Array = np.exp(log_weight - log_weight.max())
+    return weight, best, np.asarray(spread, dtype=np.float64)
+
+
+def _scales(design: Array, bias: Array, sd: Array) -> tuple[float, float]:
+    """Standard deviation of what a plain line leaves, or of the measurements if larger; its change over the span."""
+    line = np.linalg.lstsq(design, bias, rcond=None)[0]
+    free = max(3 * (len(bias) - design.shape[1]), 1)
+    found = max(float(np.sqrt(((bias - design @ line) ** 2).sum() / free)), float(np.median(sd)), 1e-12)
+    return found, float(np.linalg.norm(line[1]))
+
+
+def _logdet(matrices: Array) -> Array:
+    return np.asarray(np.linalg.slogdet(matrices)[1], dtype=np.float64)

@@ -43,7 +43,7 @@ _LEARNT = 0.02  # sd of a scale: more is no comparison
 def flying_items(
     recording: Recording, flown: Sequence[TimeSpan], shaking: Sequence[JudgedItem] | None = None
 ) -> list[JudgedItem]:
-    """Every item that a flight can tell; `flown` are the spans with the motors on, `shaking` what was told already."""
+    """Every item of a flight; `flown` are the spans with the motors on, `shaking` the vibration items if known."""
     items = [*(shaking_items(recording, flown) if shaking is None else shaking)]
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         items += [_scale(recording, sensor, pair, flown) for pair in combinations(recording.instances(sensor), 2)]
@@ -124,7 +124,7 @@ def _spectrum(channel: Channel, flown: Sequence[TimeSpan]) -> tuple[Array, Array
 
 
 def _usable(part: Channel) -> Channel:
-    """The finite samples whose time goes on; `part` itself if all are."""
+    """The finite samples with increasing times; `part` itself if all are."""
     good = finite_rows(part.values)
     good[1:] &= part.t[1:] > part.t[:-1]
     return part if good.all() else part.take(good)

@@ -1,4 +1,4 @@
-"""The sanity of a log's inertial sensors in one document, and what the log is worth for calibration."""
+"""The sanity of a log's inertial sensors in one document."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.flying import flying_items
 from mavcal.calib.flight.item import FlightVerdict, JudgedItem
-from mavcal.calib.flight.plan import PlannedMethod, next_steps
 from mavcal.calib.flight.rest import Ground, Rest, ground, rests
 from mavcal.calib.flight.resting import resting_items
 from mavcal.calib.recording import Recording, Sensor
@@ -21,13 +20,12 @@ _ORDER = (FlightVerdict.PASS, FlightVerdict.NOT_TESTABLE, FlightVerdict.WARN, Fl
 
 @dataclass(frozen=True)
 class FlightReport:
-    """What became of every item, when the vehicle rested and flew, and which fits are worthwhile."""
+    """What became of every item, and when the vehicle rested and flew."""
 
     ground: Ground
     rests: tuple[Rest, ...]
     items: tuple[JudgedItem, ...]
     spans: tuple[dict[str, Any], ...]
-    steps: tuple[PlannedMethod, ...]
 
     @property
     def verdict(self) -> FlightVerdict:
@@ -63,7 +61,7 @@ def flight_report(recording: Recording, shaking: Sequence[JudgedItem] | None = N
         except InvalidInputError:  # debiased streams alone, or time that goes back: no rest can be told
             found = ()
     items = (*resting_items(recording, found), *flying_items(recording, stood.running, shaking))
-    return FlightReport(stood, found, items, tuple(_spans(recording, found)), next_steps(recording, found, stood))
+    return FlightReport(stood, found, items, tuple(_spans(recording, found)))
 
 
 def _spans(recording: Recording, found: tuple[Rest, ...]) -> list[dict[str, Any]]:

@@ -39,7 +39,7 @@ _FIRST_STATE = 3.0  # s after the start until which a first state is told: heart
 
 
 class Phase(StrEnum):
-    """Where a rest lies in the recording."""
+    """Position of a rest in the recording."""
 
     BEFORE = "before"  # the first flight, or there is none
     BETWEEN = "between"  # two flights
@@ -150,7 +150,7 @@ def rests(recording: Recording, instance: int = 0) -> tuple[Rest, ...]:
 
 
 def grounded(recording: Recording, stills: Sequence[Still], shortest: float) -> tuple[Still, ...]:
-    """What of `stills` lies in a span with the motors off, where it lasts `shortest` seconds or more."""
+    """Parts of `stills` within spans with the motors off, of `shortest` seconds or more."""
     off = ground(recording).off
     parts = [
         dataclasses.replace(still, start=max(still.start, span.start), end=min(still.end, span.end))
@@ -181,7 +181,7 @@ def _armed(recording: Recording, begin: float, end: float) -> tuple[TimeSpan, ..
 
 
 def _spun(recording: Recording) -> tuple[TimeSpan, ...] | None:
-    """Spans in which a motor was driven; None where nothing tells."""
+    """Spans in which a motor was driven; None: not logged."""
     channels = recording.find(Sensor.MOTOR) or recording.find(Sensor.THROTTLE)
     channel = max(channels, key=len, default=None)
     if channel is None or not np.isfinite(channel.values).any():

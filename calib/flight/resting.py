@@ -64,24 +64,26 @@ def rest_means(recording: Recording, sensor: Sensor, instance: int, rests: Seque
 
 
 def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[JudgedItem]:
-    """Every item that rests can tell, of every instance."""
+    """Every item of the rests, for every instance."""
     why = why_no_rest(recording)
     accels = {i: rest_means(recording, Sensor.ACCEL, i, rests) for i in recording.instances(Sensor.ACCEL)}
     gyros = {i: rest_means(recording, Sensor.GYRO, i, rests) for i in recording.instances(Sensor.GYRO)}
     gravity, known = gravity_of_place(recording)
     items = [_gravity(i, means, gravity, known, why) for i, means in accels.items()]
     items += [_level(recording, i, means, why) for i, means in accels.items()]
-    items += [_apart("accel_consistency", "accel", pair, limits.APART, accels, why) for pair in combinations(accels, 2)]
-    for instance, means in gyros.items():
-        items += [_bias(instance, means, why), _wander(recording, instance, means, why)]
     items += [
-        _apart("gyro_consistency", "gyro", pair, limits.RATES_APART, gyros, why) for pair in combinations(gyros, 2)
+        _difference("accel_consistency", "accel", pair, limits.APART, accels, why) for pair in combinations(accels, 2)
+    ]
+    for instance, means in gyros.items():
+        items += [_bias(instance, means, why), _bias_change(recording, instance, means, why)]
+    items += [
+        _difference("gyro_consistency", "gyro", pair, limits.RATES_APART, gyros, why) for pair in combinations(gyros, 2)
     ]
     return items
 
 
 def gravity_of_place(recording: Recording) -> tuple[float, bool]:
-    """Normal gravity where the vehicle was, m/s2, and whether the log says where that is."""
+    """Normal gravity at the vehicle's position, m/s2, and whether the log has the position."""
     found = recording.find(Sensor.POSITION)
     if found:
         values = found[0].values[finite_rows(found[0].values)]
@@ -177,7 +179,7 @@ def _bias(instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
     )
 
 
-def _wander(recording: Recording, instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
+def _bias_change(recording: Recording, instance: int, means: Sequence[RestMean], why: str) -> JudgedItem:
     """Change of the bias between the first and the last rest."""
     subject = f"gyro {instance + 1}"
     if not means:
@@ -209,7 +211,7 @@ def _wander(recording: Recording, instance: int, means: Sequence[RestMean], why:
     )
 
 
-def _apart(
+def _difference(
     name: str, sensor: str, pair: tuple[int, int], limit: FlightLimit, means: Mapping[int, Sequence[RestMean]], why: str
 ) -> JudgedItem:
     """The largest difference of two instances in the same rest, the vertical one halved as by ArduPilot's check."""

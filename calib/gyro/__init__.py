@@ -1,4 +1,4 @@
-"""The gyroscope alone: at rest, on a turntable, on a thread, and what acceleration does to it."""
+"""The gyroscope alone: at rest, on a turntable, on a thread, and its g-sensitivity."""
 
 from __future__ import annotations
 

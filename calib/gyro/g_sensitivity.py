@@ -1,4 +1,4 @@
-"""What acceleration does to a gyroscope: ``rate = b + K a`` at rest in several poses (METHODS 3.5).
+"""g-sensitivity of a gyroscope: ``rate = b + K a`` at rest in several poses (METHODS 3.5).
 
 The twelve numbers follow from the means of still poses by weighted least squares on ``[a 1]``. The Earth turns as well:
 about the vertical, so that part of it looks like an equal diagonal of K, and about the horizontal, which scatters.
@@ -175,7 +175,7 @@ def _fit(made: FitBuilder, poses: Poses, a: Array, latitude: float | None, *, dr
 
 
 def _warnings(p_value: float | None, *, earth_open: bool) -> Iterator[str]:
-    """What speaks against the fit; `p_value` None: as many unknowns as rests."""
+    """Warnings of the fit; `p_value` None: as many unknowns as rests."""
     if p_value is None:
         yield "as many unknowns as rests: nothing tests the fit; rest it in more poses"
     elif p_value < _MISFIT:

@@ -1,4 +1,4 @@
-"""The gyroscope at rest: its offset, and why a steady turn is not one."""
+"""Gyroscope offset at rest, and the test that tells a rest from a steady turn."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def fit_gyro_rest(
         said = f"all {len(gyro)} samples carry one time: whether the vehicle rested cannot be told; record again"
         return made.refused(said, OFFSETS)
     estimate = mean_of(gyro)
-    reason = _moved(gyro, estimate)
+    reason = _movement_reason(gyro, estimate)
     if reason is None and gyro.unit == "rad/s":
         reason = steady_turn(gyro, accel, mag)
     if reason is not None:
@@ -126,7 +126,7 @@ def steady_turn(gyro: Channel, accel: Channel | None = None, mag: Channel | None
     return None
 
 
-def _moved(gyro: Channel, estimate: QuantisedMean) -> str | None:
+def _movement_reason(gyro: Channel, estimate: QuantisedMean) -> str | None:
     """Why the samples are not one rest: four quarters whose means differ beyond their noise and beyond any drift."""
     quarters = np.array_split(np.arange(len(gyro)), 4)
     for axis, name in enumerate(AXES):

@@ -1,4 +1,4 @@
-"""The samples of a sensor as the autopilot took them: with the calibration in force."""
+"""Samples of a sensor with the calibration in force, as the autopilot uses them."""
 
 from __future__ import annotations
 

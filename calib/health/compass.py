@@ -65,7 +65,7 @@ def compass_findings(recording: Recording, support: Support | None = None) -> It
         yield steady
         if len(channel) >= _LEAST:
             yield from _against_earth(recording, channel, attitude, field)
-    yield from _apart(found)
+    yield from _between_compasses(found)
 
 
 def _corrupt(recording: Recording) -> Iterator[HealthFinding]:
@@ -216,16 +216,16 @@ def _down(channel: Channel, attitude: Channel) -> Array | None:
     return np.column_stack([np.interp(channel.t, q.t, column) for column in down.T])
 
 
-def _apart(found: dict[int, Channel]) -> Iterator[HealthFinding]:
+def _between_compasses(found: dict[int, Channel]) -> Iterator[HealthFinding]:
     """Angle between the fields of two compasses; of three the one that is off both is named."""
     angles = _angles(found)
     for instance, channel in found.items():
         own = {pair: angle for pair, angle in angles.items() if instance in pair}
         if own:
-            yield _alone(channel, angles) or _beside_others(channel, own, len(found))
+            yield _outlier(channel, angles) or _from_furthest(channel, own, len(found))
 
 
-def _alone(channel: Channel, angles: Mapping[tuple[int, int], float]) -> HealthFinding | None:
+def _outlier(channel: Channel, angles: Mapping[tuple[int, int], float]) -> HealthFinding | None:
     """A compass that is off all others, which agree much better; None: fewer than two others, or it is not."""
     own = [angle for pair, angle in angles.items() if channel.instance in pair]
     among = [angle for pair, angle in angles.items() if channel.instance not in pair]
@@ -253,7 +253,7 @@ def _angles(found: Mapping[int, Channel]) -> dict[tuple[int, int], float]:
     return angles
 
 
-def _beside_others(channel: Channel, own: Mapping[tuple[int, int], float], count: int) -> HealthFinding:
+def _from_furthest(channel: Channel, own: Mapping[tuple[int, int], float], count: int) -> HealthFinding:
     """A compass beside the one of `count` that it is furthest from; `own` are its angles, deg."""
     pair, angle = max(own.items(), key=lambda two: two[1])
     agrees = sum(a <= limits.FIELDS_APART.suspicious for a in own.values())

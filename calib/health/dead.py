@@ -1,4 +1,4 @@
-"""Sensors that deliver nothing: zero, constant, distrusted throughout, or announced by parameters and never heard.
+"""Sensors without data: zero, constant, rejected throughout, or announced but never received.
 
 They are judged first and left out of every other check: what a dead sensor reads speaks against no other one.
 """
@@ -72,7 +72,7 @@ def _zero(recording: Recording) -> dict[Key, HealthFinding]:
 def _zero_throughout(recording: Recording, key: Key) -> HealthFinding | None:
     """None: the parameters say that there is no such sensor."""
     text = "reads 0, 0, 0 throughout"
-    if _not_there(recording, key) or (telemetry(recording) and key not in _installed(recording)):
+    if _not_installed(recording, key) or (telemetry(recording) and key not in _installed(recording)):
         return None  # a message of two sensors carries zeros for one that is not there
     if not in_use(recording, *key):
         return HealthFinding("dead", *key, HealthVerdict.CANNOT_SAY, f"{text}; the vehicle does not use it")
@@ -118,13 +118,13 @@ def _same_throughout(recording: Recording, channel: Channel, *, coarse: bool) ->
     key = channel.sensor, channel.instance
     listed = ", ".join(f"{value:.4g}" for value in channel.values[finite_rows(channel.values)][0])
     text = f"reads the same throughout ({listed} {channel.unit})"
-    if (coarse or channel.sensor == Sensor.MAG) and not _moved(recording, key):
+    if (coarse or channel.sensor == Sensor.MAG) and not _in_motion(recording, key):
         text += ", and the vehicle was not turned: whether it lives is not known"
         return HealthFinding("dead", *key, HealthVerdict.CANNOT_SAY, text, "Turn the vehicle while it logs.")
     return HealthFinding("dead", *key, HealthVerdict.FAULTY, text, _WIRING)
 
 
-def _moved(recording: Recording, key: Key) -> bool:
+def _in_motion(recording: Recording, key: Key) -> bool:
     """Whether the vehicle flew, or gravity went from one axis of the board towards another.
 
     Not by its attitude, whose heading may settle while it stands.
@@ -190,7 +190,7 @@ def _installed(recording: Recording) -> dict[Key, Announced]:
     return announced(autopilot, recording.parameters.final()) if autopilot is not None else {}
 
 
-def _not_there(recording: Recording, key: Key) -> bool:
+def _not_installed(recording: Recording, key: Key) -> bool:
     """Whether ArduPilot found no such unit at its start: it clears the id then. Old firmwares have no ids."""
     if recording.identity.autopilot != "ardupilot" or key[0] == Sensor.MAG or key[1] >= ARDUPILOT_IMU_SLOTS:
         return False

@@ -1,4 +1,4 @@
-"""What a health check found: one number of one sensor against its limit, and what to do about it."""
+"""A finding: one number of one sensor against its limit, and the action."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class HealthFinding:
 
 @dataclass(frozen=True)
 class SensorHealth:
-    """One sensor of one unit, with everything that was found of it, the worst first."""
+    """One sensor of one unit with its findings, the worst first."""
 
     sensor: Sensor
     instance: int
@@ -91,7 +91,7 @@ class SensorHealth:
 
     @property
     def bad(self) -> tuple[HealthFinding, ...]:
-        """What speaks against it."""
+        """Findings against it."""
         return tuple(f for f in self.findings if f.verdict in BAD)
 
     @property
@@ -137,7 +137,7 @@ def shown_sd(sd: float) -> str:
 
 
 def judged_value(value: float, sd: float, limit: HealthLimit) -> HealthVerdict:
-    """A larger `value` is worse; what two of its standard errors explain is no finding.
+    """Finding from a `value` of which larger is worse, beyond two standard errors.
 
     Where these would hide a faulty sensor (without such a limit: one that is off by twice the suspicious) nothing can
     be said.

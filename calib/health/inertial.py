@@ -16,7 +16,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
-from mavcal.calib.health import calm, limits, motion
+from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import judged_channel, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value, shown_sd
 from mavcal.calib.health.parameters import never_calibrated
@@ -117,14 +117,14 @@ def inertial_findings(
                 own[instance] = _gravity(recording, channel, attitude, support, laid)
                 yield _drift(channel, laid if _lay(channel, laid) else _within(laid, off))
             else:
-                accel = _beside(recording, instance)
+                accel = _accel_of_unit(recording, instance)
                 resting = () if slow else _within(laid, off)
-                own[instance] = _rate(channel, _Witness(attitude, support, accel), laid, resting)
-        yield from _beside_others(found, own)
+                own[instance] = _rate(channel, _MotionReference(attitude, support, accel), laid, resting)
+        yield from _against_others(found, own)
 
 
 def _within(laid: Sequence[Still], spans: Sequence[TimeSpan]) -> tuple[Still, ...]:
-    """What lies wholly in one of `spans`."""
+    """The parts that lie wholly in one of `spans`."""
     return tuple(s for s in laid if any(span.start <= s.start and s.end <= span.end for span in spans))
 
 
@@ -156,7 +156,7 @@ def _gravity(
     against, unsure = "", _FLOOR_FORCE
     if attitude is not None and not _lay(channel, laid):
         if support.tilt:
-            windows, how, unsure = calm.mean_lengths(channel, laid), "on average", _FLOOR_LENGTH
+            windows, how, unsure = motion.mean_lengths(channel, laid), "on average", _FLOOR_LENGTH
             against = f"{_NO_JUDGE}{support.tilt}"
         else:
             windows = motion.vertical_force(channel, attitude)
@@ -180,7 +180,7 @@ def _gravity(
 
 
 def _drift(channel: Channel, laid: Sequence[Still]) -> HealthFinding:
-    """How far the length of the force wandered while nothing moved."""
+    """Change of the specific force's length while the vehicle was still."""
     long = [span for span in laid if span.duration >= _SPAN_S]  # in a shorter one a climb begins or ends
     means = _still_means(channel, long)
     total = sum(span.duration for span in long)
@@ -203,22 +203,24 @@ def _drift(channel: Channel, laid: Sequence[Still]) -> HealthFinding:
 
 
 @dataclass(frozen=True, eq=False)
-class _Witness:
-    """What a gyroscope is compared with while its vehicle moves."""
+class _MotionReference:
+    """References for a gyroscope while its vehicle moves."""
 
     attitude: Channel | None
     support: Support
     accel: Channel | None
 
 
-def _beside(recording: Recording, instance: int) -> Channel | None:
+def _accel_of_unit(recording: Recording, instance: int) -> Channel | None:
     """The accelerometer of that unit, else the first there is."""
     own = [i for i in recording.instances(Sensor.ACCEL) if i == instance] or recording.instances(Sensor.ACCEL)[:1]
     return judged_channel(recording, Sensor.ACCEL, own[0]) if own else None
 
 
-def _rate(channel: Channel, witness: _Witness, laid: Sequence[Still], rested: Sequence[Still]) -> HealthFinding:
-    """The mean rate where nothing turned, or the rate beyond what a witness saw: whichever is known better.
+def _rate(
+    channel: Channel, reference: _MotionReference, laid: Sequence[Still], rested: Sequence[Still]
+) -> HealthFinding:
+    """Mean rate at rest, or the rate beyond that of a reference: whichever is known better.
 
     `laid` are motionless spans, a calm hover that turns slowly among them, `rested` those with the motors off.
     """
@@ -226,7 +228,7 @@ def _rate(channel: Channel, witness: _Witness, laid: Sequence[Still], rested: Se
     windows, how = _still_means(channel, still), "at rest" if still and still is not laid else "while motionless"
     unsure = len(windows.t) < 1 or 2.0 * float(np.linalg.norm(windows.sd)) > limits.RATE.suspicious
     if unsure or not _lay(channel, laid):
-        seen, by = _moving(channel, witness, laid)
+        seen, by = _moving(channel, reference, laid)
         if len(seen.t) and (unsure or np.linalg.norm(seen.median) > np.linalg.norm(windows.median)):
             windows, how = seen, by
     if not len(windows.t):
@@ -239,36 +241,36 @@ def _rate(channel: Channel, witness: _Witness, laid: Sequence[Still], rested: Se
     axes = ", ".join(f"{np.degrees(v):+.2f}" for v in windows.median)
     text = f"reads {np.degrees(rate):.2f} ± {shown_sd(float(np.degrees(sd)))} deg/s {how}: ({axes}) deg/s"
     if how == _ACROSS:
-        text += f"{_NO_JUDGE}{witness.support.tilt}"
+        text += f"{_NO_JUDGE}{reference.support.tilt}"
     if verdict == HealthVerdict.OK and how == _LEVEL:
-        verdict, more = _heading_open(channel, witness)
+        verdict, more = _heading_open(channel, reference)
         text += more
     return _finding("offset", channel, verdict, text, Compared(rate, sd, limits.RATE))
 
 
-def _moving(channel: Channel, witness: _Witness, laid: Sequence[Still]) -> tuple[motion.WindowMeans, str]:
+def _moving(channel: Channel, reference: _MotionReference, laid: Sequence[Still]) -> tuple[motion.WindowMeans, str]:
     """The rate beyond what the best witness of a movement saw, and who that is; no window: there is none."""
-    if witness.attitude is None:
-        return motion.nothing(3), ""
-    if witness.support.tilt:
-        if witness.accel is None:
-            return motion.nothing(3), ""
-        return calm.rates_across(channel, witness.accel, laid), _ACROSS
-    part, how = (motion.RatePart.LEVEL, _LEVEL) if witness.support.heading else (motion.RatePart.ALL, _BEYOND)
-    seen = motion.rate_error(channel, witness.attitude, part)
-    return (seen, how) if seen.enough else (motion.nothing(3), "")
+    if reference.attitude is None:
+        return motion.no_windows(3), ""
+    if reference.support.tilt:
+        if reference.accel is None:
+            return motion.no_windows(3), ""
+        return motion.rates_across(channel, reference.accel, laid), _ACROSS
+    part, how = (motion.RatePart.LEVEL, _LEVEL) if reference.support.heading else (motion.RatePart.ALL, _BEYOND)
+    seen = motion.rate_error(channel, reference.attitude, part)
+    return (seen, how) if seen.enough else (motion.no_windows(3), "")
 
 
-def _heading_open(channel: Channel, witness: _Witness) -> tuple[HealthVerdict, str]:
+def _heading_open(channel: Channel, reference: _MotionReference) -> tuple[HealthVerdict, str]:
     """What is left to say about the vertical, where nothing supports the heading of the attitude."""
-    assert witness.attitude is not None
-    turn = motion.rate_error(channel, witness.attitude, motion.RatePart.VERTICAL)
+    assert reference.attitude is not None
+    turn = motion.rate_error(channel, reference.attitude, motion.RatePart.VERTICAL)
     rate, sd = float(np.linalg.norm(turn.median)), float(np.linalg.norm(turn.sd))
     if judged_value(rate, sd, limits.RATE) == HealthVerdict.OK:
         return HealthVerdict.OK, ""
     return HealthVerdict.CANNOT_SAY, (
         f". About the vertical it turns by {np.degrees(rate):.2f} ± {shown_sd(float(np.degrees(sd)))} deg/s beyond "
-        f"the attitude, whose heading is not to be believed ({witness.support.heading}): "
+        f"the attitude, whose heading is not to be believed ({reference.support.heading}): "
         "ten seconds at rest would decide"
     )
 
@@ -286,7 +288,7 @@ def _doubted(one: HealthFinding, others: Sequence[int]) -> HealthFinding:
     return dataclasses.replace(one, verdict=HealthVerdict.SUSPICIOUS, text=text, action=action)
 
 
-def _beside_others(found: Mapping[int, Channel], own: Mapping[int, HealthFinding]) -> Iterator[HealthFinding]:
+def _against_others(found: Mapping[int, Channel], own: Mapping[int, HealthFinding]) -> Iterator[HealthFinding]:
     """What every unit shows alone, and every unit against the others.
 
     Which of two is off is told by what each shows alone, or by a third.

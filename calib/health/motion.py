@@ -2,10 +2,14 @@
 
 Over ten seconds the mean vertical force is gravity but for the change of the climb rate. The integral of a gyroscope is
 the turn of the attitude. Medians over such windows forget take-off, impacts and lost attitudes.
+
+A vehicle whose specific force keeps its direction and the length of gravity for seconds does not turn over meanwhile.
+The mean rate across that direction is then the gyroscope's offset; about it the vehicle may turn freely.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -14,17 +18,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.recording import Channel
+from mavcal.calib.stats.stillness import Still
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
-
 WINDOW_S: Final = 10.0
 LEAST_WINDOWS: Final = 3
 LONGEST_STEP_S: Final = 0.5
 """Longer between two attitudes is a gap."""
 _FULL: Final = 0.8  # of a window that must be covered
 _MEDIAN: Final = 1.2533 * 1.4826  # standard error of a median from the median deviation
+_LONG_S: Final = 2.0
+"""Shortest calm stretch whose mean is taken."""
+_ENOUGH_S: Final = 5.0
+"""Calm seconds in all that tell of an offset."""
+_LIGHT, _HEAVY = 0.8, 1.15
+"""Parts of gravity: between them the force is gravity, by a sensor that is off; in a banked turn it is more."""
+_MOST: Final = 0.5  # of the stretches that must be such
+_APART: Final = float(np.cos(np.radians(20.0)))
+"""Cosine of the angle within which the mean forces of all windows lie where a vehicle stays upright."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +66,7 @@ class WindowMeans:
 
 
 def usable(channel: Channel) -> Channel:
-    """The finite samples whose time goes on."""
+    """The finite samples with increasing times."""
     good = finite_rows(channel.values)
     good[1:] &= channel.t[1:] > channel.t[:-1]
     return channel if good.all() else channel.take(good)
@@ -62,7 +76,7 @@ def vertical_force(accel: Channel, attitude: Channel) -> WindowMeans:
     """Specific force along the vertical, m/s2: 9.8 of a good sensor, up to the change of the climb rate."""
     f, q = usable(accel), usable(attitude)
     if len(f) < 2 or len(q) < 2:
-        return nothing(1)
+        return no_windows(1)
     up = -Rotation.from_quat(q.values, scalar_first=True).as_matrix()[:, 2, :]  # down in the body is the third row
     at = np.column_stack([np.interp(f.t, q.t, column) for column in up.T])
     known = _steps_around(q.t, f.t) <= LONGEST_STEP_S
@@ -81,7 +95,7 @@ def rate_error(gyro: Channel, attitude: Channel, part: RatePart = RatePart.ALL) 
     """Rate of the gyroscope beyond the turn of the attitude, rad/s, about all axes of the body or that part of it."""
     w, q = usable(gyro), usable(attitude)
     if len(w) < 2 or len(q) < 2:
-        return nothing(3)
+        return no_windows(3)
     step = np.diff(q.t)
     turned = Rotation.from_quat(q.values, scalar_first=True)
     by_attitude = (turned[:-1].inv() * turned[1:]).as_rotvec()
@@ -101,13 +115,13 @@ def difference(first: Channel, second: Channel) -> WindowMeans:
     """First minus second of two units of a kind."""
     a, b = usable(first), usable(second)
     if len(a) < 2 or len(b) < 2:
-        return nothing(a.values.shape[1])
+        return no_windows(a.values.shape[1])
     beside = np.column_stack([np.interp(a.t, b.t, column) for column in b.values.T])
     known = (_steps_around(b.t, a.t) <= LONGEST_STEP_S) & (a.t >= b.t[0]) & (a.t <= b.t[-1])
     return window_means(a.t[known], (a.values - beside)[known])
 
 
-def nothing(columns: int) -> WindowMeans:
+def no_windows(columns: int) -> WindowMeans:
     """No window of so many numbers."""
     return WindowMeans(np.zeros(0), np.zeros((0, columns)))
 
@@ -123,7 +137,7 @@ def _steps_around(t: Array, at: Array) -> Array:
 def window_means(t: Array, values: Array, weight: Array | None = None) -> WindowMeans:
     """Means over the windows that are covered; a sample stands for the time since the one before."""
     if len(t) < 2:
-        return nothing(values.shape[1])
+        return no_windows(values.shape[1])
     step = np.diff(t, prepend=t[0]) if weight is None else weight
     step = np.minimum(step, LONGEST_STEP_S)
     cell = np.floor((t - t[0]) / WINDOW_S).astype(np.intp)
@@ -134,3 +148,49 @@ def window_means(t: Array, values: Array, weight: Array | None = None) -> Window
     sums = np.column_stack([np.bincount(row, step * column) for column in values.T])
     means = (sums / total[:, None])[used]
     return WindowMeans(t[0] + (named[used] + 0.5) * WINDOW_S, means)
+
+
+def rates_across(gyro: Channel, accel: Channel, laid: Sequence[Still]) -> WindowMeans:
+    """Mean rate across the force in each calm stretch of `laid`, else in each window of ten seconds, rad/s.
+
+    Without a row where the unit shows no stretch in which nothing turned over.
+    """
+    long = [span for span in laid if span.duration >= _LONG_S]
+    calm = sum(span.duration for span in long) >= _ENOUGH_S
+    by_rate, by_force = (_span_means(c, long) if calm else _ten_seconds(c) for c in (gyro, accel))
+    if not len(by_rate.t) or not len(by_force.t):
+        return no_windows(3)
+    forces = np.column_stack([np.interp(by_rate.t, by_force.t, column) for column in by_force.values.T])
+    length = np.linalg.norm(forces, axis=1)
+    up = forces / np.maximum(length, 1e-9)[:, None]
+    kept = (length > _LIGHT * STANDARD_GRAVITY) & (length < _HEAVY * STANDARD_GRAVITY)
+    if not calm:
+        middle = np.median(up, axis=0)
+        kept &= up @ middle > _APART * float(np.linalg.norm(middle))
+    if kept.sum() < _MOST * len(kept) or not (calm or kept.sum() >= LEAST_WINDOWS):
+        return no_windows(3)
+    across = by_rate.values - np.einsum("ni,ni->n", by_rate.values, up)[:, None] * up
+    return WindowMeans(by_rate.t[kept], across[kept])
+
+
+def mean_lengths(accel: Channel, laid: Sequence[Still]) -> WindowMeans:
+    """Length of the mean force in each calm stretch of `laid`, else in each window of ten seconds, m/s2."""
+    long = [span for span in laid if span.duration >= _LONG_S]
+    calm = sum(span.duration for span in long) >= _ENOUGH_S
+    means = _span_means(accel, long) if calm else _ten_seconds(accel)
+    return WindowMeans(means.t, np.linalg.norm(means.values, axis=1)[:, None])
+
+
+def _span_means(channel: Channel, spans: Sequence[Still]) -> WindowMeans:
+    parts = [usable(channel.between(span.start, span.end)) for span in spans]
+    parts = [part for part in parts if len(part) > 3]
+    if not parts:
+        return no_windows(3)
+    return WindowMeans(
+        np.array([0.5 * (p.t[0] + p.t[-1]) for p in parts]), np.array([p.values.mean(axis=0) for p in parts])
+    )
+
+
+def _ten_seconds(channel: Channel) -> WindowMeans:
+    good = usable(channel)
+    return window_means(good.t, good.values)

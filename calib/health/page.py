@@ -1,4 +1,4 @@
-"""The health of a log as a page that stands alone."""
+"""Health of a log as a self-contained HTML page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the vehicle's parameters say of a sensor's calibration."""
+"""State of a sensor's calibration by the vehicle's parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vibration that shifts the mean of an accelerometer: it is rectified or clipped, and no calibration cures that.
+"""Vibration rectification: the mean of an accelerometer shifts with vibration, beyond any calibration.
 
 Told by the sensor alone: the length of its force in calm seconds against that in shaken ones. A calibration error is in
 both; a shift that comes with the shaking is the mount's. Manoeuvres of a second average out over many.

@@ -1,4 +1,4 @@
-"""How the sensors were sampled: rates, gaps of one sensor while others went on, values that stood still, distrust."""
+"""Sampling of the sensors: rates, gaps of single sensors, frozen values, rejected samples."""
 
 from __future__ import annotations
 

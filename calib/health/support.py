@@ -1,4 +1,4 @@
-"""Whether the logged attitude may judge other sensors: the last witness, and only where others support it.
+"""Whether other sensors confirm the logged attitude, so that it may serve as a reference.
 
 An attitude is made of the sensors that it would judge. A gyroscope that is off tumbles it, a dead compass pulls its
 heading. Its tilt is supported where the mean force of an accelerometer points up by it. Its heading is supported where
@@ -46,7 +46,7 @@ class Support:
 
 
 def support_of(recording: Recording, attitude: Channel | None) -> Support:
-    """What accelerometers and compasses say of `attitude`."""
+    """Agreement of accelerometers and compasses with `attitude`."""
     if attitude is None:
         return Support()
     q = motion.usable(attitude)

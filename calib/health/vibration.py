@@ -1,4 +1,4 @@
-"""What shook the inertial units: the levels that the autopilot measured, its clip counts, and what sampling hides."""
+"""Vibration of the inertial units: levels and clip counts of the autopilot, and limits of the sampling."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def _aliasing(recording: Recording, instance: int, numbers: Mapping[str, object]
 
 
 def _of_gyro(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
-    """The level of PX4, for which nobody states a limit: a number to compare flights by."""
+    """The vibration level of PX4, without a stated limit: for comparison between flights."""
     logged = next(iter(recording.find(Sensor.GYRO_VIBRATION, instance)), None)
     channel = None if logged is None else _in_flight(logged, flown)
     if channel is None or len(channel) < _LEAST:

@@ -18,7 +18,7 @@ from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, reduced
 from mavcal.calib.imu.result import Form, RecordingFacts, imu_refused, imu_results
 from mavcal.calib.imu.start import closure, rate_factor, rough_gyro, with_turn_noise
 from mavcal.calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, ImuPrior
-from mavcal.calib.imu.weigh import Weighed, weigh
+from mavcal.calib.imu.weighting import Weighed, weigh
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
 from mavcal.calib.stats.norm_fit import solve as solve_norm
@@ -192,7 +192,7 @@ def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, c
 def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: float) -> tuple[FitResult, FitResult]:
     """Solve, weigh, hold what stays unknown, and say it."""
     begin = linearise(begun.problem, begun.x, begun.directions, turns_of(begun.problem, begun.x))
-    open_at_start = Coordinates(_unknown(reduced(begin)[0], begun.prior, cross_sd, doubt=1.0))
+    open_at_start = Coordinates(_unknown(reduced(begin)[0], begun.prior, cross_sd, student_factor=1.0))
     first = solve(begun.problem, begun.x, begun.directions, prior=begun.prior, coordinates=open_at_start)
     if first is None:
         return imu_refused(
@@ -206,7 +206,7 @@ def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: floa
             f"the movements miss the next pose by {miss:.0f} deg each, which is no sway: check the gyroscope's unit, "
             "range, and the order and signs of its axes, and that every turn is in the recording",
         )
-    unknown = _unknown(weighed.solution.information, begun.prior, cross_sd, weighed.doubt)
+    unknown = _unknown(weighed.solution.information, begun.prior, cross_sd, weighed.student_factor)
     neutral = weighed.solution.x.copy()
     neutral[unknown] = begun.prior.centre[unknown]
     solution = solve(weighed.problem, neutral, weighed.solution.directions, coordinates=Coordinates(unknown))
@@ -236,9 +236,9 @@ def _prior(centre: Array, cross_sd: float) -> ImuPrior:
     )
 
 
-def _unknown(information: Array, prior: ImuPrior, cross_sd: float, doubt: float) -> NDArray[np.intp]:
-    """The unknowns that the data with that `information` (21, 21) do not tell; `doubt` multiplies their variances."""
-    sd = np.sqrt(np.diag(np.linalg.inv(information + np.diag(prior.information))) * doubt)
+def _unknown(information: Array, prior: ImuPrior, cross_sd: float, student_factor: float) -> NDArray[np.intp]:
+    """The unknowns that data of `information` (21, 21) leave undetermined; `student_factor` multiplies variances."""
+    sd = np.sqrt(np.diag(np.linalg.inv(information + np.diag(prior.information))) * student_factor)
     limit = np.concatenate([np.full(6, UNDETERMINED), np.full(12, _LEARNT * cross_sd), np.full(3, np.inf)])
     limit[DIAGONAL] = UNDETERMINED
     return np.flatnonzero(sd > limit)
@@ -255,7 +255,7 @@ def _covariance(weighed: Weighed, solution: ImuSolution, unknown: NDArray[np.int
     inverse = np.linalg.inv(F[np.ix_(rest, rest)] / np.outer(scale, scale)) / np.outer(scale, scale)
     H = inverse @ F[np.ix_(rest, unknown)]
     covariance = np.zeros((UNKNOWNS, UNKNOWNS))
-    covariance[np.ix_(rest, rest)] = inverse * weighed.doubt + (H / prior.information[unknown]) @ H.T
+    covariance[np.ix_(rest, rest)] = inverse * weighed.student_factor + (H / prior.information[unknown]) @ H.T
     return covariance
 
 

@@ -1,4 +1,4 @@
-"""How the gyroscope carries the direction of gravity from one pose to the next, and what that says of its model.
+"""Integrated gyroscope rotation between poses, with its derivatives by the gyroscope's model.
 
 In the body the direction u of gravity obeys ``du/dt = -w x u``. The model G, b turns the samples m into the rate ``w =
 G (m - b)``. Each sample rules the time that is nearest to it, in which the rate counts as constant: the step is then a

@@ -1,4 +1,4 @@
-"""From the joint solution to a fit of either sensor: units, canonical form, what is open and what would close it."""
+"""Fits of both sensors from the joint solution: units, canonical form, undetermined parameters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mavcal.calib.attitude import drift_sd_deg_per_min, tilt_sd_deg
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
 from mavcal.calib.imu.poses import Poses
 from mavcal.calib.imu.unknowns import symmetric
-from mavcal.calib.imu.weigh import MISFIT, GroupFit, Weighed
+from mavcal.calib.imu.weighting import MISFIT, GroupFit, Weighed
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.norm_fit import PAIRS
 from mavcal.calib.stats.residuals import residual_statistics
@@ -34,7 +34,7 @@ _FACES = (("nose up", "nose down"), ("left side down", "right side down"), ("ups
 
 @dataclass(frozen=True, eq=False)
 class RecordingFacts:
-    """What both results are told of the recording: the channels as given, and the settings."""
+    """Channels and settings that both results share."""
 
     accel: Channel
     gyro: Channel
@@ -85,7 +85,7 @@ def imu_results(
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The solution for one of the sensors, with what it leaves open, and what is said of both."""
+    """The solution for one sensor, with its undetermined parameters and common warnings."""
 
     model: TriadModel
     covariance: Array

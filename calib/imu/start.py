@@ -1,4 +1,4 @@
-"""Where the joint fit begins: the accelerometer by itself, and a gyroscope of roughly known scale and axes."""
+"""Start values of the joint fit: the accelerometer alone, then the gyroscope's rough scale and axes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The 21 unknowns of the joint problem: their order, what is known of them beforehand, where they may move."""
+"""The 21 unknowns of the joint problem: order, prior, and free directions."""
 
 from __future__ import annotations
 

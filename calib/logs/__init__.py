@@ -1,4 +1,4 @@
-"""Recordings out of files: the content says which reader it is for."""
+"""Recordings from files; the content decides which reader is used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns of numbers, whatever they are called, and how they are found in a text."""
+"""Columns of numbers in a text file, whatever their names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings that were made apart, as one: every part is a labelled segment, one after the other."""
+"""Joins separate recordings into one with a labelled segment for each."""
 
 from __future__ import annotations
 

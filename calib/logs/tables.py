@@ -38,7 +38,7 @@ from mavcal.calib.logs.canonical import (
     reference_sensor,
 )
 from mavcal.calib.logs.columns import TableColumns, text_columns
-from mavcal.calib.logs.ordered import moving
+from mavcal.calib.logs.time_order import moving
 from mavcal.calib.logs.zeros import without_zeros
 from mavcal.calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
@@ -130,7 +130,7 @@ def read_table(
 
 
 def _of_flight(table: _Table, t: Array, channels: Sequence[Channel]) -> Iterator[Channel]:
-    """What the vehicle knows of its own flight, as far as there are columns of it."""
+    """Flight channels of the table, as far as it has their columns."""
     for sensor, (names, unit) in FLIGHT.items():
         if sensor == Sensor.ATTITUDE:
             yield from (c for c in channels if c.sensor == sensor)
@@ -294,7 +294,7 @@ def _factor(name: str, column: str) -> tuple[str, float]:
 
 
 def _damage(name: str, columns: TableColumns, index: int) -> str:
-    """What is said of texts among the numbers of a column; empty if there are none.
+    """Text on non-numeric cells of a column; empty if there are none.
 
     Raises
     ------

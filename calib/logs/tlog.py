@@ -139,8 +139,8 @@ def _zeros(frames: list[tuple[int | None, Frame]], recording: Recording) -> list
         if message.by_id or heard[number] < LEAST_MESSAGES:
             continue
         for sensor in (Sensor.ACCEL, Sensor.GYRO):
-            told = parameters.get(ardupilot_imu_names(sensor, message.instance)[Role.ID])
-            if told and message.instance not in recording.instances(sensor):
+            device_id = parameters.get(ardupilot_imu_names(sensor, message.instance)[Role.ID])
+            if device_id and message.instance not in recording.instances(sensor):
                 name = f"{sensor} {message.instance + 1}"
                 text = f"{name}: all {heard[number]} samples of {message.name} are exactly 0, 0, 0"
                 odd = OddSamples(Oddity.ZERO, sensor, message.instance, heard[number], heard[number])

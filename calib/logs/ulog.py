@@ -13,10 +13,9 @@ from pyulog.core import ULog
 from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.firmware.px4.dynamics import dynamics_channels
-from mavcal.calib.firmware.px4.flight import arming_events, flight_channels, truth_channels
+from mavcal.calib.firmware.px4.flight import arming_events, dynamics_channels, flight_channels, truth_channels
 from mavcal.calib.firmware.px4.topics import US, WANTED, inertial_channels
-from mavcal.calib.logs.ordered import in_order, moving
+from mavcal.calib.logs.time_order import in_order, moving
 from mavcal.calib.logs.zeros import without_zeros
 from mavcal.calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
 
@@ -105,7 +104,7 @@ def read_ulog(path: Path | str) -> Recording:
     return Recording(
         channels=kept,
         parameters=timeline,
-        events=tuple(sorted((*events, *_said(log, start), *arming_events(topics)), key=lambda e: e.t)),
+        events=tuple(sorted((*events, *_text_events(log, start), *arming_events(topics)), key=lambda e: e.t)),
         identity=identity,
         source=file.name,
         reference=truth,
@@ -169,7 +168,7 @@ def _is_value(value: Any) -> bool:
     return isinstance(value, (int, float))
 
 
-def _said(log: ULog, start: float) -> list[Event]:
+def _text_events(log: ULog, start: float) -> list[Event]:
     """Texts, drops and damage."""
     events = [Event(m.timestamp * US, "text", _printable(m.message)) for m in log.logged_messages]
     events += [

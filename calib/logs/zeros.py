@@ -1,4 +1,4 @@
-"""Samples of an accelerometer or a compass that are exactly nothing, which such a sensor reads only when it is dead."""
+"""Removes samples of accelerometers and compasses that are exactly zero: these come from dead sensors only."""
 
 from __future__ import annotations
 
@@ -22,6 +22,6 @@ def without_zeros(channel: Channel, events: list[Event]) -> Channel:
     when, count = channel.t[zero], int(zero.sum())
     odd = OddSamples(Oddity.ZERO, channel.sensor, channel.instance, count, len(zero), until=float(when[-1]))
     text = f"{count} of {len(zero)} samples of {channel.source} are exactly 0, 0, 0, which such a sensor never reads"
-    told = f"{channel.sensor} {channel.instance + 1}: {text}; left out"
-    events.append(Event(float(when[0]), "damage", told, odd))
+    message = f"{channel.sensor} {channel.instance + 1}: {text}; left out"
+    events.append(Event(float(when[0]), "damage", message, odd))
     return channel.take(~zero)

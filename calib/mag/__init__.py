@@ -7,11 +7,14 @@
     auto                              how much soft iron the samples show: sphere, three radii or the full matrix
     running                           one pass with its covariance: recursive, mergeable, with forgetting
     accumulator  coverage             for a live procedure: the fit so far, what it is worth, where to turn next
-    blur                              a compass that averages while it turns
-    orientation                       mounting rotation against the accelerometer
-    samples  shape  shape_fit  serial  heading  sections  result      what these share
+    blur  blur_fit                    a compass that averages while it turns
+    rings  align  gyro_aided          the mounting as well: turns about the vertical, accelerometer, gyroscope
+    flight  motor  fixed_yaw          in flight, against the motors' currents, at one known heading
+    ellipsoid_result                  the verdict on an ellipsoid
+    result                            the one maker of results, for all of them
+    samples  shape  shape_fit  serial  heading  sections      what these share
 
-Every fit takes samples (N, 3) in order of time and the keywords of :class:`calib.mag.result.MagContext`. It returns a
+Every fit takes samples (N, 3) in order of time and the keywords of :class:`calib.mag.context.MagContext`. It returns a
 :class:`calib.fit.FitResult` over offset and matrix, whose ``quality`` holds
 
 ==========================  =====================================================================================

@@ -1,4 +1,4 @@
-"""A magnetometer fit that grows with its samples: what a live procedure asks once a second."""
+"""Magnetometer fit of the samples so far, for a live procedure that asks once a second."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class EllipsoidAccumulator:
         chunk = np.atleast_2d(np.asarray(samples, dtype=np.float64))
         if not chunk.size:
             return
-        self._take(check_samples(chunk, 1, may_repeat=True))
+        self._append(check_samples(chunk, 1, may_repeat=True))
 
     def fit(self) -> FitResult:
         """The full fit of everything so far; refused as long as too much is missing. Cached until the next sample."""
@@ -111,12 +111,12 @@ class EllipsoidAccumulator:
     def _thinned(self) -> Array:
         return self.samples[:: max(1, self._count // _COVERED)]
 
-    def _take(self, chunk: Array) -> None:
+    def _append(self, chunk: Array) -> None:
         needed = self._count + len(chunk)
         if needed > len(self._store):
-            grown = np.empty((max(needed, 2 * len(self._store)), 3))
-            grown[: self._count] = self._store[: self._count]
-            self._store = grown
+            enlarged = np.empty((max(needed, 2 * len(self._store)), 3))
+            enlarged[: self._count] = self._store[: self._count]
+            self._store = enlarged
         self._store[self._count : needed] = chunk
         self._count = needed
         self._fitted = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,15 +18,36 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.align_lag import FieldLag, lag_of, turning_of
-from mavcal.calib.mag.align_result import AlignFit, aligned_result
-from mavcal.calib.mag.align_solve import AlignmentNoise, AlignmentSolution, align, misclosures
-from mavcal.calib.mag.align_start import linear_start, two_stage_start
+from mavcal.calib.mag.align_solve import (
+    AlignmentNoise,
+    AlignmentSolution,
+    align,
+    check_dip,
+    linear_start,
+    misclosures,
+    two_stage_start,
+)
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.orientation import QUIET, interpolated
-from mavcal.calib.mag.result import refusal
+from mavcal.calib.mag.result import (
+    FIELD_TOLERANCE,
+    SCALE_UNKNOWN,
+    CompassFit,
+    array_forms,
+    compass_result,
+    field_quality,
+    mounting_of,
+    refusal,
+    rotation_covariance,
+    undetermined_parameters,
+    with_strength_sd,
+)
 from mavcal.calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
-from mavcal.calib.mag.samples import check_not_flat, check_samples
+from mavcal.calib.mag.samples import axis_word, check_not_flat, check_samples
+from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, weakened_information
+from mavcal.calib.stats.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
@@ -35,6 +56,7 @@ METHOD = "mag-align"
 FEWEST = 30
 """Samples below which nothing is said."""
 
+_ROUGHEST = 0.15  # of the field, residuals from which on nothing is explained
 _TRIMS = 5
 _SHIFTS = 4
 _SURE = 3.0  # standard deviations from which on a lag is believed and taken out
@@ -56,6 +78,59 @@ class Vertical:
     gyro_t: Array | None = None
     gyro: Array | None = None
     timed: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class AlignFit:
+    """Solution in scaled samples ``(y - centre) / scale``, with its information and diagnostics."""
+
+    alignment: AlignmentSolution
+    centre: Array
+    scale: float
+    information: Array
+    """(13, 13), weakened by what is correlated in time and by an unknown lag."""
+    variance_inflation: float
+    down: Array
+    lag: FieldLag | None
+    """What is left of the lag after `shift`, and its uncertainty; None: the movement does not show it, or stated."""
+    shift: float
+    n_gated: int
+    n_outliers: int
+
+    @property
+    def noise_sd(self) -> float:
+        """Noise of one axis of the field, in the unit of the samples."""
+        return self.alignment.noise.field * self.scale
+
+    @property
+    def radius(self) -> float:
+        """Strength of the field in the unit of the samples: the geometric mean of the ellipsoid's axes."""
+        return self.scale / float(np.cbrt(np.linalg.det(self.alignment.matrix)))
+
+    @property
+    def sine(self) -> float:
+        """Sine of the dip."""
+        return float(self.alignment.unknowns[12])
+
+    def model(self, strength: float | None) -> tuple[TriadModel, Array]:
+        """Offset and matrix ``F B`` with their covariance (12, 12); without a strength F makes ``det C = 1``."""
+        B = self.alignment.matrix / self.scale
+        inverse = np.linalg.inv(B)
+        factor = strength if strength is not None else 1.0 / float(np.cbrt(np.linalg.det(B)))
+        jacobian = np.zeros((12, 13))
+        jacobian[:3, 9:12] = self.scale * np.eye(3)
+        by_matrix = np.eye(9) if strength is not None else np.eye(9) - np.outer(B.ravel(), inverse.T.ravel()) / 3.0
+        jacobian[3:, :9] = factor / self.scale * by_matrix
+        size = np.sqrt(np.diag(self.information))
+        covariance = np.linalg.inv(self.information / np.outer(size, size)) / np.outer(size, size)
+        spread = jacobian @ covariance @ jacobian.T
+        model = TriadModel(self.centre + self.scale * self.alignment.unknowns[9:12], factor * B)
+        return model, 0.5 * (spread + spread.T)
+
+    def sine_sd(self) -> float:
+        """Standard deviation of the sine of the dip."""
+        size = np.sqrt(np.diag(self.information))
+        return math.sqrt(float(np.linalg.inv(self.information / np.outer(size, size))[12, 12])) / float(size[12])
 
 
 def fit_alignment(
@@ -82,7 +157,7 @@ def fit_alignment(
     time_offset
         By how much the magnetometer is later than the accelerometer, s. None: tested, and taken out where it is sure.
     **facts
-        What is known of sensor and field: :class:`calib.mag.result.MagContext`.
+        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
 
     Returns
     -------
@@ -100,7 +175,7 @@ def fit_alignment(
     _check(times, array, vertical, gate, time_offset)
     try:
         fit = _aligned(times, check_samples(array, FEWEST), vertical, gate, time_offset, context)
-        return aligned_result(METHOD, fit, context, len(array))
+        return _result(fit, context, len(array))
     except UndeterminedError as error:
         return refusal(METHOD, error, len(array), context)
 
@@ -236,3 +311,120 @@ def _information(alignment: AlignmentSolution, lag: FieldLag | None) -> tuple[Ar
     if lag is None:
         return weak, inflation
     return weak[:13, :13] - np.outer(weak[:13, 13], weak[:13, 13]) / weak[13, 13], inflation
+
+
+def _result(fit: AlignFit, context: MagContext, n_samples: int) -> FitResult:
+    """The verdict on `fit`.
+
+    Raises
+    ------
+    UndeterminedError
+        If the data leave part of it open, naming the movement or the place that would not.
+    """
+    noise = math.hypot(fit.noise_sd / fit.radius, fit.alignment.noise.vertical)
+    if noise > _ROUGHEST:
+        raise UndeterminedError(
+            f"field and vertical disagree by {noise:.0%}: the field changed while turning, or the accelerometer felt "
+            "more than gravity",
+            remedy="keep away from steel, magnets and currents, turn slowly, calibrate the accelerometer, and repeat",
+        )
+    cosine = check_dip(fit.sine, noise)
+    model, covariance = fit.model(context.strength)
+    covariance = with_strength_sd(covariance, model, context.field)
+    _check_determined(model, covariance, fit.radius)
+    quality = _quality(fit, context, model, covariance, cosine)
+    size = np.sqrt(np.diag(fit.information))
+    return compass_result(
+        CompassFit(
+            METHOD,
+            model,
+            covariance,
+            n_samples=n_samples,
+            n_used=len(fit.alignment.residuals),
+            message=(
+                f"mounting {quality['mounting_deg']:.2f} deg known to {quality['mounting_sd_deg']:.2g} deg, heading "
+                f"good to {quality['heading_sd_deg']:.2g} deg at a dip of {quality['dip_deg']:.1f} deg"
+            ),
+            residual_rms=quality["residual_rms"],
+            condition_number=float(np.linalg.cond(fit.information / np.outer(size, size))),
+            quality=quality,
+            native={
+                "B": (fit.alignment.matrix / fit.scale).tolist(),
+                "b": model.offset.tolist(),
+                "sin_dip": fit.sine,
+                "rotation": model.rotation.tolist(),
+                "symmetric": model.symmetric().matrix.tolist(),
+                "form": "|B (y - b)| = 1, down . B (y - b) = sin_dip",
+                **array_forms(model, context.instance),
+            },
+            warnings=_warnings(fit, context, quality),
+        ),
+        context,
+    )
+
+
+def _check_determined(model: TriadModel, covariance: Array, radius: float) -> None:
+    names = undetermined_parameters(model, covariance, radius)
+    if not names:
+        return
+    turn, offset = rotation_covariance(model, covariance), covariance[:3, :3] / radius**2
+    (turn_worst, turn_axes), (worst, axes) = np.linalg.eigh(turn), np.linalg.eigh(offset)
+    if turn_worst[-1] > worst[-1]:
+        axis = axis_word(turn_axes[:, -1])
+        remedy = f"hold the vehicle with its {axis} axis level, pointing east and west, and tilt it to all sides"
+    else:
+        remedy = f"turn the vehicle so that its {axis_word(axes[:, -1])} axis points up and down as well"
+    raise UndeterminedError(f"the movement does not determine {', '.join(names)}", missing=names, remedy=remedy)
+
+
+def _quality(fit: AlignFit, context: MagContext, model: TriadModel, covariance: Array, cosine: float) -> dict[str, Any]:
+    found, lag = fit.alignment, fit.lag
+    dof = 2 * len(found.residuals) - len(found.unknowns)
+    of_field = found.residuals[:, 0] * fit.noise_sd
+    noise = None if context.noise_variance is None else math.sqrt(context.noise_variance)
+    chi2 = residual_statistics(of_field, len(of_field) - 9, noise)
+    both = residual_statistics(found.residuals, dof, None)
+    dip, seen = math.atan2(fit.sine, cosine), visited(found.corrected)
+    return {
+        **chi2,
+        "first_correlation": both["first_correlation"],
+        "white": both["white"],
+        "residual_rms": math.sqrt(float((of_field**2).mean())),
+        "noise_sd": fit.noise_sd,
+        "vertical_noise_deg": math.degrees(found.noise.vertical),
+        "variance_inflation": fit.variance_inflation,
+        "n_outliers": fit.n_outliers,
+        "n_gated": fit.n_gated,
+        "dip_deg": math.degrees(dip),
+        "dip_sd_deg": math.degrees(fit.sine_sd() / cosine),
+        **mounting_of(model, covariance),
+        **field_quality(model, covariance, fit.radius, dip, context),
+        "time_offset": fit.shift,
+        "time_offset_left": None if lag is None else lag.value,
+        "time_offset_sd": None if lag is None else lag.sd * math.sqrt(fit.variance_inflation),
+        "coverage_mask": mask_bytes(seen),
+        "coverage": float(seen.mean()),
+    }
+
+
+def _warnings(fit: AlignFit, context: MagContext, quality: dict[str, Any]) -> tuple[str, ...]:
+    found = []
+    if context.strength is None:
+        found.append(SCALE_UNKNOWN)
+    ratio = quality["field_ratio"]
+    if ratio is not None and abs(ratio - 1.0) > FIELD_TOLERANCE:
+        found.append(f"the measured field is {ratio:.2f} times the stated one: steel or a magnet is near")
+    if fit.n_gated:
+        found.append(f"{fit.n_gated} samples were left out: the accelerometer felt more than gravity, or had no sample")
+    if fit.n_outliers:
+        found.append(f"{fit.n_outliers} samples do not fit the field and the vertical of the others and were left out")
+    if quality["variance_inflation"] > 1.5:
+        found.append(
+            f"the residuals wander (variance x {quality['variance_inflation']:.1f}): motion, currents or an "
+            "accelerometer that is not calibrated; the stated uncertainty includes it"
+        )
+    if fit.shift:
+        found.append(f"the magnetometer was taken as {fit.shift * 1e3:.1f} ms later than the accelerometer")
+    elif fit.lag is None:
+        found.append("nothing is said of a time offset between the sensors: no times, or too little turning")
+    return tuple(found)

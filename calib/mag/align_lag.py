@@ -1,4 +1,4 @@
-"""By how much a magnetometer is later than the accelerometer: one more unknown of the likelihood (METHODS 3.5).
+"""Delay of a magnetometer behind the accelerometer, as one more unknown of the likelihood (METHODS 3.5).
 
 A rate of 1 rad/s turns ten milliseconds into 0.6 degrees, and a steady turn makes that look like a mounting angle.
 """
@@ -36,7 +36,7 @@ class TurningVertical(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FieldLag:
-    """By how much the field is later than the vertical, s, and what every sample says of it."""
+    """Delay of the field behind the vertical, s, with its derivatives."""
 
     value: float
     sd: float

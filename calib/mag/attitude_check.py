@@ -1,4 +1,4 @@
-"""Whether the attitude is at fault where a compass and the attitude of a flight do not fit together."""
+"""Tells a wrong attitude from a wrong compass where the two disagree in flight."""
 
 from __future__ import annotations
 

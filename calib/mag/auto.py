@@ -1,4 +1,4 @@
-"""How much soft iron is there? The data say, and where they cannot, a prior does.
+"""Ellipsoid averaged over the size of the soft iron, from the data and a prior.
 
 To choose between sphere, three radii and the full matrix, and to forget the others, is wrong twice. Next to the
 threshold the stated uncertainty is too small. Where the movement was small, "no soft iron seen" is no evidence of "no
@@ -20,12 +20,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.mag.distance import Distances, gauss_newton, shape_prior
-from mavcal.calib.mag.result import ShapeFit
-from mavcal.calib.mag.samples import NEARLY_PLANAR, Cloud, check_not_flat
+from mavcal.calib.mag.ellipsoid_result import ShapeFit
+from mavcal.calib.mag.robust import Start
+from mavcal.calib.mag.samples import Cloud
 from mavcal.calib.mag.shape import Ellipsoid, MagModel, six_numbers, symmetric
-from mavcal.calib.mag.shape_fit import Asked, ShapeSolution, cloud_of, minimum, with_uncertainty
+from mavcal.calib.mag.shape_fit import Asked, ShapeSolution, minimum, with_uncertainty
 
 Array = NDArray[np.float64]
 
@@ -62,14 +62,14 @@ class _Likelihood:
         return state, covariance, evidence
 
     def loss(self, model: MagModel) -> float:
-        """By how much chi2 is larger with nothing but `model` free."""
+        """Increase of chi2 with only `model` free."""
         free = model.basis
         best = [p @ np.linalg.pinv(p.T @ self.information @ p) @ p.T @ self.pull for p in (np.eye(9), free)]
         return float(self.pull @ (best[0] - best[1]))
 
 
-def averaged_shape(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
-    """The ellipsoid of `samples` (N, 3), N >= 10, averaged over the sizes of soft iron, and its covariance.
+def averaged_shape(cloud: Cloud, start: Start, asked: Asked) -> ShapeFit:
+    """The ellipsoid of `cloud` averaged over the sizes of soft iron, with its covariance, in the scale of the cloud.
 
     ``native`` holds the `model` of the least `bic` and the likely `soft_iron_scale`. For each smaller model it holds
     its `bic` less the full one's and the test by `likelihood_ratio`: the chance of so large a misfit if that model were
@@ -77,42 +77,33 @@ def averaged_shape(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
 
     Raises
     ------
-    InvalidInputError, UndeterminedError
-        As :func:`calib.mag.shape_fit.shape_of`.
+    UndeterminedError
+        As :func:`calib.mag.shape_fit.with_uncertainty`.
     """
-    cloud, moments = cloud_of(samples, MagModel.SYMMETRIC, asked.precision)
     largest = asked.prior_sd or SOFT_IRON_SD
-    asked = dataclasses.replace(asked, model=MagModel.SYMMETRIC, prior_sd=largest, cross_sd=largest)
+    asked = dataclasses.replace(asked, prior_sd=largest, cross_sd=largest)
     scales = [(largest * one, largest * two) for one, two in itertools.product(_SCALES, repeat=2)]
-    try:
-        found = minimum(cloud, moments, asked)
-        for _ in range(_ROUNDS):
-            fit = with_uncertainty(found, cloud, asked)
-            likelihood = _Likelihood.about(fit, found.solution.prior)
-            answers = [likelihood.with_prior(*pair) for pair in scales]
-            asked = _with_scales(asked, scales[int(np.argmax([evidence for _, _, evidence in answers]))])
-            found = _settled(found, cloud, asked)
-    except UndeterminedError:
-        check_not_flat(moments.scatter(), NEARLY_PLANAR)
-        raise
+    found = minimum(cloud, start, asked)
+    for _ in range(_ROUNDS):
+        fit = with_uncertainty(found, cloud, asked)
+        likelihood = _Likelihood.about(fit, found.solution.prior)
+        answers = [likelihood.with_prior(*pair) for pair in scales]
+        prior_sd, cross_sd = scales[int(np.argmax([evidence for _, _, evidence in answers]))]
+        asked = dataclasses.replace(asked, prior_sd=prior_sd, cross_sd=cross_sd)
+        found = _with_prior(found, cloud, asked)
     fit = with_uncertainty(found, cloud, asked)
     likelihood = _Likelihood.about(fit, found.solution.prior)
-    return _average(likelihood, scales, found, fit, cloud).moved(cloud.centre, cloud.scale)
+    return _average(likelihood, scales, found, fit, cloud)
 
 
-def _with_scales(asked: Asked, pair: tuple[float, float]) -> Asked:
-    return dataclasses.replace(asked, prior_sd=pair[0], cross_sd=pair[1])
-
-
-def _settled(found: ShapeSolution, cloud: Cloud, asked: Asked) -> ShapeSolution:
-    """The minimum with the prior of `asked`, from that of another, with the same weights of the samples."""
+def _with_prior(found: ShapeSolution, cloud: Cloud, asked: Asked) -> ShapeSolution:
+    """The minimum `found` moved to the prior of `asked`, with the same weights of the samples."""
     solution = gauss_newton(
         Distances(cloud),
         found.solution.ellipsoid,
         found.solution.noise_variance,
+        terms=asked.terms,
         tukey_scale=found.tukey_scale,
-        prior_sd=asked.prior_sd,
-        cross_sd=asked.cross_sd,
     )
     return ShapeSolution(solution, found.tukey_scale)
 

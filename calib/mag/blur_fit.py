@@ -1,4 +1,4 @@
-"""The ellipsoid of a compass that averages while it turns, with what is not known of the averaging in its uncertainty.
+"""Ellipsoid of a compass that averages while it turns, with the uncertainty of the averaging.
 
 The blur of a window is computed back from the gyro (:mod:`calib.mag.blur`). Some of it is not known, and for a nearly
 noise-free compass that is all that limits it:
@@ -28,16 +28,15 @@ from numpy.typing import ArrayLike, NDArray
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.auto import SOFT_IRON_SD
-from mavcal.calib.mag.blur import Rates, deblurred
-from mavcal.calib.mag.blur_axes import axes_of_gyro
+from mavcal.calib.mag.blur import Rates, axes_of_gyro, deblurred
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.distance import Distances, bisquare, score_rows, shape_prior
 from mavcal.calib.mag.ellipsoid import AUTO, ellipsoid_shape, fit_ellipsoid
-from mavcal.calib.mag.result import ShapeFit, magnetometer_result
+from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
 from mavcal.calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
-from mavcal.calib.mag.samples import Cloud, not_repeated
+from mavcal.calib.mag.samples import Cloud, counted_as, not_repeated, still_stretches
 from mavcal.calib.mag.shape import MagModel, correction
-from mavcal.calib.mag.still import counted_as, still_stretches
+from mavcal.calib.mag.shape_fit import Asked
 
 Array = NDArray[np.float64]
 
@@ -73,7 +72,7 @@ class _Timing:
 
     state: Array
     """Gain, lag, and what the axes of the gyro are more than those of the compass, row by row, (11,)."""
-    left_open: Array
+    from_timing: Array
     """Covariance (9, 9) of the ellipsoid's numbers that comes from what is not known of them."""
     precision: Array | None = None
     """Precision of the samples; None: they are alike."""
@@ -108,52 +107,40 @@ def fit_ellipsoid_deblurred(
     rows[rows] = not_repeated(array[rows])
     kept, slow = array[rows], rates.take(rows)
     context = MagContext(**facts)
-    kept, slow, worth = _moved_on(kept, slow, context.quantum)
-    if not len(kept) or (slow.window == 0.0 and worth is None):
+    kept, slow, readings_worth = _still_means(kept, slow, context.quantum)
+    if not len(kept) or (slow.window == 0.0 and readings_worth is None):
         return fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
-    believed = SOFT_IRON_SD if model == AUTO and prior_sd is None else prior_sd
+    prior = SOFT_IRON_SD if model == AUTO and prior_sd is None else prior_sd
     free = np.eye(9) if model == AUTO else MagModel(model).basis
-    alone = None if worth is None else np.sqrt(worth)
+    alone = None if readings_worth is None else np.sqrt(readings_worth)
     sharp, timing = kept, _Timing(np.zeros(len(_STEPS)), np.zeros((9, 9)), alone)
 
-    def fitted(*, robust: bool | None, fall_back: bool = False) -> ShapeFit:
-        return ellipsoid_shape(
-            sharp,
-            context,
-            model=model,
-            robust=robust,
-            prior_sd=prior_sd,
-            precision=timing.precision,
-            least_variance=timing.least_variance,
-            fall_back=fall_back,
-        )
-
-    def on_the_way() -> ShapeFit:
-        # Without any noise the blur that is not computed back yet looks like outliers, and may look like too many.
-        try:
-            return fitted(robust=robust)
-        except UndeterminedError:
-            return fitted(robust=False)
+    def asked(*, robust: bool | None = robust) -> Asked:
+        return Asked(context, robust, prior_sd, precision=timing.precision, least_variance=timing.least_variance)
 
     try:
         if slow.window == 0.0:
-            return magnetometer_result(fitted(robust=robust, fall_back=True), sharp, context)
-        shape = on_the_way()
-        slow = slow.turned(axes_of_gyro(correction(shape.ellipsoid, 1.0).apply(kept), slow))
-        for _ in range(_ROUNDS):
+            return ellipsoid_result(ellipsoid_shape(sharp, model, asked()), sharp, context)
+        for k in range(_ROUNDS + 1):
+            # Without any noise the blur that is not computed back yet looks like outliers, and may look like too many.
+            try:
+                shape = ellipsoid_shape(sharp, model, asked(), fall_back=False)
+            except UndeterminedError:
+                shape = ellipsoid_shape(sharp, model, asked(robust=False), fall_back=False)
+            if k == 0:
+                slow = slow.turned(axes_of_gyro(correction(shape.ellipsoid, 1.0).apply(kept), slow))
+            else:
+                timing = _timing(kept, slow, shape, timing, free=free, prior_sd=prior, readings_worth=readings_worth)
             sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
-            shape = on_the_way()
-            timing = _timing(kept, slow, shape, timing, free=free, prior_sd=believed, worth=worth)
-        sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
-        shape = fitted(robust=robust)
+        shape = ellipsoid_shape(sharp, model, asked(), fall_back=False)
     except UndeterminedError:  # the sphere, of the samples as they are
         return fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
-    shape = dataclasses.replace(shape, covariance=shape.covariance + timing.left_open)
-    return magnetometer_result(shape, sharp, context)
+    shape = dataclasses.replace(shape, covariance=shape.covariance + timing.from_timing)
+    return ellipsoid_result(shape, sharp, context)
 
 
-def _moved_on(kept: Array, slow: Rates, step: float) -> tuple[Array, Rates, Array | None]:
-    """Means of the readings between which the field did not leave its `step`, and how many each is worth.
+def _still_means(kept: Array, slow: Rates, step: float) -> tuple[Array, Rates, Array | None]:
+    """Means over stretches in which the field stayed within its `step`, and the equivalent count of each.
 
     The samples as they are, and None, where it always did.
     """
@@ -175,7 +162,7 @@ def _timing(
     *,
     free: Array,
     prior_sd: float | None,
-    worth: Array | None,
+    readings_worth: Array | None,
 ) -> _Timing:
     """What is known of the blur, improved by one step from `before`; `shape` is the fit of `before`."""
     model = correction(shape.ellipsoid, None)
@@ -191,7 +178,7 @@ def _timing(
     distances = Distances(Cloud(samples, np.zeros(3), 1.0)).at(shape.ellipsoid, 0.0, None).residuals
     distances = distances - np.average(distances)
     doubt = np.hypot(_WINDOW_SD * by_timing[:, 0], slow.interval / math.sqrt(12.0) * by_timing[:, 1])
-    precision, least = _precision(distances, doubt, np.ones(len(kept)) if worth is None else worth)
+    precision, least = _precision(distances, doubt, np.ones(len(kept)) if readings_worth is None else readings_worth)
     weight, variance = _weights(distances * precision, precision, len(free.T))
     variance = max(variance, least) * shape.variance_inflation
     by_free = by_shape @ free
@@ -203,16 +190,16 @@ def _timing(
     pull = by_timing.T @ (weight * distances) / variance - share.T @ (weighed.T @ distances)
     state = before.state - covariance @ (pull + _PRIOR @ before.state)
     spread = free @ share
-    left_open = spread @ covariance @ spread.T
-    alike = least == 0.0 and worth is None
-    return _Timing(state, left_open) if alike else _Timing(state, left_open, precision, least)
+    from_timing = spread @ covariance @ spread.T
+    alike = least == 0.0 and readings_worth is None
+    return _Timing(state, from_timing) if alike else _Timing(state, from_timing, precision, least)
 
 
 def _adjusted(rates: Rates, state: Array) -> Rates:
     return rates.adjusted(float(state[0]), float(state[1]), np.eye(3) + state[2:].reshape(3, 3))
 
 
-def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, float]:
+def _precision(distances: Array, doubt: Array, readings_worth: Array) -> tuple[Array, float]:
     """One over the relative noise of every sample, and the variance at precision one (0: blur makes no difference).
 
     The variance of a sample that is worth n readings is ``v/n + c^2 doubt^2`` with the likeliest v and c; c is at least
@@ -221,14 +208,14 @@ def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, flo
     squares = doubt**2
     typical = float(np.mean(squares))
     if not typical > 0.0:
-        return np.sqrt(worth), 0.0
+        return np.sqrt(readings_worth), 0.0
     # Far off is only what neither the noise of all nor the doubt of its own explains.
     clipped = np.maximum(_clipped(distances), np.minimum(distances**2, _CLIP**2 * squares))
 
     from scipy.optimize import minimize_scalar  # 11 MB that an idle service does without
 
     def deviance(log_noise: float, log_doubt: float) -> float:
-        variances = math.exp(log_noise) * typical / worth + math.exp(log_doubt) * squares
+        variances = math.exp(log_noise) * typical / readings_worth + math.exp(log_doubt) * squares
         return float(np.log(variances).sum() + (clipped / variances).sum())
 
     def likeliest(log_doubt: float) -> tuple[float, float]:
@@ -242,9 +229,9 @@ def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, flo
         if worse < least - _BETTER:
             least, log_noise, factor = worse + _BETTER, other, math.exp(log_doubt)
     noise = math.exp(log_noise) * typical
-    precision = np.sqrt(noise / (noise / worth + factor * squares))
-    alike = bool((precision > _ALIKE * np.sqrt(worth)).all())
-    return (np.sqrt(worth), 0.0) if alike else (precision, noise)
+    precision = np.sqrt(noise / (noise / readings_worth + factor * squares))
+    alike = bool((precision > _ALIKE * np.sqrt(readings_worth)).all())
+    return (np.sqrt(readings_worth), 0.0) if alike else (precision, noise)
 
 
 def _clipped(distances: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What a fit of a compass is told about the sensor, and not about the samples."""
+"""Facts about sensor and field that a compass fit needs beside the samples."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MagContext:
-    """What a fit is told about the sensor, and not about the samples.
+    """Facts about sensor and field, beside the samples.
 
     Parameters
     ----------

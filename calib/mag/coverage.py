@@ -1,4 +1,4 @@
-"""How far the movement so far has got: information, predicted heading error, and where to turn next."""
+"""Coverage of a live calibration: information, predicted heading error, and where to turn next."""
 
 from __future__ import annotations
 

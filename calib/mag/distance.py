@@ -106,7 +106,7 @@ class Distances:
             points = frame.T @ self.cloud.rows(start)
             points -= (frame.T @ ellipsoid.offset)[:, None]
             block = rows[:, : points.shape[1]]
-            _fill_rows(block, points, axes, noise_variance, accuracy)
+            _fill_rows(block, *foot_points(points, axes, accuracy), axes, noise_variance)
             self._weigh(block, start)
             residuals[start : start + CHUNK] = block[9]
             if tukey_scale is None:
@@ -130,7 +130,7 @@ class Distances:
             points = frame.T @ self.cloud.rows(start)[:, : found.shape[1] - start]
             points -= (frame.T @ ellipsoid.offset)[:, None]
             block = rows[:, : points.shape[1]]
-            _fill_rows(block, points, axes, 0.0, _ROUGHLY)
+            _fill_rows(block, *foot_points(points, axes, _ROUGHLY), axes, 0.0)
             self._weigh(block, start)
             np.matmul(back, block[:N_PARAMETERS], out=found[:, start : start + block.shape[1]])
         return found
@@ -141,9 +141,11 @@ class Distances:
             block *= self.cloud.precision[start : start + block.shape[1]]
 
 
-def _fill_rows(block: Array, points: Array, axes: Array, noise_variance: float, accuracy: float) -> None:
-    """Derivatives of the distance by the nine parameters, in the eigenframe, and the debiased distance below them."""
-    t, w = foot_points(points, axes, accuracy)
+def _fill_rows(block: Array, t: Array, w: Array, axes: Array, noise_variance: float) -> None:
+    """Derivatives of the distance by the nine parameters, in the eigenframe, and the debiased distance below them.
+
+    `t` and `w` are those of :func:`foot_points`; `w` is overwritten.
+    """
     normal = np.square(w, out=block[:3])
     length = np.sqrt(_ONES @ normal)
     np.divide(w, length, out=normal)
@@ -191,6 +193,17 @@ class Solution:
     steps: int
 
 
+@dataclass(frozen=True)
+class ShapeTerms:
+    """Which parameters are free, and the prior on the soft iron."""
+
+    model: MagModel = MagModel.SYMMETRIC
+    prior_sd: float | None = None
+    """Standard deviation of each relative term of soft iron; None: no prior."""
+    cross_sd: float | None = None
+    """That of the three cross terms; None: as `prior_sd`."""
+
+
 def shape_prior(ellipsoid: Ellipsoid, sd: float | None, cross_sd: float | None = None) -> Array:
     """Curvature (9, 9) of the prior ``S/r - I ~ N(0, sd^2)`` on each of the six numbers, r the mean diagonal.
 
@@ -209,19 +222,16 @@ def gauss_newton(
     start: Ellipsoid,
     noise_variance: float,
     *,
+    terms: ShapeTerms = ShapeTerms(),
     debias: bool = True,
     tukey_scale: float | None = None,
-    prior_sd: float | None = None,
-    cross_sd: float | None = None,
-    model: MagModel = MagModel.SYMMETRIC,
     first: Pass | None = None,
 ) -> Solution:
     """Minimise the distances from `start`; the noise variance is re-estimated on the way.
 
     Each step solves ``(F + v P) dx = J^T W (d - v H) - v P x``; a step that raises the cost is halved. It ends when the
-    next step is predicted to be below 1e-7 sd (0.03 sd for :data:`LARGE` samples). `model` says which parameters are
-    free: `start` must have its form; `prior_sd` and `cross_sd` are those of :func:`shape_prior`. `first` is the pass at
-    `start` with `noise_variance`, if it was made before.
+    next step is predicted to be below 1e-7 sd (0.03 sd for :data:`LARGE` samples). `start` must have the form of
+    ``terms.model``. `first` is the pass at `start` with `noise_variance`, if it was made before.
 
     Raises
     ------
@@ -231,11 +241,11 @@ def gauss_newton(
     ellipsoid, variance = start, noise_variance
     origin, step = start, np.zeros(N_PARAMETERS)
     lowest, lowest_belief = np.inf, 0.0  # data and prior apart: the variance that weighs them is re-estimated
-    free = model.basis
+    free = terms.model.basis
     tolerance = 0.03 if len(distances) >= LARGE else 1e-7
     for count in range(MAX_STEPS):
         found, first = first or distances.at(ellipsoid, variance if debias else 0.0, tukey_scale), None
-        prior = shape_prior(ellipsoid, prior_sd, cross_sd)
+        prior = shape_prior(ellipsoid, terms.prior_sd, terms.cross_sd)
         state = _state(ellipsoid)
         belief = float(state @ prior @ state)
         allowed = (lowest + variance * lowest_belief) * _MAY_RISE + len(distances) * _ROUNDING
@@ -244,7 +254,7 @@ def gauss_newton(
             ellipsoid = origin.stepped(step)
             continue
         origin, lowest, lowest_belief = ellipsoid, found.cost, belief
-        variance = max(_residual_variance(found, tukey_scale, model.size), _ROUNDING)
+        variance = max(_residual_variance(found, tukey_scale, terms.model.size), _ROUNDING)
         normal = found.information + variance * prior
         step = free @ _solve(free.T @ normal @ free, free.T @ (found.gradient - variance * prior @ state))
         in_sd = float(np.sqrt(max(float(step @ normal @ step), 0.0) / variance))

@@ -1,4 +1,4 @@
-"""Full ellipsoid: offset and symmetric matrix by orthogonal distance, with a covariance that holds.
+"""Full ellipsoid: offset and symmetric matrix by orthogonal distance, with covariance.
 
 Adjusted least squares give the start in one pass, a debiased Gauss-Newton finishes (METHODS 3.1); outliers are weighed
 down by Tukey's bisquare, and a prior on the soft iron can stand in for movements that were not made.
@@ -7,25 +7,40 @@ down by Tukey's bisquare, and a prior on the soft iron can stand in for movement
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError, NotConvergedError, UndeterminedError
-from mavcal.calib.fit import FitResult
+from mavcal.calib.fit import AXES, OFFSETS, FitResult
 from mavcal.calib.mag.auto import averaged_shape
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.fallback import sphere_instead
-from mavcal.calib.mag.result import ShapeFit, magnetometer_result, refusal
-from mavcal.calib.mag.samples import real_array
-from mavcal.calib.mag.shape import N_PARAMETERS, MagModel
-from mavcal.calib.mag.shape_fit import METHOD, Asked, shape_of
+from mavcal.calib.mag.distance import ALL_SIDES, score_rows
+from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
+from mavcal.calib.mag.moments import Moments
+from mavcal.calib.mag.result import UNDETERMINED_SD, plausible_field, refusal
+from mavcal.calib.mag.robust import find_start
+from mavcal.calib.mag.samples import NEARLY_PLANAR, Cloud, check_not_flat, check_real_samples, real_array
+from mavcal.calib.mag.sections import visited
+from mavcal.calib.mag.serial import white_variance
+from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid, MagModel, correction
+from mavcal.calib.mag.shape_fit import METHOD, Asked, minimum, with_uncertainty
+
+Array = NDArray[np.float64]
 
 AUTO = "auto"
 
 FEWEST = N_PARAMETERS + 1
 """Samples below which there is no residual of nine parameters, hence no uncertainty."""
+
+SPHERE_SOFT_IRON_SD = 0.05
+"""Standard deviation of each relative term of the soft iron that a sphere leaves out: that of a clean vehicle."""
+
+_MANY = 20_000  # samples that are enough to say what soft iron would do
+_CHANGED = 2.0  # times the noise: residuals of a sphere, whose soft iron would have been found
+_FULL = 0.3  # of the directions of the field: with more it is no matter of coverage
 
 
 def fit_ellipsoid(
@@ -56,7 +71,7 @@ def fit_ellipsoid(
         Standard deviation of each relative soft-iron term (``S/r - I``) about zero, for movements that cover little:
         0.05 is a clean vehicle. None: the data alone (for ``auto``: 0.1).
     **facts
-        What is known of sensor and field: :class:`calib.mag.result.MagContext`.
+        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
 
     Returns
     -------
@@ -72,52 +87,103 @@ def fit_ellipsoid(
     context = MagContext(**facts)
     array = real_array(samples)
     try:
-        fit = ellipsoid_shape(array, context, model=model, robust=robust, prior_sd=prior_sd)
+        fit = ellipsoid_shape(array, model, Asked(context, robust, prior_sd))
     except UndeterminedError as error:
         return refusal(METHOD, error, len(array), context)
-    return magnetometer_result(fit, array, context)
+    return ellipsoid_result(fit, array, context)
 
 
-def ellipsoid_shape(
-    samples: NDArray[Any],
-    context: MagContext,
-    *,
-    model: str = MagModel.SYMMETRIC,
-    robust: bool | None = None,
-    prior_sd: float | None = None,
-    precision: NDArray[np.float64] | None = None,
-    least_variance: float = 0.0,
-    fall_back: bool = True,
-) -> ShapeFit:
-    """The ellipsoid alone, before the verdict; parameters as for :func:`fit_ellipsoid`.
+def ellipsoid_shape(samples: NDArray[Any], model: str, asked: Asked, *, fall_back: bool = True) -> ShapeFit:
+    """The ellipsoid of `samples` (N, 3) before the verdict, free as `model` says (:func:`fit_ellipsoid`).
 
-    `precision` and `least_variance` are those of :class:`calib.mag.shape_fit.Asked`. With `fall_back` an ellipsoid that
-    does not converge is answered by the sphere (:mod:`calib.mag.fallback`).
+    With `fall_back` the sphere takes the place of an ellipsoid that does not converge.
 
     Raises
     ------
     InvalidInputError
         As :func:`fit_ellipsoid`.
     UndeterminedError
-        If the samples leave a parameter open.
+        If the samples are too few or flat, lie on no ellipsoid, or hold too many outliers.
     """
-    if prior_sd is not None and not prior_sd > 0.0:
-        raise InvalidInputError(f"the prior on soft iron must have a positive standard deviation, not {prior_sd}")
-    asked = Asked(context, robust, prior_sd, precision=precision, least_variance=least_variance)
-    wanted = None if model == AUTO else _model_named(model)
+    if asked.prior_sd is not None and not asked.prior_sd > 0.0:
+        raise InvalidInputError(f"the prior on soft iron must have a positive standard deviation, not {asked.prior_sd}")
+    if model not in {*MagModel, AUTO}:
+        raise InvalidInputError(f"a magnetometer model is one of {', '.join([*MagModel, AUTO])}, not {model!r}")
+    free = MagModel.SYMMETRIC if model == AUTO else MagModel(model)
+    asked = dataclasses.replace(asked, model=free)
+    check_real_samples(samples, free.size + 1)
+    cloud = Cloud.of(samples, asked.precision)
+    moments = Moments.of(cloud)
+    check_not_flat(moments.scatter())
+    smallest = max(asked.context.quantum / np.sqrt(12.0), np.sqrt(asked.least_variance)) / cloud.scale
     try:
-        if wanted is None:
-            return averaged_shape(samples, asked)
-        return shape_of(samples, dataclasses.replace(asked, model=wanted))
-    except NotConvergedError as error:
-        if wanted is MagModel.OFFSET or not fall_back:
+        try:
+            start = find_start(cloud, moments, smallest, free)
+            if model == AUTO:
+                return averaged_shape(cloud, start, asked).moved(cloud.centre, cloud.scale)
+            found = minimum(cloud, start, asked)
+        except UndeterminedError:
+            check_not_flat(moments.scatter(), NEARLY_PLANAR)
             raise
-        return sphere_instead(samples, asked, error)
+        return with_uncertainty(found, cloud, asked).moved(cloud.centre, cloud.scale)
+    except NotConvergedError as error:
+        if model == MagModel.OFFSET or not fall_back:
+            raise
+        return _sphere_instead(samples, asked, error)
 
 
-def _model_named(name: str) -> MagModel:
+def _sphere_instead(samples: NDArray[Any], asked: Asked, error: NotConvergedError) -> ShapeFit:
+    """The sphere of `samples` (N, 3), whose ellipsoid ended in `error`.
+
+    Its covariance has what soft iron of 5 % would move it by. Its matrix is left open, and an offset that this leaves
+    unknown along some axes.
+
+    Raises
+    ------
+    UndeterminedError
+        `error`, where the samples lie on no sphere either.
+    """
     try:
-        return MagModel(name)
-    except ValueError as error:
-        known = ", ".join([*MagModel, AUTO])
-        raise InvalidInputError(f"a magnetometer model is one of {known}, not {name!r}") from error
+        fit = ellipsoid_shape(samples, MagModel.OFFSET, dataclasses.replace(asked, prior_sd=None), fall_back=False)
+    except UndeterminedError:
+        raise error from None
+    if asked.context.unit == "uT" and not plausible_field(fit.ellipsoid.mean_radius):
+        raise error  # a compass that was hardly turned makes a ball of its noise
+    thinned = np.asarray(samples[:: max(1, len(samples) // _MANY)], dtype=np.float64)
+    covariance = fit.covariance + _by_soft_iron(thinned, fit.ellipsoid)
+    unknown = np.sqrt(np.diag(covariance)[:3]) > UNDETERMINED_SD * fit.ellipsoid.mean_radius
+    names = [n for n, far in zip(OFFSETS, unknown, strict=True) if far and not unknown.all()]
+    return dataclasses.replace(
+        fit,
+        covariance=covariance,
+        form="sphere",
+        undetermined=dict.fromkeys([*names, *(f"matrix_{a}{b}" for a in AXES for b in AXES)], ALL_SIDES),
+        fallback_reason=f"the ellipsoid did not converge: {_why(thinned, fit)}",
+        warnings=(
+            f"a sphere takes the place of the ellipsoid: the sd of its offset includes soft iron of "
+            f"{100.0 * SPHERE_SOFT_IRON_SD:.0f} %, the matrix stays as it is",
+        ),
+    )
+
+
+def _by_soft_iron(samples: Array, sphere: Ellipsoid) -> Array:
+    """Covariance (9, 9) that neglected soft iron ``S/r - I ~ N(0, sd^2)`` adds to a sphere."""
+    rows = score_rows(samples, sphere)
+    free = MagModel.OFFSET.basis
+    ours = free.T @ rows
+    moved = np.vstack([np.zeros((3, 6)), np.eye(6)]) - free @ np.linalg.solve(ours @ ours.T, ours @ rows[3:].T)
+    spread = np.eye(6)
+    spread[:3, :3] -= 1.0 / 3.0
+    return np.asarray(moved @ ((SPHERE_SOFT_IRON_SD * sphere.mean_radius) ** 2 * spread) @ moved.T)
+
+
+def _why(samples: Array, fit: ShapeFit) -> str:
+    """What kept the ellipsoid from converging, by what the sphere leaves."""
+    rms = math.sqrt(float(np.mean(fit.residuals**2)))
+    noise = math.sqrt(white_variance(fit.residuals))
+    seen = float(visited((samples - fit.ellipsoid.offset) @ correction(fit.ellipsoid, None).matrix.T).mean())
+    covered = f"the samples show {100.0 * seen:.0f} % of the directions of the field"
+    if noise > 0.0 and rms > _CHANGED * noise:
+        changed = f"the field changed while turning (residuals are {rms / noise:.1f} times the noise)"
+        return changed if seen > _FULL else f"{covered}, and {changed}"
+    return covered if seen <= _FULL else f"residuals of {rms:.3g} do not tell an ellipsoid from a sphere"

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.result import ShapeFit, magnetometer_result, refusal
+from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
+from mavcal.calib.mag.result import refusal
 from mavcal.calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
 from mavcal.calib.mag.serial import widened_scatter
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid
@@ -78,7 +79,7 @@ def fit_ellipsoid_axis(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResu
     samples : shape (N, 3)
         N >= 7.
     **facts
-        What is known of sensor and field: :class:`calib.mag.result.MagContext`.
+        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
 
     Raises
     ------
@@ -120,7 +121,7 @@ def fit_ellipsoid_axis(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResu
         warnings=("cross terms are not part of this method: whatever soft iron couples the axes stays in",),
         variance_inflation=inflation,
     )
-    return magnetometer_result(fit.moved(mean, scale), array, context)
+    return ellipsoid_result(fit.moved(mean, scale), array, context)
 
 
 def _uncertainty(

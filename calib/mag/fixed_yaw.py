@@ -1,4 +1,4 @@
-"""The offset of a compass from one reading at a known heading: for vehicles that cannot be turned.
+"""Compass offset from one reading at a known heading, for vehicles that cannot be turned.
 
 The field of the place, turned into the vehicle by its tilt and its true heading, is what the corrected compass has to
 read. The matrix in force is kept, so the offset is what is left: ``b = m - C^-1 R_body_ned F``. One reading has no
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.orientation import rotation_matrix
+from mavcal.calib.mag.result import CompassFit, compass_result
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ _WORST_HEADING_DEG = 10.0  # of the heading, anywhere: an offset that is known w
 
 @dataclass(frozen=True)
 class KnownAttitude:
-    """How the vehicle stands, rad: tilt by its accelerometer, heading of the nose from true north, and its sd."""
+    """Attitude at rest, rad: tilt by the accelerometer, heading of the nose from true north, and its sd."""
 
     roll: float
     pitch: float
@@ -63,7 +63,7 @@ def fit_fixed_yaw(
     standing: KnownAttitude,
     **facts: Unpack[MagFacts],
 ) -> FitResult:
-    """The offset of a compass that reads `reading` where it stands.
+    """The offset of a compass from one `reading` at a known attitude.
 
     Parameters
     ----------
@@ -95,8 +95,6 @@ def fit_fixed_yaw(
     model = TriadModel(offset=reading - back @ expected, matrix=mounting.T @ in_force.matrix)
     kept = KEPT_SD if _was_fitted(model.matrix) else NEVER_FITTED_SD
     full = _covariance(model, mounting, expected, _field_covariance(context, standing), reading_covariance, kept)
-    told = full.copy()
-    told[3:, :] = told[:, 3:] = 0.0
     worst = heading_sd_deg(model, full, field.norm, field.inclination, mounting)
     here = math.degrees(math.hypot(standing.heading_sd, declination_sd(field.horizontal)))
     moved = float(np.linalg.norm(model.offset - in_force.offset))
@@ -110,25 +108,28 @@ def fit_fixed_yaw(
         "soft_iron_sd_before": kept,
         "offset_moved": moved,
     }
-    made = context.made(METHOD, count, MOVEMENT)
     if worst > _WORST_HEADING_DEG:
-        return made.refused(
+        return context.made(METHOD, count, MOVEMENT).refused(
             f"one heading tells the others to {worst:.0f} deg only: the heading is known to {here:.1f} deg, and the "
             f"horizontal field is {field.horizontal:.0f} uT here",
             quality=quality,
         )
-    fit = made.fitted(
-        model,
-        told,
-        message=f"heading good to {here:.1f} deg as it stands, to {worst:.1f} deg at the worst other heading",
-        n_used=count,
-        residual_rms=0.0,
-        condition_number=1.0,
-        undetermined=dict.fromkeys((n for n in parameter_names() if n.startswith("matrix")), MOVEMENT),
-        warnings=_warnings(kept, moved, field.norm),
-        quality=quality,
+    return compass_result(
+        CompassFit(
+            METHOD,
+            model,
+            full,
+            n_samples=count,
+            n_used=count,
+            message=f"heading good to {here:.1f} deg as it stands, to {worst:.1f} deg at the worst other heading",
+            residual_rms=0.0,
+            condition_number=1.0,
+            quality=quality,
+            warnings=_warnings(kept, moved, field.norm),
+            undetermined=dict.fromkeys((n for n in parameter_names() if n.startswith("matrix")), MOVEMENT),
+        ),
+        context,
     )
-    return earthly(fit, context)
 
 
 def declination_sd(horizontal: float) -> float:

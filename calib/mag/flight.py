@@ -15,17 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
-from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult, parameter_names
+from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
 from mavcal.calib.mag.attitude_check import unusable_attitude
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.earthly import earthly
-from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, believed_soft_iron, estimate
-from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, given, unusable
+from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, estimate, estimated_soft_iron_sd
+from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, SHAPES
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.motor_drives import Drive
-from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD
+from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, CompassFit, compass_result
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -77,7 +76,7 @@ def fit_flight(
     window
         Time over which the compass averages, s.
     **facts
-        :class:`calib.mag.result.MagContext`.
+        :class:`calib.mag.context.MagContext`.
 
     Returns
     -------
@@ -91,7 +90,7 @@ def fit_flight(
     """
     context = MagContext(**facts)
     made = context.made(METHOD, len(mag), MOVEMENT)
-    data = given(mag, turning, in_force, drive, window, context)
+    data = prepared(mag, turning, in_force, drive, window, context)
     reason = unusable(data)
     if reason:
         return made.refused(reason)
@@ -108,7 +107,7 @@ def _fitted(data: FlightInput, context: MagContext, soft_iron: SoftIron) -> Flig
     found = estimate(data.samples, data.turning, Knowledge(context.field, SOFT_IRON_SD))
     if soft_iron == "free":
         return found
-    return estimate(data.samples, data.turning, Knowledge(context.field, believed_soft_iron(found)))
+    return estimate(data.samples, data.turning, Knowledge(context.field, estimated_soft_iron_sd(found)))
 
 
 def _departure(rough: float, outliers: float) -> str:
@@ -166,22 +165,23 @@ def _verdict(
             quality=quality,
         )
     names = tuple(f"offset_{a}" for a in offsets) + tuple(n for entry in entries for n in _both(entry))
-    blind = [parameter_names().index(n) for n in names]
-    told = full.copy()
-    told[blind, :] = told[:, blind] = 0.0
-    fit = made.fitted(
-        model,
-        told,
-        message=_message(quality, offsets, entries, strength),
-        n_used=found.used,
-        residual_rms=quality["residual_rms"],
-        condition_number=quality["condition_number"],
-        undetermined={n: _movement(n) for n in names},
-        warnings=_warnings(found, context, quality, strength),
-        quality=quality,
-        native=_native(found, data, context, strength),
+    return compass_result(
+        CompassFit(
+            METHOD,
+            model,
+            full,
+            n_samples=made.n_samples,
+            n_used=found.used,
+            message=_message(quality, offsets, entries, strength),
+            residual_rms=quality["residual_rms"],
+            condition_number=quality["condition_number"],
+            quality=quality,
+            native=_native(found, data, context, strength),
+            warnings=_warnings(found, context, quality, strength),
+            undetermined={n: _movement(n) for n in names},
+        ),
+        context,
     )
-    return earthly(fit, context)
 
 
 def _both(entry: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Fitting one compass over one flight: noise, outliers, the gyroscope's offset, and how much soft iron to believe."""
+"""Fit of one compass over one flight: noise, outliers, gyroscope offset and soft iron."""
 
 from __future__ import annotations
 
@@ -148,8 +148,8 @@ def estimate(samples: Samples, turning: Turning, known: Knowledge) -> FlightEsti
     return FlightEstimate(solved, flight, prior, layout, model, noise, inflation)
 
 
-def believed_soft_iron(found: FlightEstimate) -> float:
-    """The sd of the matrix' entries that makes the data most likely: those entries that they determine say it.
+def estimated_soft_iron_sd(found: FlightEstimate) -> float:
+    """Most likely sd of the soft-iron entries, from those that the data determine.
 
     `found` was fitted with :data:`SOFT_IRON_SD`; what its likelihood alone says of the entries has the information
     ``P^-1 - 1/sd^2``, and each prior's evidence follows from it in closed form.

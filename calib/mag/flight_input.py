@@ -1,4 +1,4 @@
-"""What a fit from a flight asks of its channels, and how it brings them into the body's axes."""
+"""Channels of a flight, checked and turned into body axes for the compass fit."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class FlightInput:
     tilt_range_deg: float
 
 
-def given(
+def prepared(
     mag: Channel,
     turning: Turning,
     in_force: TriadModel | None,
@@ -55,7 +55,7 @@ def given(
     window: float,
     context: MagContext,
 ) -> FlightInput:
-    """The channels made ready: finite, in order, within the time of the motion; the compass in body axes.
+    """Channels with finite samples, in order, within the time of the motion; the compass in body axes.
 
     Raises
     ------
@@ -115,8 +115,8 @@ def unusable(data: FlightInput) -> str:
     return ""
 
 
-def flown(recording_end: float, accel: Channel | None, attitude: Channel | None) -> float:
-    """Time (s) at which the flight ends for a compass: a crash throws it about and bends what it hangs on.
+def end_of_flight(recording_end: float, accel: Channel | None, attitude: Channel | None) -> float:
+    """Time (s) at which a crash ends the flight for the compass; without one, the end of the recording.
 
     The first shock of more than 60 m/s2 together with a tilt of more than 75 degrees within two seconds, less two.
     """

@@ -1,4 +1,4 @@
-"""How the vehicle turned, for a compass that is calibrated from a flight: the gyroscope's turns and the log's attitude.
+"""Attitude over a flight for the compass fit: integrated gyroscope, and the log's attitude.
 
 The log's attitude is never taken as the truth: its heading came from the very compass that is to be calibrated. The
 gyroscope carries the attitude; the log's attitude only says roughly where it stands. Every knot of time has an unknown
@@ -127,7 +127,7 @@ def make_path(turning: Turning, t: Array, model: GyroModel, start: Array | None,
         return _path_of_attitude(turning.attitude, t, window, knots, left, fraction)
     if turning.gyro is None:
         raise InvalidInputError("neither a gyroscope nor an attitude says how the vehicle turned")
-    carried = _Carried(turning.gyro, model)
+    carried = _Integrated(turning.gyro, model)
     turn = _aligned(carried, turning.attitude, start, float(t[0]))
     rotations = np.mean([carried.at(part)[0] for part in _within(t, window)], axis=0)
     rates = carried.at(t)[1]
@@ -169,7 +169,7 @@ def first_bias(turning: Turning) -> Array:
         start, end = max(gyro.t[0], attitude.t[0]), min(gyro.t[-1], attitude.t[-1])
         edges = np.linspace(start, end, max(int((end - start) / _WINDOW), 1) + 1)
         seen = Rotation.from_matrix(attitudes(attitude, edges))
-        carried = Rotation.from_matrix(_Carried(gyro, GyroModel.steady(np.zeros(3))).at(edges)[0])
+        carried = Rotation.from_matrix(_Integrated(gyro, GyroModel.steady(np.zeros(3))).at(edges)[0])
         ours, theirs = carried[:-1].inv() * carried[1:], seen[:-1].inv() * seen[1:]
         differences = (theirs.inv() * ours).as_rotvec() / np.diff(edges)[:, None]
         return np.asarray(np.median(differences, axis=0))
@@ -179,7 +179,7 @@ def first_bias(turning: Turning) -> Array:
     return np.asarray(np.median(quietest, axis=0))
 
 
-class _Carried:
+class _Integrated:
     """The gyroscope integrated from its first sample on; each sample rules the time nearest to it."""
 
     def __init__(self, gyro: Channel, model: GyroModel) -> None:
@@ -240,7 +240,7 @@ def _multiplied(p: Array, q: Array) -> Array:
     )
 
 
-def _aligned(carried: _Carried, attitude: Channel | None, start: Array | None, begin: float) -> Array:
+def _aligned(carried: _Integrated, attitude: Channel | None, start: Array | None, begin: float) -> Array:
     """The rotation (3, 3) that takes the first body axes of the gyroscope to north-east-down."""
     if start is not None:
         return np.asarray(start @ carried.at(np.array([begin]))[0][0].T)

@@ -1,4 +1,4 @@
-"""The compass of a flight as one least-squares problem: the wanted parameters, and the nuisance parameters.
+"""The compass of a flight as one least-squares problem: parameters of interest and nuisance parameters.
 
 .. code-block:: text
 
@@ -48,7 +48,7 @@ _CONVERGED = 1e-3  # of the sum of squares in standard deviations: a thirtieth o
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each unknown stands, with p drives."""
+    """Indices of the unknowns, with p drives."""
 
     drives: int
 
@@ -99,7 +99,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class FlightPrior:
-    """What is known of the unknowns beforehand: `mean` and `sd` (G,); sd 0 holds it fixed, inf says nothing."""
+    """Prior of the unknowns: `mean` and `sd` (G,); sd 0 fixes one, inf is no prior."""
 
     mean: Array
     sd: Array

@@ -1,4 +1,4 @@
-"""The rotation by any angles that makes a magnetometer agree with the vertical, and the mirror image that does.
+"""Mounting rotation by any angles, and the mirror image, that fit a magnetometer to the vertical.
 
 Whatever the heading, ``g . R m = sin(dip)`` for the true rotation R (:mod:`calib.mag.orientation`). That is linear in
 the nine elements of R. The mean of its squares is therefore a quadratic form, which is minimised over the rotations

@@ -16,15 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
+from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.imu.unknowns import UNKNOWNS, ImuPrior, symmetric
-from mavcal.calib.imu.weigh import groups
+from mavcal.calib.imu.weighting import groups
 from mavcal.calib.mag.blur import deblurred, rates_during
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.earthly import earthly
-from mavcal.calib.mag.gyro_chain import BENT, BIAS_SD, LONGEST_DELAY, Chain, ChainSolution, rotation_of, weak_prior
+from mavcal.calib.mag.gyro_chain import (
+    BIAS_SD,
+    FREE_GYRO_MATRIX,
+    LONGEST_DELAY,
+    Chain,
+    ChainSolution,
+    rotation_of,
+    weak_prior,
+)
 from mavcal.calib.mag.heading import heading_sd_deg
-from mavcal.calib.mag.result import UNDETERMINED_SD
+from mavcal.calib.mag.result import SCALE_UNKNOWN, UNDETERMINED_SD, CompassFit, compass_result, with_strength_sd
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows, without_spikes
@@ -57,7 +64,7 @@ def fit_gyro_aided(
     window
         Time over which the compass averages, s (ArduPilot: 0.1); its blur is undone, samples of fast turns left out.
     **facts
-        What is known of the magnetometer, :class:`calib.mag.result.MagContext`.
+        What is known of the magnetometer, :class:`calib.mag.context.MagContext`.
 
     Returns
     -------
@@ -79,7 +86,7 @@ def fit_gyro_aided(
     reason = _unusable(mag, gyro)
     if reason:
         return made.refused(reason)
-    sharp = _sharp(mag, gyro, window)
+    sharp = _slow_enough(mag, gyro, window)
     chain = Chain(mag.take(sharp), gyro, context)
     found = chain.solved(delay)
     if found is not None and window > 0.0:
@@ -87,10 +94,10 @@ def fit_gyro_aided(
         found = chain.refined(found, delay)
     if found is None:
         return made.refused(f"compass and gyroscope do not turn alike by any model: check units and axes; {MOVEMENT}")
-    return _verdict(made, chain, found, context) or made.refused(*_open(found, context))
+    return _verdict(made.n_samples, chain, found, context) or made.refused(*_open(found, context))
 
 
-def _sharp(mag: Channel, gyro: Channel, window: float) -> NDArray[np.bool_]:
+def _slow_enough(mag: Channel, gyro: Channel, window: float) -> NDArray[np.bool_]:
     """The samples of the compass that averaging while turning hardly shrank; all, where too few are left."""
     if window <= 0.0:
         return np.ones(len(mag), dtype=np.bool_)
@@ -157,7 +164,7 @@ def _residuals(found: ChainSolution) -> Array:
     return found.solution.at.poses * math.sqrt(found.problem.covariances[0, 0, 0])
 
 
-def _verdict(made: FitBuilder, chain: Chain, found: ChainSolution, context: MagContext) -> FitResult | None:
+def _verdict(n_samples: int, chain: Chain, found: ChainSolution, context: MagContext) -> FitResult | None:
     """The fit; None if nothing of it may be used."""
     if (_relative_sd(found, weak_prior(found.solution.x)) > UNDETERMINED_SD).any():
         return None
@@ -170,21 +177,23 @@ def _verdict(made: FitBuilder, chain: Chain, found: ChainSolution, context: MagC
     x, covariance = found.solution.x, found.covariance()
     model = _model(x, found.radius, context.strength)
     full = _spread(x, covariance, found.radius, context.strength)
-    if context.field is not None:
-        lengthening = np.concatenate([np.zeros(3), model.matrix.ravel()]) * context.field.norm_sd / context.field.norm
-        full = full + np.outer(lengthening, lengthening)
-    fit = made.fitted(
-        model,
-        full,
-        message=f"{len(chain.mag)} samples over {chain.mag.t[-1] - chain.mag.t[0]:.0f} s against the gyroscope",
-        n_used=len(chain.mag),
-        residual_rms=float(np.sqrt((residuals**2).mean())) * found.radius,
-        condition_number=_condition(found),
-        warnings=_warnings(found, context),
-        quality=_quality(found, context, model, full),
-        native=_native(found, covariance),
+    full = with_strength_sd(full, model, context.field)
+    return compass_result(
+        CompassFit(
+            METHOD,
+            model,
+            full,
+            n_samples=n_samples,
+            n_used=len(chain.mag),
+            message=f"{len(chain.mag)} samples over {chain.mag.t[-1] - chain.mag.t[0]:.0f} s against the gyroscope",
+            residual_rms=float(np.sqrt((residuals**2).mean())) * found.radius,
+            condition_number=_condition(found),
+            quality=_quality(found, context, model, full),
+            native=_native(found, covariance),
+            warnings=_warnings(found, context),
+        ),
+        context,
     )
-    return earthly(fit, context)
 
 
 def _quality(found: ChainSolution, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
@@ -216,7 +225,7 @@ def _native(found: ChainSolution, covariance: Array) -> dict[str, Any]:
         "rotation_sd_deg": _rotation_sd_deg(found, covariance),
         "gyro_bias": x[18:21].tolist(),
         "gyro_bias_sd": np.sqrt(np.diag(covariance)[18:21]).tolist(),
-        "gyro_matrix": (rotation @ G).tolist() if found.coordinates is BENT else None,
+        "gyro_matrix": (rotation @ G).tolist() if found.coordinates is FREE_GYRO_MATRIX else None,
         "delay": found.delay,
         "delay_sd": found.delay_sd or None,
     }
@@ -246,8 +255,8 @@ def _condition(found: ChainSolution) -> float:
 def _warnings(found: ChainSolution, context: MagContext) -> tuple[str, ...]:
     warnings = []
     if context.strength is None:
-        warnings.append("field strength unknown: the matrix keeps the mean radius, its common scale is not calibrated")
-    if found.coordinates is BENT:
+        warnings.append(SCALE_UNKNOWN)
+    if found.coordinates is FREE_GYRO_MATRIX:
         warnings.append("the gyroscope's scale or axes are off: its matrix was estimated too, calibrate it")
     if np.linalg.norm(found.solution.x[18:21]) > BIAS_SD:
         warnings.append(f"the gyroscope's offset is {np.linalg.norm(found.solution.x[18:21]):.3g} rad/s: rest it first")

@@ -19,7 +19,7 @@ from mavcal.calib.imu.integrate import Moves
 from mavcal.calib.imu.problem import ImuProblem, ImuSolution, solve
 from mavcal.calib.imu.start import rough_gyro, with_turn_noise
 from mavcal.calib.imu.unknowns import Coordinates, ImuPrior, symmetric
-from mavcal.calib.imu.weigh import groups
+from mavcal.calib.imu.weighting import groups
 from mavcal.calib.mag.context import MagContext
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.norm_fit import NEUTRAL
@@ -28,7 +28,7 @@ from mavcal.calib.stats.residuals import residual_statistics
 Array = NDArray[np.float64]
 
 RIGID = Coordinates(np.zeros(0, dtype=np.intp), rigid=True)
-BENT = Coordinates(np.zeros(0, dtype=np.intp))
+FREE_GYRO_MATRIX = Coordinates(np.zeros(0, dtype=np.intp))
 BIAS_SD = 0.1  # rad/s, of a gyroscope before the data
 _FIRST_NOISE = 0.01  # of the field: the compass' noise where nothing is known of it yet
 _HOLE = 5.0  # usual steps of the gyroscope; over a longer one no direction is carried
@@ -114,9 +114,11 @@ class Chain:
     def _concluded(self, found: ChainSolution, delay: float | None) -> ChainSolution:
         if delay is None:
             found = self._weighed(self._delayed(found, rounds=2))
-        bent = self._again(dataclasses.replace(found, coordinates=BENT), found.delay)
+        with_matrix = self._again(dataclasses.replace(found, coordinates=FREE_GYRO_MATRIX), found.delay)
         margin = 6.0 * math.log(3 * len(self.mag))  # six more unknowns, by Schwarz' criterion
-        return self._weighed(bent) if bent is not None and bent.cost < found.cost - margin else found
+        return (
+            self._weighed(with_matrix) if with_matrix is not None and with_matrix.cost < found.cost - margin else found
+        )
 
     def _at(
         self, delay: float, x: Array, radius: float, noise: float = _FIRST_NOISE, coordinates: Coordinates = RIGID

@@ -1,4 +1,4 @@
-"""What the uncertainty of a magnetometer model does to the heading."""
+"""Heading error that follows from the covariance of a magnetometer model."""
 
 from __future__ import annotations
 

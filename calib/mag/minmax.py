@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.result import ShapeFit, magnetometer_result, refusal
+from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
+from mavcal.calib.mag.result import refusal
 from mavcal.calib.mag.samples import check_not_flat, check_samples
 from mavcal.calib.mag.serial import white_variance
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid
@@ -39,7 +40,7 @@ def fit_minmax(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     samples : shape (N, 3)
         N >= 4.
     **facts
-        What is known of sensor and field: :class:`calib.mag.result.MagContext`.
+        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
 
     Raises
     ------
@@ -82,4 +83,4 @@ def fit_minmax(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
         native={"offset": offset.tolist(), "half_range": half.tolist()},
         warnings=("extremes only: one spike moves this by half its size; a starting value, not a calibration",),
     )
-    return magnetometer_result(fit, array, context)
+    return ellipsoid_result(fit, array, context)

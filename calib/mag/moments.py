@@ -134,7 +134,26 @@ class Moments:
         UndeterminedError
             If the samples lie on no ellipsoid.
         """
-        theta, variance = self._null_vector(_FREE[model])
+        free = _FREE[model]
+        k0, k1, k2 = (free.T @ k @ free for k in corrections(self.gram / self.gram[9, 9]))
+        variance = 0.0
+        for _ in range(_MAX_NEWTON):  # on the smallest eigenvalue: dv = -lambda / (x^T Psi' x)
+            quadric = k0 + variance * k1 + variance**2 * k2
+            if not np.isfinite(quadric).all():
+                raise _no_ellipsoid()
+            values, vectors = np.linalg.eigh(quadric)
+            vector = vectors[:, 0]
+            slope = vector @ (k1 + 2.0 * variance * k2) @ vector
+            if not slope < 0.0:
+                raise _no_ellipsoid()
+            step = -values[0] / slope
+            variance += step
+            if abs(step) <= 1e-12 * max(abs(variance), 1e-9):
+                break
+        return self._ellipsoid_of(free @ vector, float(variance))
+
+    def _ellipsoid_of(self, theta: Array, variance: float) -> tuple[Ellipsoid, float]:
+        """The ellipsoid of the quadric `theta` (10,), in the unit of the samples, and the noise."""
         quadratic = np.diag(theta[:3])
         quadratic[0, 1] = quadratic[1, 0] = theta[3] / 2.0
         quadratic[0, 2] = quadratic[2, 0] = theta[4] / 2.0
@@ -151,25 +170,6 @@ class Moments:
             raise _no_ellipsoid()
         ellipsoid = Ellipsoid(np.asarray(offset), np.asarray((vectors / np.sqrt(values)) @ vectors.T))
         return ellipsoid.moved(self.centre, self.scale), self.scale * float(np.sqrt(max(variance, 0.0)))
-
-    def _null_vector(self, free: Array) -> tuple[Array, float]:
-        """Newton on the smallest eigenvalue: ``dv = -lambda / (x^T Psi' x)``; `free` (10, k) spans the quadrics."""
-        k0, k1, k2 = (free.T @ k @ free for k in corrections(self.gram / self.count))
-        variance = 0.0
-        for _ in range(_MAX_NEWTON):
-            quadric = k0 + variance * k1 + variance**2 * k2
-            if not np.isfinite(quadric).all():
-                raise _no_ellipsoid()
-            values, vectors = np.linalg.eigh(quadric)
-            vector = vectors[:, 0]
-            slope = vector @ (k1 + 2.0 * variance * k2) @ vector
-            if not slope < 0.0:
-                raise _no_ellipsoid()
-            step = -values[0] / slope
-            variance += step
-            if abs(step) <= 1e-12 * max(abs(variance), 1e-9):
-                break
-        return np.asarray(free @ vector), float(variance)
 
 
 def adjusted_least_squares(samples: NDArray[Any], model: MagModel = MagModel.SYMMETRIC) -> tuple[Ellipsoid, float]:

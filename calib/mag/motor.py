@@ -1,4 +1,4 @@
-"""The field of the motors at a compass, from an ordinary flight: against current, throttle, or every output.
+"""Field of the motors at a compass from an ordinary flight, against current, throttle or motor outputs.
 
 Each way of driving it is fitted together with everything else that a flight leaves unknown (:mod:`calib.mag.flight`:
 offset, attitude, gyroscope, delay), so that none of these is taken for it. Before anything is proposed, the models
@@ -21,14 +21,14 @@ from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.attitude_check import unusable_attitude
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
-from mavcal.calib.mag.flight_input import FlightInput, given, unusable
+from mavcal.calib.mag.flight_input import FlightInput, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
 from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log
 from mavcal.calib.mag.motor_text import disagreement, terms_text
+from mavcal.calib.mag.result import CompassFit, compass_result
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -117,7 +117,7 @@ def fit_motor(
     window
         Time over which the compass averages, s.
     **facts
-        :class:`calib.mag.result.MagContext`.
+        :class:`calib.mag.context.MagContext`.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def fit_motor(
         If the clocks go back, or units or shapes do not fit.
     """
     context = MagContext(**facts)
-    plain = given(mag, turning, in_force, None, window, context)
+    plain = prepared(mag, turning, in_force, None, window, context)
     reason = unusable(plain)
     if not reason and not drives:
         reason = "neither current nor throttle nor motor outputs that change are in the recording"
@@ -167,7 +167,7 @@ def _candidates(
     found = []
     every: tuple[Drive | None, ...] = (None, *drives)
     for tried in every:
-        data = given(mag, turning, in_force, tried, window, context)
+        data = prepared(mag, turning, in_force, tried, window, context)
         reason = unusable(data)
         if reason:
             raise UndeterminedError(reason)
@@ -196,15 +196,15 @@ def _beats(better: Candidate, worse: Candidate, sure: float) -> bool:
 def _chosen(candidates: Sequence[Candidate]) -> Candidate:
     """The simplest of those that are as good as the best, of those that hidden samples want at all."""
     none = candidates[0]
-    wanted = [c for c in candidates[1:] if _wanted(c, none)]
+    wanted = [c for c in candidates[1:] if _improves_prediction(c, none)]
     if not wanted:
         return none
     best = min(wanted, key=lambda c: c.score)
     return next(c for c in wanted if c is best or not _beats(best, c, 1.0))
 
 
-def _wanted(candidate: Candidate, none: Candidate) -> bool:
-    """Whether hidden samples want the term: over all blocks, and in every part of the flight by either attitude."""
+def _improves_prediction(candidate: Candidate, none: Candidate) -> bool:
+    """Whether the term improves held-out prediction over all blocks, and in every part by either attitude."""
     enough = candidate.hidden_rms < (1.0 - _LEAST_GAIN) * none.hidden_rms
     return enough and _beats(candidate, none, SURE) and _matters(candidate) and not _unhelped(candidate, none)
 
@@ -234,7 +234,7 @@ def _matters(candidate: Candidate) -> bool:
 
 
 def _sds(candidate: Candidate) -> float:
-    """By how many standard deviations the term differs from nothing, per number of it."""
+    """Standard deviations by which each number of the term differs from zero."""
     term = candidate.term.T.ravel()
     return math.sqrt(max(float(term @ np.linalg.solve(candidate.covariance, term)), 0.0) / len(term))
 
@@ -270,18 +270,22 @@ def _verdict(
         return _refusal(context, count, f"{_why_unknown(candidates[1:])}: {MOVEMENT}", **quality)
     best = chosen if chosen is not none else min(candidates[1:], key=lambda c: c.score)
     native = _native(candidates, chosen, data, in_force, context)
-    fit = context.made(METHOD, count).fitted(
-        in_force,
-        np.zeros((len(parameter_names()),) * 2),
-        message=_message(none, chosen, best, native, context.unit),
-        n_used=chosen.found.used,
-        residual_rms=quality["residual_rms"],
-        condition_number=quality["condition_number"],
-        warnings=_warnings(native, chosen, none, context),
-        quality=quality,
-        native=native,
+    return compass_result(
+        CompassFit(
+            METHOD,
+            in_force,
+            np.zeros((len(parameter_names()),) * 2),
+            n_samples=count,
+            n_used=chosen.found.used,
+            message=_message(none, chosen, best, native, context.unit),
+            residual_rms=quality["residual_rms"],
+            condition_number=quality["condition_number"],
+            quality=quality,
+            native=native,
+            warnings=_warnings(native, chosen, none, context),
+        ),
+        context,
     )
-    return earthly(fit, context)
 
 
 def _why_unknown(candidates: Sequence[Candidate]) -> str:
@@ -344,9 +348,9 @@ def _native(
         "drive": None if drive is None else str(drive.kind),
         "held_out_rms_before": none.hidden_rms,
         "held_out_rms_after": chosen.hidden_rms,
-        **(_told(chosen, none, gain, context) if drive is not None else {}),
-        "candidates": {c.kind: _told(c, none, gain, context) for c in candidates[1:]},
-        "attitude_trusted": _trusting(candidates),
+        **(_term(chosen, none, gain, context) if drive is not None else {}),
+        "candidates": {c.kind: _term(c, none, gain, context) for c in candidates[1:]},
+        "attitude_trusted": _with_logged_attitude(candidates),
         "offset_beside": (gain @ offset).tolist(),
         "offset_beside_sd": np.sqrt(np.diag(gain @ chosen.found.solved.covariance[OFFSET, OFFSET] @ gain.T)).tolist(),
         "never_calibrated": bool(
@@ -356,8 +360,8 @@ def _native(
     }
 
 
-def _trusting(candidates: Sequence[Candidate]) -> dict[str, Any] | None:
-    """What least squares find that take the log's attitude, heading included, for the truth; to compare, not to use.
+def _with_logged_attitude(candidates: Sequence[Candidate]) -> dict[str, Any] | None:
+    """Fit with the log's attitude and heading as the truth, for comparison only.
 
     Its heading came from a compass: where it is corrected at arming or in the air, that step is taken for the motors'.
     """
@@ -379,7 +383,7 @@ def _one_or_all(rows: Array) -> list[Any]:
     return list((rows[0] if len(rows) == 1 else rows).tolist())
 
 
-def _told(candidate: Candidate, none: Candidate, gain: Array, context: MagContext) -> dict[str, Any]:
+def _term(candidate: Candidate, none: Candidate, gain: Array, context: MagContext) -> dict[str, Any]:
     """The term behind the correction in force: what the motors add, and what would take it away."""
     drive = candidate.drive
     if drive is None:
@@ -390,7 +394,7 @@ def _told(candidate: Candidate, none: Candidate, gain: Array, context: MagContex
     term = (gain @ candidate.term).T
     log = candidate.log
     return {
-        "proposed": _wanted(candidate, none),
+        "proposed": _improves_prediction(candidate, none),
         "interference": _one_or_all(term),
         "interference_sd": _one_or_all(sd),
         "compensation": _one_or_all(-term),

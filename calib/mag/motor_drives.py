@@ -1,4 +1,4 @@
-"""What drives the motors, as the fits of a compass look at it: current, throttle, or every output."""
+"""Regressors of the motors' field: current, throttle, or every motor output."""
 
 from __future__ import annotations
 

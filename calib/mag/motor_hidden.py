@@ -1,4 +1,4 @@
-"""What the model with the motors' term and the one without it predict of parts of a flight that neither fit saw.
+"""Held-out prediction errors with and without the motors' term.
 
 Two attitudes turn the Earth's field: the one that the gyroscope carries (:mod:`calib.mag.flight_fit`), and the log's
 own, taken for the truth. Each is wrong in its own way: the first drifts, the second leans on the very compasses. A term
@@ -98,7 +98,7 @@ def by_gyroscope(data: FlightInput, fit: FlightEstimate) -> Hidden:
 
 
 def by_log(data: FlightInput, drive: Drive | None, term: Array, gain: Array, context: MagContext) -> LogFit | None:
-    """What the log's attitude says of the `term` (p, 3) that the gyroscope found, and the term that it would find.
+    """Residuals of the `term` (p, 3) under the log's attitude, and the term fitted with that attitude.
 
     Both terms are behind the correction in force `gain` (3, 3). A known field is held; one that is not is fitted beside
     the offset. None: the log has no attitude.

@@ -1,4 +1,4 @@
-"""The motors' field at a compass in words: what it is by each attitude, and where the two disagree."""
+"""Sentences on the motors' field: its size by each attitude, and where the two disagree."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 _DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude make of the motors
 
 
-def terms_text(told: Mapping[str, Any]) -> str:
+def terms_text(term_of_drive: Mapping[str, Any]) -> str:
     """What the motors add with its sd, by the gyroscope and by the log's attitude."""
-    text = _listed(told["interference"], told["interference_sd"], told)
-    if told["by_log"] is None:
+    text = _listed(term_of_drive["interference"], term_of_drive["interference_sd"], term_of_drive)
+    if term_of_drive["by_log"] is None:
         return text
-    log = _listed(told["by_log"]["interference"], told["by_log"]["interference_sd"], told)
+    log = _listed(term_of_drive["by_log"]["interference"], term_of_drive["by_log"]["interference_sd"], term_of_drive)
     return f"{text} by the gyroscope, {log} by the log's attitude"
 
 
-def _listed(term: Sequence[Any], sd: Sequence[Any], told: Mapping[str, Any]) -> str:
-    motors, unit = told["motors"], told["unit"]
+def _listed(term: Sequence[Any], sd: Sequence[Any], term_of_drive: Mapping[str, Any]) -> str:
+    motors, unit = term_of_drive["motors"], term_of_drive["unit"]
     if motors is None or len(motors) == 1:
         return f"{_vector(term, sd)} {unit}"
-    squared = told["squared"] or [False] * len(motors)
+    squared = term_of_drive["squared"] or [False] * len(motors)
     each = (
         f"motor {n}{' squared' if square else ''} {_vector(t, s)}"
         for n, square, t, s in zip(motors, squared, term, sd, strict=True)
@@ -32,7 +32,7 @@ def _listed(term: Sequence[Any], sd: Sequence[Any], told: Mapping[str, Any]) -> 
 
 
 def disagreement(native: Mapping[str, Any], unit: str) -> list[str]:
-    """Where the logged attitude, taken for the truth, tells of other motors than the gyroscope does."""
+    """A warning where the logged attitude gives another motor term than the gyroscope."""
     trusted = native["attitude_trusted"]
     if trusted is None:
         return []

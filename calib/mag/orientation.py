@@ -57,7 +57,7 @@ _OPEN = math.radians(5.0)  # sd of a misalignment beyond which it counts as not 
 
 
 class MountingVerdict(StrEnum):
-    """What the data say about the mounting."""
+    """Verdict on the mounting."""
 
     AS_STATED = "as_stated"  # no rotation is needed
     ROTATED = "rotated"  # one other rotation explains the data, the stated one does not
@@ -227,7 +227,7 @@ def find_orientation(
     if freely is not None:
         verdict, message = freely, told
     matrix = fitted.matrix if fitted is not None and verdict == MountingVerdict.BY_ANGLES else best.matrix
-    told_sine = sine if sine is not None else float(np.median(np.einsum("ni,ij,nj->n", down, matrix, field)))
+    stated_sine = sine if sine is not None else float(np.median(np.einsum("ni,ij,nj->n", down, matrix, field)))
     if verdict == MountingVerdict.ROTATED and sine is None:
         message += "; the place is not known, and a compass with a mirrored axis would look the same"
     return OrientationResult(
@@ -241,7 +241,7 @@ def find_orientation(
         None if small is None else _degrees(np.sqrt(np.diag(small.covariance))),
         None if small is None else small.lag,
         fitted,
-        told_sine,
+        stated_sine,
     )
 
 

@@ -1,30 +1,27 @@
-"""From an ellipsoid with its covariance to a :class:`FitResult`: scale, verdict, warnings, quality."""
+"""The one maker of a magnetometer's :class:`FitResult`: what all methods judge alike.
+
+Each method finds an offset and a matrix in its own way, and words its own message and warnings. The tie to the Earth's
+field, the heading error and the limits beyond which nothing may be used are the same for all of them.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from mavcal.calib.c_array import c_array, homogeneous
+from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth
 from mavcal.calib.errors import UndeterminedError
-from mavcal.calib.fit import OFFSETS, FitResult, parameter_names
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names
 from mavcal.calib.mag.context import MagContext
-from mavcal.calib.mag.distance import score_rows
-from mavcal.calib.mag.earthly import earthly
 from mavcal.calib.mag.heading import heading_sd_deg
-from mavcal.calib.mag.hurried import TurningField
-from mavcal.calib.mag.samples import axis_word
-from mavcal.calib.mag.sections import mask_bytes, visited
-from mavcal.calib.mag.serial import LONGEST, white_variance
-from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance
-from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
@@ -36,282 +33,169 @@ linearisation, (sd/R)^2, then reaches a tenth of the sd, and the stated uncertai
 FIELD_TOLERANCE = 0.2
 """Departure of the fitted from the modelled field strength, relative, that is reported."""
 
-_ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
-_WANDERS = 0.05  # residual relative to the radius, above the noise, that is 5 deg of heading now and then
-_PIECES = 10.0
-"""Pieces of misfit over which an error averages out at most: it follows the movement, not the number of samples."""
-_VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
-_MISFIT = 1.3  # residuals larger than the noise by this factor are reported as misfit
-_MANY = 20_000  # samples that are enough to draw a coverage mask
+SCALE_UNKNOWN = "field strength unknown: the matrix keeps the mean radius, its common scale is not calibrated"
+
+_REPORTED: Final = 0.12  # beyond the Earth's range, relative: a sensor's scale and the crust explain as much
+_IMPLAUSIBLE: Final = 0.35  # of the Earth's field: as far off the health of a log calls a compass faulty
 
 
 @dataclass(frozen=True, eq=False)
-class ShapeFit:
-    """What a method found: an ellipsoid, and everything that tells how far to trust it."""
+class CompassFit:
+    """A correction that may be used, as its method found it."""
 
     method: str
-    ellipsoid: Ellipsoid
+    model: TriadModel
     covariance: Array
-    """(9, 9), correlated residuals included; zero where the method holds a parameter fixed."""
-    residuals: Array
-    """Distances from the ellipsoid of the samples that were used, in order of time."""
-    dof: float
+    """(12, 12), in the order of :func:`calib.fit.parameter_names`."""
+    n_samples: int
+    n_used: int
+    message: str
+    residual_rms: float
     condition_number: float
-    form: str = "ellipsoid"
-    """What the samples were compared with."""
-    n_outliers: int = 0
-    native: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    quality: Mapping[str, Any]
+    """Has ``radius`` where the field strength was measured."""
+    native: Mapping[str, Any] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
-    because: str = ""
-    """Why it is not the form that was asked for; empty where it is."""
-    left_open: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    """Parameters that the method leaves as they are, each with what would determine it."""
-    variance_inflation: float = 1.0
-    """Largest factor by which residuals that are correlated in time widened `covariance`."""
-
-    def moved(self, centre: Array, scale: float) -> ShapeFit:
-        """The fit of ``centre + scale * y``, with everything in the unit of that."""
-        return dataclasses.replace(
-            self,
-            ellipsoid=self.ellipsoid.moved(centre, scale),
-            covariance=self.covariance * scale**2,
-            residuals=self.residuals * scale,
-        )
+    undetermined: Mapping[str, str] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
+    """Parameters that the method leaves open, each with the movement that would determine it."""
 
 
-def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:
-    """The verdict on `fit` of `samples` (N, 3); refused where the data do not carry it."""
-    thinned = samples[:: max(1, len(samples) // _MANY)]
-    seen = visited((thinned - fit.ellipsoid.offset) @ correction(fit.ellipsoid, context.strength).matrix.T)
-    quality = residual_quality(fit, context) | {"coverage_mask": mask_bytes(seen), "coverage": float(seen.mean())}
-    turn = _turn(fit, samples, context)
-    if turn is not None:
-        lengths = np.linalg.norm(correction(fit.ellipsoid, 1.0).apply(samples), axis=1)
-        quality |= {"step_deg": math.degrees(turn.step), "blur_share": turn.seen_in(lengths)}
-        fit = _blurred(fit, samples, turn)
-    fit = _widened(fit, quality)
-    return concluded(fit, quality, len(samples), len(fit.residuals), context)
+def compass_result(fit: CompassFit, context: MagContext, *, of_earth: bool = True) -> FitResult:
+    """The result of `fit`; refused where its field cannot be the Earth's.
 
-
-def concluded(
-    fit: ShapeFit, about_samples: Mapping[str, Any], n_samples: int, n_used: int, context: MagContext
-) -> FitResult:
-    """The verdict on `fit` from what is known of the samples: :func:`residual_quality`, and their coverage."""
-    made = context.made(fit.method, n_samples)
-    model = correction(fit.ellipsoid, context.strength)
-    strength_sd = 0.0 if context.field is None else context.field.norm_sd
-    full = correction_covariance(fit.ellipsoid, fit.covariance, context.strength, strength_sd)
-    quality = dict(about_samples) | _quality(fit, context, model, full)
-    reason = _wanders(fit, quality) or _why_not(fit, quality["residual_rms"], model, full)
-    if reason is not None:
-        message, names = reason
-        message = f"{fit.because}. {message[0].upper()}{message[1:]}" if fit.because else message
-        return made.refused(message, names, message, quality=MappingProxyType(quality))
-    told = full.copy()
-    blind = [parameter_names().index(name) for name in fit.left_open]
-    told[blind, :] = told[:, blind] = 0.0
-    found = made.fitted(
-        model,
-        told,
-        message=_message(quality) + _what_is_open(fit),
-        undetermined=fit.left_open,
-        n_used=n_used,
-        residual_rms=quality["residual_rms"],
+    `of_earth` False: the scale was tied to something else, so the strength proves nothing.
+    """
+    covariance = fit.covariance.copy()
+    rows = [parameter_names().index(name) for name in fit.undetermined]
+    covariance[rows, :] = covariance[:, rows] = 0.0
+    found = context.made(fit.method, fit.n_samples).fitted(
+        fit.model,
+        covariance,
+        message=fit.message,
+        n_used=fit.n_used,
+        residual_rms=fit.residual_rms,
         condition_number=fit.condition_number,
-        warnings=(*((fit.because,) if fit.because else ()), *fit.warnings, *_warnings(fit, context, quality)),
-        quality=MappingProxyType(quality),
-        native=MappingProxyType(_native(fit.ellipsoid, model) | dict(fit.native)),
+        undetermined=fit.undetermined,
+        warnings=fit.warnings,
+        quality=MappingProxyType(dict(fit.quality)),
+        native=MappingProxyType(dict(fit.native)),
     )
-    return earthly(found, context)
+    return checked_against_earth(found, context) if of_earth else found
 
 
 def refusal(method: str, error: UndeterminedError, n_samples: int, context: MagContext) -> FitResult:
-    """The refused fit that `error` stands for."""
+    """The refused fit for `error`."""
     message = f"{error}; {error.remedy}" if error.remedy else str(error)
     return context.made(method, n_samples).refused(message, error.missing or parameter_names(), error.remedy or message)
 
 
-def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
-    """What the residuals of `fit` say of it."""
-    squares = float(fit.residuals @ fit.residuals)
-    noise = context.noise_variance
-    floor = white_variance(fit.residuals) if noise is None else noise
-    statistics = residual_statistics(fit.residuals[:LONGEST], int(fit.dof), None)
-    chi2 = squares / floor if floor > 0.0 else None
-    return {
-        "residual_rms": math.sqrt(squares / len(fit.residuals)),
-        "chi2": chi2,
-        "p_value": float(scipy.special.chdtrc(fit.dof, chi2)) if chi2 is not None and noise is not None else None,
-        "noise_sd": math.sqrt(floor),
-        "noise_from": "successive residuals" if noise is None else "given",
-        "first_correlation": statistics["first_correlation"],
-        "white": statistics["white"],
-    }
+def field_quality(
+    model: TriadModel,
+    covariance: Array,
+    radius: float,
+    dip: float,
+    context: MagContext,
+    *,
+    length: float | None = None,
+) -> dict[str, float | None]:
+    """Field strength `radius` beside the true one, heading error at `dip` (rad), and offset error in uT.
 
-
-def _turn(fit: ShapeFit, samples: Array, context: MagContext) -> TurningField | None:
-    """How the field turned in samples that follow each other too slowly to be a series; None where they do not."""
-    if context.times is None or len(context.times) != len(samples):
-        return None
-    return TurningField.of(context.times, correction(fit.ellipsoid, 1.0).apply(samples))
-
-
-def _blurred(fit: ShapeFit, samples: Array, turn: TurningField) -> ShapeFit:
-    """The fit with what the longest blur could have moved it by: more samples do not make that less."""
-    inverse = np.linalg.inv(fit.ellipsoid.shape)
-    outwards = turn.blur / np.linalg.norm(turn.u @ inverse, axis=1)  # along the normal, in the unit of the samples
-    pull = score_rows(samples[turn.rows], fit.ellipsoid) @ outwards
-    variance = float(fit.residuals @ fit.residuals) / max(fit.dof, 1.0) * fit.variance_inflation
-    moved = fit.covariance @ pull / max(variance, 1e-300)
-    return dataclasses.replace(fit, covariance=fit.covariance + np.outer(moved, moved))
-
-
-def _widened(fit: ShapeFit, quality: Mapping[str, Any]) -> ShapeFit:
-    """The fit with the uncertainty that its misfit leaves, however many samples there are.
-
-    What residuals are beyond the noise is no noise: it averages over :data:`_PIECES` at most. Nor is what follows the
-    turn where the compass was read more slowly than it turned.
+    `radius` is in the unit of the samples. `length` is that of the corrected vectors where it was stated in a unit of
+    its own; None: the true strength, else `radius`.
     """
-    squares = quality["residual_rms"] ** 2
-    misfit = quality.get("blur_share", 0.0)
-    if _misfits(fit, quality):
-        misfit = max(misfit, (squares - quality["noise_sd"] ** 2) / squares)
-    factor = misfit * len(fit.residuals) / (_PIECES * fit.variance_inflation)
-    if factor <= 1.0:
-        return fit
-    return dataclasses.replace(
-        fit, covariance=fit.covariance * factor, variance_inflation=fit.variance_inflation * factor
-    )
-
-
-def _misfits(fit: ShapeFit, quality: Mapping[str, Any]) -> bool:
-    """Whether the residuals are larger than the noise, and large enough to matter."""
-    if quality["chi2"] is None or not fit.dof > 0:
-        return False
-    visible = quality["residual_rms"] > _VISIBLE * fit.ellipsoid.mean_radius
-    excess = math.sqrt(quality["chi2"] / fit.dof)
-    return bool(visible and excess > max(_MISFIT, 1.0 + 3.0 / math.sqrt(2.0 * fit.dof)))
-
-
-def _quality(fit: ShapeFit, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
-    """What the ellipsoid and its covariance say of it."""
-    radius = fit.ellipsoid.mean_radius
-    strength = radius if context.strength is None else context.strength
-    in_microtesla = context.unit == "uT" or context.strength is not None
-    offset_sd = model.matrix @ full[:3, :3] @ model.matrix.T
-    comparable = context.unit == "uT" and context.strength is not None
+    strength = context.strength if length is None else None
+    in_microtesla = context.unit == "uT" or strength is not None
+    corrected = length or strength or radius
+    offset = model.matrix @ covariance[:3, :3] @ model.matrix.T
     return {
-        "dof": fit.dof,
-        "variance_inflation": fit.variance_inflation,
-        "n_outliers": fit.n_outliers,
         "radius": radius,
-        "axis_ratio": float(fit.ellipsoid.radii[2] / fit.ellipsoid.radii[0]),
-        "field_ratio": radius / strength if comparable else None,
-        "heading_sd_deg": heading_sd_deg(model, full, strength, context.inclination, context.body_from_sensor),
-        "heading_dip_deg": math.degrees(context.inclination),
-        "offset_sd_ut": math.sqrt(float(np.linalg.eigvalsh(offset_sd)[-1])) if in_microtesla else None,
+        "field_ratio": radius / strength if context.unit == "uT" and strength is not None else None,
+        "heading_sd_deg": heading_sd_deg(model, covariance, corrected, dip, context.body_from_sensor),
+        "heading_dip_deg": math.degrees(dip),
+        "offset_sd_ut": math.sqrt(float(np.linalg.eigvalsh(offset)[-1])) if in_microtesla else None,
     }
 
 
-def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tuple[str, tuple[str, ...]] | None:
-    """Why nothing of the fit may be used, and the parameters that are open; None if it may. `rough`: residual rms."""
-    radius = fit.ellipsoid.mean_radius
-    if rough > _ROUGHEST * radius:
-        message = (
-            f"the magnetometer samples are {rough / radius:.0%} of the field off every {fit.form}: the field changed "
-            "while turning (keep away from steel, magnets and currents, and repeat)"
-        )
-        if fit.form != "ellipsoid" and not fit.left_open:
-            message += ", or this form is too simple: fit mag-ellipsoid"
-        return message, parameter_names()
-    relative = np.concatenate([full.diagonal()[:3] / radius**2, full.diagonal()[3:] / np.cbrt(_volume(model)) ** 2])
-    open_ones = tuple(
-        n for n, v in zip(parameter_names(), relative, strict=True) if v > UNDETERMINED_SD**2 and n not in fit.left_open
+def with_strength_sd(covariance: Array, model: TriadModel, field: EarthField | None) -> Array:
+    """`covariance` (12, 12) with the uncertainty of the field strength that `model` is scaled to."""
+    if field is None:
+        return covariance
+    error = np.concatenate([np.zeros(3), model.matrix.ravel()]) * field.norm_sd / field.norm
+    return covariance + np.outer(error, error)
+
+
+def undetermined_parameters(model: TriadModel, covariance: Array, radius: float) -> tuple[str, ...]:
+    """Parameters whose standard deviation relative to the field exceeds :data:`UNDETERMINED_SD`."""
+    size = np.cbrt(abs(float(np.linalg.det(model.matrix))))
+    relative = np.concatenate([covariance.diagonal()[:3] / radius**2, covariance.diagonal()[3:] / size**2])
+    return tuple(n for n, v in zip(parameter_names(), relative, strict=True) if not v <= UNDETERMINED_SD**2)
+
+
+def year_warning(context: MagContext) -> list[str]:
+    """A warning where the date lies outside the years of the magnetic model."""
+    if context.field is None or context.field.valid:
+        return []
+    return [f"the date is outside the years of {context.field.model}: its field strength is extrapolated"]
+
+
+def array_forms(model: TriadModel, instance: int) -> dict[str, Any]:
+    """The correction as a homogeneous 4 x 4 matrix, and that as an array of C."""
+    whole = homogeneous(model.matrix, model.offset)
+    return {"homogeneous": whole.tolist(), "c_array": c_array(f"mag_{instance}", whole)}
+
+
+def plausible_field(radius: float) -> bool:
+    """Whether a sensor with a wrong scale at a disturbed site may read the Earth's field as `radius` uT."""
+    return beyond_earth(radius) <= _IMPLAUSIBLE
+
+
+def checked_against_earth(fit: FitResult, context: MagContext) -> FitResult:
+    """`fit` with a warning where no place on Earth has such a field strength; refused where it is far off.
+
+    A fit whose scale is tied to a stated field is never refused: there a sensor may read in any unit.
+    """
+    radius = fit.quality.get("radius")
+    if fit.unit != "uT" or fit.status == FitStatus.REFUSED or radius is None:
+        return fit
+    off = beyond_earth(float(radius))
+    if off <= _REPORTED:
+        return fit
+    text = (
+        f"the measured field of {radius:.3g} uT is none of the Earth's, which has {WEAKEST_UT:.0f} to "
+        f"{STRONGEST_UT:.0f} uT anywhere: steel or a magnet is near, the unit is another one, or the scale is off"
     )
-    if not open_ones:
-        return None
-    weakest = np.linalg.eigh(full[:3, :3])[1][:, -1]
-    message = (
-        f"the movement does not determine {', '.join(open_ones)} (offset known to {_worst_offset(full):.3g} at a field "
-        f"of {radius:.3g}): turn the vehicle so that its {axis_word(weakest)} axis points up and down as well"
-    )
-    return message, open_ones
-
-
-def _wanders(fit: ShapeFit, quality: Mapping[str, Any]) -> tuple[str, tuple[str, ...]] | None:
-    """Why an ellipsoid whose residuals are no noise, and degrees of heading, may not be used; None if it may."""
-    rough = quality["residual_rms"] / fit.ellipsoid.mean_radius
-    if fit.form != "ellipsoid" or not _WANDERS < rough <= _ROUGHEST or not _misfits(fit, quality):
-        return None
-    message = (
-        f"the field wandered by {rough:.0%} of itself while turning, which is no noise and costs "
-        f"{math.degrees(rough):.0f} deg of heading: keep away from steel, magnets and currents, and repeat"
-    )
-    return message, parameter_names()
-
-
-def _volume(model: TriadModel) -> float:
-    return abs(float(np.linalg.det(model.matrix)))
-
-
-def _worst_offset(full: Array) -> float:
-    return math.sqrt(float(np.linalg.eigvalsh(full[:3, :3])[-1]))
-
-
-def _warnings(fit: ShapeFit, context: MagContext, quality: Mapping[str, Any]) -> tuple[str, ...]:
-    found = []
-    ratio = quality["field_ratio"]
-    if context.strength is None:
-        found.append("field strength unknown: the matrix keeps the mean radius, its common scale is not calibrated")
-    elif ratio is not None and abs(ratio - 1.0) > FIELD_TOLERANCE:
-        found.append(
-            f"the measured field of {quality['radius']:.1f} uT is {ratio:.2f} times the {context.strength:.1f} uT of "
-            "the magnetic model: steel or a magnet is near, the sensor's scale is off, or the place is wrong"
-        )
-    if context.field is not None and not context.field.valid:
-        found.append(f"the date is outside the years of {context.field.model}: its field strength is extrapolated")
-    if _misfits(fit, quality):
-        found.append(
-            f"residuals are {math.sqrt(quality['chi2'] / fit.dof):.1f} times the noise: the samples are not quite "
-            f"{'an' if fit.form == 'ellipsoid' else 'a'} {fit.form} (blur, currents, steel nearby). The stated "
-            "uncertainty includes that"
-        )
-    if "step_deg" in quality:
-        seen = quality["blur_share"]
-        found.append(
-            f"the compass was read more slowly than it turned, by {quality['step_deg']:.0f} deg from one sample to the "
-            "next: the stated uncertainty includes what a blur or a lag could hide"
-            + (f", and {seen:.0%} of the residuals' variance follow the turn" if seen else "")
-            + ". Turn more slowly, or record it at 10 Hz"
-        )
-    if fit.dof < 10:
-        found.append(f"only {fit.dof:.0f} samples more than parameters: the stated uncertainty is itself uncertain")
-    if fit.n_outliers:
-        found.append(f"{fit.n_outliers} samples lie off the ellipsoid and were left out")
-    return tuple(found)
-
-
-def _message(quality: Mapping[str, Any]) -> str:
-    return (
-        f"heading good to {quality['heading_sd_deg']:.2g} deg at a dip of {quality['heading_dip_deg']:.0f} deg, "
-        f"residual {quality['residual_rms']:.3g} at a field of {quality['radius']:.4g}"
+    if off <= _IMPLAUSIBLE or context.field is not None:
+        return dataclasses.replace(fit, warnings=(text, *fit.warnings))
+    remedy = "keep away from steel and magnets, or state the unit of the samples (--unit-mag) or the field (--field)"
+    return context.made(fit.method, fit.n_samples).refused(
+        f"{text}; {remedy}", parameter_names(), remedy, quality=fit.quality
     )
 
 
-def _what_is_open(fit: ShapeFit) -> str:
-    if not fit.left_open:
-        return ""
-    names = [*(name for name in fit.left_open if name in OFFSETS), "the matrix"]
-    return f"; {' and '.join(names)} stay open: {next(iter(fit.left_open.values()))}"
+def rotation_covariance(model: TriadModel, covariance: Array) -> Array:
+    """Covariance (3, 3) in rad^2 of small rotations of the corrected vectors about x, y, z.
+
+    ``C = Q S`` by polar decomposition and ``dC = [phi] C + Q dS``: the skew part of ``G = Q^T dC`` is
+    ``(tr S - S) Q^T phi``. `covariance` is (12, 12), in the order of :func:`calib.fit.parameter_names`.
+    """
+    rotation, symmetric = model.rotation, model.symmetric().matrix
+    inverse = np.linalg.inv(np.trace(symmetric) * np.eye(3) - symmetric)
+    turn = np.zeros((3, 9))
+    for k in range(9):
+        change = np.zeros((3, 3))
+        change.flat[k] = 1.0
+        G = rotation.T @ change
+        turn[:, k] = rotation @ inverse @ np.array([G[2, 1] - G[1, 2], G[0, 2] - G[2, 0], G[1, 0] - G[0, 1]])
+    return np.asarray(turn @ covariance[3:12, 3:12] @ turn.T, dtype=np.float64)
 
 
-def _native(ellipsoid: Ellipsoid, model: TriadModel) -> dict[str, Any]:
-    """The form of MATLAB's magcal: ``corrected = (D - b) A`` by rows, det A = 1, on a sphere of radius `expmfs`."""
-    normal = model.matrix / np.cbrt(_volume(model))
+def mounting_of(model: TriadModel, covariance: Array) -> dict[str, float]:
+    """Angle of the rotation in the matrix of `model`, and its standard deviation about the worst axis, degrees."""
+    rotation = model.rotation
+    skew = rotation - rotation.T
+    sine = 0.5 * math.hypot(skew[2, 1], skew[0, 2], skew[1, 0])
+    worst = float(np.linalg.eigvalsh(rotation_covariance(model, covariance))[-1])
     return {
-        "b": ellipsoid.offset.tolist(),
-        "A": normal.tolist(),
-        "expmfs": ellipsoid.mean_radius,
-        "radii": ellipsoid.radii.tolist(),
-        "shape": ellipsoid.shape.tolist(),
+        "mounting_deg": math.degrees(math.atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))),
+        "mounting_sd_deg": math.degrees(math.sqrt(max(worst, 0.0))),
     }

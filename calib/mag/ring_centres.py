@@ -8,10 +8,14 @@ it was not; a fitted circle is the same either way.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import AXES
 
 Array = NDArray[np.float64]
 
@@ -21,6 +25,9 @@ CENTRES = ("circle", "mean", "thinned", "minmax", "4", "3", "2")
 FEWEST_OF_CIRCLE = 8
 """Samples below which no circle is fitted."""
 
+LABELS = "x-down, x-up, y-down, y-up, z-down, z-up"
+
+_CLEAR = np.cos(np.radians(35.0))  # a centre farther than this from an axis could belong to two faces
 _LARGEST_SD = 0.2  # of a radius: an arc that leaves its centre more open than this is no ring
 _SURPRISING = 16.27  # chi-square with three degrees of freedom, exceeded by chance once in a thousand
 
@@ -214,3 +221,53 @@ def _extremes_covariance(ring: Ring, circle: Circle | None, back: Array, noise_s
     near = n * math.sqrt(2.0 * noise_sd / radius) / math.pi if radius > 0.0 else 0.0
     along, across = (math.pi**2 / (24.0 * math.log(max(count, 3.0))) for count in (float(n), near))
     return np.asarray(along * np.outer(ring.down, ring.down) + across * (np.eye(3) - np.outer(ring.down, ring.down)))
+
+
+def faces_of(centres: Array, stated: Sequence[Array | None]) -> Array:
+    """Signed unit vectors (K, 3) along the axis that pointed down in each ring.
+
+    Parameters
+    ----------
+    centres : shape (K, 3)
+        Of the rings, roughly.
+    stated
+        The vector that a label says; all of them or none count. None: the side of the middle on which the centre lies.
+        That holds where the field points down and the sensor's axes are nearly those of the body.
+
+    Raises
+    ------
+    UndeterminedError
+        If labels are missing and the centres do not tell, or a face is missing.
+    """
+    known = [direction for direction in stated if direction is not None]
+    faces = np.array(known) if len(known) == len(stated) else _faces_by_centres(centres)
+    missing = [
+        f"{AXES[axis]}-{'down' if side > 0.0 else 'up'}"
+        for axis in range(3)
+        for side in (1.0, -1.0)
+        if not (faces[:, axis] == side).any()
+    ]
+    if missing:
+        raise UndeterminedError(
+            f"{len(faces)} rings, and none of them is {', '.join(missing)}",
+            remedy="turn the vehicle once around with every axis down and up in turn, and label the rings "
+            f"(column segment: {LABELS})",
+        )
+    return faces
+
+
+def _faces_by_centres(centres: Array) -> Array:
+    from_middle = centres - 0.5 * (centres.max(axis=0) + centres.min(axis=0))
+    length = np.linalg.norm(from_middle, axis=1)
+    axis = np.abs(from_middle).argmax(axis=1)
+    along = from_middle[np.arange(len(axis)), axis]
+    clear = np.abs(along) > _CLEAR * length
+    if not clear.all():
+        ring = int(np.flatnonzero(~clear)[0])
+        raise UndeterminedError(
+            f"ring {ring + 1} of {len(centres)} could belong to two faces: its centre lies between the axes",
+            remedy=f"label the rings (column segment: {LABELS}), or state their order",
+        )
+    faces = np.zeros_like(centres)
+    faces[np.arange(len(axis)), axis] = np.sign(along)
+    return faces

@@ -10,40 +10,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Unpack
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Unpack
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from mavcal.calib.c_array import homogeneous
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
-from mavcal.calib.fit import FitResult
+from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.result import refusal
-from mavcal.calib.mag.ring_centres import (
-    CENTRES,
-    FEWEST_OF_CIRCLE,
-    Centre,
-    Circle,
-    Ring,
-    centre_of,
-    fit_circle,
-    is_round,
+from mavcal.calib.mag.result import (
+    SCALE_UNKNOWN,
+    UNDETERMINED_SD,
+    CompassFit,
+    array_forms,
+    compass_result,
+    field_quality,
+    mounting_of,
+    refusal,
+    with_strength_sd,
+    year_warning,
 )
-from mavcal.calib.mag.rings_algebra import columns_of
-from mavcal.calib.mag.rings_faces import faces_of
-from mavcal.calib.mag.rings_result import RingsFit, rings_result
-from mavcal.calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
-from mavcal.calib.mag.serial import variance_inflation
+from mavcal.calib.mag.ring_centres import CENTRES, Ring, faces_of, plane_of
+from mavcal.calib.mag.ring_solve import RingsFit, by_dominant, columns_of, published, solve_rings
+from mavcal.calib.stats.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
 METHOD = "mag-rings"
 
-_ROUNDS = 4  # of centres and matrix: each makes the circles rounder by the square of what was wrong
-_SETTLED = 1e-12
-_TRIMS = 6
-_SPIKE = 4.0  # of the median distance from the middle of a ring, beyond which no turn and no noise goes
-_MOST_CONDITION = 20.0  # of the columns: a matrix beyond it is noise, or no compass
+NEAR_EQUATOR = (
+    "rings about the vertical see the matrix through the vertical field alone, which is too weak here (near the "
+    "magnetic equator, or too few samples): tilt the vehicle to all sides and use mag-ellipsoid or mag-align, or turn "
+    "each ring longer"
+)
+
+_MISFIT = 0.001
 
 
 def fit_rings(
@@ -70,7 +76,7 @@ def fit_rings(
     diameter
         Length of a corrected diameter, in whatever unit: twice the field strength. None: the field's, else det C = 1.
     **facts
-        What is known of sensor and field: :class:`calib.mag.result.MagContext`.
+        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
 
     Returns
     -------
@@ -90,10 +96,10 @@ def fit_rings(
     try:
         kept = _turned(samples)
         faces = faces_of(np.array([0.5 * (r.max(axis=0) + r.min(axis=0)) for r in kept]), downs)
-        fit = _without_outliers([Ring(s, k) for s, k in zip(kept, faces, strict=True)], centre, fixture_sd)
+        fit = solve_rings([Ring(s, k) for s, k in zip(kept, faces, strict=True)], centre, fixture_sd)
     except UndeterminedError as error:
         return refusal(METHOD, error, total, context)
-    return rings_result(METHOD, fit, context, diameter, total)
+    return _result(fit, context, diameter, total)
 
 
 def _check(
@@ -133,120 +139,222 @@ def _turned(samples: Sequence[Array]) -> list[Array]:
     return list(samples)
 
 
-def _without_outliers(rings: Sequence[Ring], way: str, fixture_sd: float) -> RingsFit:
-    """The fit of the samples that are within :data:`OUTLIER` standard deviations of their own ring.
+@dataclass(frozen=True, eq=False)
+class _Scale:
+    """What makes a matrix of columns one of microtesla: samples in the corrected space of ``V^-1``."""
 
-    Raises
-    ------
-    UndeterminedError
-        If too many are not.
-    """
-    given = sum(len(ring.samples) for ring in rings)
-    rings = [Ring(_without_spikes(ring.samples), ring.down) for ring in rings]
-    for _ in range(_TRIMS):
-        fit = _solved(rings, way, fixture_sd)
-        kept = [_inside(rows) for rows in fit.residuals_by_ring()]
-        if all(k.all() for k in kept):
-            break
-        rings = [Ring(r.samples[k], r.down) if len(k) else r for r, k in zip(rings, kept, strict=True)]
-    left = sum(len(ring.samples) for ring in rings)
-    if left < (1.0 - MOST_OUTLIERS) * given:
-        raise UndeterminedError(
-            f"{given - left} of {given} magnetometer samples lie off their rings",
-            remedy="find what disturbs the field (motors, steel, a phone nearby), turn steadily, and repeat",
-        )
-    return fit
+    fit: RingsFit
+    strength: float | None
+
+    @cached_property
+    def moments(self) -> tuple[tuple[int, Array, Array], ...]:
+        """Number, mean and scatter of the samples of every ring."""
+        samples = [ring.samples for ring in self.fit.rings]
+        return tuple((len(s), s.mean(axis=0), np.cov(s.T, bias=True)) for s in samples)
+
+    def model(self, centres: Array) -> Array:
+        """Offset and matrix (12,) as a function of the centres (K, 3)."""
+        offset, columns = columns_of(centres, self.fit.faces)
+        sign = 1.0 if np.linalg.det(columns) > 0.0 else -1.0
+        inverse = sign * np.linalg.inv(columns)
+        if self.strength is None:
+            matrix = inverse / np.cbrt(np.linalg.det(inverse))
+        else:
+            matrix = inverse * self.strength / math.sqrt(1.0 + self.square_radius(centres, columns))
+        return np.concatenate([offset, matrix.ravel()])
+
+    def square_radius(self, centres: Array, columns: Array) -> float:
+        """Mean square of the rings' radii in units of the vertical field, ``cot^2 d``, without its noise."""
+        inverse = np.linalg.inv(columns)
+        noise = 0.0 if self.fit.noise_sd is None else self.fit.noise_sd**2
+        total, count = 0.0, 0
+        for (n, mean, scatter), ring, centre in zip(self.moments, self.fit.rings, centres, strict=True):
+            plane = inverse.T @ plane_of(ring.down)
+            about = scatter + np.outer(mean - centre, mean - centre) - noise * np.eye(3)
+            total += n * float(np.sum(plane * (about @ plane)))
+            count += n
+        return max(total / count, 0.0)
+
+    def covariance(self, centres: Array) -> Array:
+        """(12, 12) of :meth:`model`: that of the centres, and of the radius that ties the strength."""
+        step = 1e-5 * float(np.abs(self.fit.columns).max())
+        columns = []
+        for k in range(centres.size):
+            change = np.zeros(centres.size)
+            change[k] = step
+            moved = change.reshape(centres.shape)
+            columns.append((self.model(centres + moved) - self.model(centres - moved)) / (2.0 * step))
+        jacobian = np.array(columns).T
+        spread = jacobian @ self.fit.covariance @ jacobian.T
+        if self.strength is not None and self.fit.noise_sd is not None:
+            square = self.square_radius(centres, self.fit.columns)
+            count = sum(len(ring.samples) for ring in self.fit.rings)
+            gain = float(np.linalg.norm(np.linalg.inv(self.fit.columns), 2))
+            relative = math.sqrt(square / count) * self.fit.noise_sd * gain / (1.0 + square)
+            scale = np.concatenate([np.zeros(3), self.model(centres)[3:]]) * relative
+            spread = spread + self.fit.variance_inflation * np.outer(scale, scale)
+        return np.asarray(0.5 * (spread + spread.T), dtype=np.float64)
 
 
-def _without_spikes(samples: Array) -> Array:
-    """The samples that are not many times as far from the middle of the ring as most."""
-    if len(samples) < FEWEST_OF_CIRCLE:
-        return samples
-    far = np.linalg.norm(samples - np.median(samples, axis=0), axis=1)
-    return np.asarray(samples[far <= _SPIKE * np.median(far)])
-
-
-def _inside(residuals: Array) -> NDArray[np.bool_]:
-    """Which rows (N, 2) are no outliers: none where the ring has no circle."""
-    if not len(residuals):
-        return np.zeros(0, dtype=np.bool_)
-    sd = MAD_TO_SD * np.median(np.abs(residuals), axis=0)
-    quiet = np.maximum(sd, 1e-9 * np.abs(residuals).max())
-    return np.asarray((np.abs(residuals) <= OUTLIER * np.maximum(quiet, quiet.max() / 3.0)).all(axis=1))
-
-
-def _solved(rings: Sequence[Ring], way: str, fixture_sd: float) -> RingsFit:
-    faces = np.array([ring.down for ring in rings])
-    matrix: Array = np.eye(3)
-    noise_sd = 0.0
-    for _ in range(_ROUNDS):
-        circles, noise_sd = _circles(rings, matrix, noise_sd)
-        centres = [centre_of(r, way, matrix, c, noise_sd) for r, c in zip(rings, circles, strict=True)]
-        offset, columns = columns_of(np.array([c.value for c in centres]), faces)
-        if not np.linalg.cond(columns) < _MOST_CONDITION:
-            break
-        before, matrix = matrix, np.asarray(np.linalg.inv(columns), dtype=np.float64)
-        if np.linalg.norm(matrix @ np.linalg.inv(before) - np.eye(3)) < _SETTLED:
-            break
-    residuals, dof = _residuals(rings, circles, matrix)
-    inflation = 1.0
-    if way in {"circle", "mean", "thinned"} and len(residuals):
-        inflation = max(variance_inflation(residuals[:, 0]), variance_inflation(residuals[:, 1]))
-    values = np.array([c.value for c in centres])
-    closure = values - offset - faces @ columns.T
-    return RingsFit(
-        rings=tuple(rings),
-        way=way,
-        centres=values,
-        covariance=_covariance(centres, faces, columns, closure, noise_sd**2 * inflation if dof else None, fixture_sd),
-        offset=offset,
-        columns=columns,
-        circles=tuple(circles),
-        residuals=residuals,
-        dof=dof,
-        noise_sd=noise_sd if dof else None,
-        variance_inflation=inflation,
-        uneven=tuple(j for j, c in enumerate(centres) if c.surprise.any()),
-        fixture_sd=fixture_sd,
+def _result(fit: RingsFit, context: MagContext, diameter: float | None, n_samples: int) -> FitResult:
+    """The verdict on `fit`; near the magnetic equator only the offset is determined."""
+    strength = 0.5 * diameter if diameter is not None else context.strength
+    scale = _Scale(fit, strength)
+    whole = fit.weakest_column() < UNDETERMINED_SD and np.linalg.cond(fit.columns) < 20.0
+    covariance = np.zeros((12, 12))
+    covariance[:3, :3] = fit.offset_covariance()
+    model = TriadModel(fit.offset)
+    if whole:
+        values = scale.model(fit.centres)
+        model = TriadModel(values[:3], values[3:].reshape(3, 3))
+        covariance = scale.covariance(fit.centres)
+    chi2, closing = fit.chi2()
+    p_value = float(scipy.special.chdtrc(closing, chi2)) if fit.noise_sd is not None else None
+    if p_value is not None and p_value < _MISFIT:
+        covariance = covariance * (chi2 / closing)
+    if diameter is None and whole:
+        covariance = with_strength_sd(covariance, model, context.field)
+    quality = _quality(fit, context, model, covariance, diameter=diameter, whole=whole)
+    quality |= {"n_outliers": n_samples - fit.n_used}
+    quality |= {"chi2": chi2 if p_value is not None else None, "dof": closing, "p_value": p_value}
+    return compass_result(
+        CompassFit(
+            METHOD,
+            model,
+            covariance,
+            n_samples=n_samples,
+            n_used=fit.n_used,
+            message=_message(fit, quality, whole),
+            residual_rms=quality["residual_rms"],
+            condition_number=float(np.linalg.cond(fit.columns)),
+            quality=quality,
+            native=_native(fit, context, model, strength, whole),
+            warnings=_warnings(fit, context, strength, quality),
+            undetermined={} if whole else dict.fromkeys(parameter_names()[3:], NEAR_EQUATOR),
+        ),
+        context,
+        of_earth=diameter is None,  # a diameter is in whatever unit
     )
 
 
-def _circles(rings: Sequence[Ring], matrix: Array, noise_sd: float) -> tuple[list[Circle | None], float]:
-    """Circles of all rings, without those that their samples leave open, and the noise of one axis of a sample."""
-    found = [fit_circle(ring.samples @ matrix.T, ring.down) for ring in rings]
-    residuals, dof = _residuals(rings, found, matrix)
-    if dof:
-        noise_sd = math.sqrt(float((residuals**2).sum()) / dof)
-    gain = float(np.cbrt(abs(np.linalg.det(matrix))))
-    return [c if is_round(c, noise_sd * gain) else None for c in found], noise_sd
+def _quality(
+    fit: RingsFit,
+    context: MagContext,
+    model: TriadModel,
+    covariance: Array,
+    *,
+    diameter: float | None,
+    whole: bool,
+) -> dict[str, Any]:
+    left = fit.residuals if len(fit.residuals) else fit.closure
+    rms = _rms(left)
+    quality: dict[str, Any] = {**residual_statistics(left, fit.dof, context.noise_sd)}
+    quality |= {
+        "residual_rms": rms,
+        "noise_sd": fit.noise_sd,
+        "closure_rms": _rms(fit.closure),
+        "variance_inflation": fit.variance_inflation,
+        "rings": len(fit.rings),
+        "fixture_sd_deg": fit.fixture_sd,
+        "heading_sd_deg": None,
+        "mounting_deg": None,
+        "mounting_sd_deg": None,
+        "dip_deg": None,
+        "field_ratio": None,
+        "offset_sd_ut": None,
+    }
+    if not whole:
+        return quality
+    square = _Scale(fit, None).square_radius(fit.centres, fit.columns)
+    dip = math.atan2(1.0, math.sqrt(square))
+    radius = float(np.cbrt(abs(np.linalg.det(fit.columns)))) * math.sqrt(1.0 + square)
+    inclination = dip if context.field is None or context.field.model == "given" else abs(context.field.inclination)
+    length = None if diameter is None else 0.5 * diameter
+    return quality | {
+        "dip_deg": math.degrees(dip),
+        **field_quality(model, covariance, radius, inclination, context, length=length),
+        **mounting_of(model, covariance),
+    }
 
 
-def _residuals(rings: Sequence[Ring], circles: Sequence[Circle | None], matrix: Array) -> tuple[Array, int]:
-    """Distances (N, 2) of samples from their plane and circle in the unit of the samples, and degrees of freedom."""
-    pieces, dof = [np.zeros((0, 2))], 0
-    for ring, circle in zip(rings, circles, strict=True):
-        if circle is not None:
-            along = float(np.linalg.norm(ring.down @ matrix))
-            across = np.linalg.norm(circle.outward @ matrix, axis=1)
-            pieces.append(np.column_stack([circle.height_residuals / along, circle.radial_residuals / across]))
-            dof += 2 * len(ring.samples) - 6
-    return np.concatenate(pieces), dof
+def _rms(values: Array) -> float:
+    return math.sqrt(float((values**2).mean()))
 
 
-def _covariance(
-    centres: Sequence[Centre], faces: Array, columns: Array, closure: Array, variance: float | None, fixture_sd: float
-) -> Array:
-    """Covariance of the centres (3 K, 3 K): noise of each, and a tilt that all rings of a face share.
+def _message(fit: RingsFit, quality: dict[str, Any], whole: bool) -> str:
+    if not whole:
+        return f"{len(fit.rings)} rings determine the offset alone: {NEAR_EQUATOR}"
+    return (
+        f"{len(fit.rings)} rings, centres by {fit.way}: mounting {quality['mounting_deg']:.2f} deg known to "
+        f"{quality['mounting_sd_deg']:.2g} deg, heading good to {quality['heading_sd_deg']:.2g} deg at a dip of "
+        f"{quality['heading_dip_deg']:.0f} deg"
+    )
 
-    `variance` None: no ring has samples enough to tell its noise; the disagreement of the centres tells it.
-    """
-    count = len(centres)
-    whole = np.zeros((count, 3, count, 3))
-    scatter = float((closure**2).sum()) / (3 * (count - 4))
-    for j, centre in enumerate(centres):
-        noise = scatter * np.eye(3) if variance is None else variance * centre.covariance
-        whole[j, :, j] = noise + np.outer(centre.surprise, centre.surprise)
-        across = columns @ (np.eye(3) - np.outer(faces[j], faces[j])) @ columns.T
-        for other in np.flatnonzero((faces == faces[j]).all(axis=1)):
-            whole[j, :, other] += math.radians(fixture_sd) ** 2 * across
-    return whole.reshape(3 * count, 3 * count)
+
+def _warnings(fit: RingsFit, context: MagContext, strength: float | None, quality: dict[str, Any]) -> tuple[str, ...]:
+    found = []
+    if strength is None:
+        found.append(SCALE_UNKNOWN)
+    if np.linalg.det(fit.columns) < 0.0:
+        found.append(
+            "the centres lie on the far side of every label: the field points up here (southern hemisphere), the "
+            "labels name the axis that is up, or the sensor's axes are mirrored; the first two make no difference"
+        )
+    found += year_warning(context)
+    if fit.fixture_sd == 0.0:
+        found.append(
+            "the faces were taken as exactly square: every degree of tilt is a degree of mounting; state --fixture-sd"
+        )
+    if fit.uneven:
+        numbers = ", ".join(str(j + 1) for j in fit.uneven)
+        found.append(
+            f"ring {numbers} was turned unevenly: its {fit.way} is off the fitted circle, and the sd says so; use "
+            "--centre circle"
+        )
+    missing = [str(j + 1) for j, circle in enumerate(fit.circles) if circle is None]
+    if missing:
+        found.append(
+            f"ring {', '.join(missing)} has too few samples, or too short an arc, for a circle: its mean or the chosen "
+            "points hold only if they are evenly spaced"
+        )
+    if quality["n_outliers"]:
+        found.append(f"{quality['n_outliers']} samples lie off their ring and were left out")
+    p_value = quality["p_value"]
+    if p_value is not None and p_value < _MISFIT:
+        found.append(
+            f"the middles of opposite rings disagree by {quality['closure_rms']:.3g} {context.unit} (p = {p_value:.1e})"
+            "; the sd is inflated to it: the fixture is worse than stated, or the field changed meanwhile"
+        )
+    return tuple(found)
+
+
+def _native(
+    fit: RingsFit, context: MagContext, model: TriadModel, strength: float | None, whole: bool
+) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "centre": fit.way,
+        "centres": fit.centres.tolist(),
+        "faces": fit.faces.tolist(),
+        "b": fit.offset.tolist(),
+        "columns": fit.columns.tolist(),
+        "form": "h ~ columns^-1 (m - b)",
+    }
+    if not whole:
+        return found
+    inverse = np.linalg.inv(fit.columns)
+    diameter = 2.0 * (strength or float(np.cbrt(abs(np.linalg.det(fit.columns)))))
+    samples = np.concatenate([ring.samples for ring in fit.rings])
+    matrix, gains = published(samples, fit.offset, fit.columns, diameter)
+    return found | {
+        "inverse": inverse.tolist(),
+        "homogeneous_of_columns": homogeneous(inverse, fit.offset).tolist(),
+        **array_forms(model, context.instance),
+        "published": {
+            "columns": by_dominant(fit.columns).tolist(),
+            "inverse": np.linalg.inv(by_dominant(fit.columns)).tolist(),
+            "gains": gains.tolist(),
+            "diameter": diameter,
+            "matrix": matrix.tolist(),
+            "homogeneous": homogeneous(matrix, fit.offset).tolist(),
+        },
+    }

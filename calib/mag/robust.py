@@ -1,4 +1,4 @@
-"""Outliers: a start that they do not spoil, and how large the noise is without them."""
+"""Start values and noise estimates that withstand outliers."""
 
 from __future__ import annotations
 
@@ -147,9 +147,10 @@ def _concentrated(cloud: Cloud, ellipsoid: Ellipsoid, floor: float, model: MagMo
     Many samples are represented by some: the fit that follows sees them all.
     """
     cloud = cloud.take(slice(None, None, max(1, len(cloud) // _MAJORITY)))
+    distances = Distances(cloud)
     kept = np.zeros(len(cloud), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        residuals = distances_from(cloud, ellipsoid)
+        residuals = distances.at(ellipsoid, 0.0, None).residuals
         sd = max(MAD_TO_SD * float(np.median(np.abs(residuals))), floor)
         inside = np.abs(residuals) <= _TRIM * sd
         if np.array_equal(inside, kept):
@@ -159,18 +160,19 @@ def _concentrated(cloud: Cloud, ellipsoid: Ellipsoid, floor: float, model: MagMo
         if refit is None:
             break
         ellipsoid = refit
-    return ellipsoid, robust_sd(distances_from(cloud, ellipsoid), floor)
+    return ellipsoid, robust_sd(distances.at(ellipsoid, 0.0, None).residuals, floor)
 
 
 def _consensus(cloud: Cloud, fallback: Ellipsoid, model: MagModel) -> Ellipsoid:
     """The ellipsoid through a few random samples that is nearest to the majority (least median; fixed seed)."""
     rng = np.random.default_rng(20)
     scored = cloud if len(cloud) <= _SCORED else cloud.take(rng.choice(len(cloud), _SCORED, replace=False))
-    best, least = fallback, float(np.median(np.abs(distances_from(scored, fallback))))
+    distances = Distances(scored)
+    best, least = fallback, float(np.median(np.abs(distances.at(fallback, 0.0, None).residuals)))
     for _ in range(_TRIALS):
         candidate = _ellipsoid_of(cloud.take(rng.choice(len(cloud), model.size + 1, replace=False)), model)
         if candidate is not None:
-            median = float(np.median(np.abs(distances_from(scored, candidate))))
+            median = float(np.median(np.abs(distances.at(candidate, 0.0, None).residuals)))
             if median < least:
                 best, least = candidate, median
     return best

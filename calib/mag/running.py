@@ -1,4 +1,4 @@
-"""One pass, a state of fixed size, and an answer with its covariance at any time: adjusted least squares, recursively.
+"""Recursive adjusted least squares: one pass, a state of fixed size, a covariance at any time.
 
 Only moments of the samples are kept. The estimate needs them to the fourth order (:mod:`calib.mag.moments`), its
 covariance to the sixth. Products of neighbours show the serial correlation of its residuals. Moments add up, so chunks
@@ -24,8 +24,9 @@ from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.distance import ALL_SIDES
+from mavcal.calib.mag.ellipsoid_result import ShapeFit, judged_ellipsoid
 from mavcal.calib.mag.moments import POWERS, Moments, corrections, fill_monomials
-from mavcal.calib.mag.result import ShapeFit, concluded, refusal
+from mavcal.calib.mag.result import refusal
 from mavcal.calib.mag.samples import CHUNK, LEAST_VARIANCE, Cloud, check_not_flat, check_samples
 from mavcal.calib.mag.shape import SYMMETRIC_BASIS, Ellipsoid, MagModel
 from mavcal.calib.stats.residuals import WHITE, student_variance
@@ -64,7 +65,7 @@ _SIXTH = _sixth_order_table()
 
 @dataclass(frozen=True, eq=False)
 class RunningEllipsoid:
-    """Everything that a magnetometer said so far, in a state of fixed size; immutable.
+    """Moments of all magnetometer samples so far, in a state of fixed size; immutable.
 
     Start with :meth:`about`. `centre` and `scale` only serve the conditioning: the middle and the radius of the cloud,
     roughly. `forgetting` is the factor by which a sample's weight falls with each one that follows: 1 remembers all,
@@ -174,14 +175,14 @@ class RunningEllipsoid:
         model
             What is free, :class:`~calib.mag.shape.MagModel`.
         **facts
-            What is known of sensor and field: :class:`calib.mag.result.MagContext`.
+            What is known of sensor and field: :class:`calib.mag.context.MagContext`.
         """
         context, form = MagContext(**facts), MagModel(model)
         try:
             fit, about = self._shape_fit(form, context)
         except UndeterminedError as error:
             return refusal(METHOD, error, self.count, context)
-        return concluded(fit, about, self.count, self.count, context)
+        return judged_ellipsoid(fit, about, self.count, self.count, context)
 
     def _shape_fit(self, model: MagModel, context: MagContext) -> tuple[ShapeFit, dict[str, Any]]:
         dof = self.n_effective - model.size

@@ -1,4 +1,4 @@
-"""Serial correlation of residuals: what model misfit, repeats and slow disturbances leave behind."""
+"""Serial correlation of residuals, and covariances widened by it."""
 
 from __future__ import annotations
 

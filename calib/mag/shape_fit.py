@@ -1,4 +1,4 @@
-"""The minimum that an ellipsoid is fitted to, and what it is worth: the part that every model and choice shares."""
+"""Least-squares ellipsoid of a cloud of samples, plain or robust, with its covariance."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.mag.context import MagContext
-from mavcal.calib.mag.distance import ALL_SIDES, Distances, Solution, bisquare, gauss_newton
-from mavcal.calib.mag.moments import Moments
-from mavcal.calib.mag.result import ShapeFit
-from mavcal.calib.mag.robust import MOST_OUTLIERS, Start, find_start, robust_sd
-from mavcal.calib.mag.samples import LEAST_VARIANCE, NEARLY_PLANAR, Cloud, check_not_flat, check_real_samples
+from mavcal.calib.mag.distance import ALL_SIDES, Distances, ShapeTerms, Solution, bisquare, gauss_newton
+from mavcal.calib.mag.ellipsoid_result import ShapeFit
+from mavcal.calib.mag.robust import MOST_OUTLIERS, Start, robust_sd
+from mavcal.calib.mag.samples import LEAST_VARIANCE, Cloud
 from mavcal.calib.mag.serial import LONGEST, weakened_information
 from mavcal.calib.mag.shape import N_PARAMETERS, MagModel
 from mavcal.calib.stats.residuals import student_variance
@@ -29,7 +28,7 @@ _MEASURED_NOISE = 30  # degrees of freedom from which on residuals know the nois
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """How an ellipsoid is to be fitted."""
+    """How to fit an ellipsoid."""
 
     context: MagContext
     robust: bool | None = None
@@ -40,7 +39,12 @@ class Asked:
     precision: Array | None = None
     """Precision of the samples, as :class:`calib.mag.samples.Cloud` has it."""
     least_variance: float = 0.0
-    """Variance of the residuals, in squared units of the samples: a good fit does not make them better than that."""
+    """Lower limit of the residuals' variance, in squared units of the samples."""
+
+    @property
+    def terms(self) -> ShapeTerms:
+        """What the minimisation needs of it."""
+        return ShapeTerms(self.model, self.prior_sd, self.cross_sd)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,72 +60,27 @@ class ShapeSolution:
         return None if self.tukey_scale is None else bisquare(self.solution.last.residuals, self.tukey_scale)[0]
 
 
-def cloud_of(samples: NDArray[np.generic], model: MagModel, precision: Array | None = None) -> tuple[Cloud, Moments]:
-    """The cloud of `samples` (N, 3) and its moments, checked.
-
-    Raises
-    ------
-    InvalidInputError
-        Wrong shape, or a number that is not finite.
-    UndeterminedError
-        Too few samples for `model`, or flat ones.
-    """
-    check_real_samples(samples, model.size + 1)
-    cloud = Cloud.of(samples, precision)
-    moments = Moments.of(cloud)
-    check_not_flat(moments.scatter())
-    return cloud, moments
-
-
-def shape_of(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
-    """The ellipsoid of `samples` (N, 3) and its covariance.
-
-    Raises
-    ------
-    InvalidInputError
-        Wrong shape, or a number that is not finite.
-    UndeterminedError
-        If the samples are too few or flat, lie on no ellipsoid, or hold too many outliers.
-    """
-    cloud, moments = cloud_of(samples, asked.model, asked.precision)
-    try:
-        found = minimum(cloud, moments, asked)
-    except UndeterminedError:
-        check_not_flat(moments.scatter(), NEARLY_PLANAR)
-        raise
-    return with_uncertainty(found, cloud, asked).moved(cloud.centre, cloud.scale)
-
-
-def minimum(cloud: Cloud, moments: Moments, asked: Asked) -> ShapeSolution:
-    """The minimum, from a start of its own."""
-    smallest = max(asked.context.quantum / np.sqrt(12.0), np.sqrt(asked.least_variance)) / cloud.scale
-    start = find_start(cloud, moments, smallest, asked.model)
-    if start.outliers if asked.robust is None else asked.robust:
-        return _robust_minimum(Distances(cloud), start, asked, np.sqrt(asked.least_variance) / cloud.scale)
-    plain = gauss_newton(
-        Distances(cloud),
-        start.ellipsoid,
-        start.noise_sd**2,
-        prior_sd=asked.prior_sd,
-        cross_sd=asked.cross_sd,
-        model=asked.model,
-        first=start.first,
-    )
-    return ShapeSolution(plain, None)
-
-
-def _robust_minimum(distances: Distances, start: Start, asked: Asked, smallest: float) -> ShapeSolution:
-    """Gauss-Newton with bisquare weights, the noise re-estimated from the inliers until it stays within 1 %."""
+def minimum(cloud: Cloud, start: Start, asked: Asked) -> ShapeSolution:
+    """The minimum from `start`; bisquare weights where outliers are suspected, the noise re-estimated within 1 %."""
+    distances = Distances(cloud)
+    if not (start.outliers if asked.robust is None else asked.robust):
+        plain = gauss_newton(
+            distances,
+            start.ellipsoid,
+            start.noise_sd**2,
+            terms=asked.terms,
+            first=start.first,
+        )
+        return ShapeSolution(plain, None)
+    smallest = np.sqrt(asked.least_variance) / cloud.scale
     ellipsoid, sd = start.ellipsoid, start.noise_sd
     for _ in range(_SCALE_ROUNDS):
         solution = gauss_newton(
             distances,
             ellipsoid,
             sd**2,
+            terms=asked.terms,
             tukey_scale=sd,
-            prior_sd=asked.prior_sd,
-            cross_sd=asked.cross_sd,
-            model=asked.model,
         )
         ellipsoid, previous = solution.ellipsoid, sd
         sd = robust_sd(solution.last.residuals, max(0.01 * sd, smallest))
@@ -131,7 +90,7 @@ def _robust_minimum(distances: Distances, start: Start, asked: Asked, smallest: 
 
 
 def with_uncertainty(found: ShapeSolution, cloud: Cloud, asked: Asked) -> ShapeFit:
-    """The fit that `found` is, in the scale of `cloud`.
+    """The ellipsoid `found` with its covariance, in the scale of `cloud`.
 
     Raises
     ------

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.context import MagContext, MagFacts
-from mavcal.calib.mag.result import ShapeFit, magnetometer_result, refusal
+from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
+from mavcal.calib.mag.result import refusal
 from mavcal.calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
 from mavcal.calib.mag.serial import weakened_information
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid
@@ -50,7 +51,7 @@ def fit_sphere(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     samples : shape (N, 3)
         N >= 5.
     **facts
-        What is known of sensor and field: :class:`calib.mag.result.MagContext`.
+        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
 
     Raises
     ------
@@ -94,4 +95,4 @@ def fit_sphere(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
         native={"offset": (mean + scale * offset).tolist(), "radius": radius * scale},
         variance_inflation=inflation,
     )
-    return magnetometer_result(fit.moved(mean, scale), array, context)
+    return ellipsoid_result(fit.moved(mean, scale), array, context)

@@ -22,7 +22,7 @@ MODULES = tuple(dict.fromkeys(f"{__name__}.{entry.module}" for entry in ENTRIES.
 
 
 class _Methods(Mapping[str, "Method"]):
-    """The methods by name; a method's module is loaded when the method is asked for, its name costs nothing."""
+    """The methods by name; a method's module is loaded on first use."""
 
     def __getitem__(self, name: str) -> Method:
         methods: Sequence[Method] = import_module(f"{__name__}.{ENTRIES[name].module}").METHODS

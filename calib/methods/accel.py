@@ -13,7 +13,8 @@ from mavcal.calib.accel.poses import fit_one_axis, fit_poses
 from mavcal.calib.accel.six_face import FORMS, fit_six_face
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.flight.warm import no_temperature
+from mavcal.calib.flight.rest_temperatures import no_temperature
+from mavcal.calib.methods import worthwhile
 from mavcal.calib.methods.method import (
     FIXTURE,
     GRAVITY,
@@ -23,6 +24,7 @@ from mavcal.calib.methods.method import (
     FindingKind,
     Method,
     Options,
+    Suggestion,
     gravity_of,
     mean_or_none,
 )
@@ -194,6 +196,7 @@ METHODS = (
             Option("form", ("symmetric", "upper"), "symmetric", "canonical form of the matrix"),
         ),
         accel_multi,
+        suggestion=Suggestion(4, worthwhile.poses),
     ),
     Method(
         "accel-thermal",

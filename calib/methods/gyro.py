@@ -8,7 +8,17 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult
 from mavcal.calib.gyro import fit_g_sensitivity, fit_gyro_rest, fit_thread, fit_turntable
-from mavcal.calib.methods.method import GRAVITY, INSTANCE, FindingKind, Method, Options, gravity_of, mean_or_none
+from mavcal.calib.methods import worthwhile
+from mavcal.calib.methods.method import (
+    GRAVITY,
+    INSTANCE,
+    FindingKind,
+    Method,
+    Options,
+    Suggestion,
+    gravity_of,
+    mean_or_none,
+)
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Sensor
@@ -141,7 +151,13 @@ def _rates_of(text: str) -> float | dict[str, float]:
 _LATITUDE = Option("latitude", float, None, "degrees; takes the Earth's rate about the vertical off")
 
 METHODS = (
-    Method("gyro-rest", "five seconds at rest", (INSTANCE,), gyro_rest),
+    Method(
+        "gyro-rest",
+        "five seconds at rest",
+        (INSTANCE,),
+        gyro_rest,
+        suggestion=Suggestion(1, worthwhile.gyro_rest),
+    ),
     Method(
         "gyro-turntable",
         "steady turns of five seconds about one axis or three, both ways",

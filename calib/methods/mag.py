@@ -23,11 +23,11 @@ from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis
 from mavcal.calib.mag.gyro_aided import fit_gyro_aided
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION
 from mavcal.calib.mag.minmax import fit_minmax
-from mavcal.calib.mag.ring_centres import CENTRES
+from mavcal.calib.mag.ring_centres import CENTRES, LABELS
 from mavcal.calib.mag.rings import fit_rings
-from mavcal.calib.mag.rings_faces import LABELS
 from mavcal.calib.mag.sphere import fit_sphere
-from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, gravity_of
+from mavcal.calib.methods import worthwhile
+from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, Suggestion, gravity_of
 from mavcal.calib.methods.source import Source
 from mavcal.calib.methods.surroundings import of_one_surroundings
 from mavcal.calib.option import Option
@@ -81,7 +81,7 @@ def _field(source: Source, mag: Channel, options: Options) -> EarthField | None:
 
 
 def mag_of(fit: Callable[..., FitResult]) -> Callable[[Source, Options], list[FitResult]]:
-    """A method that takes nothing but the samples."""
+    """A method that takes the samples alone."""
 
     def run(source: Source, options: Options) -> list[FitResult]:
         def alone(mag: Channel) -> FitResult:
@@ -147,7 +147,7 @@ def _stated_order(text: str | None) -> list[Array | None]:
 
 
 def _rings(source: Source, mag: Channel) -> tuple[list[Array], list[Array | None]]:
-    """Samples of every ring and the axis that was down; None: no label says."""
+    """Samples of every ring, and the axis that was down; None: not labelled."""
     if source.recording.segments:
         parts = [(down_of(s.label), mag.between(s.start, s.end).values) for s in source.recording.segments]
         return [values for _, values in parts if len(values)], [down for down, values in parts if len(values)]
@@ -299,6 +299,7 @@ METHODS = (
             ),
         ),
         mag_ellipsoid,
+        suggestion=Suggestion(7, worthwhile.ellipsoid),
     ),
     Method(
         "mag-rings",

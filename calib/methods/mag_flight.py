@@ -1,4 +1,4 @@
-"""Methods for the magnetometer that need no hands: from ordinary flights."""
+"""Methods for the magnetometer from ordinary flights."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from mavcal.calib.firmware.stream.messages import COMPASS_WINDOW
 from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
 from mavcal.calib.mag.flight import METHOD as FLIGHT
 from mavcal.calib.mag.flight import SOFT_IRON, fit_flight
-from mavcal.calib.mag.flight_input import between, flown
+from mavcal.calib.mag.flight_input import between, end_of_flight
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor import fit_motor
 from mavcal.calib.mag.motor_drives import METHOD as MOTOR
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
-from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
+from mavcal.calib.methods import worthwhile
+from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options, Suggestion
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Sensor, Stage
@@ -97,7 +98,7 @@ def _turning(source: Source, options: Options) -> tuple[Turning, float]:
     gyro = _gyroscope(source, options["gyro"])
     end = options["until"]
     if end is None:
-        end = flown(log.span[1], accel[0] if accel else None, attitude)
+        end = end_of_flight(log.span[1], accel[0] if accel else None, attitude)
     if options["attitude"] == "log" and attitude is None:
         raise InvalidInputError("the recording has no attitude: use the gyroscope alone, --attitude gyro")
     if options["attitude"] == "gyro" and gyro is None:
@@ -162,7 +163,7 @@ def _field(source: Source, mag: Channel, turning: Turning, options: Options) -> 
 
 
 def _year(source: Source) -> float | None:
-    """By the clock of the log's own satellites; None: it does not say."""
+    """Decimal year by the log's satellite time; None: it has none."""
     for event in source.recording.events:
         if event.kind == "utc":
             date = datetime.fromisoformat(event.text)
@@ -198,6 +199,7 @@ METHODS = (
             Option("drive", ("none", *_DRIVE), "auto", "what the motors' field is estimated against, beside"),
         ),
         mag_flight,
+        suggestion=Suggestion(5, worthwhile.mag_flight),
     ),
     Method(
         "mag-motor",
@@ -205,6 +207,7 @@ METHODS = (
         (*_FROM, Option("drive", _DRIVE, "auto", "what drives it; auto: what predicts unseen data best")),
         mag_motor,
         finds=FindingKind.MOTORS,
+        suggestion=Suggestion(6, worthwhile.mag_motor),
     ),
 )
 """In the order of the command line."""

@@ -1,4 +1,4 @@
-"""What a method is: a name, what it needs, its options, and the function that runs it on a recording."""
+"""A method: its name, needs, options, and the function that runs it on a recording."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Recording
 from mavcal.calib.stats.still_limits import HOLD_S
+
+if TYPE_CHECKING:
+    from mavcal.calib.methods.worthwhile import LoggedTrip
 
 Array = NDArray[np.float64]
 Options = Mapping[str, Any]
@@ -44,6 +47,16 @@ SPAN = (
 
 
 @dataclass(frozen=True)
+class Suggestion:
+    """How a method that takes a vehicle's log is advised for it."""
+
+    order: int
+    """Place among the suggestions."""
+    judge: Callable[[LoggedTrip], tuple[bool, str]]
+    """Whether the method is worthwhile on a log, and why (or why not)."""
+
+
+@dataclass(frozen=True)
 class Method:
     """A way to fit a sensor, with what it needs and the options that it takes."""
 
@@ -54,6 +67,8 @@ class Method:
     pool: Callable[[Sequence[Source], Options], Sequence[FitResult]] | None = None
     """Several logs of one vehicle together; None: the method takes one recording."""
     finds: FindingKind = FindingKind.CORRECTION
+    suggestion: Suggestion | None = None
+    """None: it is never advised for a log."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "options", (*self.options, *SPAN))

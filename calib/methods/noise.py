@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
+from mavcal.calib.methods import worthwhile
+from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options, Suggestion
 from mavcal.calib.methods.source import Source
 from mavcal.calib.noise.allan_fit import fit_allan
 from mavcal.calib.option import Option
@@ -35,6 +36,7 @@ METHODS = (
         (INSTANCE, Option("sensor", ("all", *(s.value for s in _SENSORS)), "all", "only this sensor")),
         allan,
         finds=FindingKind.FIGURES,
+        suggestion=Suggestion(8, worthwhile.allan),
     ),
 )
 """In the order of the command line."""

@@ -1,4 +1,4 @@
-"""What a method is given: a recording with the calibration in force undone, and which of it is asked for."""
+"""Input of a method: a recording with the calibration in force undone, and the requested instances."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Source:
 
     @classmethod
     def of(cls, recording: Recording, instance: int | None) -> Source:
-        """What `recording` says of the bare sensors; None: every instance."""
+        """`recording` with the calibration in force undone; `instance` None: every instance."""
         known = recording.identity.autopilot in {"ardupilot", "px4"}
         return cls(undo(recording) if known else recording, instance, recording)
 
@@ -46,7 +46,7 @@ class Source:
         return self.recording.channel(sensor, instance) if self._usable(sensor, instance) else None
 
     def companion(self, sensor: Sensor, instance: int) -> Channel | None:
-        """That channel, else the first one of its kind: on one body any of them tells whether it moves.
+        """That channel, else the first one of its kind: on a rigid body any of them shows motion.
 
         PX4 counts accelerometers and gyroscopes by their own calibration rows, so one unit may have two numbers.
         """
@@ -67,7 +67,7 @@ class Source:
         return not any(event.kind == NO_TIME for event in self.recording.events)
 
     def readings(self, channel: Channel) -> bool:
-        """Whether every row of `channel` is a reading by itself: of a face, a pose or a turn, written down one by one.
+        """Whether every row of `channel` is a single reading of a face, a pose or a turn.
 
         So are the rows of a table without time. With a time stamp they are where a rest cannot show, as fewer than two
         rows are in the shortest one. So they are, too, where the sensor lies another way at every row.
@@ -75,7 +75,7 @@ class Source:
         if self.of_vehicle or self.recording.segments or len(channel) < 2:
             return not self.timed
         apart = float(np.median(np.diff(channel.t)))
-        return not self.timed or 2.0 * apart > HELD.shortest or _lies_anew(channel)
+        return not self.timed or 2.0 * apart > HELD.shortest or _rows_are_poses(channel)
 
     @property
     def of_vehicle(self) -> bool:
@@ -97,7 +97,7 @@ class Source:
         return grounded(self.recording, found, limits.shortest) if self.of_vehicle else found
 
     def held_too_short(self, fit: FitResult, instance: int, min_still: float) -> FitResult:
-        """A refused `fit` that says how long poses were held, where more were held for less than `min_still` s."""
+        """A refused `fit` with the duration of the poses, where more were held for less than `min_still` s."""
         if fit.status != FitStatus.REFUSED or self.recording.segments or not self.timed:
             return fit
         found = len(self.stills(instance, held=True, min_still=min_still))
@@ -138,7 +138,7 @@ class Source:
         return any(c.stage != Stage.DEBIASED for c in self.recording.find(sensor, instance))
 
 
-def _lies_anew(channel: Channel) -> bool:
+def _rows_are_poses(channel: Channel) -> bool:
     """Whether the vector of `channel` turned by 60 degrees and more from most rows to the next."""
     lengths = np.linalg.norm(channel.values, axis=1)
     cosines = np.einsum("ni,ni->n", channel.values[1:], channel.values[:-1])

@@ -1,4 +1,4 @@
-"""Which stretches of a recording had the same magnetic surroundings, so that one model may hold for them.
+"""Stretches of a recording with the same magnetic surroundings, so that one model holds for them.
 
 A bench and a flight differ: steel nearby, the field of motors that run, a battery that was changed. A recording is
 taken apart where the vehicle was armed or disarmed and where it paused; the stretch that determines the compass best is
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.mag.earthly import plausible_field
+from mavcal.calib.mag.result import plausible_field
 from mavcal.calib.methods.source import Source
 from mavcal.calib.recording import Channel, Recording
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.flight.thermal import ThermalWish, fit_rests
-from mavcal.calib.flight.warm import logs_of, no_temperature
-from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
+from mavcal.calib.flight.rest_temperatures import logs_of, no_temperature
+from mavcal.calib.flight.thermal import ThermalRequest, fit_rests
+from mavcal.calib.methods import worthwhile
+from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options, Suggestion
 from mavcal.calib.methods.source import Source
 from mavcal.calib.methods.thermal_tables import fit_tables
 from mavcal.calib.option import Option
@@ -20,9 +22,11 @@ from mavcal.calib.procedures.drift_fit import fit_posed
 from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.thermal.compass import fit_mag_thermal
 from mavcal.calib.thermal.drift import DriftData
-from mavcal.calib.thermal.fit import LINEAR_METHOD, fit_linear, fit_polynomial
+from mavcal.calib.thermal.fit import LINEAR_METHOD, PolynomialOptions, fit_drift_data, fit_linear
 
 Array = NDArray[np.float64]
+
+_LINEAR_SPAN, _POLY_SPAN = 2.0, 10.0  # degC
 
 
 SENSOR = Option("sensor", ("all", "accel", "gyro"), "all", "only this sensor")
@@ -46,7 +50,7 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
     return fits
 
 
-def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalWish) -> list[FitResult]:
+def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalRequest) -> list[FitResult]:
     """The same from what vehicles logged: only their rests on the ground."""
     for source in sources:
         if not source.recording.instances(Sensor.TEMPERATURE):
@@ -93,7 +97,7 @@ def linear_pooled(sources: Sequence[Source], options: Options) -> list[FitResult
     if through is not None and options["sensor"] == "all" and len({c.sensor for c in _inertial(sources[0])}) > 1:
         raise InvalidInputError("a fixed point is one sensor's: choose it with --sensor accel or --sensor gyro")
     if _logged(sources):
-        wish = ThermalWish(0, options["tref"], options["min_span"], through=through, reference=options["reference"])
+        wish = ThermalRequest(0, options["tref"], options["min_span"], through=through, reference=options["reference"])
         return _from_logs(sources, options, wish)
 
     if len(sources) > 1:
@@ -149,7 +153,7 @@ def poly_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
         if not 1 <= degree <= 5:
             raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
         lag = options["lag"] == "auto"
-        wish = ThermalWish(degree, options["tref"], options["min_span"], lag=lag, reference=options["reference"])
+        wish = ThermalRequest(degree, options["tref"], options["min_span"], lag=lag, reference=options["reference"])
         return _from_logs(sources, options, wish)
     return _poly_of_table(sources[0], options) if len(sources) == 1 else _of_tables(sources, options, options["degree"])
 
@@ -164,10 +168,9 @@ def _of_tables(sources: Sequence[Source], options: Options, degree: int) -> list
             fits.append(
                 fit_tables(
                     [(channel, _temperature_at(source, channel)) for source, channel in having],
-                    degree=degree,
-                    t_ref=options["tref"],
-                    min_span=options["min_span"],
-                    lag=options.get("lag", "ignore") == "auto",
+                    PolynomialOptions(
+                        degree, options["tref"], options["min_span"], options.get("lag", "ignore") == "auto"
+                    ),
                     relative=any(source.relative(channel) for source, channel in having),
                 )
             )
@@ -177,17 +180,17 @@ def _of_tables(sources: Sequence[Source], options: Options, degree: int) -> list
 
 
 def _poly_of_table(source: Source, options: Options) -> list[FitResult]:
-    fields = {"degree": options["degree"], "t_ref": options["tref"], "min_span": options["min_span"]}
+    wanted = PolynomialOptions(options["degree"], options["tref"], options["min_span"], options["lag"] == "auto")
     segments = source.recording.segments
 
     def fit(channel: Channel, temperature: Array, relative: bool) -> FitResult:
-        common = {**fields, "lag": options["lag"] == "auto", "relative": relative}
         if channel.sensor != Sensor.ACCEL or len(segments) < 2:
-            return fit_polynomial(channel, temperature, **common)
+            data = DriftData.of(channel, temperature)
+            return fit_drift_data(channel, data, len(channel), wanted, relative=relative)
         number = np.searchsorted([s.start for s in segments], channel.t, side="right") - 1  # each its own pose
         inside = (number >= 0) & np.isfinite(channel.values).all(axis=1)
         data = DriftData.of(channel.take(inside), temperature[inside])
-        return fit_posed(channel, data, number[inside].astype(np.intp), **common)
+        return fit_posed(channel, data, number[inside].astype(np.intp), wanted, relative=relative)
 
     return _thermal(source, options, fit)
 
@@ -198,7 +201,7 @@ def mag_thermal(source: Source, options: Options) -> list[FitResult]:
 
 
 def mag_thermal_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
-    """The same of several recordings of one device, each in a pose of its own."""
+    """The same for several recordings of one device, each in its own pose."""
     fits = []
     for mag in sources[0].channels(Sensor.MAG):
         poses, relative = [], False
@@ -241,12 +244,13 @@ METHODS = (
             SENSOR,
             Option("tref", float, 25.0, "temperature at which nothing is corrected, degC; 0 is the published form"),
             Option("through", str, None, "X,Y,Z: the lines go through these at tref; another estimator, never mixed"),
-            Option("min_span", float, 2.0, "least range of temperature, degC"),
+            Option("min_span", float, _LINEAR_SPAN, "least range of temperature, degC"),
             REFERENCE,
         ),
         thermal_linear,
         linear_pooled,
         finds=FindingKind.DRIFT,
+        suggestion=Suggestion(3, partial(worthwhile.drift, least=_LINEAR_SPAN)),
     ),
     Method(
         "thermal-poly",
@@ -256,13 +260,14 @@ METHODS = (
             SENSOR,
             Option("degree", int, 3, "of the polynomial, 1 to 5"),
             Option("tref", float, 35.0, "temperature at which the polynomial is zero, degC"),
-            Option("min_span", float, 10.0, "least range of temperature, degC"),
+            Option("min_span", float, _POLY_SPAN, "least range of temperature, degC"),
             REFERENCE,
             Option("lag", ("auto", "ignore"), "auto", "fit against the temperature of the die where it is seen to lag"),
         ),
         thermal_poly,
         poly_pooled,
         finds=FindingKind.DRIFT,
+        suggestion=Suggestion(2, partial(worthwhile.drift, least=_POLY_SPAN)),
     ),
     Method(
         "mag-thermal",

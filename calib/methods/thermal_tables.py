@@ -1,4 +1,4 @@
-"""Several tables of one device against temperature: one curve, an offset for each, and what holding one out shows."""
+"""One temperature curve over several tables of a device, an offset for each, cross-validated."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.drift_fit import fit_posed
 from mavcal.calib.recording import Channel
 from mavcal.calib.thermal.drift import DriftData
+from mavcal.calib.thermal.fit import PolynomialOptions
 
 Array = NDArray[np.float64]
 
-SAID = "{} tables, each with an offset of its own"
+TABLES_WARNING = "{} tables, each with an offset of its own"
 _ROWS = 20_000  # of a table, that are enough to compare curves
 _SEEN = 50  # rows within and outside of the range of the others, with which one is judged
 _BETTER = 0.95  # of what the polynomial leaves, that a slope has to leave to be taken
@@ -35,16 +36,15 @@ class Outside:
     """degC that the others covered."""
 
 
-def fit_tables(
-    tables: Sequence[tuple[Channel, Array]], *, degree: int, t_ref: float, min_span: float, lag: bool, relative: bool
-) -> FitResult:
+def fit_tables(tables: Sequence[tuple[Channel, Array]], options: PolynomialOptions, *, relative: bool) -> FitResult:
     """The common curve of one sensor in several tables: its samples and a temperature (N,) for each, degC.
 
     A slope takes the place of the polynomial where it leaves less of a table that was held out, outside the range of
     the others.
     """
+    degree = options.degree
     found = outside_of(tables, degree)
-    taken = 1 if found is not None and found.slope < _BETTER * found.polynomial else degree
+    used_degree = 1 if found is not None and found.slope < _BETTER * found.polynomial else degree
     channel, temperature, number = _joined(tables)
     good = np.isfinite(channel.values).all(axis=1) & np.isfinite(temperature)
     data = DriftData.of(channel.take(good), temperature[good])
@@ -55,18 +55,17 @@ def fit_tables(
         channel,
         data,
         number,
-        degree=taken,
-        t_ref=t_ref,
-        min_span=min_span,
-        lag=lag,
+        dataclasses.replace(options, degree=used_degree),
         relative=relative,
-        said=SAID,
+        warning=TABLES_WARNING,
     )
     if found is None or fit.status == FitStatus.REFUSED:
         return fit
-    held = dataclasses.asdict(found) | {"degree": taken}
+    held = dataclasses.asdict(found) | {"degree": used_degree}
     return dataclasses.replace(
-        fit, warnings=(*fit.warnings, _told(found, degree, taken, fit.unit)), quality={**fit.quality, "held_out": held}
+        fit,
+        warnings=(*fit.warnings, _comparison(found, degree, used_degree, fit.unit)),
+        quality={**fit.quality, "held_out": held},
     )
 
 
@@ -96,9 +95,9 @@ def outside_of(tables: Sequence[tuple[Channel, Array]], degree: int) -> Outside 
     return Outside(float(slope_rms), float(polynomial_rms), float(clamped_rms), reach[0], reach[1])
 
 
-def _told(found: Outside, degree: int, taken: int, unit: str) -> str:
+def _comparison(found: Outside, degree: int, used_degree: int, unit: str) -> str:
     """The comparison in a sentence, and what clamping costs."""
-    better = "a slope is fitted" if taken == 1 else f"degree {taken} stays"
+    better = "a slope is fitted" if used_degree == 1 else f"degree {used_degree} stays"
     cost = found.clamped / max(min(found.slope, found.polynomial), 1e-300)
     return (
         f"a held-out table is left, outside the temperatures of the others, with {found.slope:.2g} {unit} by a slope "

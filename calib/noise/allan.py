@@ -219,9 +219,9 @@ def _fit_from(table: AllanTable, spectrum: _Spectrum, first: int) -> AllanFit:
 
 def _noise_fit(squares: Array, covariance: Array, **facts: object) -> AllanFit:
     error = np.sqrt(np.diag(covariance))
-    told = squares > _KNOWN * error
-    values = np.sqrt(np.where(told, squares, 0.0))
-    sd = np.where(told, error / (2.0 * np.where(told, values, 1.0)), np.nan)
+    determined = squares > _KNOWN * error
+    values = np.sqrt(np.where(determined, squares, 0.0))
+    sd = np.where(determined, error / (2.0 * np.where(determined, values, 1.0)), np.nan)
     upper = np.sqrt(np.maximum(squares, 0.0) + 1.645 * error)
     return AllanFit(values=values, sd=sd, upper=upper, covariance=covariance, **facts)  # type: ignore[arg-type]
 

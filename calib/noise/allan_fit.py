@@ -1,4 +1,4 @@
-"""The method ``allan``: what a record at rest says of a sensor's noise, axis by axis.
+"""The method ``allan``: noise figures of a sensor at rest, axis by axis.
 
 It calibrates nothing: the model of the result is the identity, and every parameter of it is named as undetermined.
 """
@@ -84,7 +84,7 @@ def fit_allan(channel: Channel, *, relative: bool = False) -> FitResult:
     return made.fitted(
         TriadModel(),
         np.zeros((len(names), len(names))),
-        message=_said(channel, tables[0], fits),
+        message=_message(channel, tables[0], fits),
         n_used=len(values),
         residual_rms=float(values.std()),
         condition_number=max(fit.condition for fit in known),
@@ -217,7 +217,7 @@ def _read_off(table: AllanTable, fit: AllanFit) -> dict[str, float | None]:
     }
 
 
-def _said(channel: Channel, table: AllanTable, fits: list[AllanFit | None]) -> str:
+def _message(channel: Channel, table: AllanTable, fits: list[AllanFit | None]) -> str:
     def listed(k: int, unit: str) -> str:
         numbers = ["-" if f is None or not np.isfinite(f.sd[k]) else f"{f.values[k]:.3g}" for f in fits]
         return f"{TERMS[k]} {' '.join(numbers)} {unit}"

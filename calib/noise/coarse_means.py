@@ -1,4 +1,4 @@
-"""Means of several parts of one channel in coarse bins: their noise is the same, so every part helps to know it.
+"""Means of several parts of one quantised channel, with a common noise.
 
 Where the noise is below half a bin, two things tell how far a mean lies from the edge of its bin: how often the next
 bin is met, and the noise. One part alone hardly knows the noise: on six faces its means err by up to three times the
@@ -63,7 +63,9 @@ def _replace(found: list[PartMean], parts: Sequence[Channel], alone: Sequence[Qu
     counted = [_Counted.of(part, one, axis) for part, one in zip(parts, alone, strict=True)]
     noises = quantum * np.geomspace(_LEAST, _MOST, _NOISES)
     for _ in range(_ROUNDS):
-        logs, means, variances = (np.array(column) for column in zip(*(c.given(noises) for c in counted), strict=True))
+        logs, means, variances = (
+            np.array(column) for column in zip(*(c.posteriors(noises) for c in counted), strict=True)
+        )
         evidence = logs.sum(axis=0)
         weights = np.exp(evidence - evidence.max()) * np.gradient(noises)
         weights /= weights.sum()
@@ -97,7 +99,7 @@ class _Counted:
         worth = counts.astype(np.float64) * (alone.n_effective / alone.n)
         return cls(distinct[:, 0] - distinct[:, 1], distinct[:, 0] + distinct[:, 1], worth, places)
 
-    def given(self, noises: Array) -> tuple[Array, Array, Array]:
+    def posteriors(self, noises: Array) -> tuple[Array, Array, Array]:
         """For each of `noises` (S,): logarithm of the likelihood over all means, and mean and variance of the mean."""
         likelihood = np.zeros((len(noises), len(self.places)))
         for low, high, worth in zip(self.lower, self.upper, self.worth, strict=True):

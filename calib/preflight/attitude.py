@@ -1,4 +1,4 @@
-"""The vehicle's own attitude beside its accelerometers: an estimator may remember offsets that are in force no more.
+"""The vehicle's attitude against its accelerometers: an estimator may still use former offsets.
 
 After new accelerometer offsets the estimators of both firmwares carry the old ones for minutes, or until a restart. The
 vehicle would fly by that attitude.

@@ -1,4 +1,4 @@
-"""What a check says, and the one rule by which a value with its uncertainty is judged against a limit."""
+"""Results of checks, and the rule by which a value with its uncertainty is judged against a limit."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Measure:
 
     @property
     def verdict(self) -> Verdict:
-        """Fail only beyond doubt; a value that is too uncertain to tell a failure from a pass says nothing."""
+        """Fail only beyond the uncertainty; a value too uncertain for a verdict is unknown."""
         if self.value - SURE * self.sd > self.limit:
             return Verdict.FAIL
         if SURE * self.sd > self.limit:
@@ -119,7 +119,7 @@ class Check:
     """What is off; several: all of them, or one of them and nothing tells which, as the reason says."""
 
     def because_of(self, cause: CheckId) -> Check:
-        """The same failure as a consequence of another check's: the sensor cannot be judged before that is mended."""
+        """The same failure as a consequence of another check: the sensor cannot be judged before its repair."""
         reason = f"{self.reason} This follows from {cause}, which failed."
         remedy = f"Mend {cause} first, then check again."
         return dataclasses.replace(self, verdict=Verdict.UNKNOWN, reason=reason, remedy=remedy, suspects=())
@@ -140,7 +140,7 @@ class Report:
 
     @property
     def summary(self) -> str:
-        """One sentence: fit, or what stands against it."""
+        """One sentence: fit, or the reasons against it."""
         named = {v: [c.id.value for c in self.checks if c.verdict == v] for v in Verdict}
         if self.verdict == Verdict.PASS:
             return f"All {len(self.checks)} checks pass: this vehicle would arm now."

@@ -1,4 +1,4 @@
-"""A few seconds of frames to a snapshot: what to ask the vehicle for, and what came of it."""
+"""A snapshot of the vehicle from a few seconds of frames, and the messages to request for it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware import Assembler, calibration_in_force, calibration_names, requested_streams
 from mavcal.calib.firmware.names import BOARD_ROTATION, PX4_LEVEL, PX4_SLOTS, Role, px4_names
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.firmware.slots import NOTHING, px4_instance, px4_slot
+from mavcal.calib.firmware.slots import NO_DEVICE_IDS, px4_instance, px4_slot
 from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, SCALED_IMU
 from mavcal.calib.firmware.stream.rates import BY_INSTANCE
 from mavcal.calib.preflight.rest import LEAST
@@ -132,7 +132,7 @@ def _stamp(message: Any) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Collected:
-    """What the frames said."""
+    """Contents of the frames."""
 
     recording: Recording
     """Corrected, in the body frame."""
@@ -152,13 +152,13 @@ def collect(
     *,
     asked: bool,
     complete: bool = True,
-    told: Mapping[tuple[Sensor, int], int] = NOTHING,
+    told: Mapping[tuple[Sensor, int], int] = NO_DEVICE_IDS,
 ) -> Collected:
     """Read `frames` of one vehicle, in their order.
 
     `asked`: it took the request to run its checks. `complete`: every parameter was read, so that one that is not there
     is one that the vehicle does not have. A compass whose correction is not known for certain is left out.
-    `told`: PX4's device ids by streamed instance, as :func:`calib.preflight.snapshot.told_ids` finds them.
+    `told`: PX4's device ids by streamed instance, as :func:`calib.preflight.snapshot.stated_device_ids` finds them.
     """
     assembler = Assembler(identity, parameters)
     recording = assembler.feed([(None, frame) for frame in frames])

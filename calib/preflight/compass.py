@@ -18,8 +18,8 @@ from mavcal.calib.earth import EarthField
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, counted, judged, unknown
-from mavcal.calib.preflight.rest import Mean, looked
-from mavcal.calib.preflight.suspects import Headings, blamed
+from mavcal.calib.preflight.disagreement import Headings, blamed
+from mavcal.calib.preflight.rest import Mean, evidence_lines
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ _LEVEL_NOSE = math.cos(math.radians(60.0))
 
 @dataclass(frozen=True, eq=False)
 class Upright:
-    """What the other sensors say of the vehicle's attitude."""
+    """Attitude of the vehicle by the other sensors."""
 
     down: Array
     """Unit vector in the body frame, by the accelerometers."""
@@ -50,7 +50,7 @@ def compass_field(
         why = f"No compass could be seen: {'; '.join(silent)}." if silent else "No compass was heard."
         return unknown(CheckId.COMPASS_FIELD, why, "Look at the compass, or fly without one on purpose.")
     measures = [_strength(i, mean, field) for i, mean in sorted(compasses.items())]
-    notes = (*looked(compasses, "compass"), *silent)
+    notes = (*evidence_lines(compasses, "compass"), *silent)
     if field is None:
         worst = judged(CheckId.COMPASS_FIELD, measures, good="", remedy=_MAGNET, notes=notes)
         if worst.verdict == Verdict.FAIL:
@@ -71,16 +71,20 @@ def _placed(measures: list[Measure], compasses: Mapping[int, Mean], field: Earth
     strengths = [mean.norm for mean in compasses.values()]
     on_earth = min(strengths) > limits.WEAKEST_FIELD and max(strengths) < limits.STRONGEST_FIELD
     if len(measures) == 1 and on_earth:
-        told = "It is possible on Earth, but not at this position, and no second compass tells which of both is wrong."
+        explanation = (
+            "It is possible on Earth, but not at this position, and no second compass tells which of both is wrong."
+        )
         suspects = (*measures[0].suspects, "position")
-        return [dataclasses.replace(measures[0], suspects=suspects, witness=told, remedy=f"{_PLACE} {_MAGNET}")]
+        return [dataclasses.replace(measures[0], suspects=suspects, witness=explanation, remedy=f"{_PLACE} {_MAGNET}")]
     if len(measures) == 1 or max(strengths) - min(strengths) > limits.COMPASS_FIELD.value:
         return measures
     suspects = ("position", "surroundings") if on_earth else ("surroundings",)
-    told = f"All {len(measures)} compasses agree with each other, so none of them is off by itself: "
-    told += "either the position is wrong, or iron is near the whole vehicle." if on_earth else "iron is near them all."
+    explanation = f"All {len(measures)} compasses agree with each other, so none of them is off by itself: "
+    explanation += (
+        "either the position is wrong, or iron is near the whole vehicle." if on_earth else "iron is near them all."
+    )
     remedy = _PLACE if on_earth else _MAGNET
-    return [dataclasses.replace(m, suspects=suspects, witness=told, remedy=remedy) for m in measures]
+    return [dataclasses.replace(m, suspects=suspects, witness=explanation, remedy=remedy) for m in measures]
 
 
 def disturbed(compasses: Mapping[int, Mean], field: EarthField | None) -> frozenset[int]:
@@ -123,7 +127,7 @@ def compass_direction(
         return unknown(of, f"Dip and heading cannot be seen: {why}.", "Put the vehicle down and check again.")
     left_out = disturbed(compasses, field)
     judgeable = {i: mean for i, mean in sorted(compasses.items()) if i not in left_out}
-    notes = [*looked(compasses, "compass")]
+    notes = [*evidence_lines(compasses, "compass")]
     notes += [f"compass {i + 1} is left out: its strength is wrong already" for i in sorted(left_out)]
     headings = _headings(judgeable, upright, field, declination)
     if field is None:
@@ -140,7 +144,7 @@ def compass_direction(
 
 
 def _agreed(judged_: int, installed: int, field: EarthField | None, upright: Upright) -> str:
-    """What a pass says: no more than what was compared."""
+    """Text of a pass: it names only what was compared."""
     with_ = ["the model"] if field is not None else []
     with_ += ["each other"] if judged_ > 1 else []
     with_ += ["the vehicle's own heading"] if field is not None and upright.north is not None else []
@@ -194,10 +198,10 @@ def set_declination(autopilot: str, parameters: Mapping[str, Value], field: Eart
         return None
     limit = limits.COMPASS_ANGLE
     off = abs((value - math.degrees(field.declination) + 180.0) % 360.0 - 180.0)
-    told = "It is set by hand, and every heading of the vehicle is off by as much after its next start."
+    explanation = "It is set by hand, and every heading of the vehicle is off by as much after its next start."
     of = f"declination in {name} ({value:.1f} deg) from the model's"
     remedy = f"{remedy}, or {name} to {right}, and restart the vehicle."
-    return Measure(of, off, limits.DECLINATION_SD_DEG, limit.value, limit.unit, ("declination",), told, remedy)
+    return Measure(of, off, limits.DECLINATION_SD_DEG, limit.value, limit.unit, ("declination",), explanation, remedy)
 
 
 def _dip(i: int, mean: Mean, upright: Upright, field: EarthField) -> Measure:
@@ -228,7 +232,7 @@ def _against(name: str, mean: Mean, north: Array, field: EarthField, upright: Up
 
 
 def _known_north(upright: Upright) -> Array | None:
-    """True north in the body frame, from the known heading of the nose; None: there is no such."""
+    """True north in the body frame, from the known heading of the nose; None: not known."""
     nose = _level(upright.down, np.array([1.0, 0.0, 0.0]))
     if upright.heading is None or np.linalg.norm(nose) < _LEVEL_NOSE:
         return None

@@ -1,4 +1,4 @@
-"""What the parameters should be by the last verified calibrations, wherever their sensors sit now.
+"""Parameters expected from the last verified calibrations, wherever their sensors sit now.
 
 A device id names a sensor. ArduPilot's rows follow the place of a sensor, so the values of one that moved belong into
 another row. PX4 finds a row by the id in it, so any free row will do. A value that belongs to no sensor alone, such as
@@ -46,7 +46,7 @@ class ExpectedValue:
 
 @dataclass(frozen=True)
 class ExpectedCalibration:
-    """Everything that the verified calibrations say of a vehicle's parameters now."""
+    """Parameter values that the verified calibrations imply for a vehicle."""
 
     values: tuple[ExpectedValue, ...] = ()
     missing: tuple[str, ...] = ()
@@ -71,7 +71,7 @@ def expected(
     *,
     only: Collection[Key] = (),
 ) -> ExpectedCalibration:
-    """What `history` (oldest first) says that `parameters` should be.
+    """Expected `parameters` by `history` (oldest first).
 
     Gyro offsets that the vehicle writes by itself are left out. `only`: these sensors, as they stream now, and nothing
     shared; empty: everything.
@@ -111,7 +111,9 @@ def expected(
                 moved.append(f"device id {device} was {Subject(sensor, then)} and is {place.about} now")
             values += _of_sensor(autopilot, parameters, entry, place)
     values += () if only else _shared(history, autopilot)
-    return ExpectedCalibration(tuple(_once(values)), tuple(missing), tuple(moved), tuple(homeless), frozenset(by_place))
+    return ExpectedCalibration(
+        tuple(_unique(values)), tuple(missing), tuple(moved), tuple(homeless), frozenset(by_place)
+    )
 
 
 @dataclass(frozen=True)
@@ -238,7 +240,7 @@ def _shared(history: Sequence[VerifiedCalibration], autopilot: str) -> Iterator[
                 yield ExpectedValue(name, value, None, None, name, entry)
 
 
-def _once(values: Sequence[ExpectedValue]) -> Iterator[ExpectedValue]:
+def _unique(values: Sequence[ExpectedValue]) -> Iterator[ExpectedValue]:
     """Each name once: the switch of a group comes with every member."""
     seen: set[str] = set()
     for value in values:

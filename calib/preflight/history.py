@@ -1,4 +1,4 @@
-"""What the parameters say beside earlier verified calibrations: age, sensors, changes, temperature, motors."""
+"""Parameters against earlier verified calibrations: age, sensors, changes, temperature, motors."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def parameters_changed(snapshot: Snapshot) -> Check:
 
 
 def _levelled(found: Sequence[Changed]) -> bool:
-    """Whether somebody levelled the vehicle in the field and nothing else: all zero is a reset, and no level."""
+    """Whether only the level was changed in the field: all zeros are a reset."""
     return all(change.name.startswith(LEVEL) for change in found) and any(change.now for change in found)
 
 

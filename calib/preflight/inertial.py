@@ -11,7 +11,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import local_gravity
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import SURE, Check, CheckId, Measure, counted, judged, unknown
-from mavcal.calib.preflight.rest import Mean, looked
+from mavcal.calib.preflight.rest import Mean, evidence_lines
 
 _STILL = "Put the vehicle down, let nobody touch it, and check again."
 _GYRO = "Calibrate the gyroscopes at rest."
@@ -19,15 +19,17 @@ _ACCEL = "Calibrate the accelerometers; if one stays off by itself, it is damage
 
 
 def gyro_rest(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0) -> Check:
-    """The rate that every gyroscope shows while the vehicle stands still; `installed`: 0 for as many as were heard."""
+    """Rate of every gyroscope at rest; `installed`: 0 for as many as were received."""
     if not gyros:
-        return unknown(CheckId.GYRO_REST, _nothing("gyroscope", silent), "Look at the link and at the sensor.")
+        return unknown(CheckId.GYRO_REST, _no_data("gyroscope", silent), "Look at the link and at the sensor.")
     if motion is not None:
         return unknown(CheckId.GYRO_REST, f"The rest rate cannot be seen: {motion}.", _STILL)
     measures = list(rest_measures(gyros).values())
     who = counted(len(measures), installed, "gyroscope", "gyroscopes")
     good = f"{who} read{_s(who)} zero at rest, as far as that matters."
-    return judged(CheckId.GYRO_REST, measures, good=good, remedy=_GYRO, notes=(*looked(gyros, "gyroscope"), *silent))
+    return judged(
+        CheckId.GYRO_REST, measures, good=good, remedy=_GYRO, notes=(*evidence_lines(gyros, "gyroscope"), *silent)
+    )
 
 
 def rest_measures(gyros: Mapping[int, Mean]) -> dict[int, Measure]:
@@ -49,7 +51,7 @@ def rest_measures(gyros: Mapping[int, Mean]) -> dict[int, Measure]:
 def gyro_noise(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0) -> Check:
     """The scatter of a single sample."""
     if not gyros:
-        return unknown(CheckId.GYRO_NOISE, _nothing("gyroscope", silent), "Look at the link and at the sensor.")
+        return unknown(CheckId.GYRO_NOISE, _no_data("gyroscope", silent), "Look at the link and at the sensor.")
     if motion is not None:
         return unknown(CheckId.GYRO_NOISE, f"Noise cannot be told from movement: {motion}.", _STILL)
     limit = limits.GYRO_NOISE
@@ -62,7 +64,7 @@ def gyro_noise(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str |
     who = counted(len(measures), installed, "gyroscope", "gyroscopes")
     good = f"{who} {'is' if _s(who) else 'are'} quiet."
     remedy = "Stop motors and fans; if the noise stays, the gyroscope is failing."
-    notes = (*looked(gyros, "gyroscope"), *silent)
+    notes = (*evidence_lines(gyros, "gyroscope"), *silent)
     return judged(CheckId.GYRO_NOISE, measures, good=good, remedy=remedy, notes=notes)
 
 
@@ -76,12 +78,12 @@ def accel_force(
 ) -> Check:
     """The specific force of every accelerometer against gravity, and against the other ones as a vector."""
     if not accels:
-        return unknown(CheckId.ACCEL_FORCE, _nothing("accelerometer", silent), "Look at the link and at the sensor.")
+        return unknown(CheckId.ACCEL_FORCE, _no_data("accelerometer", silent), "Look at the link and at the sensor.")
     if motion is not None:
         return unknown(CheckId.ACCEL_FORCE, f"Gravity alone cannot be seen: {motion}.", _STILL)
     norms = force_measures(accels, place)
     measures = [*norms.values(), *_differences(accels, norms)]
-    notes = (*looked(accels, "accelerometer"), *silent)
+    notes = (*evidence_lines(accels, "accelerometer"), *silent)
     if len(accels) == 1:
         notes = (*notes, "its direction cannot be checked: there is no second accelerometer")
     who = counted(len(accels), installed, "accelerometer", "accelerometers")
@@ -124,7 +126,7 @@ def _differences(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> li
 
 
 def _between(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> Measure:
-    """Two accelerometers from each other. Gravity is the third witness: it tells which is off, unless both read g."""
+    """Difference of two accelerometers. Gravity decides which one is off, unless both read g."""
     (i, one), (k, other) = sorted(accels.items())
     off = float(np.linalg.norm(one.value - other.value))
     sd = _vector_sd(math.hypot(*one.sd, *other.sd))
@@ -134,12 +136,14 @@ def _between(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> Measur
     apart = norms[k].value - norms[i].value
     if abs(apart) > SURE * math.hypot(one.norm_sd, other.norm_sd, limits.ACCEL_SD):
         bad, good = (k, i) if apart > 0.0 else (i, k)
-        told = f"Gravity tells which: accelerometer {bad + 1} is {norms[bad].value:.2f} m/s2 from g, the other one "
-        told += f"{norms[good].value:.2f}."
-        return Measure(of, off, sd, limit.value, limit.unit, (f"accelerometer {bad + 1}",), told)
-    told = "Both read g here, so nothing tells which of them is off."
+        explanation = (
+            f"Gravity tells which: accelerometer {bad + 1} is {norms[bad].value:.2f} m/s2 from g, the other one "
+        )
+        explanation += f"{norms[good].value:.2f}."
+        return Measure(of, off, sd, limit.value, limit.unit, (f"accelerometer {bad + 1}",), explanation)
+    explanation = "Both read g here, so nothing tells which of them is off."
     remedy = f"Put the vehicle on another side and check again: the one that leaves g there is off. {_ACCEL}"
-    return Measure(of, off, sd, limit.value, limit.unit, both, told, remedy)
+    return Measure(of, off, sd, limit.value, limit.unit, both, explanation, remedy)
 
 
 def _vector_sd(noise: float) -> float:
@@ -151,5 +155,5 @@ def _s(subject: str) -> str:
     return "s" if subject.startswith("The only") else ""
 
 
-def _nothing(what: str, silent: tuple[str, ...]) -> str:
+def _no_data(what: str, silent: tuple[str, ...]) -> str:
     return f"No {what} could be seen: {'; '.join(silent)}." if silent else f"No {what} was heard."

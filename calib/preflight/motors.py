@@ -1,4 +1,4 @@
-"""Motor compensation of the compasses: whether it can be right, as far as that shows at rest."""
+"""Plausibility of the compasses' motor compensation, at rest."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def motor_compensation(snapshot: Snapshot, strength: float) -> Check:
     limit = limits.MOTOR_SHARE
     measures = []
     for instance in snapshot.recording.instances(Sensor.MAG):
-        taken = _taken(autopilot, parameters, instance, by_current=by_current)
+        taken = _compensation_length(autopilot, parameters, instance, by_current=by_current)
         if taken:
             name = f"compensation of compass {instance + 1} at full power, of the field"
             measures.append(Measure(name, taken / strength, 0.0, limit.value, limit.unit))
@@ -57,7 +57,7 @@ def motor_compensation(snapshot: Snapshot, strength: float) -> Check:
     return judged(of, measures, good=good, remedy=_REMEDY, notes=read)
 
 
-def _taken(autopilot: str, parameters: Mapping[str, Value], instance: int, *, by_current: bool) -> float:
+def _compensation_length(autopilot: str, parameters: Mapping[str, Value], instance: int, *, by_current: bool) -> float:
     """Length of the compensation at full power, uT."""
     try:
         names = calibration_names(autopilot, parameters, Sensor.MAG, instance)

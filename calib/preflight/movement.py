@@ -1,4 +1,4 @@
-"""Who saw the vehicle turn while it was looked at: what one sensor alone shows is its fault, not a movement."""
+"""Sensors that saw the vehicle turn during the check: a turn of one sensor alone is its fault."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ObservedMovement:
     rates: dict[int, float]
     attitude: float = 0.0
 
-    def seen_by_others(self, key: tuple[Sensor, int]) -> str:
-        """What shows a turn that this sensor should have followed; empty: nothing does beyond doubt."""
+    def movement_seen_by_others(self, key: tuple[Sensor, int]) -> str:
+        """Evidence of a turn that this sensor should have followed; empty: none beyond the noise."""
         kind, _ = key
         angles = {other: angle for other, angle in self.turned.items() if other != key and angle > TURNED_DEG}
         rates = {i: rate for i, rate in self.rates.items() if (Sensor.GYRO, i) != key and rate > RATE_DEG_S}
@@ -51,7 +51,7 @@ class ObservedMovement:
 
     @property
     def text(self) -> str | None:
-        """Why this was no rest, by the compasses; None: it was, as far as these tell."""
+        """Movement seen by the compasses, as a reason; None: they saw none."""
         fields = [angle for (of, _), angle in self.turned.items() if of == Sensor.MAG and angle > 0.0]
         agreed = len(fields) > 1 or any(rate > RATE_DEG_S for rate in self.rates.values())
         if not fields or min(fields) < TURNED_DEG or not agreed:

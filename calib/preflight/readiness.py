@@ -1,4 +1,4 @@
-"""What a preflight after a calibration comes to: this vehicle would arm now, or what stands against it."""
+"""Whether the vehicle would arm after a calibration, and the reasons against it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Readiness:
 
 
 def readiness(report: Report) -> Readiness:
-    """The report in a sentence, and what stands against arming."""
+    """The report in a sentence, and the reasons against arming."""
     against = tuple(f"{c.id.value}: {c.reason}" for v in _ORDER for c in report.checks if c.verdict == v)
     prearm = report.check(CheckId.VEHICLE_PREARM)
     if report.verdict == Verdict.PASS:

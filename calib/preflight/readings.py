@@ -1,4 +1,4 @@
-"""What the inertial units read at rest, as numbers that outlive the report: rates raw, forces as they are used."""
+"""Readings of the inertial units at rest for the record: raw rates, corrected forces."""
 
 from __future__ import annotations
 

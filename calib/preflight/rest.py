@@ -1,4 +1,4 @@
-"""What the inertial units read at rest: means with their uncertainty, noise, and whether it was rest at all."""
+"""Means of the inertial units at rest with uncertainty and noise, and a test of the rest."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def mean_at_rest(recording: Recording, sensor: Sensor, instance: int) -> Mean | 
     return Mean(fitted.mean, sd, fitted.sd, _change(channel), len(channel), span)
 
 
-def looked(means: Mapping[int, Mean], what: str) -> tuple[str, ...]:
+def evidence_lines(means: Mapping[int, Mean], what: str) -> tuple[str, ...]:
     """What was looked at of each sensor, as lines of evidence."""
     return tuple(f"{what} {i + 1}: {m.samples} samples over {m.seconds:.1f} s" for i, m in sorted(means.items()))
 

@@ -1,4 +1,4 @@
-"""The last verified calibration as a plan: what a firmware change, or somebody, has taken away is put back.
+"""The last verified calibration as a plan, to restore lost or changed parameters.
 
 Nothing is estimated here. The plan belongs to the very unit whose calibration was verified; the service writes it like
 any other plan. Afterwards the sensors have to read right by the limits of a preflight: the calibration may be old.
@@ -120,7 +120,7 @@ def require_same_unit(history: Sequence[VerifiedCalibration], uid: str | None) -
 def expected_names(
     history: Sequence[VerifiedCalibration], autopilot: str | None, parameters: Mapping[str, Value]
 ) -> frozenset[str]:
-    """Names of the parameters that a restore would set, as far as `parameters` tell where the sensors are."""
+    """Names of the parameters that a restore would set, with the sensors located by `parameters`."""
     return frozenset(value.name for value in expected(history, autopilot, parameters).values)
 
 
@@ -186,7 +186,7 @@ class _Restoration:
                 yield wanted
 
     def _untold(self) -> Iterator[Subject]:
-        """Sensors that no device id tells apart."""
+        """Sensors without distinct device ids."""
         for sensor in sorted(self._wanted.by_place):
             about = {w.about for w in self._wanted.values if w.about is not None and w.about.sensor == sensor}
             if about:
@@ -271,7 +271,7 @@ def sensors_at_rest(plan: WritePlan, after: Recording) -> tuple[SensorCheck, ...
     motion = moved(gyros, accels)
     rates = rest_measures(gyros) if motion is None else {}
     forces = force_measures(accels, None) if motion is None else {}
-    return tuple(_told(Sensor(s), i, (rates if s == Sensor.GYRO else forces).get(i)) for s, i in about)
+    return tuple(_sensor_check(Sensor(s), i, (rates if s == Sensor.GYRO else forces).get(i)) for s, i in about)
 
 
 def _means(recording: Recording, sensor: Sensor) -> dict[int, Mean]:
@@ -279,7 +279,7 @@ def _means(recording: Recording, sensor: Sensor) -> dict[int, Mean]:
     return {i: mean for i, mean in found.items() if isinstance(mean, Mean)}
 
 
-def _told(sensor: Sensor, instance: int, measure: Measure | None) -> SensorCheck:
+def _sensor_check(sensor: Sensor, instance: int, measure: Measure | None) -> SensorCheck:
     gyro = sensor == Sensor.GYRO
     id_, unit = (SensorCheckId.GYRO_ZERO, "rad/s") if gyro else (SensorCheckId.ACCEL_GRAVITY, "m/s2")
     if measure is None or measure.verdict == Verdict.UNKNOWN:

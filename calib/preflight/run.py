@@ -1,4 +1,4 @@
-"""The whole preflight: every check on one snapshot, with consequences told from causes."""
+"""The whole preflight: every check on one snapshot, causes before consequences."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.preflight import compass, history, inertial, own
-from mavcal.calib.preflight.alive import Census, census, sensors_heard
+from mavcal.calib.preflight import compass, history, inertial, self_report
 from mavcal.calib.preflight.attitude import attitude
 from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict, unknown
 from mavcal.calib.preflight.installed import WORDS, Announced, Key, announced
+from mavcal.calib.preflight.liveness import Census, census, sensors_heard
 from mavcal.calib.preflight.motors import motor_compensation
 from mavcal.calib.preflight.movement import movement
 from mavcal.calib.preflight.rest import Mean, Silent, mean_at_rest, moved
@@ -48,7 +48,7 @@ _TYPICAL_FIELD = 50.0
 
 
 def preflight(snapshot: Snapshot) -> Report:
-    """Every check. Whoever reads the report acts on its causes: consequences are not failures of their own."""
+    """Every check. Whoever reads the report acts on its causes: consequences are not failures of their self_report."""
     autopilot, parameters = snapshot.identity.autopilot or "", snapshot.parameters
     installed, turning = announced(autopilot, parameters, snapshot.told), movement(snapshot.recording)
     there = census(snapshot, installed, turning)
@@ -81,18 +81,18 @@ def preflight(snapshot: Snapshot) -> Report:
         history.sensor_check(snapshot),
         history.parameters_changed(snapshot),
         motor_compensation(snapshot, strength),
-        own.vibration(snapshot.shaking),
-        own.onboard_calibration(snapshot.view),
-        own.arming_checks(autopilot, snapshot.parameters, complete=snapshot.complete),
+        self_report.vibration(snapshot.shaking),
+        self_report.onboard_calibration(snapshot.view),
+        self_report.arming_checks(autopilot, snapshot.parameters, complete=snapshot.complete),
     ]
-    found = _attributed(snapshot, _still(there, _unseen(there, _undisturbed(snapshot, found))))
+    found = _attributed(snapshot, _still(there, _without_sensor(there, _undisturbed(snapshot, found))))
     failed = [check.id for check in found if check.verdict == Verdict.FAIL]
-    found.append(own.vehicle_prearm(snapshot.view, autopilot, snapshot.parameters, failed))
+    found.append(self_report.vehicle_prearm(snapshot.view, autopilot, snapshot.parameters, failed))
     return Report(tuple(found))
 
 
-def _unseen(there: Census, found: list[Check]) -> list[Check]:
-    """Checks that have no sensor left: the link's fault is no sensor's, and a dead one is told once."""
+def _without_sensor(there: Census, found: list[Check]) -> list[Check]:
+    """Checks without a sensor: a link failure counts for no sensor, and a dead sensor is reported once."""
     told: dict[CheckId, tuple[str, str]] = {}
     for kind, checks in _ABOUT.items():
         dead = [why for (of, _), why in there.dead.items() if of == kind]
@@ -119,7 +119,7 @@ def _still(there: Census, found: list[Check]) -> list[Check]:
 
 
 def _astray(there: Census, rest: Check, followed: int) -> bool:
-    """Whether the vehicle's own heading is no witness: a gyroscope or the compass that it follows is ill."""
+    """Whether the vehicle's heading cannot serve as a reference, as its gyroscope or compass failed."""
     dead = any(kind == Sensor.GYRO for kind, _ in there.dead)
     return rest.verdict in (Verdict.FAIL, Verdict.WARN) or dead or (Sensor.MAG, followed) in there.dead
 
@@ -134,7 +134,7 @@ def _followed(autopilot: str, parameters: Mapping[str, Value], installed: Mappin
 
 
 def _undisturbed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
-    """A sensor that was calibrated while it was looked at, say by PX4 at rest, has two readings and no verdict."""
+    """A sensor that was recalibrated during the check, say by PX4 at rest, gets no verdict."""
     said: dict[CheckId, str] = {}
     for name in snapshot.rewritten:
         sensor = history.sensor_of(name)
@@ -148,7 +148,7 @@ def _attributed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
     """Checks that failed for the cause of another one are left to that one: their sensor cannot be judged yet."""
     failed = {check.id for check in found if check.verdict == Verdict.FAIL}
     causes: dict[CheckId, CheckId] = {}
-    for cause, sensors in _reach(snapshot):
+    for cause, sensors in _explaining_checks(snapshot):
         if cause in failed:
             causes |= {of: cause for sensor in sensors for of in _MOVED_BY[sensor]}
     for cause, follows in _FOLLOWS.items():
@@ -160,7 +160,7 @@ def _attributed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
     return [c.because_of(causes[c.id]) if c.id in causes and c.verdict in bad else c for c in found]
 
 
-def _reach(snapshot: Snapshot) -> tuple[tuple[CheckId, Iterable[Sensor]], ...]:
+def _explaining_checks(snapshot: Snapshot) -> tuple[tuple[CheckId, Iterable[Sensor]], ...]:
     """Checks that explain what sensors read, with these sensors; the last one that failed counts."""
     changed = {change.sensor for change in history.changes(snapshot) if change.sensor is not None}
     return (
@@ -196,7 +196,7 @@ def _means(snapshot: Snapshot, there: Census, sensor: Sensor) -> _Kind:
 
 
 def _place(recording: Recording) -> tuple[float, float, float] | None:
-    """Latitude, longitude (deg) and altitude (m) that the vehicle said last."""
+    """Last reported latitude, longitude (deg) and altitude (m)."""
     for channel in recording.find(Sensor.POSITION):
         for latitude, longitude, altitude in channel.values[::-1].tolist():
             if latitude or longitude:  # (0, 0) is "no fix"

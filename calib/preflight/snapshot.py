@@ -1,4 +1,4 @@
-"""What a preflight looks at."""
+"""Input of a preflight."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ class VerifiedCalibration:
     """PX4: device ids that somebody stated, by streamed instance: no stream says them."""
 
 
-def told_ids(history: Iterable[VerifiedCalibration], parameters: Mapping[str, Value]) -> dict[tuple[Sensor, int], int]:
+def stated_device_ids(
+    history: Iterable[VerifiedCalibration], parameters: Mapping[str, Value]
+) -> dict[tuple[Sensor, int], int]:
     """The device ids that were stated last, as far as a row of a PX4 with `parameters` holds them."""
     held = {(sensor, device) for (sensor, _), device in px4_sensor_ids(parameters).items()}
     found = {key: device for entry in history for key, device in entry.told.items()}
@@ -47,7 +49,7 @@ class Shaking:
 
 @dataclass(frozen=True)
 class OwnView:
-    """What the vehicle says of itself. None: it did not say."""
+    """The vehicle's own report. None: not reported."""
 
     present: bool | None = None
     """Whether SYS_STATUS has the bit of the prearm check among what is present and switched on; None: not heard."""
@@ -102,5 +104,5 @@ class Snapshot:
 
     @property
     def told(self) -> dict[tuple[Sensor, int], int]:
-        """See :func:`told_ids`."""
-        return told_ids(self.history, self.parameters)
+        """See :func:`stated_device_ids`."""
+        return stated_device_ids(self.history, self.parameters)

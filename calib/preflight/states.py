@@ -1,4 +1,4 @@
-"""The state of each kind of calibration of a vehicle, in a line that a pilot reads: from what was verified before."""
+"""State of each kind of calibration of a vehicle in one line, from earlier verified results."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class FinishedCalibration:
 
 @dataclass(frozen=True)
 class SensorState:
-    """How one kind of calibration stands."""
+    """State of one kind of calibration."""
 
     kind: str
     """The procedure that would calibrate it."""
@@ -106,7 +106,7 @@ def _dead(kind: str, found: FinishedCalibration | None, finished: Sequence[Finis
     return tuple({out.instance: out for out in later}.values())
 
 
-def _told(out: LeftOut) -> str:
+def _reason(out: LeftOut) -> str:
     return f"{_TITLES_OF[out.sensor].capitalize()} {out.instance + 1} was left out: {out.reason.rstrip('.')}."
 
 
@@ -116,7 +116,7 @@ def _state(
     what, _, sensor = TILES[kind]
     if dead:
         at, job = (None, None) if found is None else (found.at, found.job)
-        text = " ".join(map(_told, dead))
+        text = " ".join(map(_reason, dead))
         return SensorState(kind, Verdict.FAIL, "left out", text, "Check or replace it. Then calibrate.", at, job, None)
     if found is None:
         text = f"The {what} were not calibrated here yet." if sensor else f"The {what} was not measured here yet."
@@ -143,7 +143,7 @@ def _judged(
             return Verdict.FAIL, "changed", f"{_changed(moved)} Restore them, or calibrate again."
     missed = [out for out in found.left_out if out.sensor == sensor]
     if missed:
-        return Verdict.WARN, "in part", " ".join(map(_told, missed))
+        return Verdict.WARN, "in part", " ".join(map(_reason, missed))
     age = (snapshot.now - found.at) / DAY_S
     if age > limits.CALIBRATION_AGE.value:
         return Verdict.WARN, "old", f"It is {age:.0f} days old; the limit is {limits.CALIBRATION_AGE.value:.0f}."
@@ -173,7 +173,7 @@ def _temperature(snapshot: Snapshot) -> float | None:
 
 
 def _quality(kind: str, fits: Sequence[FitResult]) -> str:
-    """How well it is known, of the worst instance; empty: nothing says."""
+    """Uncertainty of the worst instance, as text; empty: not known."""
     if kind == "thermal":
         curves = [fit.model.polynomial for fit in fits if fit.model.polynomial is not None]
         spans = [curve.t_max - curve.t_min for curve in curves if math.isfinite(curve.t_max - curve.t_min)]

@@ -1,4 +1,4 @@
-"""Calibration procedures: they take raw samples and say what to do, how far it is, and what came out.
+"""Calibration procedures: raw samples in; prompts, progress and fits out.
 
-:mod:`~calib.procedures.registry` lists them and makes one, :mod:`~calib.procedures.replay` runs one over a recording.
+:mod:`~calib.procedures.registry` lists them and makes one, :mod:`~calib.procedures.registry` runs one over a recording.
 """

@@ -14,18 +14,18 @@ from typing import ClassVar
 from mavcal.calib.firmware.storable import ACCEL
 from mavcal.calib.option import Option
 from mavcal.calib.posture import tilted
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
-from mavcal.calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
+from mavcal.calib.procedures.holds import SHORTEST, HeldPose, Hold, pose_of_hold
 from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, StillnessVerdict
-from mavcal.calib.procedures.placing import shown_down
+from mavcal.calib.procedures.placing import down_direction
 from mavcal.calib.procedures.pose_fit import Assessment, assess
 from mavcal.calib.procedures.poses import FACES, TEXTS, angle, any_of, recognise, remaining, tilts
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep, Tilt
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
@@ -70,7 +70,7 @@ class AccelProcedure(TickedProcedure):
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)
         self._target = float(options["uncertainty"])
-        self._poses: list[TakenPose] = []
+        self._poses: list[HeldPose] = []
         self._counter = 0
         self._wanted = int(options["obliques"])
         self._retakes = 0
@@ -98,20 +98,20 @@ class AccelProcedure(TickedProcedure):
                 still=False, ticks=0, why="no accelerometer shows gravity", what=Disturbance.SILENT
             )
         if not verdict.still or direction is None:
-            self._moved(verdict)
+            self._on_movement(verdict)
         elif self._here is not None and angle(direction, self._here) > NEXT_POSE:
-            self._moved(verdict)
+            self._on_movement(verdict)
             self._watch.reset()
         elif verdict.counted and self._here is None:
             self._keep(frame, end - start, direction)
         if self.outcome is None:
-            self._tell(verdict, direction)
+            self._update_prompt(verdict, direction)
 
     def _direction(self) -> Array | None:
         """The body direction that points down, as the first accelerometer has it."""
-        return shown_down(self._watch, self._body, self.present(Sensor.ACCEL))
+        return down_direction(self._watch, self._body, self.present(Sensor.ACCEL))
 
-    def _moved(self, verdict: StillnessVerdict) -> None:
+    def _on_movement(self, verdict: StillnessVerdict) -> None:
         if self._hold is not None and self._hold.seconds > 0.0:
             self._note = f"The pose was disturbed ({verdict.what or 'it crept away'}): take it again. "
         self._hold = None
@@ -123,7 +123,7 @@ class AccelProcedure(TickedProcedure):
             return
         self._hold = self._hold or Hold(direction)
         if self._hold.crept(direction):
-            self._moved(StillnessVerdict(still=False, ticks=0, why="", what=Disturbance.NONE))
+            self._on_movement(StillnessVerdict(still=False, ticks=0, why="", what=Disturbance.NONE))
             self._watch.reset()
             return
         self._hold.add(frame, seconds)
@@ -135,7 +135,9 @@ class AccelProcedure(TickedProcedure):
 
     def _take_pose(self, hold: Hold, direction: Array) -> None:
         self._counter += 1
-        self._poses.append(taken(hold, self._counter, recognise(direction), direction, self.present(Sensor.ACCEL)))
+        self._poses.append(
+            pose_of_hold(hold, self._counter, recognise(direction), direction, self.present(Sensor.ACCEL))
+        )
         self._hold, self._here, self._note = None, direction, ""
         self._last_taken = self.time
         self._took.append(self._measured)
@@ -150,7 +152,7 @@ class AccelProcedure(TickedProcedure):
         if assessment.passed:
             self._end(assessment)
         elif assessment.culprit is not None:
-            self._take_again(assessment.culprit, assessment)
+            self._repeat_pose(assessment.culprit, assessment)
         elif self._wanted < int(self.options["obliques"]) + EXTRA:
             self._wanted += 1
             self._note = f"{assessment.short}: a further pose is needed. "
@@ -161,7 +163,7 @@ class AccelProcedure(TickedProcedure):
                 "then start again, or ask for less",
             )
 
-    def _take_again(self, culprit: TakenPose, assessment: Assessment) -> None:
+    def _repeat_pose(self, culprit: HeldPose, assessment: Assessment) -> None:
         self._retakes += 1
         name = f"pose {culprit.number} ({TEXTS[culprit.pose]})"
         if self._retakes > RETAKES:
@@ -209,7 +211,7 @@ class AccelProcedure(TickedProcedure):
         else:
             towards = next((tilt.direction for tilt in self._tilts if not tilt.taken), None)
             text = f"{self._note}Hold the vehicle still, {tilted(towards) if towards else 'tilted'}."
-        self._say(
+        self._show(
             Prompt(
                 PromptStep.POSE,
                 text,
@@ -224,7 +226,7 @@ class AccelProcedure(TickedProcedure):
             )
         )
 
-    def _tell(self, verdict: StillnessVerdict, direction: Array | None) -> None:
+    def _update_prompt(self, verdict: StillnessVerdict, direction: Array | None) -> None:
         self._ask(direction, stable=verdict.counted)
         if self.time - max(self._last_taken, self._began) >= self.options["patience"]:
             cause, remedy = self._missing()

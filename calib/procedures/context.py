@@ -1,4 +1,4 @@
-"""What a procedure knows of the vehicle before the first sample."""
+"""Facts about the vehicle that a procedure has before the first sample."""
 
 from __future__ import annotations
 

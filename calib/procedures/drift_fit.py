@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from dataclasses import dataclass
 
@@ -16,7 +15,7 @@ from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.thermal.cells import DriftCells
 from mavcal.calib.thermal.drift import DriftData, powers_about
-from mavcal.calib.thermal.fit import fit_drift_data
+from mavcal.calib.thermal.fit import PolynomialOptions, fit_drift_data
 from mavcal.calib.thermal.thermometer import Thermometer
 from mavcal.calib.triad import ThermalPolynomial
 
@@ -25,12 +24,13 @@ _KEPT = frozenset({Sensor.ACCEL, Sensor.GYRO})
 SHORTEST = 10.0
 """A still span shorter than this is left out where the pose changes between spans, s."""
 
+_CUBIC = PolynomialOptions(degree=THERMAL_DEGREE)
 MOVED = "the vehicle was moved: {} still spans, each with its own pose"
 """What is said of several poses."""
 
 
 class DriftPool:
-    """What the still spans said of every sensor and thermometer, in the same memory however long they last."""
+    """Samples of every sensor and thermometer over the still spans, in bounded memory."""
 
     def __init__(self) -> None:
         self._cells: dict[Instance, DriftCells] = {}
@@ -69,42 +69,34 @@ def fit_drift(pool: DriftPool, sensor: Sensor, instance: int, *, relative: bool)
     channel = pool[sensor, instance].channel
     assert channel is not None
     if sensor == Sensor.ACCEL and len(np.unique(span)) > 1:
-        return fit_posed(channel, data, span, relative=relative)
-    return fit_drift_data(channel, data, data.samples, degree=THERMAL_DEGREE, relative=relative)
+        return fit_posed(channel, data, span, _CUBIC, relative=relative)
+    return fit_drift_data(channel, data, data.samples, _CUBIC, relative=relative)
 
 
 def fit_posed(
     channel: Channel,
     data: DriftData,
     number: NDArray[np.intp],
+    options: PolynomialOptions,
     *,
-    degree: int = THERMAL_DEGREE,
-    t_ref: float = 35.0,
-    min_span: float = 10.0,
-    lag: bool = True,
     relative: bool = False,
-    said: str = MOVED,
+    warning: str = MOVED,
 ) -> FitResult:
-    """Drift of a sensor whose pose, the `number` (N,) of each row, has an offset of its own; the curve is common.
+    """Drift of a sensor with one curve, and one offset for each pose, the `number` (N,) of a row.
 
     Offsets of the poses by joint least squares with the curve, then the curve with them taken away. Least squares of
     the curve on ``y - D d`` with the joint estimate d has the joint estimate of the curve; its covariance lacks the
-    share of d, which :meth:`PoseOffsets.widened` adds. `said` is the warning,
-    with the number of poses in it.
+    share of d, which :meth:`PoseOffsets.widened` adds. `warning` has a place for the number of poses.
     """
-    fit_one = functools.partial(
-        fit_drift_data, channel, degree=degree, t_ref=t_ref, min_span=min_span, lag=lag, relative=relative
-    )
-    given = data.samples
-    poses = PoseOffsets.of(data, number, degree)
-    if poses is None:
-        return fit_one(_of_long(data, number)[0], given)
-    return poses.widened(fit_one(poses.lowered, given), said)
+    poses = PoseOffsets.of(data, number, options.degree)
+    one_offset = _of_long(data, number)[0] if poses is None else poses.lowered
+    fit = fit_drift_data(channel, one_offset, data.samples, options, relative=relative)
+    return fit if poses is None else poses.widened(fit, warning)
 
 
 @dataclass(frozen=True, eq=False)
 class PoseOffsets:
-    """Samples with the offset that each pose has of its own taken away, and what not knowing them costs."""
+    """Samples without the offset of each pose, and the covariance that the unknown offsets add."""
 
     lowered: DriftData
     steps: Array  # (K, 3) offset of each pose less that of the last
@@ -136,8 +128,8 @@ class PoseOffsets:
         half = np.linalg.solve(np.linalg.cholesky(self.plain), np.linalg.cholesky(self.posed))
         return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]))
 
-    def widened(self, fit: FitResult, said: str = MOVED) -> FitResult:
-        """A fit of :attr:`lowered` with the covariance that the unknown poses leave; `said` warns of their number.
+    def widened(self, fit: FitResult, warning: str = MOVED) -> FitResult:
+        """A fit of :attr:`lowered` with the covariance that the unknown poses leave, and a `warning` of their number.
 
         The congruence that takes the one covariance under white noise to the other, applied to that under coloured
         noise; an offset, which is that of one pose, takes the largest factor.
@@ -158,7 +150,7 @@ class PoseOffsets:
         if "drift_sd" in fit.quality:
             sd = _curve_sd(covariance, poly)
             quality["drift_sd"] = [None if s is None else v for s, v in zip(fit.quality["drift_sd"], sd, strict=True)]
-        warnings = (*fit.warnings, said.format(len(self.numbers)))
+        warnings = (*fit.warnings, warning.format(len(self.numbers)))
         return dataclasses.replace(fit, covariance=covariance, warnings=warnings, quality=quality)
 
 

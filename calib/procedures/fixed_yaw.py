@@ -11,6 +11,7 @@ from mavcal.calib.firmware.storable import MAG
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.mag.fixed_yaw import KnownAttitude, fit_fixed_yaw
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.level import GRAVITY_WITHIN, roll_pitch
@@ -20,7 +21,6 @@ from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Channel, Sensor
 
 SPEC = ProcedureSpec(
@@ -62,7 +62,7 @@ class MagFixedYawProcedure(TickedProcedure):
             )
             return
         self._accel = self.present(Sensor.ACCEL)[0]
-        self._say(_PROMPT)
+        self._show(_PROMPT)
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
@@ -70,15 +70,15 @@ class MagFixedYawProcedure(TickedProcedure):
             self._pool = Pool((Sensor.MAG, Sensor.ACCEL, Sensor.TEMPERATURE))
             self._rested, self._why = 0.0, verdict.why
             self._restless += end - start
-            self._say(Prompt(PromptStep.HOLD_STILL, f"Not at rest: {verdict.what}. Leave the vehicle alone."))
+            self._show(Prompt(PromptStep.HOLD_STILL, f"Not at rest: {verdict.what}. Leave the vehicle alone."))
         elif verdict.counted:
-            self._say(Prompt(PromptStep.HOLD_STILL, "At rest: leave the vehicle alone.", stable=True))
+            self._show(Prompt(PromptStep.HOLD_STILL, "At rest: leave the vehicle alone.", stable=True))
             self._pool.add(frame)
             self._rested += end - start
             if self._rested >= self.options["seconds"]:
                 self._conclude()
         if self.outcome is None:
-            self._tell(verdict)
+            self._update_prompt(verdict)
 
     def _conclude(self) -> None:
         standing = self._standing()
@@ -95,7 +95,7 @@ class MagFixedYawProcedure(TickedProcedure):
         self._finish(Done(results, f"the heading is known to {good:.1f} deg as it stands; soft iron is kept"))
 
     def _standing(self) -> KnownAttitude | None:
-        """How the vehicle stands; None: the job has ended, since its accelerometer does not tell."""
+        """Attitude of the vehicle; None: the job has ended, since its accelerometer cannot determine it."""
         accel = self._pool.channel((Sensor.ACCEL, self._accel))
         model = in_force(self.context, Sensor.ACCEL, self._accel)
         if model is None:
@@ -134,7 +134,7 @@ class MagFixedYawProcedure(TickedProcedure):
             relative=self.context.relative,
         )
 
-    def _tell(self, verdict: StillnessVerdict) -> None:
+    def _update_prompt(self, verdict: StillnessVerdict) -> None:
         if self._restless >= self.options["patience"]:
             self._give_up(f"no rest within {self._restless:.0f} s: {self._why}", "leave the vehicle alone")
             return

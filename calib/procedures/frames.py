@@ -12,11 +12,11 @@ from mavcal.calib.triad import TriadModel
 
 
 def in_force(context: ProcedureContext, sensor: Sensor, instance: int) -> TriadModel | None:
-    """The correction that the vehicle applies: raw to corrected body frame. None: the parameters do not say.
+    """The correction that the vehicle applies, raw to corrected body frame. None: parameters are missing.
 
     Without parameters, or of an unknown autopilot, raw and corrected are taken as the same.
     """
-    if not _told(context):
+    if not _mounting_is_stated(context):
         return TriadModel()
     try:
         return firmware.calibration_in_force(context.identity.autopilot, context.parameters, sensor, instance)
@@ -25,8 +25,8 @@ def in_force(context: ProcedureContext, sensor: Sensor, instance: int) -> TriadM
 
 
 def body_from_sensor(context: ProcedureContext, sensor: Sensor, instance: int) -> Array:
-    """Rotation (3, 3) from the raw frame of a sensor to the body; the identity where the parameters do not say."""
-    if not _told(context):
+    """Rotation (3, 3) from the raw frame of a sensor to the body; the identity where parameters are missing."""
+    if not _mounting_is_stated(context):
         return np.eye(3)
     try:
         return firmware.body_from_sensor(context.identity.autopilot, context.parameters, sensor, instance)
@@ -34,5 +34,5 @@ def body_from_sensor(context: ProcedureContext, sensor: Sensor, instance: int) -
         return np.eye(3)
 
 
-def _told(context: ProcedureContext) -> bool:
+def _mounting_is_stated(context: ProcedureContext) -> bool:
     return not context.relative and context.identity.autopilot in firmware.TITLES

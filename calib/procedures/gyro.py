@@ -15,6 +15,7 @@ from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro import fit_gyro_rest
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.motion import StillnessVerdict, statistics
 from mavcal.calib.procedures.pool import Pool, Tail
@@ -22,7 +23,6 @@ from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_temperature, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
@@ -80,7 +80,7 @@ class GyroProcedure(TickedProcedure):
         self._quick = self._best = math.inf
 
     def _on_start(self, present: set[Instance]) -> None:
-        self._say(Prompt(PromptStep.HOLD_STILL, "Put the vehicle on a firm surface and do not touch it."))
+        self._show(Prompt(PromptStep.HOLD_STILL, "Put the vehicle on a firm surface and do not touch it."))
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
@@ -90,13 +90,13 @@ class GyroProcedure(TickedProcedure):
         elif verdict.counted:
             self._collect(frame, end - start)
         if self.outcome is None:
-            self._tell(verdict)
+            self._update_prompt(verdict)
 
     def _disturbed(self, why: str, what: str) -> None:
         self._why = why
         self._watch.reset()
         self._begin_rest()
-        self._say(Prompt(PromptStep.HOLD_STILL, f"Not at rest: {what}. Leave the vehicle alone on a firm surface."))
+        self._show(Prompt(PromptStep.HOLD_STILL, f"Not at rest: {what}. Leave the vehicle alone on a firm surface."))
         if self.elapsed >= self.options["patience"]:
             self._give_up(
                 f"no rest that is long enough within {self.elapsed:.0f} s: {why}",
@@ -104,7 +104,7 @@ class GyroProcedure(TickedProcedure):
             )
 
     def _collect(self, frame: TickChannels, seconds: float) -> None:
-        self._say(Prompt(PromptStep.HOLD_STILL, "At rest: leave the vehicle alone.", stable=True))
+        self._show(Prompt(PromptStep.HOLD_STILL, "At rest: leave the vehicle alone.", stable=True))
         kept = self._tail.push(frame)
         if kept is None:
             return
@@ -158,8 +158,8 @@ class GyroProcedure(TickedProcedure):
         results = tuple(annotated(f, self.context, self.warnings) for f in fits)
         self._finish(Done(results, because))
 
-    def _tell(self, verdict: StillnessVerdict) -> None:
-        reached = self._known
+    def _update_prompt(self, verdict: StillnessVerdict) -> None:
+        reached = self._offset_sd
         known = math.isfinite(reached)
         # The standard deviation of a mean falls with the square root of the time.
         eta = self._rest * max((reached / self._target) ** 2 - 1.0, 0.0) if known and verdict.counted else None
@@ -176,7 +176,7 @@ class GyroProcedure(TickedProcedure):
         self._report(Progress(share, 100.0, "%", text, eta, detail))
 
     @property
-    def _known(self) -> float:
+    def _offset_sd(self) -> float:
         """Standard deviation of the worst offset, rad/s: what its spread allows, or the last fit if that is worse."""
         return max(self._quick, self._best) if math.isfinite(self._best) else self._quick
 
@@ -187,7 +187,8 @@ class GyroProcedure(TickedProcedure):
                 f"leave the vehicle alone for {SHORTEST + 1.0:.0f} s or more",
             )
         return (
-            f"the offsets are known to {math.degrees(self._known):.4f} deg/s, not to {math.degrees(self._target):.4f}",
+            f"the offsets are known to {math.degrees(self._offset_sd):.4f} deg/s, "
+            f"not to {math.degrees(self._target):.4f}",
             "let it rest longer, or ask for less",
         )
 
@@ -226,7 +227,7 @@ class FieldWatch:
         self._latest: dict[Instance, list[Array]] = {}
 
     def update(self, frame: TickChannels) -> str:
-        """Take a tick at rest; what turned, or nothing."""
+        """Take a tick at rest; returns the movement that was seen, if any."""
         for instance, channel in frame.items():
             if instance[0] != Sensor.MAG:
                 continue

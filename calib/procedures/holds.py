@@ -92,7 +92,7 @@ class Hold:
 
 
 @dataclass(frozen=True, eq=False)
-class TakenPose:
+class HeldPose:
     """A pose that was held long enough: the mean specific force of every accelerometer."""
 
     number: int
@@ -101,7 +101,7 @@ class TakenPose:
     means: dict[int, PoseMean]
 
 
-def taken(hold: Hold, number: int, pose: Pose, direction: Array, instances: tuple[int, ...]) -> TakenPose:
+def pose_of_hold(hold: Hold, number: int, pose: Pose, direction: Array, instances: tuple[int, ...]) -> HeldPose:
     """The pose that `hold` gives for the accelerometers `instances`."""
     means = {i: hold.mean(i) for i in instances}
-    return TakenPose(number, pose, direction, {i: m for i, m in means.items() if m is not None})
+    return HeldPose(number, pose, direction, {i: m for i, m in means.items() if m is not None})

@@ -74,7 +74,7 @@ class ImuProcedure(AccelProcedure):
     def _on_start(self, present: set[Instance]) -> None:
         self._quiet = StillWatch(RESTING, present)
         super()._on_start(present)
-        self._say(_REST)
+        self._show(_REST)
         self._gyro_body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
@@ -88,8 +88,8 @@ class ImuProcedure(AccelProcedure):
         if self._rest is not None:
             super()._ask(direction, stable=stable)
 
-    def _on_lost(self, instance: Instance) -> None:
-        super()._on_lost(instance)
+    def _on_dropout(self, instance: Instance) -> None:
+        super()._on_dropout(instance)
         self._quiet.drop(instance)
 
     def _wait_for_rest(self, start: float, end: float, frame: TickChannels) -> None:
@@ -105,7 +105,7 @@ class ImuProcedure(AccelProcedure):
             self._last_taken = end
             self._ask(None, stable=False)
             return
-        self._say(dataclasses.replace(_REST, stable=verdict.counted))
+        self._show(dataclasses.replace(_REST, stable=verdict.counted))
         if self.elapsed >= self.options["patience"]:
             self._give_up(
                 f"no rest within {self.elapsed:.0f} s: {verdict.why or 'too short'}", "put it down and let go"

@@ -157,7 +157,7 @@ class _Buffer:
 
     @property
     def first(self) -> float | None:
-        """Earliest time stamp that waits; None: nothing waits."""
+        """Earliest time stamp of the waiting samples; None: none wait."""
         waiting = [float(p.t.min()) for p in self._parts]
         if self._head is not None and self._at < len(self._head):
             waiting.append(float(self._head.t[self._at]))

@@ -11,6 +11,7 @@ from mavcal.calib.firmware.limits import TRIM_MAX_RAD
 from mavcal.calib.firmware.storable import LEVEL
 from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import in_force
 from mavcal.calib.procedures.holds import Hold
@@ -20,7 +21,6 @@ from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, Promp
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.stats.stillness import PoseMean
 from mavcal.calib.triad import TriadModel
@@ -73,24 +73,24 @@ class LevelProcedure(TickedProcedure):
                 "the calibration in force of no accelerometer is known",
                 "read the vehicle's parameters, then start again",
             )
-        self._say(_PROMPT)
+        self._show(_PROMPT)
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         if not verdict.still:
             self._hold, self._why, self._judge_at = Hold(), verdict.why, 0.0
             self._restless += end - start
-            self._say(
+            self._show(
                 Prompt(PromptStep.HOLD_STILL, f"Not at rest: {verdict.what}. Leave the vehicle alone.", Pose.LEVEL)
             )
         elif verdict.counted:
-            self._say(Prompt(PromptStep.HOLD_STILL, "At rest: leave the vehicle alone.", Pose.LEVEL, stable=True))
+            self._show(Prompt(PromptStep.HOLD_STILL, "At rest: leave the vehicle alone.", Pose.LEVEL, stable=True))
             self._hold.add(frame, end - start)
             if self._hold.seconds >= SHORTEST and self._hold.seconds >= self._judge_at:
                 self._judge_at = self._hold.seconds + 1.0
                 self._judge()
         if self.outcome is None:
-            self._tell(verdict)
+            self._update_prompt(verdict)
 
     def _judge(self) -> None:
         held = {i: self._hold.mean(i) for i in self._models if i in self.present(Sensor.ACCEL)}
@@ -137,7 +137,7 @@ class LevelProcedure(TickedProcedure):
         if apart > UNITS_WITHIN:
             self._warn(f"the accelerometers differ by {math.degrees(apart):.1f} deg about what is level")
 
-    def _tell(self, verdict: StillnessVerdict) -> None:
+    def _update_prompt(self, verdict: StillnessVerdict) -> None:
         if self._restless >= self.options["patience"]:
             self._give_up(
                 f"no rest within {self._restless:.0f} s: {self._why}",

@@ -19,6 +19,7 @@ from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.mag.blur import rates_during
 from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, interpolated
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
@@ -26,7 +27,6 @@ from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
@@ -99,8 +99,8 @@ class MagProcedure(TickedProcedure):
             self._warn("the place is not known: the field strength cannot be judged, and the common scale is not set")
         self._ask()
 
-    def _on_lost(self, instance: Instance) -> None:
-        super()._on_lost(instance)
+    def _on_dropout(self, instance: Instance) -> None:
+        super()._on_dropout(instance)
         if instance[0] == Sensor.MAG:
             self._tracks.pop(instance[1], None)
         elif instance[1] in self._inertial:
@@ -115,12 +115,12 @@ class MagProcedure(TickedProcedure):
         if self.outcome is None and self.time - self._looked >= LOOK_EVERY:
             self._looked = self.time
             for track in self._tracks.values():
-                track.look()
+                track.update()
             self._advise()
             self._judge()
         if self.outcome is None:
             self._ask()
-            self._tell()
+            self._update_prompt()
 
     # -- collecting ------------------------------------------------------------------------------------------------
 
@@ -167,7 +167,7 @@ class MagProcedure(TickedProcedure):
         return t[later], values[later]
 
     def _judge_strength(self) -> None:
-        """Tell a magnet at a compass early: nobody shall turn for minutes and then fail."""
+        """Report a magnet at a compass early, before minutes of turning that would fail."""
         if self.elapsed < HARD_IRON_AFTER:
             return
         field = self.context.earth_field.norm if self.context.earth_field is not None else 65.0
@@ -294,9 +294,9 @@ class MagProcedure(TickedProcedure):
 
     def _ask(self) -> None:
         usable = any(t.predicted <= max(USABLE, self._target) for t in self._tracks.values())
-        worst = max((self._known(t) for t in self._tracks.values()), default=math.inf)
+        worst = max((self._heading_sd(t) for t in self._tracks.values()), default=math.inf)
         short = f"The heading is known to {worst:.1f} deg, not to {self._target:g} deg." if worst > self._target else ""
-        self._say(
+        self._show(
             Prompt(
                 PromptStep.ROTATE,
                 self._text,
@@ -308,14 +308,14 @@ class MagProcedure(TickedProcedure):
         )
 
     @staticmethod
-    def _known(track: MagTrack) -> float:
+    def _heading_sd(track: MagTrack) -> float:
         """How well the heading of a compass is known, or will be once it is fitted, deg."""
         return min(track.heading_sd, track.predicted) if track.fit is None else track.heading_sd
 
-    def _tell(self) -> None:
+    def _update_prompt(self) -> None:
         if not self._tracks:
             return
-        known = {i: self._known(t) for i, t in self._tracks.items()}
+        known = {i: self._heading_sd(t) for i, t in self._tracks.items()}
         worst = max(known.values(), default=math.inf)
         finite = math.isfinite(worst)
         # Information grows with the samples while the vehicle is turned.

@@ -1,4 +1,4 @@
-"""What a magnetometer procedure knows of one compass: its samples with the motion at their times, and its fit."""
+"""One compass of a magnetometer procedure: its samples with the motion at their times, and its fit."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class MagTrack:
             self._force.append(motion.force[sharp])
             self._turning.append(motion.turning[sharp])
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Bring coverage and the predicted heading error up to date."""
         shape = self._shape.rough()
         if shape is None:
@@ -146,7 +146,7 @@ class MagTrack:
             self.fit = None
 
     def mounting(self, sine: float | None = None) -> OrientationResult | None:
-        """Which mounting explains the compass; None: the movement says nothing of it, or there is no fit.
+        """Mounting that explains the compass; None: the movement does not determine it, or there is no fit.
 
         `sine`: that of the dip, as other compasses of the vehicle have it; used where the place does not say it.
         """

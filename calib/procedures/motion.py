@@ -183,7 +183,7 @@ class StillWatch:
         if not accel:
             checks.append(self._rate(instance, tick))
         if len(self._references[instance]):
-            checks.append(self._wander(instance, tick, limits.accel_wander if accel else limits.gyro_wander))
+            checks.append(self._bias_change(instance, tick, limits.accel_wander if accel else limits.gyro_wander))
         return max(checks, key=lambda e: e.ratio)
 
     def _spread(self, instance: Instance, tick: TickStatistics, bound: float) -> _Excess:
@@ -198,7 +198,7 @@ class StillWatch:
         text = f"{label(*instance)} sees a turn of {math.degrees(rate):.1f} deg/s, mostly about {_AXES[axis]}"
         return _Excess(rate / self._limits.rate, text, Disturbance.TURNS)
 
-    def _wander(self, instance: Instance, tick: TickStatistics, bound: float) -> _Excess:
+    def _bias_change(self, instance: Instance, tick: TickStatistics, bound: float) -> _Excess:
         reference = self._references[instance]
         deviation = np.abs(tick.mean - reference.mean)
         # Noise alone moves a tick's mean: five of its standard errors are no movement.

@@ -16,17 +16,17 @@ from mavcal.calib.accel.poses import fit_one_axis
 from mavcal.calib.firmware.storable import ACCEL_OFFSETS
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import facing, shown_down
+from mavcal.calib.procedures.placing import down_direction, facing
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.triad import TriadModel
 
@@ -75,19 +75,19 @@ class AccelOneAxisProcedure(TickedProcedure):
             self._leave_out((Sensor.ACCEL, instance), "its present scale could not be read")
         if not self._models:
             self._give_up("the scale in force of no accelerometer is known", "read the vehicle's parameters first")
-        self._say(_PROMPT)
+        self._show(_PROMPT)
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
-        direction = shown_down(self._watch, self._body, self.present(Sensor.ACCEL))
+        direction = down_direction(self._watch, self._body, self.present(Sensor.ACCEL))
         if not verdict.still or direction is None:
             weightless = "no accelerometer shows gravity"
             self._begin_again(verdict.why or weightless)
-            self._say(dataclasses.replace(_PROMPT, text=f"Not at rest: {verdict.what or weightless}. {_PROMPT.text}"))
+            self._show(dataclasses.replace(_PROMPT, text=f"Not at rest: {verdict.what or weightless}. {_PROMPT.text}"))
         elif verdict.counted:
             self._rest(frame, end - start, direction)
         if self.outcome is None:
-            self._tell(verdict)
+            self._update_prompt(verdict)
 
     def _begin_again(self, why: str) -> None:
         self._hold, self._why, self._known, self._judge_at = Hold(), why, math.inf, SHORTEST
@@ -96,9 +96,11 @@ class AccelOneAxisProcedure(TickedProcedure):
         at = facing(direction)
         if not at.square:
             self._begin_again(f"no axis is vertical: the nearest is {math.degrees(at.off):.0f} deg off")
-            self._say(dataclasses.replace(_PROMPT, text=f"No axis is vertical. {_PROMPT.text}"))
+            self._show(dataclasses.replace(_PROMPT, text=f"No axis is vertical. {_PROMPT.text}"))
             return
-        self._say(Prompt(PromptStep.PLACE, "At rest: leave the vehicle alone.", at.face, detected=at.face, stable=True))
+        self._show(
+            Prompt(PromptStep.PLACE, "At rest: leave the vehicle alone.", at.face, detected=at.face, stable=True)
+        )
         self._hold.add(frame, seconds)
         if self._hold.seconds >= self._judge_at:
             self._judge_at = self._hold.seconds + 1.0
@@ -139,7 +141,7 @@ class AccelOneAxisProcedure(TickedProcedure):
         fit = dataclasses.replace(fit, model=TriadModel(offset, scale))
         return in_sensor(fit, body, temperature=self._hold.temperature(instance))
 
-    def _tell(self, verdict: StillnessVerdict) -> None:
+    def _update_prompt(self, verdict: StillnessVerdict) -> None:
         if self.elapsed >= self.options["patience"]:
             self._give_up(f"not done within {self.elapsed:.0f} s: {self._missing()[0]}", self._missing()[1])
             return

@@ -36,7 +36,7 @@ class Facing:
         return self.off <= SQUARE_WITHIN
 
 
-def shown_down(watch: StillWatch, body: Mapping[int, Array], instances: Iterable[int]) -> Array | None:
+def down_direction(watch: StillWatch, body: Mapping[int, Array], instances: Iterable[int]) -> Array | None:
     """The body direction (3,) that points down, as the first of `instances` has it; None: none shows gravity.
 
     `body` are the rotations from the raw frame of every accelerometer to the body.

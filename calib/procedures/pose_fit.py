@@ -10,7 +10,7 @@ import numpy as np
 
 from mavcal.calib.accel.poses import fit_poses
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.procedures.holds import TakenPose
+from mavcal.calib.procedures.holds import HeldPose
 from mavcal.calib.procedures.roster import label
 from mavcal.calib.recording import Sensor
 
@@ -40,11 +40,11 @@ class Assessment:
     offset_sd: float
     residual_rms: float
     contradiction: bool
-    culprit: TakenPose | None
+    culprit: HeldPose | None
     short: str
 
 
-def assess(poses: Sequence[TakenPose], instances: Sequence[int], gravity: float, target: float) -> Assessment:
+def assess(poses: Sequence[HeldPose], instances: Sequence[int], gravity: float, target: float) -> Assessment:
     """Fit every accelerometer and judge: uncertainty `target` (m/s2) on every offset, and the residual test.
 
     Where the poses contradict each other the fits' covariance is inflated to their scatter; they pass all the same if
@@ -80,7 +80,7 @@ def assess(poses: Sequence[TakenPose], instances: Sequence[int], gravity: float,
     )
 
 
-def _fit(poses: Sequence[TakenPose], instance: int, gravity: float) -> FitResult:
+def _fit(poses: Sequence[HeldPose], instance: int, gravity: float) -> FitResult:
     means = [p.means[instance] for p in poses if instance in p.means]
     return fit_poses(means, gravity=gravity, instance=instance)
 
@@ -95,7 +95,7 @@ def _chance(fit: FitResult) -> float:
     return 1.0 if p_value is None else float(p_value)
 
 
-def _culprit(poses: Sequence[TakenPose], instance: int, gravity: float) -> TakenPose | None:
+def _culprit(poses: Sequence[HeldPose], instance: int, gravity: float) -> HeldPose | None:
     """The pose without which the others agree, if it is clearly this one."""
     without = [_fit([p for p in poses if p is not left_out], instance, gravity) for left_out in poses]
     usable = [k for k, f in enumerate(without) if f.status != FitStatus.REFUSED]

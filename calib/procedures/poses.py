@@ -102,7 +102,7 @@ def distinct_obliques(directions: Iterable[Array]) -> list[Array]:
 
 
 def suggest(taken: Sequence[Array]) -> tuple[float, float, float]:
-    """The oblique direction that would tell most of the cross terms, as the body direction to point down.
+    """Oblique direction with the most information on the cross terms, as the body direction to point down.
 
     A cross term ``c_ij`` changes the length of ``C u`` by ``2 c_ij u_i u_j``: a pose and its opposite tell the same.
     One that is near to a taken one would not count as new, so it is suggested only if there is no other.
@@ -119,7 +119,7 @@ def suggest(taken: Sequence[Array]) -> tuple[float, float, float]:
 
 
 def tilts(taken: Iterable[Array], obliques: int) -> tuple[Tilt, ...]:
-    """The oblique poses of `taken`, then those that are missing of `obliques`, each as it would tell most."""
+    """The oblique poses of `taken`, then the missing ones of `obliques` in order of their information."""
     kept = distinct_obliques(taken)
     asked: list[tuple[float, float, float]] = []
     while len(kept) + len(asked) < obliques:

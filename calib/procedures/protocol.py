@@ -41,7 +41,7 @@ class Number:
     """Greatest value, in `unit`."""
 
     def read(self, value: str) -> float | None:
-        """`value` as a number; None: it is none, or lies outside the limits."""
+        """`value` as a number; None: not a number, or outside the limits."""
         try:
             number = float(value)
         except ValueError:
@@ -87,7 +87,7 @@ class Silence:
 
 @dataclass(frozen=True)
 class Prompt:
-    """What the operator is asked to do now; a panel draws it, a voice says it."""
+    """Instruction to the operator, as data for a panel or a voice."""
 
     step: PromptStep
     text: str
@@ -126,7 +126,7 @@ class Prompt:
 
     @property
     def choice(self) -> str:
-        """What this prompt accepts, in words; empty: nothing, the data answer."""
+        """Text of the accepted answers; empty: the data answer."""
         choices = list(self.answers)
         if self.number is not None:
             unit = f" {self.number.unit}" if self.number.unit else ""
@@ -136,7 +136,7 @@ class Prompt:
 
 @dataclass(frozen=True)
 class Progress:
-    """The field list of a progress bar. `eta` in seconds of the vehicle's clock; None: cannot be said yet."""
+    """Progress of a job. `eta` in seconds of the vehicle's clock; None: not known yet."""
 
     current: float
     target: float

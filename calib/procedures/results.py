@@ -40,5 +40,5 @@ def share_of_information(target: float, reached: float) -> float:
 
 def refusals(fits: Iterable[FitResult]) -> str:
     """Why fits were refused, sensor by sensor."""
-    told = [f"{label(f.sensor, f.instance)}: {f.message}" for f in fits if f.status == FitStatus.REFUSED]
-    return "; ".join(told) or "no sensor is left"
+    refusals = [f"{label(f.sensor, f.instance)}: {f.message}" for f in fits if f.status == FitStatus.REFUSED]
+    return "; ".join(refusals) or "no sensor is left"

@@ -15,27 +15,27 @@ import numpy as np
 from mavcal.calib.earth import EarthField
 from mavcal.calib.firmware.storable import MAG
 from mavcal.calib.fit import FitBuilder, FitResult, FitStatus
-from mavcal.calib.mag.free_rotation import mirror_words
-from mavcal.calib.mag.mounting import rotation_covariance
-from mavcal.calib.mag.orientation import MountingVerdict
-from mavcal.calib.mag.result import FIELD_TOLERANCE
+from mavcal.calib.mag.free_rotation import angle_between, mirror_words
+from mavcal.calib.mag.orientation import ASKEW, RIGHT_ANGLES, FittedRotation, MountingVerdict
+from mavcal.calib.mag.result import FIELD_TOLERANCE, rotation_covariance
 from mavcal.calib.mag.rings import fit_rings
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
+from mavcal.calib.procedures.mag_track import mounting_quality
 from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
-from mavcal.calib.procedures.placing import Facing, facing, place, shown_down
+from mavcal.calib.procedures.placing import Facing, down_direction, facing, place
+from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, refusals
-from mavcal.calib.procedures.ring_track import ONCE_AROUND, RingTrack, mounting_in
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import Spin, SpinWatch
-from mavcal.calib.recording import Array, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 
 SPEC = ProcedureSpec(
     kind="mag-rings",
@@ -64,14 +64,60 @@ SPEC = ProcedureSpec(
     autopilots=MAG,
     duration_s=90.0,
 )
-
 FASTEST = math.radians(120.0)
 """A compass of 10 Hz has samples nine degrees apart up to this rate, rad/s."""
-
 _BEGUN = math.radians(10.0)  # turned by less, nothing is lost
-
 ROUNDS = 2
 """Times that all six rings are taken before giving up."""
+FEWEST = 40
+"""Samples of a ring below which it goes on: nine degrees apart."""
+ONCE_AROUND = 2.0 * math.pi
+
+
+class RingTrack:
+    """Collects the compasses' samples of one turn."""
+
+    def __init__(self, face: Pose) -> None:
+        self.face = face
+        self.down = np.array(DOWN[face])
+        self.angle = 0.0
+        """Turned so far, rad, signed."""
+        self._pool = Pool((Sensor.MAG,))
+
+    def add(self, frame: TickChannels, spin: Spin) -> None:
+        """Take a tick of a clean turn about the vertical."""
+        self._pool.add(frame)
+        self.angle += spin.about(self.down) * spin.seconds
+
+    def channel(self, instance: int) -> Channel | None:
+        """Samples of one compass; None: it has none."""
+        return self._pool.get((Sensor.MAG, instance))
+
+    def complete(self, instances: tuple[int, ...]) -> bool:
+        """Whether it has gone round with samples enough of every compass."""
+        counts = [len(channel) if (channel := self.channel(i)) is not None else 0 for i in instances]
+        return abs(self.angle) >= ONCE_AROUND and min(counts, default=0) >= FEWEST
+
+
+def mounting_in(rotation: Array, covariance: Array) -> dict[str, Any]:
+    """The mounting that `rotation` means, as ``quality["orientation"]`` of a compass has it.
+
+    `rotation` (3, 3) turns what the stated mounting calls body into the body; `covariance` (3, 3), rad^2, is that of
+    small turns of the body. A rotation within 5 degrees of one by right angles means that one.
+    """
+    fitted = FittedRotation(rotation, covariance)
+    askew, nearest = min((angle_between(m.matrix, rotation), k) for k, m in enumerate(RIGHT_ANGLES))
+    best = RIGHT_ANGLES[nearest]
+    verdict, message = MountingVerdict.AS_STATED, "mounted as stated"
+    if askew > ASKEW:
+        verdict = MountingVerdict.BY_ANGLES
+        message = (
+            f"mounted turned by {fitted.euler}, {math.degrees(askew):.0f} deg from the nearest right-angle mounting "
+            f"({best.name})"
+        )
+    elif nearest:
+        verdict, message = MountingVerdict.ROTATED, f"mounted turned by {best.name} against what is stated"
+    return mounting_quality(verdict, best, fitted, message)
 
 
 class MagRingsProcedure(TickedProcedure):
@@ -96,16 +142,16 @@ class MagRingsProcedure(TickedProcedure):
         self._spins = SpinWatch({i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)})
         if self.context.earth_field is None:
             self._warn("the place is not known: the field strength cannot be judged, and the common scale is not set")
-        self._say(self._place_prompt())
+        self._show(self._place_prompt())
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         spin = self._spins.update(frame, self.present(Sensor.GYRO), end - start, resting=verdict.counted)
-        direction = shown_down(self._watch, self._level, self.present(Sensor.ACCEL))
+        direction = down_direction(self._watch, self._level, self.present(Sensor.ACCEL))
         if spin is not None and direction is not None:
             self._follow(frame, verdict, spin, facing(direction))
         if self.outcome is None:
-            self._tell(verdict)
+            self._update_prompt(verdict)
 
     def _follow(self, frame: TickChannels, verdict: Stillness, spin: Spin, at: Facing) -> None:
         if self._asked is not None and (not at.square or at.face != self._asked):
@@ -121,9 +167,9 @@ class MagRingsProcedure(TickedProcedure):
                 return
             if verdict.counted or self._asked is not None:
                 self._asked = at.face
-                self._say(self._turn_prompt(at, moving=False))
+                self._show(self._turn_prompt(at, moving=False))
                 return
-        self._say(self._place_prompt())
+        self._show(self._place_prompt())
 
     def _left(self) -> tuple[Pose, ...]:
         return tuple(face for face in FACES if face not in self._done)
@@ -145,13 +191,13 @@ class MagRingsProcedure(TickedProcedure):
             self._ring, self._asked = RingTrack(at.face), at.face
         self._note = ""
         self._ring.add(frame, spin)
-        self._say(self._turn_prompt(at, moving=True))
+        self._show(self._turn_prompt(at, moving=True))
         if self._ring.complete(self.present(Sensor.MAG)):
             self._rings.append(self._ring)
             self._done.add(self._ring.face)
             self._ring, self._asked, self._last_taken = None, None, self.time
             if self._left():
-                self._say(self._place_prompt())
+                self._show(self._place_prompt())
             else:
                 self._evaluate()
 
@@ -223,7 +269,7 @@ class MagRingsProcedure(TickedProcedure):
 
     # -- telling ---------------------------------------------------------------------------------------------------
 
-    def _tell(self, verdict: Stillness) -> None:
+    def _update_prompt(self, verdict: Stillness) -> None:
         if self.time - max(self._last_taken, self._began) >= self.options["patience"]:
             cause, remedy = self._missing()
             self._give_up(f"no new ring within {self.options['patience']:.0f} s; {cause}", remedy)
@@ -251,7 +297,7 @@ class MagRingsProcedure(TickedProcedure):
 
 
 def _mounted(fit: FitResult, instance: int, field: EarthField | None, stated: Array) -> FitResult:
-    """The fit (in the body) with what its rotation says of the mounting; refused if the axes are mirrored.
+    """The fit in the body frame with the mounting from its rotation; refused if the axes are mirrored.
 
     The centres of the rings lie where the vertical field points, or all opposite if an odd number of axes is reversed:
     which of the two it is, only the `field` of the place tells. `stated` (3, 3) is the stated mounting.

@@ -16,19 +16,19 @@ from mavcal.calib.accel.six_face import fit_six_face
 from mavcal.calib.firmware.storable import ACCEL
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
-from mavcal.calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
+from mavcal.calib.procedures.holds import SHORTEST, HeldPose, Hold, pose_of_hold
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import facing, place, shown_down
+from mavcal.calib.procedures.placing import down_direction, facing, place
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
@@ -65,7 +65,7 @@ class AccelSixFaceProcedure(TickedProcedure):
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)
         self._target = float(options["uncertainty"])
-        self._faces: dict[Pose, TakenPose] = {}
+        self._faces: dict[Pose, HeldPose] = {}
         self._round = 1
         self._hold: Hold | None = None
         self._here: Pose | None = None
@@ -74,20 +74,20 @@ class AccelSixFaceProcedure(TickedProcedure):
 
     def _on_start(self, present: set[Instance]) -> None:
         self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
-        self._say(place(FACES, ""))
+        self._show(place(FACES, ""))
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
-        direction = shown_down(self._watch, self._body, self.present(Sensor.ACCEL))
+        direction = down_direction(self._watch, self._body, self.present(Sensor.ACCEL))
         if not verdict.still or direction is None:
             if self._hold is not None and self._hold.seconds > 0.0:
                 self._note = "It was moved too early. "
             self._hold = self._here = None
-            self._say(place(self._left(), self._note))
+            self._show(place(self._left(), self._note))
         elif verdict.counted:
             self._rest(frame, end - start, direction)
         if self.outcome is None:
-            self._tell(verdict)
+            self._update_prompt(verdict)
 
     def _left(self) -> tuple[Pose, ...]:
         return tuple(face for face in FACES if face not in self._faces)
@@ -96,13 +96,13 @@ class AccelSixFaceProcedure(TickedProcedure):
         at = facing(direction)
         if not at.square:
             self._hold = None
-            self._say(place(self._left(), f"It is not square on any face ({TEXTS[at.face]} is the nearest). "))
+            self._show(place(self._left(), f"It is not square on any face ({TEXTS[at.face]} is the nearest). "))
             return
         if at.face in self._faces or at.face == self._here:
-            self._say(place(self._left(), self._note or "This face is done. "))
+            self._show(place(self._left(), self._note or "This face is done. "))
             return
         self._hold = self._hold or Hold(direction)
-        self._say(
+        self._show(
             Prompt(
                 PromptStep.PLACE,
                 "At rest: leave it alone.",
@@ -117,7 +117,7 @@ class AccelSixFaceProcedure(TickedProcedure):
         # the offset is a mean of six faces, so each may be known worse by the root of that
         if self._hold.complete(self._target):
             number = len(self._faces) + 1
-            self._faces[at.face] = taken(self._hold, number, at.face, direction, self.present(Sensor.ACCEL))
+            self._faces[at.face] = pose_of_hold(self._hold, number, at.face, direction, self.present(Sensor.ACCEL))
             self._hold, self._here, self._note, self._last_taken = None, at.face, "", self.time
             if not self._left():
                 self._evaluate()
@@ -174,7 +174,7 @@ class AccelSixFaceProcedure(TickedProcedure):
         results = tuple(annotated(f, self.context, self.warnings) for f in fits)
         self._finish(Done(results, f"every offset is known to {reached:.4f} m/s2 or better"))
 
-    def _tell(self, verdict: StillnessVerdict) -> None:
+    def _update_prompt(self, verdict: StillnessVerdict) -> None:
         if self.time - max(self._last_taken, self._began) >= self.options["patience"]:
             cause, remedy = self._missing()
             self._give_up(

@@ -13,6 +13,7 @@ from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
 from mavcal.calib.firmware.storable import DRIFT
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.drift_fit import DriftPool, fit_drift
 from mavcal.calib.procedures.motion import Disturbance, StillnessVerdict
@@ -21,8 +22,7 @@ from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
-from mavcal.calib.procedures.warmth import Warmth
+from mavcal.calib.procedures.warming import Warmth
 from mavcal.calib.recording import Sensor
 
 SPEC = ProcedureSpec(
@@ -112,15 +112,15 @@ class ThermalProcedure(TickedProcedure):
         self._warmth.update(frame, self._units())
         verdict = self._watch.update(frame)
         if not verdict.still:
-            self._moved(verdict)
+            self._on_movement(verdict)
         elif verdict.counted:
             self._keep(start, end, frame)
         self._ask(still=verdict.still)
         self._judge()
         if self.outcome is None:
-            self._tell(verdict)
+            self._update_prompt(verdict)
 
-    def _moved(self, verdict: StillnessVerdict) -> None:
+    def _on_movement(self, verdict: StillnessVerdict) -> None:
         self._why, self._what = verdict.why, verdict.what
         self._tail = Tail(GUARD_TICKS)
         self._resting = False
@@ -139,20 +139,20 @@ class ThermalProcedure(TickedProcedure):
     # -- judging ---------------------------------------------------------------------------------------------------
 
     def _judge(self) -> None:
-        span, settled = self._warmth.span, self._warmth.settled(self.options["settled"])
-        covered = span >= self.options["span"] and (settled or not self.options["extend"])
-        if covered or (settled and span >= THERMAL_SPAN_MIN):
+        span, is_steady = self._warmth.span, self._warmth.is_steady(self.options["settled"])
+        covered = span >= self.options["span"] and (is_steady or not self.options["extend"])
+        if covered or (is_steady and span >= THERMAL_SPAN_MIN):
             if self.time >= self._next_fit:
                 self._next_fit = self.time + max(5.0, FIT_AGAIN * self.elapsed)
-                why = "the temperature has settled" if settled else "the requested span is covered"
-                self._try(why, last=settled)
-        elif settled and self._warmth.moved >= THERMAL_SPAN_MIN:
+                why = "the temperature has settled" if is_steady else "the requested span is covered"
+                self._try(why, last=is_steady)
+        elif is_steady and self._warmth.moved >= THERMAL_SPAN_MIN:
             self._give_up(
                 f"the temperature moved by {self._warmth.moved:.1f} degC and settled, but the vehicle was still for "
                 f"{span:.1f} degC of it only: {self._why}",
                 "put the vehicle on a firm surface and leave it alone, then start again",
             )
-        elif settled and self._warmth.moved >= STILL_COLD:
+        elif is_steady and self._warmth.moved >= STILL_COLD:
             self._give_up(
                 f"the temperature settled after {self._warmth.moved:.1f} degC; "
                 f"a drift needs {THERMAL_SPAN_MIN:.0f} degC",
@@ -165,7 +165,7 @@ class ThermalProcedure(TickedProcedure):
             )
 
     def _try(self, because: str, *, last: bool) -> None:
-        """Fit; finish if the curves are known well enough, or if nothing more is to come."""
+        """Fit; finish if the curves are known well enough, or if these are the last samples."""
         fits = self._fit()
         self._missed = self._shortfall(fits)
         if not self._missed:
@@ -184,7 +184,7 @@ class ThermalProcedure(TickedProcedure):
         )
 
     def _shortfall(self, fits: tuple[FitResult, ...]) -> str:
-        """What keeps the fits from the goal; empty if nothing does."""
+        """Reason why the fits miss the goal; empty if they reach it."""
         if not fits:
             return f"the vehicle was still for {self._still:.0f} s only ({self._why})"
         usable = [f for f in fits if f.status != FitStatus.REFUSED]
@@ -254,9 +254,9 @@ class ThermalProcedure(TickedProcedure):
             )
         if not still:
             text = f"Do not touch it: {self._what}. {text}"
-        self._say(Prompt(PromptStep.WARM_UP, text, stable=still, answers=answers))
+        self._show(Prompt(PromptStep.WARM_UP, text, stable=still, answers=answers))
 
-    def _tell(self, verdict: StillnessVerdict) -> None:
+    def _update_prompt(self, verdict: StillnessVerdict) -> None:
         span, target, rate = self._warmth.span, float(self.options["span"]), self._warmth.rate
         eta = (target - span) / abs(rate) if abs(rate) > 1e-4 and span < target else None
         text = f"{span:.1f} of {target:.0f} degC"

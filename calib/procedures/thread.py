@@ -19,19 +19,19 @@ from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro import fit_thread
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.intake import TICK
 from mavcal.calib.procedures.motion import RESTING, StillLimits, StillnessVerdict
-from mavcal.calib.procedures.placing import facing, shown_down
+from mavcal.calib.procedures.placing import down_direction, facing
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.poses import DOWN, TEXTS
 from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, way
 from mavcal.calib.recording import Array, Segment, Sensor
 
@@ -109,7 +109,7 @@ class GyroThreadProcedure(TickedProcedure):
         self._spins = SpinWatch(self._body)
         if spoilt := turning_spoils(self.context.parameters):
             self._warn(spoilt)
-        self._say(self._rest_prompt())
+        self._show(self._rest_prompt())
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
@@ -122,10 +122,10 @@ class GyroThreadProcedure(TickedProcedure):
             elif not math.isnan(self._rest_end):
                 self._turned(spin)
         if self.outcome is None:
-            self._tell()
+            self._update_prompt()
 
     def _resting(self, verdict: StillnessVerdict, spin: Spin) -> bool:
-        """A steady slow turn is still to the eye of one tick: its rate tells."""
+        """Whether the vehicle rests, by its rate: within one tick a steady slow turn looks still."""
         return verdict.counted and (not self._spins.rested or float(np.linalg.norm(spin.rate)) < 0.3 * TURNING)
 
     def _rested(self, end: float, verdict: StillnessVerdict) -> None:
@@ -133,12 +133,12 @@ class GyroThreadProcedure(TickedProcedure):
         if not math.isnan(self._rest_end) and abs(self._angle) >= LEAST_TURN:
             self._keep(Wound(self._rest_end - TICK, begun + 2.0 * TICK, self._angle))
         self._rest_end, self._angle, self._path = end, 0.0, 0.0
-        direction = shown_down(self._watch, self._level, self.present(Sensor.ACCEL))
+        direction = down_direction(self._watch, self._level, self.present(Sensor.ACCEL))
         if direction is not None:
             at = facing(direction)
             self._down, self._face = np.array(DOWN[at.face]), at.face if at.square else None
         if self.outcome is None and not self._asking:
-            self._say(self._rest_prompt() if self._down is None else self._turn_prompt(stable=False))
+            self._show(self._rest_prompt() if self._down is None else self._turn_prompt(stable=False))
 
     def _turned(self, spin: Spin) -> None:
         if self._down is None:
@@ -147,7 +147,7 @@ class GyroThreadProcedure(TickedProcedure):
         self._angle += spin.about(axis) * spin.seconds
         self._path += abs(spin.about(axis)) * spin.seconds
         if abs(spin.about(axis)) > TURNING:
-            self._say(self._turn_prompt(stable=True))
+            self._show(self._turn_prompt(stable=True))
 
     def _keep(self, wound: Wound) -> None:
         self._note = ""
@@ -160,10 +160,10 @@ class GyroThreadProcedure(TickedProcedure):
         self._axis = self._down if self._axis is None else self._axis
         self._wound.append(wound)
         self._last_taken = self.time
-        if not self._missing_ways():
+        if not self._missing_signs():
             self._evaluate()
 
-    def _missing_ways(self) -> list[float]:
+    def _missing_signs(self) -> list[float]:
         """Signs of the turns that are still wanted about the axis, in the order in which they are asked for."""
         ways = [math.copysign(1.0, w.angle) for w in self._wound]
         left = {sign: self._wanted - ways.count(sign) for sign in (1.0, -1.0)}
@@ -205,7 +205,7 @@ class GyroThreadProcedure(TickedProcedure):
     def _ask_for_turns(self) -> None:
         self._asking = True
         seen = ", ".join(f"{abs(w.angle) / (2.0 * math.pi):.1f}" for w in self._wound)
-        self._say(
+        self._show(
             Prompt(
                 PromptStep.STATE,
                 f"How many whole turns were made each way? No compass counted them; the gyro saw {seen}.",
@@ -248,7 +248,7 @@ class GyroThreadProcedure(TickedProcedure):
     def _turn_prompt(self, *, stable: bool) -> Prompt:
         down = self._down if self._axis is None else self._axis
         assert down is not None
-        axis = self._missing_ways()[0] * down
+        axis = self._missing_signs()[0] * down
         x, y, z = (float(v) + 0.0 for v in axis)
         turns = float(self.options["turns"])
         text = (
@@ -258,14 +258,14 @@ class GyroThreadProcedure(TickedProcedure):
         )
         return Prompt(PromptStep.TURN, text, self._face, stable=stable, axis=(x, y, z), turns=turns)
 
-    def _tell(self) -> None:
+    def _update_prompt(self) -> None:
         since = self.time - max(self._last_taken, self._began)
         if since >= self.options["patience"]:
             cause, remedy = self._missing()
             self._give_up(f"nothing new within {since:.0f} s; {cause}", remedy)
             return
         total = 2 * self._wanted
-        done = total - len(self._missing_ways())
+        done = total - len(self._missing_signs())
         turns = abs(self._angle) / (2.0 * math.pi)
         text = f"{done} of {total} times turned" + (f"; {turns:.1f} turns of this one" if turns > 0.1 else "")
         per = (self.time - self._began) / done if done else SPEC.duration_s / total
@@ -280,7 +280,7 @@ class GyroThreadProcedure(TickedProcedure):
     def _missing(self) -> tuple[str, str]:
         if self._asking:
             return "the number of turns was not stated", "answer how many whole turns were made each way"
-        ways = self._missing_ways()
+        ways = self._missing_signs()
         return (
             f"turns were made {len(self._wound)} times; {ways.count(1.0)} one way, {ways.count(-1.0)} back are missing",
             "let it turn by whole turns from rest to rest, both ways, twice",

@@ -51,7 +51,7 @@ class SpinWatch:
         self._offsets: dict[int, tuple[Array, int]] = {}
 
     def update(self, frame: TickChannels, instances: Iterable[int], seconds: float, *, resting: bool) -> Spin | None:
-        """Take a tick; `resting` ones tell the offset. None: no gyro gave samples."""
+        """Take a tick; `resting` ones determine the offset. None: no gyro gave samples."""
         means = {i: frame[Sensor.GYRO, i].values.mean(axis=0) for i in instances if (Sensor.GYRO, i) in frame}
         for instance, mean in means.items():
             total, n = self._offsets.get(instance, (np.zeros(3), 0))

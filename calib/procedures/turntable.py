@@ -15,21 +15,20 @@ from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import AXES, FitResult, FitStatus
 from mavcal.calib.gyro import PLAUSIBLE_BIAS, fit_turntable
 from mavcal.calib.option import Option
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import Facing, facing, shown_down
-from mavcal.calib.procedures.pool import joined
+from mavcal.calib.procedures.placing import Facing, down_direction, facing
+from mavcal.calib.procedures.pool import Pool, Tail, joined
 from mavcal.calib.procedures.poses import DOWN, TEXTS
 from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
+from mavcal.calib.procedures.results import annotated, mean_or_none, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.steady import Stretch
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
-from mavcal.calib.recording import Segment, Sensor
+from mavcal.calib.recording import Array, Channel, Segment, Sensor
 
 SPEC = ProcedureSpec(
     kind="gyro-turntable",
@@ -54,24 +53,72 @@ SPEC = ProcedureSpec(
     autopilots=GYRO,
     duration_s=120.0,
 )
-
 REST_S = 5.0
 """Rest that is taken first, s: it makes the residuals of a single axis testable."""
-
 TURN_S = 5.0
 """Least length of a turn, s; it goes once around at least, unless that takes longer than :data:`LONGEST`."""
-
 LONGEST = 60.0
 """A turn is taken as it is after this time, s."""
-
 SAME_RATE = 2.0
 """A turn whose rate is farther from the stated one than by this factor is another rate."""
-
 ROUNDS = 3
 """Times that all turns are taken before giving up."""
-
 _RATE = Number("rate", "deg/s", 1.0, 1000.0)
 _FACES = ((Pose.NOSE_DOWN, Pose.NOSE_UP), (Pose.RIGHT, Pose.LEFT), (Pose.LEVEL, Pose.BACK))
+GUARD_TICKS = 1
+"""The last quarter of a second before a change was noticed belongs to the change."""
+SETTLE_TICKS = 2
+"""The first ticks of a stretch may hold the end of a run-up."""
+STEADY = 0.05
+"""A tick whose rate is off by more of the rate belongs to another stretch: a run-up, or a turntable that slips."""
+STEADY_AT_LEAST = math.radians(1.0)
+"""The same for slow turns, rad/s."""
+
+
+class Stretch:
+    """Collects the ticks of one steady turn about `axis` (3,), a body axis; of a rest if it is zero."""
+
+    def __init__(self, axis: Array) -> None:
+        self.axis = axis
+        self.seconds = 0.0
+        self._pool = Pool((Sensor.GYRO, Sensor.TEMPERATURE))
+        self._tail = Tail(GUARD_TICKS)
+        self._skip = SETTLE_TICKS
+        self._rates: list[float] = []
+        self._last = math.nan
+
+    def goes_on(self, spin: Spin) -> bool:
+        """Whether a tick turns as the one before it."""
+        rate = spin.about(self.axis)
+        allowed = max(STEADY * abs(rate), STEADY_AT_LEAST)
+        return math.isnan(self._last) or abs(rate - self._last) <= allowed
+
+    def add(self, frame: TickChannels, spin: Spin) -> None:
+        """Take a tick."""
+        self._last = spin.about(self.axis)
+        if self._skip > 0:
+            self._skip -= 1
+            return
+        kept = self._tail.push(frame)
+        if kept is not None:
+            self._pool.add(kept)
+            self.seconds += spin.seconds
+            self._rates.append(self._last)
+
+    @property
+    def error(self) -> float:
+        """Standard error of the mean rate, from the scatter of the ticks, rad/s."""
+        if len(self._rates) < 4:
+            return math.inf
+        return float(np.std(self._rates, ddof=1)) / math.sqrt(len(self._rates))
+
+    def channel(self, instance: int) -> Channel | None:
+        """Samples of one gyro; None: it has none."""
+        return self._pool.get((Sensor.GYRO, instance))
+
+    def temperature(self, instance: int) -> float | None:
+        """Mean temperature of an inertial unit, degC; None: it does not stream."""
+        return mean_temperature(self._pool, instance)
 
 
 class GyroTurntableProcedure(TickedProcedure):
@@ -101,7 +148,7 @@ class GyroTurntableProcedure(TickedProcedure):
         if not self._axes:
             self._give_up("no axis was chosen", "set at least one of the options x, y and z")
         self._next_round()
-        self._say(self._rest_prompt(resting=False))
+        self._show(self._rest_prompt(resting=False))
 
     def _next_round(self) -> None:
         self._round += 1
@@ -110,16 +157,16 @@ class GyroTurntableProcedure(TickedProcedure):
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         spin = self._spins.update(frame, self.present(Sensor.GYRO), end - start, resting=self._at_rest(verdict))
-        direction = shown_down(self._watch, self._level, self.present(Sensor.ACCEL))
+        direction = down_direction(self._watch, self._level, self.present(Sensor.ACCEL))
         if spin is not None and direction is not None:
             if not self._rested:
                 self._rest(frame, spin, verdict)
             elif not self._rate:
-                self._say(self._rest_prompt(resting=verdict.counted))
+                self._show(self._rest_prompt(resting=verdict.counted))
             else:
                 self._follow(frame, spin, facing(direction))
         if self.outcome is None:
-            self._tell()
+            self._update_prompt()
 
     def _at_rest(self, verdict: StillnessVerdict) -> bool:
         return verdict.counted and not self._rested
@@ -135,7 +182,7 @@ class GyroTurntableProcedure(TickedProcedure):
         return Prompt(PromptStep.STATE, f"{text} State the true rate of the turntable.", stable=resting, number=_RATE)
 
     def _rest(self, frame: TickChannels, spin: Spin, verdict: StillnessVerdict) -> None:
-        """A rest, before anything turns: its offset is what turns are told by."""
+        """A rest before the first turn: turns are detected against its offset."""
         if not verdict.still:
             self._stretch = None
         elif verdict.counted:
@@ -147,7 +194,7 @@ class GyroTurntableProcedure(TickedProcedure):
                     seen = f"{math.degrees(self._spins.offset):.1f} deg/s"
                     self._warn(f"a gyro reads {seen} at rest: was the turntable turning slowly then?")
                 self._stretch = None
-        self._say(self._rest_prompt(resting=verdict.counted))
+        self._show(self._rest_prompt(resting=verdict.counted))
 
     def _on_answer(self, value: str) -> None:
         rate = _RATE.read(value)
@@ -166,7 +213,7 @@ class GyroTurntableProcedure(TickedProcedure):
             self._stretch, self._doing = Stretch(turned.vector), turned
         self._note = ""
         self._stretch.add(frame, spin)
-        self._say(self._turn_prompt(at, turned, stable=True))
+        self._show(self._turn_prompt(at, turned, stable=True))
         if self._complete(self._stretch):
             self._taken.append((f"{turned.name}{self._round}", turned.sign, self._stretch))
             self._left.remove(turned)
@@ -201,11 +248,11 @@ class GyroTurntableProcedure(TickedProcedure):
             wanted = here[0]
             if turned is not None and turned not in self._left and abs(spin.rate[axis]) > TURNING:
                 self._note = "This way is done. "
-            self._say(self._turn_prompt(at, wanted, stable=False))
+            self._show(self._turn_prompt(at, wanted, stable=False))
         else:
             face = _FACES[self._left[0].axis][0]
             text = f"{self._note}Stop the turntable, and fix the vehicle on it square {TEXTS[face]}."
-            self._say(Prompt(PromptStep.PLACE, text, pose=face, remaining=(face,)))
+            self._show(Prompt(PromptStep.PLACE, text, pose=face, remaining=(face,)))
 
     def _turn_prompt(self, at: Facing, turned: Turned, *, stable: bool) -> Prompt:
         x, y, z = (float(v) + 0.0 for v in turned.vector)  # no negative zeros
@@ -276,7 +323,7 @@ class GyroTurntableProcedure(TickedProcedure):
 
     # -- telling ---------------------------------------------------------------------------------------------------
 
-    def _tell(self) -> None:
+    def _update_prompt(self) -> None:
         since = self.time - max(self._last_taken, self._began)
         if since >= self.options["patience"]:
             cause, remedy = self._missing()

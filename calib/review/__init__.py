@@ -1,10 +1,9 @@
-"""A plan as a person reads it: what is wrong now, what it will be, what stands against it, and a picture of both."""
+"""Review of a plan: errors before and after, criteria, mountings, and a picture."""
 
 from __future__ import annotations
 
 from mavcal.calib.review.criteria import Criterion, criteria_of
-from mavcal.calib.review.effect import ErrorCurve, SensorEffect, effects_of
-from mavcal.calib.review.headline import headline_of
+from mavcal.calib.review.effect import ErrorCurve, SensorEffect, effects_of, headline_of
 from mavcal.calib.review.mountings import MountingChoice, StatedMounting, choices_of, mountings_of
 from mavcal.calib.review.picture import picture_of
 

@@ -1,4 +1,4 @@
-"""What speaks for and against a plan: each criterion with its number, its limit and what helps."""
+"""Criteria for and against a plan, each with its number, limit and remedy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.recording import Sensor
-from mavcal.calib.review.headline import NAMES, amount
+from mavcal.calib.review.effect import NAMES, amount
 
 FIELD_WITHIN: Final = 0.15
 """Share by which a compass may read another field than the model's before steel is suspected."""

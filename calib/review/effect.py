@@ -1,8 +1,10 @@
-"""How far a sensor is off with the calibration in force, and how far it will be with the planned one.
+"""Error of a sensor with the calibration in force and with the planned one.
 
 Both are corrections of the same raw readings, so what is compared is ``old(new^-1(truth)) - truth``. The truths are a
 level turn and tilts for a compass, all directions of gravity for an accelerometer, and rest for a gyro. What the
 planned calibration leaves is the uncertainty of its fit and what the firmware cannot hold of it.
+
+In sentences the sensor with the largest gain comes first.
 """
 
 from __future__ import annotations
@@ -28,10 +30,17 @@ from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
-
 DIRECTIONS: Final = 200
 """Directions of gravity that stand for all of them."""
 UNITS: Final = {Sensor.GYRO: "deg/s", Sensor.ACCEL: "m/s²", Sensor.MAG: "deg"}
+NAMES: Final = {Sensor.GYRO: "gyro", Sensor.ACCEL: "accelerometer", Sensor.MAG: "compass"}
+_SUBJECT: Final = {
+    "heading": "Heading",
+    "rate at rest": "Rate at rest",
+    "acceleration": "Acceleration",
+    "level": "Level",
+    "drift": "Drift with temperature",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,3 +222,37 @@ def _sphere(count: int) -> Array:
     i = np.arange(count) + 0.5
     polar, around = np.arccos(1.0 - 2.0 * i / count), math.pi * (1.0 + math.sqrt(5.0)) * i
     return np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)], axis=1)
+
+
+def headline_of(effects: Sequence[SensorEffect], *, done: bool = False) -> str:
+    """One sentence about the sensor that gains most. `done`: the plan has been written."""
+    if not effects:
+        return "This plan changes no sensor."
+    known = [effect for effect in effects if effect.before is not None]
+    if not known:
+        worst = max(effects, key=lambda effect: effect.after)
+        known_to = "is known" if done else "will be known"
+        return f"{_SUBJECT[worst.quantity]} {known_to} to {amount(worst.after, worst.unit)}."
+    first = max(known, key=lambda effect: (effect.before or 0.0) / max(effect.after, 1e-9))
+    same = [effect for effect in known if effect.quantity == first.quantity and effect.unit == first.unit]
+    before, after = max(effect.before or 0.0 for effect in same), max(effect.after for effect in same)
+    now, then = amount(before, first.unit), amount(after, first.unit)
+    subject = _SUBJECT[first.quantity]
+    if done:
+        return f"{subject} was wrong by up to {now}, and is good to {then} now."
+    return f"{subject} is wrong by up to {now}, and will be good to {then}."
+
+
+def text_of(effect: SensorEffect, *, done: bool = False) -> str:
+    """What the plan does for one sensor. `done`: it has been written."""
+    then = amount(effect.after, effect.unit)
+    if effect.before is None:
+        return f"{effect.quantity} {'is' if done else 'will be'} known to {then}"
+    if done:
+        return f"{effect.quantity} was off by up to {amount(effect.before, effect.unit)}, good to {then} now"
+    return f"{effect.quantity} off by up to {amount(effect.before, effect.unit)} now, good to {then} afterwards"
+
+
+def amount(value: float, unit: str) -> str:
+    """Two significant digits and the unit."""
+    return f"{value:.2g} {unit}" if value < 100 else f"{value:.0f} {unit}"

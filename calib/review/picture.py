@@ -1,4 +1,4 @@
-"""The same picture everywhere: each sensor before and after, as an SVG that needs nothing else."""
+"""Picture of each sensor's error before and after a plan, as a self-contained SVG."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from markupsafe import Markup
 from mavcal.calib.drawing import Chart, side_by_side
 from mavcal.calib.drawing.scale import limits_of
 from mavcal.calib.recording import Sensor
-from mavcal.calib.review.effect import ErrorCurve, SensorEffect
-from mavcal.calib.review.headline import NAMES, amount
+from mavcal.calib.review.effect import NAMES, ErrorCurve, SensorEffect, amount
 
 BEFORE, AFTER = "#b3261e", "#14713a"
 AXES: Final = ("x", "y", "z")
@@ -21,10 +20,10 @@ SHADES: Final = ("#b3261e", "#c9731f", "#7a4fb5")
 """Axes of a drift before."""
 
 
-def picture_of(effects: Sequence[SensorEffect], told: str, columns: int | None = None) -> Markup | None:
-    """The sensors in rows of `columns` (None: one row); None: none has a curve. `told` is for who cannot see it."""
+def picture_of(effects: Sequence[SensorEffect], alt_text: str, columns: int | None = None) -> Markup | None:
+    """Error curves of the sensors in rows of `columns` (None: one row); None: no sensor has a curve."""
     charts = [_chart(effect, effect.curve) for effect in effects if effect.curve is not None]
-    return side_by_side(charts, told, columns=columns) if charts else None
+    return side_by_side(charts, alt_text, columns=columns) if charts else None
 
 
 def _chart(effect: SensorEffect, curve: ErrorCurve) -> Chart:

@@ -1,1 +1,1 @@
-"""What samples say: windows, residuals, correlated and quantised means, stillness, the norm equation."""
+"""Statistics of samples: windows, residuals, correlated and quantised means, stillness, the norm equation."""

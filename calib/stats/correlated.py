@@ -1,4 +1,4 @@
-"""How much the mean of correlated samples knows.
+"""Variance of the mean of correlated samples.
 
 What a vehicle streams went through a low-pass filter and rides on slow drift, so N samples are worth fewer than N. The
 *long-run variance* S of a series is what makes ``var(mean) = S / N`` true; for white noise it is the variance.
@@ -141,12 +141,12 @@ def coloured_covariance(design: Array, series: Array, counts: Array, t: Array, *
     return ColouredCovariance(covariances, weights[_RATIOS < 1.0].sum(axis=0), excess.max(axis=1))
 
 
-def _shared(log_likelihood: Array, telling: NDArray[np.bool_]) -> tuple[Array, float]:
-    """The likelihood (ratios, k) of each series with what the `telling` others say, and the chance of no walk."""
-    if telling.sum() < 2:
+def _shared(log_likelihood: Array, informative: NDArray[np.bool_]) -> tuple[Array, float]:
+    """The likelihood (ratios, k) of each series with what the `informative` others say, and the chance of no walk."""
+    if informative.sum() < 2:
         return log_likelihood, _ALONE
-    said = np.where(telling, log_likelihood, 0.0)
-    others = said.sum(axis=1, keepdims=True) - said
+    informative_likelihood = np.where(informative, log_likelihood, 0.0)
+    others = informative_likelihood.sum(axis=1, keepdims=True) - informative_likelihood
     return log_likelihood + _SHARED * others, _TOGETHER
 
 

@@ -1,4 +1,4 @@
-"""What truncated and rounded samples say about the number behind them.
+"""Estimates from truncated and rounded samples.
 
 A vehicle's streams are integers: 1 mG, 1 mrad/s, 1 mgauss. C++ truncates toward zero, so the bin around zero is twice
 as wide as the others (FLIGHT_CONTROLLERS 2.1). With noise below about half a bin the mean of many samples is biased.

@@ -1,4 +1,4 @@
-"""What the residuals of a fit say of it: their size against the noise, and whether they are white."""
+"""Statistics of residuals: chi-square against the noise, and whiteness."""
 
 from __future__ import annotations
 

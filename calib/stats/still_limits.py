@@ -1,4 +1,4 @@
-"""What counts as still, held by hand or on a table, and how long a pose has to be held."""
+"""Limits of stillness, hand-held or on a table, and how long a pose is held."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a vehicle is still, and what its sensors read meanwhile.
+"""Still spans of a recording, with the sensors' means.
 
 Every quarter of a window one window of each sensor is judged: its scatter about a straight line, the turn of gravity
 across it, its mean rate. Consecutive still windows make a span as long as their means stay together; half a window

@@ -70,11 +70,11 @@ def without_spikes(values: Array) -> NDArray[np.bool_]:
     keep = np.ones(len(values), dtype=np.bool_)
     for _ in range(2):
         rows = np.flatnonzero(keep)
-        keep[rows[_lone(values[rows])]] = False
+        keep[rows[_isolated(values[rows])]] = False
     return keep
 
 
-def _lone(values: Array) -> NDArray[np.bool_]:
+def _isolated(values: Array) -> NDArray[np.bool_]:
     if len(values) < 9:
         return np.zeros(len(values), dtype=np.bool_)
     padded = np.pad(values, ((2, 2), (0, 0)), mode="reflect")

@@ -220,7 +220,7 @@ def _result(
 
 
 def _warnings(solved: AccelThermalSolution, p_value: float | None, confounded: float) -> Iterator[str]:
-    """What speaks against the fit; `p_value` None: as many unknowns as poses."""
+    """Warnings of the fit; `p_value` None: as many unknowns as poses."""
     problem, solution = solved.problem, solved.solution
     if p_value is None:
         yield "as many unknowns as poses: nothing tests the fit; visit the faces once more"

@@ -1,4 +1,4 @@
-"""Samples of one sensor summed over cells of time: an hour's capture in the memory of its first minutes.
+"""Samples of one sensor averaged over cells of time, in bounded memory.
 
 A cell holds the number of its samples, their mean time, mean and scatter; where the bins are coarse against the noise,
 how many samples lay in which bin. When the cells are too many, neighbours are joined. A drift with temperature is a

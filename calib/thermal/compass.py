@@ -1,4 +1,4 @@
-"""Drift of a compass with temperature: what each axis does in every pose, and which of it repeats.
+"""Drift of a compass with temperature per axis and pose, and its repeatability.
 
 A motionless compass reads ``b + k_b (T - t_ref) + (1 + k_m (T - t_ref)) M field``: a drift of its offset is the same in
 every pose, one of its sensitivity goes with the field along the axis. One pose cannot tell the two apart, several can.
@@ -89,7 +89,7 @@ def fit_mag_thermal(
         partial=not repeats.all(),
         warnings=[*_warnings(found, repeats, made.unit), *(f"one pose was left out: {reason}" for reason in reasons)],
         quality={"poses": len(found), "t_min": _span(found)[0], "t_max": _span(found)[1]},
-        native={"poses": [_told(pose) for pose in found], "slopes": slopes.tolist(), "slopes_sd": sd.tolist()},
+        native={"poses": [_pose_document(pose) for pose in found], "slopes": slopes.tolist(), "slopes_sd": sd.tolist()},
     )
 
 
@@ -156,12 +156,12 @@ def _warnings(found: Sequence[_Pose], repeats: NDArray[np.bool_], unit: str) -> 
         each = " and ".join(f"{pose.slopes[axis]:.3g} +- {pose.sd[axis]:.1g}" for pose in found)
         fields = " and ".join(f"{pose.field[axis]:.1f}" for pose in found)
         if _goes_with_field(found, int(axis)):
-            told = f"and goes with the field on it ({fields} {unit}): its sensitivity drifts, not its offset"
+            verdict = f"and goes with the field on it ({fields} {unit}): its sensitivity drifts, not its offset"
         elif _differ(found, int(axis)):
-            told = "and does not repeat: it is no drift of the offset with temperature"
+            verdict = "and does not repeat: it is no drift of the offset with temperature"
         else:
-            told = "too uncertain to tell it from zero: warm it up further"
-        warnings.append(f"the slope of {AXES[axis]} is {each} {unit}/degC in the {len(found)} poses, {told}")
+            verdict = "too uncertain to tell it from zero: warm it up further"
+        warnings.append(f"the slope of {AXES[axis]} is {each} {unit}/degC in the {len(found)} poses, {verdict}")
     return warnings
 
 
@@ -184,7 +184,7 @@ def _goes_with_field(found: Sequence[_Pose], axis: int) -> bool:
     return bool(known and (off <= np.maximum(_SURE * sd, _BESIDE * np.abs(slopes))).all())
 
 
-def _told(pose: _Pose) -> dict[str, Any]:
+def _pose_document(pose: _Pose) -> dict[str, Any]:
     return {
         "slopes": pose.slopes.tolist(),
         "slopes_sd": pose.sd.tolist(),

@@ -1,4 +1,4 @@
-"""A sensor's samples against its temperature: block sums, curves with their covariance, and what disturbs them.
+"""Samples against temperature: block sums, and curves with covariance under coloured noise.
 
 The parts of :mod:`calib.thermal.fit`.
 """

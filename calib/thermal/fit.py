@@ -24,10 +24,10 @@ from mavcal.calib.thermal.quality import (
     block_statistics,
     common_warnings,
     declined_warnings,
+    fit_message,
     noise_quality,
     or_none,
     remedy_for,
-    said_of,
     two_way_warnings,
 )
 from mavcal.calib.thermal.sweeps import (
@@ -54,6 +54,20 @@ _SMALLEST_NOISE = 0.02  # of a quantum
 _GRAIN = 1e-3  # of a quantum, by which equal edges differ after rounding
 _STEPS = 512  # temperatures at which a curve is looked at
 _MANY = 20_000  # samples beyond which equal ones are counted instead of listed
+
+
+@dataclass(frozen=True)
+class PolynomialOptions:
+    """How a polynomial against temperature is fitted."""
+
+    degree: int = 3
+    """1 to 5."""
+    t_ref: float = 35.0
+    """Where the polynomial is zero, degC."""
+    min_span: float = 10.0
+    """Least range of temperature, degC."""
+    lag: bool = True
+    """Fit against the temperature of the die where it is seen to lag its thermometer."""
 
 
 def fit_linear(
@@ -112,7 +126,7 @@ def fit_linear(
     return made.fitted(
         TriadModel(polynomial=polynomial),
         covariance,
-        message=said_of("slope", data, estimated),
+        message=fit_message("slope", data, estimated),
         n_used=data.n,
         residual_rms=_rms(residual, estimated),
         condition_number=blocks.condition,
@@ -207,31 +221,29 @@ def fit_polynomial(
     """
     data = DriftData.of(channel, temperature)
     return fit_drift_data(
-        channel, data, len(channel), degree=degree, t_ref=t_ref, min_span=min_span, lag=lag, relative=relative
+        channel, data, len(channel), PolynomialOptions(degree, t_ref, min_span, lag), relative=relative
     )
 
 
 def fit_drift_data(
     channel: Channel,
     data: DriftData,
-    given: int,
+    n_samples: int,
+    options: PolynomialOptions = PolynomialOptions(),
     *,
-    degree: int = 3,
-    t_ref: float = 35.0,
-    min_span: float = 10.0,
-    lag: bool = True,
     relative: bool = False,
 ) -> FitResult:
-    """:func:`fit_polynomial` of samples that are summed already; `channel` says only of what, and may be empty."""
+    """:func:`fit_polynomial` of samples that are already averaged in cells; `channel` may be without samples."""
+    degree, t_ref = options.degree, options.t_ref
     if not 1 <= degree <= 5:
         raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
     made = FitBuilder(
-        POLYNOMIAL_METHOD, channel.sensor, channel.instance, channel.unit, given, relative, t_ref, _COLDER
+        POLYNOMIAL_METHOD, channel.sensor, channel.instance, channel.unit, n_samples, relative, t_ref, _COLDER
     )
-    reason = data.refusal(degree, min_span)
+    reason = data.refusal(degree, options.min_span)
     if reason:
         return made.refused(reason)
-    found, slower, data = _at_the_die(data, degree) if lag else (None, None, data)
+    found, slower, data = _at_the_die(data, degree) if options.lag else (None, None, data)
     scaled = _Scaled.of(data)
     axes = _fit_axes(channel, data, scaled.x, degree)
     judged, repeats = _repeats(axes)
@@ -251,7 +263,7 @@ def fit_drift_data(
     return made.fitted(
         model,
         covariance,
-        message=said_of("polynomial", data, estimated),
+        message=fit_message("polynomial", data, estimated),
         n_used=data.samples,
         residual_rms=_rms(residual, estimated),
         condition_number=axes.blocks.condition,

@@ -1,4 +1,4 @@
-"""What :mod:`calib.thermal.fit` says of its fits: warnings, remedies and the numbers of ``quality``."""
+"""Warnings, remedies and ``quality`` figures of :mod:`calib.thermal.fit`."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from mavcal.calib.thermal.sweeps import ThermometerLag
 Array = NDArray[np.float64]
 
 
-def said_of(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str:
+def fit_message(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str:
     """What was fitted, on which axes, over which range."""
     axes = ", ".join(AXES[i] for i in range(3) if estimated[i]) or "no axis"
     return f"{what} of {axes} over {data.t_min:.1f} to {data.t_max:.1f} degC from {data.samples} rows"
 
 
 def common_warnings(data: DriftData, estimated: NDArray[np.bool_]) -> tuple[str, ...]:
-    """What any fit of `data` has to say: constant axes, and rows that do not count."""
+    """Warnings of any fit of `data`: constant axes, and rows that do not count."""
     warnings = []
     constant = ", ".join(AXES[i] for i in range(3) if data.constant[i] and not estimated[i])
     if constant and not data.quantised:

@@ -1,4 +1,4 @@
-"""Does a drift repeat: warming against cooling, one sweep judged by the others, and the lag of the thermometer.
+"""Repeatability of a drift: warming against cooling, cross-validated sweeps, thermometer lag.
 
 All from the block means of :class:`calib.thermal.drift.DriftBlocks`, with errors that know of a slow wander.
 """
@@ -138,8 +138,8 @@ def thermal_lag(
         if abs(total / weight) < 1e-3 / math.sqrt(weight):
             break
     sd = 1.0 / math.sqrt(weight)
-    told = _SIGNIFICANT * sd < abs(seconds) < longest
-    return ThermometerLag(seconds, sd) if told else None
+    significant = _SIGNIFICANT * sd < abs(seconds) < longest
+    return ThermometerLag(seconds, sd) if significant else None
 
 
 def _lag_step(blocks: DriftBlocks, design: Array, moved: Array, axis: int) -> tuple[float, float, float, float]:

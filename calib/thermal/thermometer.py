@@ -1,4 +1,4 @@
-"""The temperature at any instant, from a thermometer whose readings are repeated.
+"""Temperature at any instant, interpolated from a thermometer with repeated readings.
 
 Autopilots read a thermometer about once a second and send the last reading with every sample. A reading is true when
 it is taken and grows old from there. When it was taken must be told from the stream: a value that differs was just
@@ -85,9 +85,9 @@ class Thermometer:
         period = np.maximum(np.append(spans[1:], (np.inf, np.inf)), usual)
         held = last - np.maximum(period - interval, 0.0)
         late = silence > interval + _LATE * usual
-        told = late & ~np.append(late[1:], True) & np.isfinite(held)
+        complete = late & ~np.append(late[1:], True) & np.isfinite(held)
         earliest = np.append(-np.inf, last[:-1])
-        time[told] = np.minimum(time, np.maximum(held, earliest))[told]
+        time[complete] = np.minimum(time, np.maximum(held, earliest))[complete]
         stood = np.flatnonzero((held > time)[:-1])
         at, again = np.insert(time, stood + 1, held[stood]), np.insert(value, stood + 1, value[stood])
         return at, again

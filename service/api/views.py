@@ -12,7 +12,7 @@ from mavcal.calib.firmware.plan import ParameterKind, Verification, WritePlan
 from mavcal.calib.preflight.states import SensorState, summary
 from mavcal.calib.procedures.protocol import Prompt
 from mavcal.calib.procedures.spec import ProcedureSpec
-from mavcal.calib.review.headline import text_of
+from mavcal.calib.review.effect import text_of
 from mavcal.service.api.models import (
     GapModel,
     GapSummary,

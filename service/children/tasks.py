@@ -47,7 +47,7 @@ _EVERY_S = 0.5
 def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
     """What is in the recording ``{path, reading}``."""
     from mavcal.calib import logs
-    from mavcal.calib.health.overview import overview
+    from mavcal.calib.methods.overview import overview
     from mavcal.calib.report import to_json
 
     tell("reading")

@@ -36,7 +36,7 @@ def command(
     if len(files) > 1:
         raise click.UsageError("one FILE at a time; with --table several")
     recording, found = _judged(files[0], reading)
-    from mavcal.calib.health.overview import overview
+    from mavcal.calib.methods.overview import overview
 
     document = overview(recording, found)
     if page is not None:

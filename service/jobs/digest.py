@@ -16,23 +16,21 @@ from typing import Any
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware import sensor_ids
-from mavcal.calib.firmware.compose.foresee import STREAMED_INSTANCES
+from mavcal.calib.firmware.compose.early_warnings import STREAMED_INSTANCES
 from mavcal.calib.firmware.in_force.fingerprint import BY_ITSELF, REWRITTEN_AT_REST, means_the_same
-from mavcal.calib.firmware.in_force.known import KnownCalibration
 from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS, needed
 from mavcal.calib.firmware.in_force.rewritten import CertainOffsets, rewrites_meanwhile
-from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
+from mavcal.calib.firmware.in_force.undo import KnownCalibration, Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.options import Key
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.firmware.px4.without_row import without_row
+from mavcal.calib.firmware.px4.parameters import without_row
 from mavcal.calib.firmware.stream.rates import Assembler
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Step
-from mavcal.calib.procedures.registry import create, specification
-from mavcal.calib.procedures.replay import replay
+from mavcal.calib.procedures.registry import create, replay, specification
 from mavcal.calib.recording import Channel, Identity, ParameterEntry, Recording, Sensor
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded
@@ -61,7 +59,7 @@ class Fitted:
     outcome: Done | GaveUp
     parameters: dict[str, Value]
     without_row: frozenset[Key] = frozenset()
-    """PX4: see :func:`calib.firmware.px4.without_row.without_row`."""
+    """PX4: see :func:`calib.firmware.px4.parameters.without_row`."""
 
 
 class LiveDigest:

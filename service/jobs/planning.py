@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.firmware.compose.foresee import foreseen, unknown_sensors
+from mavcal.calib.firmware.compose.early_warnings import foreseen, unknown_sensors
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.in_force.fingerprint import calibration_snapshot, fingerprint
 from mavcal.calib.firmware.in_force.origin import Origin, differences
 from mavcal.calib.firmware.options import CONFIRMATIONS, Key, compose_options, key_text, parse_key, unknown_keys
 from mavcal.calib.firmware.plan import Value, WritePlan, snapshot_sha256
-from mavcal.calib.firmware.slots import CALIBRATED, NOTHING, px4_sensor_ids
+from mavcal.calib.firmware.slots import CALIBRATED, NO_DEVICE_IDS, px4_sensor_ids
 from mavcal.calib.fit import FitResult
 from mavcal.calib.procedures.spec import ProcedureSpec
 from mavcal.calib.recording import Identity, Sensor
@@ -163,7 +163,7 @@ def make_plan(
     *,
     unproved_origin: str = "",
     without_row: Iterable[Key] = (),
-    told: Mapping[Key, int] = NOTHING,
+    told: Mapping[Key, int] = NO_DEVICE_IDS,
 ) -> Planned:
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all.
 

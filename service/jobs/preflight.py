@@ -33,10 +33,10 @@ from mavcal.calib.preflight.collect import (
     without_words,
 )
 from mavcal.calib.preflight.installed import STREAMED, announced
-from mavcal.calib.preflight.own import AGREES_S, LOOKED_AT, PARAMETERS, agrees_soon
 from mavcal.calib.preflight.readings import RestReading, rest_readings
 from mavcal.calib.preflight.run import preflight
-from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, told_ids
+from mavcal.calib.preflight.self_report import AGREES_S, LOOKED_AT, PARAMETERS, agrees_soon
+from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, stated_device_ids
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import (
@@ -370,7 +370,7 @@ async def _silent_asked(
     """Ask again for the streams of announced sensors that send nothing: their requests may have been lost."""
     autopilot = vehicle.identity.autopilot or ""
     for _ in range(SILENT_ASKS):
-        there = announced(autopilot, heard.parameters, told_ids(known, heard.parameters))
+        there = announced(autopilot, heard.parameters, stated_device_ids(known, heard.parameters))
         counts = counted_messages(heard.frames, autopilot)
         if all(counts[instance] for _, instance in there if instance < STREAMED):
             return
@@ -412,7 +412,7 @@ def _snapshot(
     complete: bool,
     asked: bool,
 ) -> Snapshot:
-    told = told_ids(history, heard.parameters)
+    told = stated_device_ids(history, heard.parameters)
     found = collect(heard.frames, identity, heard.parameters, asked=asked, complete=complete, told=told)
     return Snapshot(
         found.recording,

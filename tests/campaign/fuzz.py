@@ -29,8 +29,8 @@ import numpy as np
 
 from mavcal.calib import logs
 from mavcal.calib.errors import CalibError
-from mavcal.calib.health.overview import overview
 from mavcal.calib.logs.inspection import inspect
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.report import to_json
 
 CPU_S = 5.0

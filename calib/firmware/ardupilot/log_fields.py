@@ -1,4 +1,4 @@
-"""What the fields of ArduPilot's DataFlash messages really carry (FLIGHT_CONTROLLERS 2.1).
+"""Contents of the fields of ArduPilot's DataFlash messages (FLIGHT_CONTROLLERS 2.1).
 
 =========  =============================================================================================================
 IMU        corrected, low-pass and notch filtered, float; ``T`` is the unit's own temperature

@@ -1,4 +1,4 @@
-"""Which outputs of an ArduPilot drive motors, and how far each pulse drives its motor.
+"""Motor outputs of an ArduPilot, and the drive that each pulse width means.
 
 A range (copter, throttle of a plane) runs from rest at its least pulse. A reversible output rests at its neutral pulse:
 thrusters of a sub (``AP_Motors6DOF``: 1500 us), throttles of rovers and boats (``SERVOn_TRIM``), throttles of planes
@@ -62,10 +62,10 @@ class MotorOutput:
         return np.where(given, value, 0.0)
 
 
-def kind_of_vehicle(told: int | None, parameters: Mapping[str, float]) -> int | None:
-    """MAV_TYPE: as `told`, else as parameters that only one kind of firmware has say; None: not known."""
-    if told is not None:
-        return told
+def kind_of_vehicle(stated: int | None, parameters: Mapping[str, float]) -> int | None:
+    """MAV_TYPE: as `stated`, else as parameters that only one kind of firmware has say; None: not known."""
+    if stated is not None:
+        return stated
     return next((kind for kind, names in _BY_PARAMETERS if any(name in parameters for name in names)), None)
 
 

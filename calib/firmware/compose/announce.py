@@ -44,7 +44,7 @@ def offsets_usable(draft: Draft, about: Subject, fit: FitResult, *, thermal: boo
 
 
 def scale_usable(draft: Draft, about: Subject, fit: FitResult, in_force: Array) -> bool:
-    """Whether the fit says what the scales are; those that it assumed must be the ones in force (`in_force`, (3,))."""
+    """Whether the fit determines the scales; assumed ones must equal those in force (`in_force`, (3,))."""
     if not np.any(np.diag(fit.covariance)[losses.MATRIX]):
         if not np.allclose(fit.model.matrix, np.diag(in_force), rtol=0, atol=1e-6):
             draft.block(

@@ -151,7 +151,7 @@ def _set_custom(draft: Draft, about: Subject, number: int, euler: Euler) -> None
 
 
 def _free_custom(draft: Draft, about: Subject, own: str) -> int | None:
-    """The custom rotation that this compass has alone, or one that nothing uses; None: there is none."""
+    """The custom rotation that only this compass uses, or an unused one; None: there is none."""
     if names.ARDUPILOT_CUSTOM_SWITCH not in draft.parameters:
         draft.block(
             f"{about} is mounted at angles that no number of ArduPilot's stands for, and this vehicle has no "

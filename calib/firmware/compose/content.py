@@ -1,4 +1,4 @@
-"""What a fit says of a vehicle: the correction of a sensor, the level of the board, the motors' field, or nothing.
+"""Sorts fits by content: sensor corrections, board level, motor compensation, and neither.
 
 Every fit has the form of a sensor model, but a level fit holds a neutral one and a motor fit the one in force. Taken
 for corrections they would claim, with perfect certainty, that the sensor has no error at all. So only
@@ -27,7 +27,7 @@ NOT_HELD: Final = frozenset({G_SENSITIVITY})
 
 @dataclass(frozen=True)
 class Contents:
-    """Fits by what they say."""
+    """Fits by content."""
 
     corrections: tuple[Correction, ...]
     levels: tuple[FitResult, ...]
@@ -37,11 +37,11 @@ class Contents:
 
 
 def contents(fits: Sequence[FitResult]) -> Contents:
-    """Sort fits by what they say; refused ones are left out."""
-    told = [fit for fit in fits if fit.status != FitStatus.REFUSED]
-    levels = tuple(fit for fit in told if trim.is_level(fit))
-    motors = tuple(fit for fit in told if mag_motor.is_motor(fit))
-    rest = [fit for fit in told if not (trim.is_level(fit) or mag_motor.is_motor(fit))]
+    """Sort fits by content; refused ones are left out."""
+    usable = [fit for fit in fits if fit.status != FitStatus.REFUSED]
+    levels = tuple(fit for fit in usable if trim.is_level(fit))
+    motors = tuple(fit for fit in usable if mag_motor.is_motor(fit))
+    rest = [fit for fit in usable if not (trim.is_level(fit) or mag_motor.is_motor(fit))]
     corrections = tuple(Correction(fit) for fit in rest if _corrects(fit))
     return Contents(corrections, levels, motors, tuple(fit for fit in rest if not _corrects(fit)))
 

@@ -209,15 +209,15 @@ class Draft:
             self._needless.add(about)
 
     def warn(self, text: str, *, first: bool = False) -> None:
-        """Say something that does not stop the write; `first`: before everything else."""
+        """Add a warning; `first`: before all others."""
         if text not in self._warnings:
             self._warnings.insert(0 if first else len(self._warnings), text)
 
     def block(self, text: str, about: Subject | None = None) -> None:
-        """Forbid the write of one sensor, or of everything (None)."""
-        told = self._blockers if about is None else self._refused.setdefault(about, [])
-        if text not in told:
-            told.append(text)
+        """Forbid the write of one sensor, or of all (None)."""
+        reasons = self._blockers if about is None else self._refused.setdefault(about, [])
+        if text not in reasons:
+            reasons.append(text)
 
     @property
     def refused(self) -> dict[Subject, tuple[str, ...]]:

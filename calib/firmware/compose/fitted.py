@@ -1,4 +1,4 @@
-"""What was fitted of each sensor, brought into the form that every composer asks for."""
+"""Fits of each sensor in the form that the composers need."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Pair:
 
     @property
     def absolute(self) -> FitResult | None:
-        """The fit that says where the offset stands; None: only the shape of the drift is known."""
+        """The fit that determines the offset; None: only the shape of the drift is known."""
         if self.at_rest is not None:
             return self.at_rest
         if self.drift is not None and not is_shape_only(self.drift):
@@ -42,7 +42,7 @@ class Pair:
 
 
 def is_shape_only(fit: FitResult) -> bool:
-    """Whether a thermal fit says how the offset moves, but not where it stands.
+    """Whether a thermal fit has the change of the offset only, and not its value.
 
     An accelerometer that lay in one pose all the time cannot tell its offset from the tilt of the pose; such a fit
     holds the matrix fixed.
@@ -64,7 +64,7 @@ def drift_axes(fit: FitResult) -> str:
 
 
 def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...]:
-    """The fits that may be written; what is wrong with the others is said in the draft."""
+    """The fits that may be written; the draft gets the reasons for the others."""
     kept = []
     for fit in fits:
         about = Subject(fit.sensor, fit.instance)
@@ -97,7 +97,7 @@ def _why_no_drift(fit: FitResult) -> str:
 
 
 def pair_fits(fits: Sequence[Correction]) -> tuple[Pair, ...]:
-    """Fits of one sensor instance put together; the last one wins where there are several of a kind."""
+    """Fits by sensor instance; of several of a kind the last one counts."""
     at_rest: dict[Subject, FitResult] = {}
     drift: dict[Subject, FitResult] = {}
     for fit in fits:

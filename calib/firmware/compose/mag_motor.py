@@ -118,13 +118,13 @@ def compose_motors(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> N
     for fit in fits:
         about = Subject(fit.sensor, fit.instance)
         roles = module.calibration_names(draft.parameters, Sensor.MAG, fit.instance)
-        told = _candidate(fit, kind) if fit.native["proposed"] and kind is not None else None
-        term = np.zeros(3) if told is None else _parameter(draft, module, fit, np.array(told["interference"]))
+        candidate = _candidate(fit, kind) if fit.native["proposed"] and kind is not None else None
+        term = np.zeros(3) if candidate is None else _parameter(draft, module, fit, np.array(candidate["interference"]))
         if autopilot == "px4":
             term = term * (AMPERES_PER_KILOAMPERE if kind == "current" else 1.0) / UT_PER_GAUSS
         else:
             term = term / UT_PER_MGAUSS
-        _set(draft, about, roles, term, _unit(autopilot, kind), told is not None)
+        _set(draft, about, roles, term, _unit(autopilot, kind), candidate is not None)
     _set_kind(draft, module, kind, kinds, {fit.instance for fit in fits})
 
 
@@ -136,8 +136,8 @@ def _kind(draft: Draft, proposed: Sequence[FitResult], kinds: Mapping[str, int])
     def cost(kind: str) -> float:
         found = 0.0
         for fit in proposed:
-            told, before = _candidate(fit, kind), fit.native["held_out_rms_before"]
-            found += 1.0 if told is None else min((told["held_out_rms"] / before) ** 2, 1.0)
+            candidate, before = _candidate(fit, kind), fit.native["held_out_rms_before"]
+            found += 1.0 if candidate is None else min((candidate["held_out_rms"] / before) ** 2, 1.0)
         return found
 
     best = min(kinds, key=cost)
@@ -145,8 +145,8 @@ def _kind(draft: Draft, proposed: Sequence[FitResult], kinds: Mapping[str, int])
         if fit.native["drive"] == best:
             continue
         about = Subject(fit.sensor, fit.instance)
-        told = _candidate(fit, best)
-        left = fit.native["held_out_rms_before"] if told is None else told["held_out_rms"]
+        candidate = _candidate(fit, best)
+        left = fit.native["held_out_rms_before"] if candidate is None else candidate["held_out_rms"]
         cost_ut = max(left - fit.native["held_out_rms_after"], 0.0)
         draft.lose(
             about,
@@ -161,8 +161,8 @@ def _kind(draft: Draft, proposed: Sequence[FitResult], kinds: Mapping[str, int])
 
 def _candidate(fit: FitResult, kind: str) -> Mapping[str, Any] | None:
     """The term of that kind, where hidden parts of the flight want it; None: they do not."""
-    told: Mapping[str, Any] | None = fit.native["candidates"].get(kind)
-    return told if told is not None and told["proposed"] else None
+    candidate: Mapping[str, Any] | None = fit.native["candidates"].get(kind)
+    return candidate if candidate is not None and candidate["proposed"] else None
 
 
 def _parameter(draft: Draft, module: object, fit: FitResult, interference: Array) -> Array:
@@ -200,7 +200,7 @@ def _set_kind(draft: Draft, module: object, kind: str | None, kinds: Mapping[str
     new = 0 if kind is None else kinds[kind]
     if kind is None and old == 0:
         return
-    others = _others(draft, module, planned)
+    others = _unplanned_compasses(draft, module, planned)
     if others and old not in (0, new):
         listed = ", ".join(str(i + 1) for i in others)
         draft.block(
@@ -217,7 +217,7 @@ def _set_kind(draft: Draft, module: object, kind: str | None, kinds: Mapping[str
     )
 
 
-def _others(draft: Draft, module: object, planned: set[int]) -> list[int]:
+def _unplanned_compasses(draft: Draft, module: object, planned: set[int]) -> list[int]:
     """Compasses outside the plan that have a compensation."""
     ids = ardupilot.sensor_ids(draft.parameters) if module is ardupilot else px4.sensor_ids(draft.parameters)
     found = []

@@ -1,4 +1,4 @@
-"""A magnetometer whose mounting differs from what the vehicle's parameters say.
+"""Magnetometers whose mounting differs from the vehicle's parameters.
 
 The magnetometer procedure leaves its finding in ``quality["orientation"]``: ``verdict`` (a
 :class:`calib.mag.orientation.MountingVerdict`), ``name`` and ``matrix``, the rotation from what is taken for the body
@@ -141,7 +141,7 @@ def mounting_turn(
     elif verdict == MountingVerdict.BY_ANGLES:
         turn = MountingRotation(name, matrix, np.array(found["covariance"], dtype=np.float64))
         if found["nearest"] == "none" and float(found["askew_deg"]) <= TOLERATED:
-            return _if_wanted(draft, about, turn, float(found["askew_deg"]), follows)
+            return _small_rotation(draft, about, turn, float(found["askew_deg"]), follows)
         return turn
     return None
 
@@ -149,7 +149,7 @@ def mounting_turn(
 def _as_chosen(
     draft: Draft, rotation: tuple[str, int], about: Subject, fit: FitResult, stated: Array, follows: str
 ) -> MountingRotation | None:
-    """The rotation to the mounting that the operator chose, where nothing that was seen speaks against it."""
+    """The rotation to the mounting that the operator chose, unless the data contradict it."""
     words, compass = rotation_words(*rotation), f"compass {about.instance + 1}"
     if follows:
         draft.block(f"{compass} follows {follows}: it has no mounting of its own that could be chosen.")
@@ -179,7 +179,7 @@ def _as_chosen(
     return turn if angle_between(turn.matrix, np.eye(3)) > EXACT else None
 
 
-def _if_wanted(
+def _small_rotation(
     draft: Draft, about: Subject, turn: MountingRotation, askew: float, follows: str
 ) -> MountingRotation | None:
     """A turn so small that the stated mounting may stay: it is offered, and made if the operator confirms it."""

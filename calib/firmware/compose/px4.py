@@ -19,9 +19,9 @@ from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair, offset_at
 from mavcal.calib.firmware.compose.px4_memory import (
     Vector,
-    acts_at_once,
     held_by,
     neutral_model,
+    order_without_restart,
     representable,
     row_of,
     set_vector,
@@ -62,7 +62,7 @@ def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
 
 
 def set_row(draft: Draft, about: Subject) -> bool:
-    """Make sure that the sensor has a row of its own, that is, that its device id is known."""
+    """Give the sensor its own row, which needs its device id."""
     try:
         roles = row_of(draft, about)
     except FirmwareError as error:
@@ -70,11 +70,11 @@ def set_row(draft: Draft, about: Subject) -> bool:
         return False
     if int(draft.parameters.get(roles[Role.PRIORITY], -1)) == 0:
         draft.warn(f"{about} is disabled ({roles[Role.PRIORITY]} = 0); it stays so")
-    told = draft.options.device_ids
-    device = told.get((about.sensor, about.instance))
+    device_ids = draft.options.device_ids
+    device = device_ids.get((about.sensor, about.instance))
     held = int(draft.parameters.get(roles[Role.ID], 0))
     rows = _rows(draft, about.sensor)
-    twice = [Subject(*key) for key, other in sorted(told.items()) if key[0] == about.sensor and other == device]
+    twice = [Subject(*key) for key, other in sorted(device_ids.items()) if key[0] == about.sensor and other == device]
     if len(twice) > 1:
         draft.block(f"{' and '.join(map(str, twice))} cannot both have the device id {device}", about)
         return False
@@ -93,7 +93,7 @@ def set_row(draft: Draft, about: Subject) -> bool:
         )
         return False
     if held != 0:
-        return _may_take(draft, about, roles[Role.ID], held, len(rows))
+        return _row_is_free(draft, about, roles[Role.ID], held, len(rows))
     if device is None:
         draft.block(
             f"{roles[Role.ID]} is 0: the vehicle has never calibrated {about}, and a stream does not tell its device "
@@ -107,7 +107,7 @@ def set_row(draft: Draft, about: Subject) -> bool:
     return True
 
 
-def _may_take(draft: Draft, about: Subject, name: str, held: int, filled: int) -> bool:
+def _row_is_free(draft: Draft, about: Subject, name: str, held: int, filled: int) -> bool:
     """Whether the row by order may be taken, which holds the id `held`; else the sensor is refused.
 
     Rows that hold an id are not always those of the sensors that stream: PX4 keeps the id of one that was taken away.
@@ -175,7 +175,7 @@ def _set_offset(draft: Draft, about: Subject, fit: FitResult) -> None:
     lasting = survives_restart(about, names.OFFSET, wanted.values)
     if thermal_runs(draft, about) and _thermal_is_live(draft, about):
         target = representable(wanted)
-        if not lasting or acts_at_once(draft, wanted, target) is None:
+        if not lasting or order_without_restart(draft, wanted, target) is None:
             add_constant(draft, about, wanted.values - memory.offset, wanted.sd)
             return
     if not lasting and thermal_runs(draft, about):

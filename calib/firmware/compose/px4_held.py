@@ -1,4 +1,4 @@
-"""A drift polynomial as PX4 can hold it: coefficients that it would not save are fixed, the others take their part.
+"""Drift polynomial that PX4 can store: unsaved coefficients are fixed, and the others refitted.
 
 PX4 saves no coefficient within FLT_EPSILON of zero (:mod:`calib.firmware.retained`). Over 30 degC a cubic term of that
 size is worth 0.003 in the unit of the sensor, so it is not just left out. It becomes zero, or the smallest number that

@@ -64,7 +64,7 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
         draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}", about)
         return
     roles = row_of(draft, about)
-    if not _mounted_as_taken(draft, about, roles):
+    if not _mounting_as_captured(draft, about, roles):
         return
     internal = int(draft.get(roles[Role.ROTATION], -1)) < 0
     before = neutral_model(draft.parameters, about).matrix
@@ -136,7 +136,7 @@ def _lose(
         )
 
 
-def _mounted_as_taken(draft: Draft, about: Subject, roles: Mapping[Role, str]) -> bool:
+def _mounting_as_captured(draft: Draft, about: Subject, roles: Mapping[Role, str]) -> bool:
     """Whether the row says, or will say, the mounting that the capture took for granted: that of the row by order."""
     if placed(draft, about, draft.parameters) == about:
         return True

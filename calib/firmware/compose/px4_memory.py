@@ -21,7 +21,7 @@ from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.names import Role, Triple
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4 import parameters as px4
-from mavcal.calib.firmware.slots import NOTHING, px4_instance, px4_slot
+from mavcal.calib.firmware.slots import NO_DEVICE_IDS, px4_instance, px4_slot
 from mavcal.calib.fit import AXES
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
@@ -52,8 +52,8 @@ def placed(draft: Draft, about: Subject, parameters: Mapping[str, Value]) -> Sub
     An id that is planned changes the order of the filled rows. A magnetometer has the row of the device id that was
     told, because its stream is raw; what was taken out of the others' by order is in their fits.
     """
-    told = draft.options.device_ids if about.sensor == Sensor.MAG else NOTHING
-    slot = px4_slot(draft.parameters, about.sensor, about.instance, told)
+    device_ids = draft.options.device_ids if about.sensor == Sensor.MAG else NO_DEVICE_IDS
+    slot = px4_slot(draft.parameters, about.sensor, about.instance, device_ids)
     return Subject(about.sensor, px4_instance(parameters, about.sensor, slot))
 
 
@@ -64,7 +64,7 @@ def row_of(draft: Draft, about: Subject) -> Mapping[Role, str]:
 
 
 def held_by(draft: Draft, about: Subject) -> px4.Px4Calibration:
-    """What PX4 has in memory for `about` after a restart as things stand."""
+    """PX4's values in memory for `about` after a restart."""
     here = placed(draft, about, draft.parameters)
     return px4.Px4Calibration.load(draft.parameters, about.sensor, here.instance)
 
@@ -99,7 +99,7 @@ def representable(vector: Vector) -> Array:
     return np.full(3, NEUTRAL[vector.triple])
 
 
-def acts_at_once(draft: Draft, vector: Vector, values: Array) -> tuple[int, ...] | None:
+def order_without_restart(draft: Draft, vector: Vector, values: Array) -> tuple[int, ...] | None:
     """An order of the axes in which writing `values` brings them into memory; None: only a restart does."""
     roles = row_of(draft, vector.about)
     if int(draft.parameters.get(roles[Role.ID], 0)) == 0:
@@ -117,7 +117,7 @@ def acts_at_once(draft: Draft, vector: Vector, values: Array) -> tuple[int, ...]
 def set_vector(draft: Draft, vector: Vector, values: Array) -> None:
     """Plan `values` (what :func:`representable` leaves of the wanted ones) in an order that works at once, if any."""
     roles = row_of(draft, vector.about)
-    order = acts_at_once(draft, vector, values)
+    order = order_without_restart(draft, vector, values)
     if order is None and _is_noise(draft, roles, vector, values):
         return  # beside other changes of this sensor: a restart for it would be for nothing
     estimated = np.array_equal(values, _single(vector.values))

@@ -1,4 +1,4 @@
-"""The level trim: what the vehicle takes for level, carried over to a new accelerometer calibration or measured again.
+"""The level trim: converted to a new accelerometer calibration, or measured again.
 
 Both firmwares say with two angles how the board is turned in the vehicle. ArduPilot turns the attitude, behind all
 streams (``AP_AHRS::update_trim_rotation_matrices``: vehicle from board is ``from_euler(trim)``); PX4 turns every sensor
@@ -60,7 +60,7 @@ def force_when_level(roll: float, pitch: float) -> Array:
     return -STANDARD_GRAVITY * np.array([-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)])
 
 
-def carried_over(roll: float, pitch: float, old: TriadModel, new: TriadModel, temperature: float | None) -> Array:
+def trim_under(roll: float, pitch: float, old: TriadModel, new: TriadModel, temperature: float | None) -> Array:
     """The trim (roll, pitch) under the correction `new` of the attitude that is level by a trim under `old`.
 
     Both models take the raw sensor frame to the board frame.
@@ -99,7 +99,7 @@ def adjust_trim(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> None
     if temperature is None and (before.polynomial is not None or after.polynomial is not None):
         draft.warn("the level trim cannot be carried over without a temperature; run the level job")
         return
-    new = carried_over(float(old[0]), float(old[1]), before, after, temperature)
+    new = trim_under(float(old[0]), float(old[1]), before, after, temperature)
     if np.abs(new - old).max() < NOTICEABLE:
         return
     if np.abs(new).max() > TRIM_MAX_RAD:

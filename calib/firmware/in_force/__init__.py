@@ -1,1 +1,1 @@
-"""The calibration in force on a vehicle: what it is made of, what a plan rests on, how to take it out."""
+"""The calibration in force on a vehicle: its parameters, its fingerprint, and how to undo it."""

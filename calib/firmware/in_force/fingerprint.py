@@ -1,4 +1,4 @@
-"""Whose plan it is, and which parameters it rests on."""
+"""Identity of a vehicle and the parameters that a plan depends on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which parameters a job over some sensors rests on, by name, so that a slow link need not carry the whole list.
+"""Names of the parameters that a job needs, so that a slow link need not carry the whole list.
 
 A name that decides about others (a device id, a switch, a mounting) is read first: ask :func:`needed` again with what
 it said until nothing new is named. What is not named here is not looked at by :mod:`calib.firmware` for these sensors.

@@ -1,4 +1,4 @@
-"""Whose sensors a recording is of, and whether a vehicle carries the same ones in the same places."""
+"""Compares the sensors of a recording with those of a vehicle, by device id and position."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def differences(origin: Origin, identity: Identity, parameters: Mapping[str, Val
     found = []
     if not origin.sensors:
         found.append("no sensor has a usable fit")
-    if origin.uid and identity.uid and _bare(origin.uid) != _bare(identity.uid):
+    if origin.uid and identity.uid and _without_padding(origin.uid) != _without_padding(identity.uid):
         found.append(f"the recording is of the board {origin.uid}, this is {identity.uid}")
     ids: Mapping[tuple[Sensor, int], int] = SENSOR_IDS[origin.autopilot](parameters)
     for name, instance, logged in origin.sensors:
@@ -99,7 +99,7 @@ def unproved(origin: Origin, identity: Identity) -> str:
     return f"{said}, and equal builds share the device ids of their sensors"
 
 
-def _bare(uid: str) -> str:
+def _without_padding(uid: str) -> str:
     """Digits without the zero bytes that fill the end."""
     uid = uid.lower()
     while uid.endswith("00"):

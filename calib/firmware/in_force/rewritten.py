@@ -1,4 +1,4 @@
-"""Samples count where the gyro offsets in force are certain, although PX4 rewrites them meanwhile.
+"""Samples whose gyro offsets in force are certain, while PX4 rewrites these offsets.
 
 PX4's ``gyro_calibration`` rewrites CAL_GYROn_*OFF of a vehicle that warms up at rest. It sends the new value up to
 0.4 s after it acts. It sends nothing if the value was saved before: ``mavlink_parameters.cpp`` sends what is unsaved.
@@ -9,6 +9,7 @@ every sensor are left out together: a gyro that pauses alone would be taken for 
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Final
 
@@ -26,6 +27,9 @@ HOLD_S: Final = 5.0
 """How long samples wait for the reading after them, s: two readings, and the time that one takes."""
 REGULAR: Final = 3
 """So many readings of the value known before show that the offsets are read regularly, not only told."""
+_PX4_SAYS: Final = re.compile(r"^\[vehicle_magnetometer\] (\d+) \(\d+\) EST:\d+ offset: ")
+"""PX4 stores what its estimator learned when it disarms (``VehicleMagnetometer.cpp``): the parameter changes later."""
+_OFFSETS: Final = re.compile(r"^(?:CAL_MAG(?P<px4>\d)_[XYZ]OFF|COMPASS_OFS(?P<ardupilot>[23]?)_[XYZ])$")
 
 
 class CertainOffsets:
@@ -53,7 +57,7 @@ class CertainOffsets:
         """Return the samples and parameters that are certain so far, oldest first."""
         for entry in chunk.parameters.entries:
             if entry.name in REWRITTEN_AT_REST:
-                self._see(entry)
+                self._read_entry(entry)
         if not self._hold:
             return self._certain(chunk)
         if any(event.kind == "reboot" for event in chunk.events):  # its times begin again
@@ -64,7 +68,7 @@ class CertainOffsets:
         self._waiting = [_from(whole, until)]
         return self._certain(_before(whole, until))
 
-    def _see(self, entry: ParameterEntry) -> None:
+    def _read_entry(self, entry: ParameterEntry) -> None:
         since, value = self._seen.get(entry.name, (entry.t, entry.value))
         self._seen[entry.name] = entry.t, entry.value
         if value == entry.value:
@@ -73,10 +77,10 @@ class CertainOffsets:
             self._doubtful.append((since - GUARD_BEFORE_S, entry.t + GUARD_AFTER_S))
 
     def _certain(self, recording: Recording) -> Recording:
-        kept = (self._without_doubt(channel) for channel in recording.channels)
+        kept = (self._certain_samples(channel) for channel in recording.channels)
         return recording.with_channels(channel for channel in kept if len(channel))
 
-    def _without_doubt(self, channel: Channel) -> Channel:
+    def _certain_samples(self, channel: Channel) -> Channel:
         if not self._doubtful:
             return channel
         doubtful = np.zeros(len(channel), dtype=bool)
@@ -112,3 +116,16 @@ def read_again(kind: str, autopilot: str | None, parameters: Mapping[str, Value]
 
 def _has_sensor(name: str, parameters: Mapping[str, Value]) -> bool:
     return bool(parameters.get(f"{name.rpartition('_')[0]}_ID", 0))
+
+
+def compass_offset_changes(recording: Recording) -> dict[int, tuple[float, ...]]:
+    """By instance of a compass, the moments at which its offset in force changed, s, ascending."""
+    found: dict[int, set[float]] = {}
+    for event in recording.events:
+        if said := _PX4_SAYS.match(event.text):
+            found.setdefault(int(said[1]), set()).add(event.t)
+    for entry in recording.parameters.changes(("CAL_MAG", "COMPASS_OFS")):
+        if named := _OFFSETS.match(entry.name):
+            instance = int(named["px4"]) if named["px4"] is not None else int(named["ardupilot"] or 1) - 1
+            found.setdefault(instance, set()).add(entry.t)
+    return {instance: tuple(sorted(times)) for instance, times in found.items()}

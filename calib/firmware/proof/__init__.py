@@ -1,1 +1,1 @@
-"""Whether what was written took effect: a new stream judged under the old and the new values."""
+"""Proof that written parameters took effect: a new stream judged under old and new values."""

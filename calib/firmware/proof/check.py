@@ -1,4 +1,13 @@
-"""The check of one sensor's stream against every combination of the changes that act on it."""
+"""The check of one sensor's stream against every combination of the changes that act on it.
+
+Samples of a turned compass that no combination explains are left out. A firmware reads a compass in a task of its own
+and streams the mean since its last reading. A late task on a turning vehicle averages over a longer arc, and the sample
+is too short: 6 mG in all three compasses of an ArduCopter on a busy machine, beside a scatter of 0.5 mG. Passing iron
+has the same effect. One such sample must not decide about a write.
+
+Each hypothesis pays :data:`PRICE` for a sample that it leaves out, so none can drop contradicting data more cheaply
+than another explains them. The cheapest hypothesis decides which samples all of them leave out.
+"""
 
 from __future__ import annotations
 
@@ -25,18 +34,20 @@ from mavcal.calib.firmware.proof.evidence import IN_MOTION, StillMean, StreamEvi
 from mavcal.calib.firmware.proof.force import Force
 from mavcal.calib.firmware.proof.hypotheses import Hypothesis, StreamJudgement, combinations_of, judge
 from mavcal.calib.firmware.proof.known_drift import known_drift
-from mavcal.calib.firmware.proof.spoilt import spoilt
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
-
 ALL_APPLIED: Hypothesis = frozenset()
-_BLIND: Final = 1e-3
+_UNOBSERVABLE: Final = 1e-3
 """Distance below which a check says nothing of a direction; its standard deviation is then a thousand effects."""
 TEMPERATURE_SLACK: Final = 0.3
 """degC beyond the range of a fit within which its drift still counts as known (streams carry about 1 Hz of it)."""
+PRICE: Final = 5.0
+"""Standard deviations that a sample must be off, by all the others, to be left out; its square is what that costs."""
+MOST: Final = 0.2
+"""Share of the samples that may be left out."""
 
 
 @dataclass(eq=False)
@@ -101,7 +112,7 @@ class Corrections:
 
 @dataclass(frozen=True, eq=False)
 class StreamCheck:
-    """What one sensor's stream says of `names`, the changes that act on it."""
+    """Check of one sensor's stream against `names`, the changes that act on it."""
 
     corrections: Corrections
     capture: BeforeAfter
@@ -130,7 +141,7 @@ class StreamCheck:
         """Standard deviation of the check along the effect of `name`, in the unit of the stream."""
         distance, effect = self.judgement.distance[name], self.effect(name)
         if effect > 0.0:
-            return effect / max(distance, _BLIND)
+            return effect / max(distance, _UNOBSERVABLE)
         matrix = self.covariance(self.capture, equality=self.equality)
         return float(np.sqrt(np.diag(matrix).min()))
 
@@ -161,7 +172,7 @@ def check_stream(
     *,
     restarted: bool,
 ) -> StreamCheck | None:
-    """Hold the stream of `about` against every combination of `names`; None if there is nothing to hold it against.
+    """Test the stream of `about` against every combination of `names`; None: there is none to test.
 
     `restarted`: whether the vehicle was restarted after `then` was taken.
 
@@ -214,7 +225,7 @@ def _capture(
 
 
 def within(polynomial: ThermalPolynomial | None, readings: tuple[StillMean, ...]) -> tuple[StillMean, ...]:
-    """Those of `readings` at temperatures where the drift is known: beyond, the firmware clamps and the sensor goes on.
+    """`readings` at temperatures where the drift is known: beyond these the firmware clamps it.
 
     Readings without a temperature stay: what is not known of them is in the covariance.
     """
@@ -267,7 +278,7 @@ def _judge(
     if turned and capture.sensor != Sensor.GYRO and capture.expected is not None:
         candidates = ~kept
         candidates[np.array(turned) + len(matrix) - len(capture.invariant)] = True
-        kept = ~spoilt(np.array(list(vectors.values())), matrix, candidates)
+        kept = ~outliers(np.array(list(vectors.values())), matrix, candidates)
     whitening = np.linalg.inv(np.linalg.cholesky(matrix[np.ix_(kept, kept)]))
 
     def whitened(refused: Hypothesis) -> Array | None:
@@ -281,7 +292,7 @@ def _undoing(corrections: Corrections, refused: Hypothesis) -> Undo:
 
 
 def strongest(checks: Mapping[Subject, StreamCheck], name: str) -> StreamCheck | None:
-    """The check with the most to say of `name`: a contradiction first, then the largest distance."""
+    """The most significant check of `name`: a contradiction first, then the largest distance."""
     about = [c for c in checks.values() if name in c.names]
     return max(about, key=lambda c: _weight(c, name), default=None)
 
@@ -289,3 +300,46 @@ def strongest(checks: Mapping[Subject, StreamCheck], name: str) -> StreamCheck |
 def _weight(check: StreamCheck, name: str) -> tuple[int, float]:
     order = ("not_observable", "consistent", "proved", "contradicted")
     return order.index(check.judgement.verdicts[name].value), check.judgement.distance[name]
+
+
+def outliers(vectors: Array, covariance: Array, candidates: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which rows (n,) to leave out.
+
+    Parameters
+    ----------
+    vectors : shape (H, n)
+        The discrepancy under each hypothesis.
+    covariance : shape (n, n)
+        Of the discrepancy under the true one.
+    candidates : shape (n,)
+        The rows that may be spoilt.
+    """
+    precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    most = int(MOST * candidates.sum())
+    best, found = float(np.inf), np.zeros(len(candidates), dtype=np.bool_)
+    for vector in vectors:
+        cost, out = _cheapest(vector, precision, candidates, most)
+        if cost < best:
+            best, found = cost, out
+    return found
+
+
+def _cheapest(
+    vector: Array, precision: Array, candidates: NDArray[np.bool_], most: int
+) -> tuple[float, NDArray[np.bool_]]:
+    """Sum of squares with its price when the worst rows are left out one after the other, and which they are."""
+    precision, out = precision.copy(), np.zeros(len(vector), dtype=bool)
+    pull = precision @ vector
+    cost = float(vector @ pull)
+    for _ in range(most):
+        # each row by all the others that are left: its distance from what they say of it, squared
+        squares = np.where(candidates & ~out, pull**2 / np.maximum(np.diag(precision), np.finfo(float).tiny), 0.0)
+        worst = int(squares.argmax())
+        if squares[worst] <= PRICE**2:
+            break
+        cost += PRICE**2 - float(squares[worst])
+        column = precision[:, worst] / precision[worst, worst]
+        pull = pull - column * pull[worst]
+        precision = precision - np.outer(column, precision[worst])
+        out[worst] = True
+    return cost, out

@@ -1,4 +1,4 @@
-"""How far the streams are from what a hypothesis about the parameters in force predicts, with the covariance of that.
+"""Discrepancy between the streams and a hypothesis about the parameters in force, with covariance.
 
 Under a hypothesis the stream is undone to raw readings. Two things are known of those:
 
@@ -67,7 +67,7 @@ class Expected:
 def expected_of(
     at_rest: FitResult | None, drift: FitResult | None, known: KnownDrift, magnitude: float | None
 ) -> Expected | None:
-    """Put together what was fitted; None if no fit says where the offset stands. `known` is the drift to go by."""
+    """Expected reading from the fits; None: no fit determines the offset. `known` is the known drift."""
     fit = at_rest if at_rest is not None else drift
     if fit is None:
         return None
@@ -146,7 +146,7 @@ class BeforeAfter:
 
     @property
     def zero_rate(self) -> bool:
-        """Compare a gyroscope with zero only if there is no capture before: its bias may have moved since the fit."""
+        """Compare a gyroscope with zero only without an earlier capture: its bias may have changed since the fit."""
         return self.sensor == Sensor.GYRO and self.raw_before is None
 
 

@@ -1,4 +1,4 @@
-"""What the streams read while the vehicle was still: the evidence of the physical check."""
+"""Readings of the still vehicle, which are the evidence of the physical check."""
 
 from __future__ import annotations
 

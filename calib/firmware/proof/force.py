@@ -1,4 +1,4 @@
-"""Which correction would be in force if only some of a plan's changes had taken effect."""
+"""The correction in force if only some of a plan's changes took effect."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class Force:
         return "" if invertible else f"the correction of {about} has no inverse: a scale or a diagonal is zero"
 
     def without_alternative(self, about: Subject) -> frozenset[str]:
-        """Names of the changes whose old value fits beside no other: no stream can tell them."""
+        """Names of the changes without a valid old value, which no stream can test."""
         every = frozenset(change.name for change in self.changes)
         return frozenset(
             name
@@ -151,15 +151,15 @@ class Force:
         roles = px4.calibration_names(self.parameters, about.sensor, about.instance)
         new = {change.name: float(change.new) for change in self.changes if change.name in applied}
 
-        def taken(held: Array, triple: names.Triple) -> Array:
+        def in_memory(held: Array, triple: names.Triple) -> Array:
             return np.array([new.get(roles.get(role, ""), held[i]) for i, role in enumerate(triple)])
 
         return px4.Px4Calibration(
             about.sensor,
             about.instance,
-            offset=taken(old.offset, names.OFFSET),
-            scale=taken(old.scale, names.SCALE),
-            cross=taken(old.cross, names.CROSS),
+            offset=in_memory(old.offset, names.OFFSET),
+            scale=in_memory(old.scale, names.SCALE),
+            cross=in_memory(old.cross, names.CROSS),
         )
 
 

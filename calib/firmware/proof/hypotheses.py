@@ -37,7 +37,7 @@ MOST_EXHAUSTIVE: Final = 8
 
 @dataclass(frozen=True, eq=False)
 class StreamJudgement:
-    """What the streams of one sensor say of the changes that act on it."""
+    """Verdicts on the changes that act on one sensor, from its streams."""
 
     verdicts: dict[str, ProofVerdict]
     distance: dict[str, float]
@@ -96,7 +96,7 @@ def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array | None]) 
 
 
 def _simplest(allowed: Sequence[Hypothesis], distance: dict[str, float]) -> frozenset[str]:
-    """What to blame if "everything applied" is not among `allowed`: the fewest vectors, then the fewest parameters.
+    """Simplest explanation in `allowed`: the fewest vectors, then the fewest parameters; empty: all applied.
 
     Several equally simple explanations share what is common to them, or else all of them are named.
     """

@@ -1,4 +1,4 @@
-"""How a sensor's raw reading is known to move with temperature, and how well."""
+"""Known drift of a sensor's raw reading with temperature, with uncertainty."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def level_checks(
     then: StreamEvidence,
     now: StreamEvidence,
 ) -> tuple[dict[str, ParameterVerdict], tuple[SensorCheck, ...]]:
-    """What ATTITUDE says of ArduPilot's trim by its parameters' names, and whether the vehicle reads level."""
+    """Verdicts on ArduPilot's trim from ATTITUDE, by parameter name, and whether the vehicle reads level."""
     if not levels:
         return {}, ()
     fit = min(levels, key=lambda f: f.instance)
@@ -77,7 +77,7 @@ def level_checks(
     if not all(corrections.possible(h, readings) for h in (ALL_APPLIED, corrections.every)):
         return {}, (_level(about, (), fit),)
     earlier = corrections.readable(then.readings.get(about, ()))[-1:]
-    there = [r for r in readings if _stands(corrections, fit, r)]
+    there = [r for r in readings if _same_pose(corrections, fit, r)]
     if force.autopilot != "ardupilot":
         return {}, (_level(about, [_down(r) for r in there], fit),)
     names = [c for c in plan.changes if c.name in AHRS_TRIM]
@@ -120,8 +120,8 @@ def _attitude(
     )
 
 
-def _stands(corrections: Corrections, fit: FitResult, reading: StillMean) -> bool:
-    """Whether the vehicle stands as it did when `fit` was made: with the old trim it would read what the fit read."""
+def _same_pose(corrections: Corrections, fit: FitResult, reading: StillMean) -> bool:
+    """Whether the vehicle has the attitude of the `fit`: with the old trim it would read the same."""
     if not reading.mean.any():
         return False  # a sensor that streams zeros stands nowhere
     raw = corrections.raw(ALL_APPLIED, (reading,))

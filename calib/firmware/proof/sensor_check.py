@@ -78,7 +78,7 @@ class Deviation:
 def sensor_checks(
     plan: WritePlan, pairs: Mapping[Subject, Pair], now: StreamEvidence, force: Force
 ) -> tuple[SensorCheck, ...]:
-    """Judge every inertial sensor whose offset the plan changes and whose fit says where it stands."""
+    """Judge every inertial sensor whose offset the plan changes and the fit determines."""
     written = {
         about: pair.absolute
         for about, pair in pairs.items()
@@ -93,7 +93,7 @@ def sensor_checks(
         if judge is not None:
             corrections = Corrections(force, about)
             readings = _usable(about, corrections, pairs[about], now)
-            found.append(_told(about, judge(PlannedSensor(plan, corrections, fit, pairs[about]), readings)))
+            found.append(_summarised(about, judge(PlannedSensor(plan, corrections, fit, pairs[about]), readings)))
     return (*found, *_directions([about for about in written if about.sensor == Sensor.ACCEL], now))
 
 
@@ -219,7 +219,7 @@ def _directions(written: Sequence[Subject], now: StreamEvidence) -> tuple[Sensor
             sd = math.sqrt(max(np.trace(mine.covariance) + np.trace(other.covariance), 0.0)) / STANDARD_GRAVITY
             words = f"{about} and {first} differ by {math.degrees(angle):.1f} deg about which way is down"
             deviations.append(Deviation(mine, angle, APART + SURE * sd, sd, words))
-        found.append(_told(written[k], tuple(deviations), id_=SensorCheckId.ACCEL_DIRECTION))
+        found.append(_summarised(written[k], tuple(deviations), id_=SensorCheckId.ACCEL_DIRECTION))
     return tuple(found)
 
 
@@ -239,7 +239,7 @@ _UNITS: Final[Mapping[SensorCheckId, tuple[str, Callable[[float], str]]]] = {
 }
 
 
-def _told(about: Subject, deviations: Sequence[Deviation], id_: SensorCheckId | None = None) -> SensorCheck:
+def _summarised(about: Subject, deviations: Sequence[Deviation], id_: SensorCheckId | None = None) -> SensorCheck:
     name = id_ or _IDS[about.sensor]
     unit, words = _UNITS[name]
     if not deviations:

@@ -8,11 +8,17 @@ magnetometer   ``b = L R S (m + p COMP - OFF)``: the offset is subtracted, in th
 
 ``TC(T) = X0 + X1 d + X2 d^2 + X3 d^3``, ``d = clamp(T) - TREF``; L = Euler(SENS_BOARD_*_OFF), R the board's rotation or
 an external sensor's own. A stored value does not always reach the memory that corrects: see :class:`Px4Calibration`.
+
+No stream carries a device id, and PX4 leaves the id of a removed sensor in its row. Its own arming checks are the only
+sign that a row is stale.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -27,7 +33,7 @@ from mavcal.calib.firmware.rotations import euler_matrix, rotation_matrix
 from mavcal.calib.firmware.slots import px4_calibration_names as calibration_names
 from mavcal.calib.firmware.slots import px4_sensor_ids as sensor_ids
 from mavcal.calib.firmware.values import need, vector
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Event, ParameterEntry, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 if TYPE_CHECKING:
@@ -35,6 +41,7 @@ if TYPE_CHECKING:
 
     from mavcal.calib.firmware.plan import Value
 
+Array = NDArray[np.float64]
 __all__ = [
     "CALIBRATION_PREFIXES",
     "THRESHOLDS",
@@ -50,15 +57,17 @@ __all__ = [
     "mounting",
     "sensor_ids",
 ]
-
-Array = NDArray[np.float64]
-
 UT_PER_GAUSS: Final = 100.0
 MOTOR_BY_THRUST, MOTOR_BY_CURRENT = 1, 2
 """CAL_MAG_COMP_TYP: thrust; from 2 on the current of battery 0, 1, in kA."""
 ROTATION_CUSTOM: Final = names.PX4_CUSTOM
 NO_ANGLE: Final = float(np.finfo(np.float32).eps)
 """An angle of a row up to this counts as none, degrees."""
+_SAID: Final = re.compile(r"\b(Accel|Gyro|Compass|Mag) #?(\d) uncalibrated")
+"""``HealthAndArmingChecks/checks/``: accelerometerCheck, gyroCheck and magnetometerCheck; instances from 0."""
+_SENSORS: Final = {"Accel": Sensor.ACCEL, "Gyro": Sensor.GYRO, "Compass": Sensor.MAG, "Mag": Sensor.MAG}
+_ID: Final = re.compile(r"CAL_(ACC|GYRO|MAG)\d_ID")
+_ROWS: Final = {"ACC": Sensor.ACCEL, "GYRO": Sensor.GYRO, "MAG": Sensor.MAG}
 
 
 @dataclass(frozen=True)
@@ -250,3 +259,31 @@ def _longer(difference: Array, limit: float) -> bool:
     # in single precision, as matrix::Vector::longerThan compares
     d = difference.astype(np.float32)
     return bool(np.dot(d, d) > np.float32(limit) * np.float32(limit))
+
+
+def without_row(events: Iterable[Event], entries: Iterable[ParameterEntry] = ()) -> frozenset[tuple[Sensor, int]]:
+    """The sensors that PX4 calls uncalibrated in these texts, by streamed instance.
+
+    `entries`: the parameters as they were heard. What was said before an id of that kind changed counts no more: PX4
+    fills the row of a gyroscope by itself.
+
+    >>> sorted(without_row([Event(0.0, "text", "Preflight Fail: Compass 1 uncalibrated")]))
+    [(<Sensor.MAG: 'mag'>, 1)]
+    """
+    since = _last_change_of_ids(entries)
+    said = [(event.t, match) for event in events for match in _SAID.finditer(event.text)]
+    found = [(t, _SENSORS[match[1]], int(match[2])) for t, match in said]
+    return frozenset((sensor, instance) for t, sensor, instance in found if t >= since.get(sensor, -math.inf))
+
+
+def _last_change_of_ids(entries: Iterable[ParameterEntry]) -> dict[Sensor, float]:
+    held: dict[str, float] = {}
+    since: dict[Sensor, float] = {}
+    for entry in entries:
+        match = _ID.fullmatch(entry.name)
+        if match is None:
+            continue
+        if held.setdefault(entry.name, entry.value) != entry.value:
+            held[entry.name] = entry.value
+            since[_ROWS[match[1]]] = entry.t
+    return since

@@ -1,4 +1,4 @@
-"""What the topics of a PX4 log really carry, as channels (FLIGHT_CONTROLLERS 2.2; ``logger/logged_topics.cpp``).
+"""Topics of a PX4 log as channels (FLIGHT_CONTROLLERS 2.2; ``logger/logged_topics.cpp``).
 
 ======================  ================================================================================================
 sensor_accel/gyro/mag   the driver's output, uncorrected, every instance; thinned to 1 Hz unless SDLOG_PROFILE asks more
@@ -103,7 +103,7 @@ class Rows:
         return self._of.get((sensor, device), multi_id)
 
     def primary(self, sensor: Sensor) -> int:
-        """Instance of the sensor that older firmwares name as the primary one; 0 where nothing is said."""
+        """Instance of the primary sensor in older firmwares; 0 where it is not logged."""
         short = {Sensor.ACCEL: "ACC", Sensor.GYRO: "GYRO", Sensor.MAG: "MAG"}[sensor]
         device = int(self._parameters.get(f"CAL_{short}_PRIME", 0))
         return self._of.get((sensor, device), 0)
@@ -132,7 +132,7 @@ def instances_of(topics: Topics, name: str) -> Iterator[tuple[int, Topic]]:
 
 
 def sample_time(topic: Topic) -> Array:
-    """When the sensor was read, s; when the row was published where that is not said."""
+    """Time of the sensor's reading, s; of the row's publication where that is not logged."""
     stamp = topic["timestamp"].astype(np.float64)
     if "timestamp_sample" in topic:
         sampled = topic["timestamp_sample"].astype(np.float64)
@@ -182,7 +182,7 @@ def _drivers(topics: Topics, rows: Rows) -> Iterator[Channel]:
 
 
 def _compass_drivers_calibrate(topics: Topics) -> bool:
-    """Firmwares before 1.12: there vehicle_magnetometer does not say whose field it is, and corrects nothing."""
+    """Firmwares before 1.12: vehicle_magnetometer has no device id, and its samples are uncorrected."""
     fields = topics.get(("vehicle_magnetometer", 0))
     return fields is not None and "device_id" not in fields
 

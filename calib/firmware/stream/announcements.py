@@ -1,4 +1,4 @@
-"""What a vehicle says about itself: identity, texts, arming, calibrations that it runs on its own."""
+"""Messages of a vehicle about itself: identity, texts, arming, onboard calibrations."""
 
 from __future__ import annotations
 

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.errors import FirmwareError
+from mavcal.calib.errors import FirmwareError, InvalidInputError
 from mavcal.calib.firmware.names import ARDUPILOT_COMPASS_SLOTS, Role, ardupilot_compass_names
 from mavcal.calib.firmware.stream import auxiliary
 from mavcal.calib.firmware.stream.announcements import Announcements
 from mavcal.calib.firmware.stream.clock import VehicleClock
-from mavcal.calib.firmware.stream.messages import INERTIAL
-from mavcal.calib.firmware.stream.payload import gather
-from mavcal.calib.firmware.stream.samples import MessageSamples
-from mavcal.calib.recording import Event, Identity, ParameterEntry, ParameterTimeline, Recording
+from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, INERTIAL, InertialMessage, MessageSensor
+from mavcal.calib.recording import (
+    Channel,
+    Event,
+    Identity,
+    ParameterEntry,
+    ParameterTimeline,
+    Recording,
+    Rounding,
+    Sensor,
+)
 from mavcal.calib.wire import heard_value, usual_encoding
 
 if TYPE_CHECKING:
@@ -27,11 +35,9 @@ if TYPE_CHECKING:
     from mavcal.calib.wire import Frame
 
 Array = NDArray[np.float64]
-
 PARAM_VALUE: Final = dialect.MAVLINK_MSG_ID_PARAM_VALUE
 GAP_S: Final = 1.0
 """An inertial stream that pauses so long gets a "gap" event."""
-
 CLOCK_IDS: Final = frozenset(
     {
         *INERTIAL["ardupilot"],
@@ -44,6 +50,151 @@ CLOCK_IDS: Final = frozenset(
     }
 )
 """Messages whose time stamp is the vehicle's time since boot."""
+_NUMPY_CODES: Final = {
+    "char": "S1",
+    "int8_t": "i1",
+    "uint8_t": "u1",
+    "uint8_t_mavlink_version": "u1",
+    "int16_t": "<i2",
+    "uint16_t": "<u2",
+    "int32_t": "<i4",
+    "uint32_t": "<u4",
+    "int64_t": "<i8",
+    "uint64_t": "<u8",
+    "float": "<f4",
+    "double": "<f8",
+}
+Mask = NDArray[np.bool_]
+DEFECT_GAUSS: Final = 10.0
+"""No field is that strong; ArduPilot before PR #32286 sends HIGHRES_IMU's in mGauss times 1000."""
+DEFECT_FACTOR: Final = 1e-6
+REPEAT_PERIODS: Final = 1.25
+"""An unchanged field counts as a new reading after so many read periods. Fewer would take repeats for samples where
+reads and sends jitter. More would lose samples of a sensor that is quieter than its quantum."""
+
+
+@dataclass
+class MessageSamples:
+    """Takes the rows of one message as they come and gives channels; what it remembers makes batches seamless."""
+
+    message: InertialMessage
+    newest: float = -np.inf
+    _field: NDArray[Any] | None = field(default=None, repr=False)
+    _field_t: float = -np.inf
+
+    def feed(self, t: Array, rows: NDArray[Any], compass: int) -> list[Channel]:
+        """Channels of `rows` at times `t` (in order of arrival); `compass` is the instance of the field."""
+        reached = np.maximum.accumulate(np.concatenate(([self.newest], t)))
+        self.newest = float(reached[-1])
+        new, in_order = t > reached[:-1], t >= reached[:-1]
+        columns = {reading.sensor: _columns(rows, reading) for reading in self.message.readings}
+        present = _present(columns)
+        channels = []
+        for reading in self.message.readings:
+            updated = (rows["fields_updated"] & reading.bits) == reading.bits if reading.bits else True
+            values = columns[reading.sensor]
+            if reading.sensor == Sensor.MAG:
+                keep = self._fresh(t, values, in_order & updated & present[Sensor.MAG])
+                channels.append(self._channel(reading, compass, t, values, keep))
+                continue
+            keep = new & updated & present[reading.sensor]
+            if not self.message.by_id:
+                channels.append(self._channel(reading, self.message.instance, t, values, keep))
+                continue
+            for unit in np.unique(rows["id"][keep]).tolist():
+                channels.append(self._channel(reading, unit, t, values, keep & (rows["id"] == unit)))
+        return [channel for channel in channels if len(channel)]
+
+    def _fresh(self, t: Array, fields: NDArray[Any], candidates: Mask) -> Mask:
+        """Rows with a field that holds a new reading: it differs from the one before, or its time has come."""
+        keep = np.zeros(len(t), dtype=bool)
+        where = np.flatnonzero(candidates)
+        if not len(where):
+            return keep
+        values, times = fields[where], t[where]
+        before = np.concatenate((values[:1] if self._field is None else self._field[None], values[:-1]))
+        changed = (values != before).any(axis=1)
+        changed[0] |= self._field is None
+        due = REPEAT_PERIODS * self.message.read_s
+        last = self._field_t
+        for i, (time, differs) in enumerate(zip(times.tolist(), changed.tolist(), strict=True)):
+            if differs or time - last >= due:
+                keep[where[i]] = True
+                last = time
+        self._field, self._field_t = values[-1].copy(), last
+        return keep
+
+    def _channel(self, reading: MessageSensor, instance: int, t: Array, values: NDArray[Any], keep: Mask) -> Channel:
+        raw = values[keep].astype(np.float64)
+        zero_bin = None
+        if reading.rounding == Rounding.TOWARD_ZERO:
+            zero_bin = raw == 0.0
+            raw = raw + 0.5 * np.sign(raw)  # bins are (k, k + 1) for k > 0 and (-1, 1) for 0
+        elif self.message.message_id == HIGHRES_IMU and reading.sensor == Sensor.MAG:
+            with np.errstate(over="ignore"):
+                defect = np.linalg.norm(raw, axis=1) > DEFECT_GAUSS
+            raw = np.where(defect[:, None], DEFECT_FACTOR * raw, raw)
+        return Channel(
+            sensor=reading.sensor,
+            instance=instance,
+            t=t[keep],
+            values=reading.factor * raw,
+            unit=reading.unit,
+            stage=reading.stage,
+            source=self.message.name,
+            quantum=reading.quantum,
+            rounding=reading.rounding,
+            zero_bin=zero_bin,
+        )
+
+
+def _present(columns: dict[Sensor, NDArray[Any]]) -> dict[Sensor, Mask]:
+    """Where the sensors are there: an accelerometer never reads three zeros, a good gyroscope at rest may."""
+    present: dict[Sensor, Mask] = {sensor: np.asarray(values.any(axis=1)) for sensor, values in columns.items()}
+    present[Sensor.GYRO] |= present[Sensor.ACCEL]
+    if Sensor.TEMPERATURE in present:
+        # 0 says "none": PX4 sends 1 for a true 0 degC; ArduPilot then sends 0, and the next sample tells
+        present[Sensor.TEMPERATURE] &= present[Sensor.ACCEL]
+    return present
+
+
+def _columns(rows: NDArray[Any], reading: MessageSensor) -> NDArray[Any]:
+    columns = np.empty((len(rows), len(reading.fields)), rows.dtype[reading.fields[0]])
+    for i, name in enumerate(reading.fields):
+        columns[:, i] = rows[name]
+    return columns
+
+
+@cache
+def wire_dtype(message_id: int) -> np.dtype[Any]:
+    """The layout of a message's payload, extension fields included.
+
+    Raises
+    ------
+    InvalidInputError
+        If the dialect has no such message.
+    """
+    cls = dialect.mavlink_map.get(message_id)
+    if cls is None:
+        raise InvalidInputError(f"message id {message_id} is not in the dialect; filter by id first")
+    types = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
+    fields: list[tuple[Any, ...]] = []
+    for name, length in zip(cls.ordered_fieldnames, cls.array_lengths, strict=True):
+        code = _NUMPY_CODES[types[name]]
+        if code == "S1" and length:
+            fields.append((name, f"S{length}"))
+        elif length:
+            fields.append((name, code, (length,)))
+        else:
+            fields.append((name, code))
+    return np.dtype(fields)
+
+
+def gather(frames: Sequence[Frame], message_id: int) -> NDArray[Any]:
+    """One structured row a frame; all frames are of `message_id`. Zeros that MAVLink 2 left out are put back."""
+    dtype = wire_dtype(message_id)
+    size = dtype.itemsize
+    return np.frombuffer(b"".join([f.payload[:size].ljust(size, b"\0") for f in frames]), dtype)
 
 
 class Assembler:
@@ -171,9 +322,9 @@ class Assembler:
 
     def _parameters(self, t: Array, found: Sequence[tuple[int, Frame]]) -> list[ParameterEntry]:
         entries = []
-        encoding = usual_encoding(self._autopilot)
+        format_ = usual_encoding(self._autopilot)
         for time, (_, frame) in zip(t.tolist(), found, strict=True):
-            heard = heard_value(frame, encoding)
+            heard = heard_value(frame, format_)
             if heard is None or heard.kind is None:
                 continue
             entries.append(ParameterEntry(time, heard.name, heard.value))
@@ -199,4 +350,6 @@ class _Times:
 
 
 _COMPASS_USE: Final = tuple(ardupilot_compass_names(rank, rank)[Role.USE] for rank in range(ARDUPILOT_COMPASS_SLOTS))
+
+
 _GATHERED: Final = CLOCK_IDS | auxiliary.Auxiliary.message_ids

@@ -1,4 +1,4 @@
-"""The vehicle's own clock, out of time stamps that wrap, arrive late, or start again after a reboot."""
+"""The vehicle's clock from time stamps that wrap, arrive late, or restart after a reboot."""
 
 from __future__ import annotations
 

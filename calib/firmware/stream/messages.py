@@ -1,4 +1,4 @@
-"""What each inertial message of each autopilot really carries (FLIGHT_CONTROLLERS 2.1, 2.2, 9, 10)."""
+"""Contents of each inertial message of each autopilot (FLIGHT_CONTROLLERS 2.1, 2.2, 9, 10)."""
 
 from __future__ import annotations
 

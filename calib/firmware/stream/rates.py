@@ -1,4 +1,4 @@
-"""Streams of a vehicle: what to ask for, and the :class:`Assembler` that understands what comes.
+"""Streams to request from a vehicle, and the :class:`Assembler` for them.
 
 Both firmwares give 25 and 50 Hz exactly (ArduPilot cuts intervals to whole milliseconds, PX4 rounds up to its 4 ms
 loop); at 100 Hz and more the steps become uneven. FLIGHT_CONTROLLERS 2, 9, 10.

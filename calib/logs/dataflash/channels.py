@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
 from mavcal.calib.logs.dataflash.clock import ordered
-from mavcal.calib.logs.ordered import moving
+from mavcal.calib.logs.time_order import moving
 from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Rounding, Sensor
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class SensorChannels:
                     yield channel
 
     def _in_time(self, rows: Table, instance: int, t: Array) -> Mask:
-        """The rows whose time goes on; how many do not is said."""
+        """The rows with increasing times; the others are counted in an event."""
         keep = ordered(t)
         back = int((np.isfinite(t) & ~keep).sum())
         stood = np.flatnonzero(keep)[~moving(t[keep])]
@@ -85,34 +85,34 @@ class SensorChannels:
     ) -> Mask:
         good = _readable(values, reading.most)
         if not good.all():
-            self._say(reading, instance, t, ~good, Oddity.UNREADABLE, table)
+            self._note(reading, instance, t, ~good, Oddity.UNREADABLE, table)
         if healthy is not None and not healthy.all():
-            self._say(reading, instance, t, ~healthy, Oddity.UNHEALTHY, table)
+            self._note(reading, instance, t, ~healthy, Oddity.UNHEALTHY, table)
             if healthy.any():  # else they are all that there is, and whoever judges them knows of it
                 good &= healthy
         if reading.sensor in _NEVER_ZERO:
             zero: Mask = ~np.asarray(values.any(axis=1))
             if zero.all() and len(zero):
                 text = f"{reading.sensor} {instance + 1}: all {len(zero)} samples of {table.name} are exactly 0, 0, 0"
-                first, odd = _odd(Oddity.ZERO, reading, instance, t, zero)
+                first, odd = _odd_samples(Oddity.ZERO, reading, instance, t, zero)
                 self.events.append(Event(first, "dead", text, odd))
             elif zero.any() and reading.sensor != Sensor.GYRO:  # at rest a gyroscope of whole numbers may read 0
-                self._say(reading, instance, t, zero, Oddity.ZERO, table)
+                self._note(reading, instance, t, zero, Oddity.ZERO, table)
                 good &= ~zero
         if reading.sensor == Sensor.MAG:
-            good &= _read_anew(t, values)
+            good &= _new_readings(t, values)
         return good
 
-    def _say(self, reading: LogReading, instance: int, t: Array, bad: Mask, what: Oddity, table: Table) -> None:
+    def _note(self, reading: LogReading, instance: int, t: Array, bad: Mask, what: Oddity, table: Table) -> None:
         text = f"{reading.sensor} {instance + 1}: {int(bad.sum())} of {len(t)} samples of {table.name} {WORDS[what]}"
-        first, odd = _odd(what, reading, instance, t, bad)
+        first, odd = _odd_samples(what, reading, instance, t, bad)
         kept = what == Oddity.UNHEALTHY and bad.all()
         self.events.append(
             Event(first, "damage", f"{text}; {'kept, for there are no others' if kept else 'left out'}", odd)
         )
 
 
-def _odd(what: Oddity, reading: LogReading, instance: int, t: Array, bad: Mask) -> tuple[float, OddSamples]:
+def _odd_samples(what: Oddity, reading: LogReading, instance: int, t: Array, bad: Mask) -> tuple[float, OddSamples]:
     """When the samples `bad` of `t` began, and how many they are."""
     when = t[bad][np.isfinite(t[bad])]
     first, last = (float(when[0]), float(when[-1])) if len(when) else (0.0, None)
@@ -170,7 +170,7 @@ def _readable(values: Array, most: float) -> Mask:
         return np.asarray((np.abs(values) <= most).all(axis=1))
 
 
-def _read_anew(t: Array, values: Array) -> Mask:
+def _new_readings(t: Array, values: Array) -> Mask:
     """Rows whose compass was read after the row before: its time went on, or the numbers changed."""
     keep = np.ones(len(t), dtype=bool)
     keep[1:] = (np.diff(t) > 0.0) | (np.diff(values, axis=0) != 0.0).any(axis=1)

@@ -1,4 +1,4 @@
-"""Times of a DataFlash log in seconds since boot, and which of them can be believed.
+"""Times of a DataFlash log in seconds since boot, without the corrupt ones.
 
 A damaged byte may lie in a time stamp, where it would move a sample to any moment. The messages lie in the file in the
 order of time, so a stamp that contradicts its neighbours is seen and its message left out; a clock that starts again in
@@ -67,8 +67,8 @@ class Clock:
             self._restarts.append((int(self._densest.offsets[row]), step, after + step))
             self._wrapped.append(wrapped)
             added = step
-        times = self._moved(times, self._densest)
-        believed = np.flatnonzero(_believed(times))
+        times = self._over_restarts(times, self._densest)
+        believed = np.flatnonzero(_consistent(times))
         if len(believed):
             self._span = float(times[believed[0]]), float(times[believed[-1]])
 
@@ -80,11 +80,11 @@ class Clock:
         """
         if self._densest is None:
             return np.empty(0, dtype=np.int64), np.empty(0)
-        times = self._moved(_stamps(self._densest), self._densest)
-        keep = _believed(times)
+        times = self._over_restarts(_stamps(self._densest), self._densest)
+        keep = _consistent(times)
         return self._densest.offsets[keep], times[keep]
 
-    def _moved(self, t: Array, table: Table) -> Array:
+    def _over_restarts(self, t: Array, table: Table) -> Array:
         """`t` as it goes on over restarts."""
         if self._restarts:
             t = t.copy()
@@ -107,7 +107,7 @@ class Clock:
         """When the messages of `table` were written, s; nan where the stamp cannot be believed."""
         if _stamp(table) is None or self._span is None:
             return self._by_place(table)
-        t = self._moved(_stamps(table), table)
+        t = self._over_restarts(_stamps(table), table)
         first, last = self._span[0] - BACKWARD_S, self._span[1] + BACKWARD_S
         if len(t) and not (t[0] >= first and t[-1] <= last and (np.diff(t) >= -BACKWARD_S).all()):
             where, times = self._grid
@@ -170,7 +170,7 @@ def ordered(t: Array) -> Mask:
     return keep
 
 
-def _believed(times: Array) -> Mask:
+def _consistent(times: Array) -> Mask:
     """Which times of the densest messages contradict no other."""
     keep = ordered(times)
     if keep.any() and len(times) > 2 and times[-1] - times[-2] > LONGEST_JUMP_S:

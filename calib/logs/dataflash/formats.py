@@ -1,4 +1,4 @@
-"""What the messages of a DataFlash log look like: FMT definitions, checked before anything is believed of them.
+"""FMT definitions of a DataFlash log, checked before use.
 
 A definition names a message type, its length, its columns and one letter a column (ArduPilot ``LogStructure.h``).
 """

@@ -1,4 +1,4 @@
-"""A binary DataFlash log, read only as far as it is asked for."""
+"""A binary DataFlash log, read on demand."""
 
 from __future__ import annotations
 

@@ -1,37 +1,68 @@
-"""DataFlash logs to recordings."""
+"""DataFlash logs to recordings.
+
+Batches hold some thousand consecutive samples of one sensor at its own rate. ISBH states sensor, instance, time of the
+first sample, rate and scale; each of the following ISBD holds 32 samples as int16 (``BatchSampler.cpp``). Of compass
+offsets that the vehicle changed by itself, MAG states the ones in force, PARM only the commanded ones.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mavcal.calib.errors import UnreadableError
+from mavcal.calib.errors import FirmwareError, UnreadableError
+from mavcal.calib.firmware import names
 from mavcal.calib.firmware.ardupilot.log_fields import TEXT_COLUMNS, WANTED, implied_parameters
 from mavcal.calib.firmware.ardupilot.outputs import kind_of_vehicle
 from mavcal.calib.firmware.faults import parameter_faults
-from mavcal.calib.logs.dataflash.batch import batch_channels
-from mavcal.calib.logs.dataflash.channels import SensorChannels
+from mavcal.calib.firmware.names import ARDUPILOT_COMPASS_SLOTS
+from mavcal.calib.firmware.slots import ardupilot_calibration_names
+from mavcal.calib.logs.dataflash.channels import SensorChannels, instances
 from mavcal.calib.logs.dataflash.clock import Clock
-from mavcal.calib.logs.dataflash.dynamics import dynamics_channels
+from mavcal.calib.logs.dataflash.events import counted_events, identity_of, parameter_entries, spoken_events
 from mavcal.calib.logs.dataflash.log import DataFlash
-from mavcal.calib.logs.dataflash.offsets import learned_offsets
-from mavcal.calib.logs.dataflash.said import counted_events, identity_of, parameter_entries, spoken_events
 from mavcal.calib.logs.dataflash.scan import LONGEST
-from mavcal.calib.logs.dataflash.state import reference_channels, state_channels
+from mavcal.calib.logs.dataflash.state import dynamics_channels, reference_channels, state_channels
 from mavcal.calib.logs.dataflash.tables import Log, Table
 from mavcal.calib.logs.dataflash.text import TextLog
-from mavcal.calib.recording import Event, Identity, ParameterEntry, ParameterTimeline, Recording
+from mavcal.calib.recording import (
+    Channel,
+    Event,
+    Identity,
+    ParameterEntry,
+    ParameterTimeline,
+    Recording,
+    Rounding,
+    Sensor,
+    Stage,
+)
 
 if TYPE_CHECKING:
     from mavcal.calib.logs.dataflash.scan import Index
 
+Array = NDArray[np.float64]
 GPS_EPOCH: Final = datetime(1980, 1, 6, tzinfo=UTC)
 LEAP_S: Final = 18
 """GPS time is ahead of UTC by so much since 2017; nothing here depends on a second."""
+COLUMNS: Final = ("OfsX", "OfsY", "OfsZ")
+TRUNCATION_MGAUSS: Final = 1.0
+CONFIRMATIONS: Final = 3
+"""An offset that stands in fewer messages in a row is damage, or was on its way."""
+MOST: Final = 500
+SAMPLES: Final = 32
+SENSORS: Final = {0: (Sensor.ACCEL, "m/s2"), 1: (Sensor.GYRO, "rad/s")}
+UNITS: Final = 5
+"""Inertial units that a vehicle may have."""
+OPTION: Final = "INS_LOG_BAT_OPT"
+SENSOR_RATE, POST_FILTER = 1, 2
+HEADER: Final = ("N", "type", "instance", "mul", "smp_cnt", "SampleUS", "smp_rate")
+DATA: Final = ("N", "seqno", "x", "y", "z")
 
 
 def read_dataflash(path_or_bytes: Path | str | bytes) -> Recording:
@@ -76,7 +107,7 @@ def read_dataflash_text(path: Path | str) -> Recording:
 
 
 def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Recording:
-    log = {name: table for name, table in log.items() if _as_known(table)}
+    log = {name: table for name, table in log.items() if _types_match(table)}
     clock = Clock(log)
     identity = identity_of(log)
     parameters, said = _parameters(log, clock, identity, whole=whole)
@@ -128,7 +159,7 @@ def _parameters(log: Log, clock: Clock, identity: Identity, *, whole: bool) -> t
     return timeline, events
 
 
-def _as_known(table: Table) -> bool:
+def _types_match(table: Table) -> bool:
     """Whether numbers stand where numbers are known to stand, and texts where texts are."""
     texts = TEXT_COLUMNS.get(table.name, ())
     arrays = ("x", "y", "z") if table.name == "ISBD" else ()
@@ -162,3 +193,119 @@ def _date(log: Log, clock: Clock) -> list[Event]:
     seconds = int(table[week][row]) * 604800 + int(table[time][row]) / 1000.0 - LEAP_S
     date = GPS_EPOCH + timedelta(seconds=seconds)
     return [Event(clock.moments(table)[row], "utc", date.isoformat(timespec="seconds"))]
+
+
+def learned_offsets(log: Log, clock: Clock, parameters: ParameterTimeline) -> tuple[list[ParameterEntry], list[Event]]:
+    """Entries for offsets that were in force and are no parameter of the log, to the whole mGauss; and the events."""
+    entries: list[ParameterEntry] = []
+    events: list[Event] = []
+    for number, message in enumerate(("MAG", "MAG2", "MAG3")):
+        table = log.get(message)
+        if table is None or not parameters or not all(name in table for name in COLUMNS):
+            continue
+        for instance, rows in instances(table, number):
+            if instance < ARDUPILOT_COMPASS_SLOTS:
+                t = np.asarray(clock.moments(rows))
+                found = _unexplained(t, rows.arrays(COLUMNS)[0], instance, parameters)
+                if found:
+                    entries += found
+                    text = (
+                        f"the offset of compass {instance + 1} was changed by the vehicle itself (learnt on the way); "
+                        "from here on it is known to the whole mGauss only"
+                    )
+                    events.append(Event(found[0].t, "text", text))
+    return entries, events
+
+
+def _unexplained(
+    t: np.ndarray[tuple[int], np.dtype[np.float64]],
+    offsets: np.ndarray[tuple[int, int], np.dtype[np.float64]],
+    instance: int,
+    parameters: ParameterTimeline,
+) -> list[ParameterEntry]:
+    """Entries at the times where the offset that stands in the messages becomes another one than the parameters say."""
+    changed = np.flatnonzero((np.diff(offsets, axis=0) != 0).any(axis=1)) + 1
+    edges = np.concatenate([[0], changed, [len(offsets)]])
+    runs = edges[:-1][np.diff(edges) >= CONFIRMATIONS][:MOST]
+    found: list[ParameterEntry] = []
+    held: dict[str, float] = {}
+    for row in runs.tolist():
+        state = parameters.at(float(t[row])) | held
+        try:
+            roles = ardupilot_calibration_names(state, Sensor.MAG, instance)
+        except FirmwareError:
+            return []
+        stated = [float(state.get(roles[role], np.nan)) for role in names.OFFSET]
+        logged = offsets[row].tolist()
+        if all(abs(a - b) <= TRUNCATION_MGAUSS for a, b in zip(stated, logged, strict=True)) or not np.all(
+            np.isfinite(stated)
+        ):
+            continue
+        held = {roles[role]: value for role, value in zip(names.OFFSET, logged, strict=True)}
+        found += [ParameterEntry(float(t[row]), name, value) for name, value in held.items()]
+    return found
+
+
+def batch_channels(log: Log, parameters: Mapping[str, float]) -> list[Channel]:
+    """One channel for each sensor that was sampled in batches; between the batches it has gaps."""
+    heads, data = log.get("ISBH"), log.get("ISBD")
+    if heads is None or data is None or not all(c in heads for c in HEADER) or not all(c in data for c in DATA):
+        return []
+    head = dict(zip(HEADER, heads.columns(*HEADER), strict=True))
+    number, sequence, x, y, z = data.columns(*DATA)
+    of = np.searchsorted(heads.offsets, data.offsets) - 1
+    intact = (of >= 0) & (head["N"][of] == number) & (head["mul"][of] > 0) & (head["smp_rate"][of] > 0)
+    option = int(parameters.get(OPTION, 0))
+    stage = Stage.RAW if option & SENSOR_RATE else Stage.FILTERED if option & POST_FILTER else Stage.CORRECTED
+    found = []
+    for kind, (sensor, unit) in SENSORS.items():
+        for instance in range(UNITS):
+            rows = np.flatnonzero(intact & (head["type"][of] == kind) & (head["instance"][of] == instance))
+            if not len(rows):
+                continue
+            chosen = {name: column[of[rows]].astype(np.float64) for name, column in head.items()}
+            counts = np.stack([axis[rows] for axis in (x, y, z)], axis=2).astype(np.float64)
+            channel = _channel(
+                sensor,
+                instance,
+                unit,
+                stage=stage,
+                head=chosen,
+                sequence=sequence[rows].astype(np.float64),
+                counts=counts,
+            )
+            if len(channel):
+                found.append(channel)
+    return found
+
+
+def _channel(
+    sensor: Sensor,
+    instance: int,
+    unit: str,
+    *,
+    stage: Stage,
+    head: Mapping[str, Array],
+    sequence: Array,
+    counts: Array,
+) -> Channel:
+    """`head` and `sequence` (M,) of the messages, their int16 in `counts` (M, 32, 3)."""
+    place = sequence[:, None] * SAMPLES + np.arange(SAMPLES)
+    t = (1e-6 * head["SampleUS"][:, None] + place / head["smp_rate"][:, None]).ravel()
+    inside = (place < head["smp_cnt"][:, None]).ravel()
+    zero = counts == 0
+    values = ((counts + 0.5 * np.sign(counts)) / head["mul"][:, None, None]).reshape(-1, 3)
+    order = np.flatnonzero(inside)[np.argsort(t[inside], kind="stable")]
+    quantum = float(1.0 / np.min(head["mul"]))
+    return Channel(
+        sensor,
+        instance,
+        t[order],
+        values[order],
+        unit,
+        stage,
+        "ISBD",
+        quantum,
+        Rounding.TOWARD_ZERO,
+        zero.reshape(-1, 3)[order],
+    )

@@ -147,7 +147,7 @@ class _Walk:
         i = int(np.searchsorted(begins, expected))
         while expected < limit:
             if i >= len(begins) or begins[i] != expected:
-                i = self._next_sound(i)
+                i = self._next_valid(i)
                 if i >= stop:
                     break
                 self.skipped.append((expected, int(begins[i]) - expected))
@@ -173,13 +173,13 @@ class _Walk:
     def _follows(self, j: int, end: int) -> bool:
         return end == self._file_end or (j < len(self._begins) and int(self._begins[j]) == end)
 
-    def _next_sound(self, i: int) -> int:
+    def _next_valid(self, i: int) -> int:
         """The first candidate from `i` on behind which another one follows; beyond all if there is none."""
-        k = int(np.searchsorted(self._sound, i))
-        return int(self._sound[k]) if k < len(self._sound) else len(self._begins)
+        k = int(np.searchsorted(self._valid, i))
+        return int(self._valid[k]) if k < len(self._valid) else len(self._begins)
 
     @cached_property
-    def _sound(self) -> Offsets:
+    def _valid(self) -> Offsets:
         if not len(self._begins):
             return self._begins
         at = np.minimum(np.searchsorted(self._begins, self._ends), len(self._begins) - 1)

@@ -1,4 +1,15 @@
-"""What a DataFlash log says beside the calibrated sensors: pose, place, currents, motors, the simulator's truth."""
+"""Other channels of a DataFlash log: attitude, position, currents, motors, flight data, the simulator's truth.
+
+========  ============================================================================================================
+RATE      ROut POut YOut: inputs of the mixer with feed-forward, -1..1; AOut: throttle 0..1 (loop rate with bit 0)
+MOTB      LiftMax, BatVolt (filtered voltage by ``MOT_BAT_VOLT_MAX``), ThLimit (bit 17)
+XKF1 XKQ  velocity, place and attitude of each core of the estimator; EKF1, NKF1 in old firmwares
+RFND      height above the ground
+BARO      Press, Pa, and Temp, degC, of the first barometer: AIR
+========  ============================================================================================================
+
+Source of the table: AIRFRAME 3.1 (``Copter.cpp``, ``Log.cpp``, ``LogStructure.h``).
+"""
 
 from __future__ import annotations
 
@@ -8,17 +19,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.firmware.ardupilot.log_fields import INSTANCE_COLUMNS
 from mavcal.calib.firmware.ardupilot.outputs import LEAST_US, MOST_US, motor_outputs
 from mavcal.calib.geometry import quaternion_from_euler
 from mavcal.calib.logs.dataflash.channels import INSTANCES, instances
 from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mavcal.calib.logs.dataflash.clock import Clock
     from mavcal.calib.logs.dataflash.tables import Log, Table
 
 Array = NDArray[np.float64]
-
 WHOLE: Final = ("h", "H", "i", "I")
 MOST: Final[Mapping[Sensor, Array]] = {
     Sensor.ATTITUDE: np.full(4, 1.0 + 1e-6),
@@ -39,13 +52,18 @@ MOST: Final[Mapping[Sensor, Array]] = {
 """No vehicle does more (unit of the channel): what does is damage."""
 FIX_3D: Final = 3
 """``GPS.Status`` from which on place and velocity are known."""
-
 _QUATERNION = ("Q1", "Q2", "Q3", "Q4")
 _TRUTH = (
     ("SIM", Sensor.ATTITUDE, _QUATERNION, "1"),
     ("SIM", Sensor.POSITION, ("Lat", "Lng", "Alt"), "deg deg m"),
     ("SIM2", Sensor.PLACE, ("PN", "PE", "PD"), "m"),
     ("SIM2", Sensor.VELOCITY, ("VN", "VE", "VD"), "m/s"),
+)
+ESTIMATORS: Final = ("XKF1", "NKF1", "EKF1")
+QUATERNIONS: Final = ("XKQ", "NKQ", "XKQ1", "NKQ1")
+_ESTIMATED: Final = (
+    (Sensor.VELOCITY, ("VN", "VE", "VD"), "m/s"),
+    (Sensor.PLACE, ("PN", "PE", "PD"), "m"),
 )
 
 
@@ -226,3 +244,68 @@ def _rotors(log: Log, clock: Clock) -> Channel | None:
     grid = rotors[0][0]
     columns = [values[np.maximum(np.searchsorted(times, grid, side="right") - 1, 0)] for times, values in rotors]
     return channel_of(Sensor.ROTOR_SPEED, table, grid, np.column_stack(columns), "Hz")
+
+
+def dynamics_channels(log: Log, clock: Clock) -> tuple[Channel, ...]:
+    """CONTROL, MIXER, VOLTAGE, HEIGHT, AIR, and the estimator's VELOCITY, PLACE and ATTITUDE, as far as logged."""
+    found = [*_plain(log, clock), *_estimates(log, clock), *_attitudes(log, clock)]
+    return tuple(channel for channel in found if len(channel))
+
+
+def _plain(log: Log, clock: Clock) -> Iterator[Channel]:
+    for name, sensor, columns, unit in (
+        ("RATE", Sensor.CONTROL, ("ROut", "POut", "YOut", "AOut"), "1"),
+        ("MOTB", Sensor.MIXER, ("LiftMax", "BatVolt", "ThLimit"), "1"),
+    ):
+        table = log.get(name)
+        if table is not None and all(column in table for column in columns):
+            yield channel_of(sensor, table, clock.times(table), table.arrays(columns)[0], unit)
+    battery = log.get("BAT") or log.get("CURR")
+    if battery is not None and "Volt" in battery:
+        first = battery.where(_first(battery))
+        scale = 0.01 if battery.format.letter("Volt") in {"h", "H"} else 1.0
+        yield channel_of(Sensor.VOLTAGE, first, clock.times(first), scale * first["Volt"], "V")
+    finder = log.get("RFND")
+    column = None if finder is None else next((c for c in ("Dist", "Dist1") if c in finder), None)
+    if finder is not None and column is not None:
+        yield channel_of(Sensor.HEIGHT, finder, clock.times(finder), finder[column], "m")
+    barometer = log.get("BARO")
+    if barometer is not None and "Press" in barometer and "Temp" in barometer:
+        first = barometer.where(_first(barometer))
+        yield channel_of(Sensor.AIR, first, clock.times(first), first.arrays(("Press", "Temp"))[0], "Pa degC")
+
+
+def _first(table: Table) -> NDArray[np.bool_]:
+    """Which rows are of the first instance."""
+    column = next((c for c in INSTANCE_COLUMNS if c in table), None)
+    return np.ones(len(table), dtype=bool) if column is None else np.asarray(table[column] == table[column].min())
+
+
+def _estimates(log: Log, clock: Clock) -> Iterator[Channel]:
+    table = next((log[name] for name in ESTIMATORS if name in log), None)
+    if table is None:
+        return
+    for core, rows in _cores(table):
+        for sensor, columns, unit in _ESTIMATED:
+            if all(column in rows for column in columns):
+                yield channel_of(sensor, rows, clock.times(rows), rows.arrays(columns)[0], unit, instance=core)
+
+
+def _attitudes(log: Log, clock: Clock) -> Iterator[Channel]:
+    table = next((log[name] for name in QUATERNIONS if name in log), None)
+    columns = ("Q1", "Q2", "Q3", "Q4")
+    if table is None or any(column not in table for column in columns):
+        return
+    for core, rows in _cores(table):
+        q = unit_quaternions(np.column_stack(rows.columns(*columns)).astype(np.float64))
+        yield channel_of(Sensor.ATTITUDE, rows, clock.times(rows), q, "1", instance=core)
+
+
+def _cores(table: Table) -> Iterator[tuple[int, Table]]:
+    """The rows of each core of the estimator."""
+    if "C" not in table:
+        yield from instances(table, 0)
+        return
+    cores = table["C"]
+    for core in np.unique(cores).tolist():
+        yield int(core), table.where(cores == core)

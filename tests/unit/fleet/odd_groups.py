@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcal.calib.fleet.odd import FALSE_ALARMS, distances, limit_of, oddness
+from mavcal.calib.fleet.standing import FALSE_ALARMS, distances, limit_of, oddness
 
 SIZES = (*range(6, 22), 25, 31, 41, 51, 75, 101, 151, 201, 501, 1001)
 """Odd from 21 on: a median of an even number is a mean of two, which makes the limit smaller."""

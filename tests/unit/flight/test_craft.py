@@ -9,8 +9,8 @@ import pytest
 
 from mavcal.calib.flight.craft import Craft, craft_of
 from mavcal.calib.flight.rest import Known, ground
-from mavcal.calib.health.overview import overview
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from tests.unit.flight.made import Unit, log
 

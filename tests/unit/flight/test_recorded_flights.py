@@ -13,6 +13,7 @@ from mavcal.calib.fit import FitStatus
 from mavcal.calib.flight.item import FlightVerdict
 from mavcal.calib.flight.report import flight_report
 from mavcal.calib.methods import METHODS
+from mavcal.calib.methods.worthwhile import LoggedTrip, advice
 
 pytestmark = pytest.mark.shared
 
@@ -31,6 +32,11 @@ def report(path):
     found = flight_report(flown(path))
     assert found is not None
     return found, {(item.name, item.subject): item for item in found.items}
+
+
+def steps(path):
+    found, _ = report(path)
+    return advice(LoggedTrip(flown(path), found.rests, found.ground))
 
 
 @pytest.mark.parametrize("degree", [2, 3])
@@ -103,7 +109,7 @@ def test_nothing_is_found_where_nothing_was_injected(shared_data):
     assert items["gravity_at_rest", "accel 1"].numbers["lengths"][0] == pytest.approx(9.8175, abs=5e-4)
     scale = items["accel_scale", "accel 1, 2"]
     assert scale.numbers["scale"] == pytest.approx([1.0, 1.0, 1.0], abs=1e-3)
-    worthwhile = {step.method for step in found.steps if step.worthwhile}
+    worthwhile = {step.method for step in steps(shared_data / "sitl_flights" / "null.bin") if step.worthwhile}
     assert {"mag-flight", "mag-motor", "gyro-rest"} <= worthwhile
     assert not {"thermal-poly", "accel-multi", "mag-ellipsoid"} & worthwhile
 
@@ -124,10 +130,10 @@ def test_the_real_vehicle_with_three_units(shared_data):
 
 
 def test_a_log_without_sensors_is_worth_nothing(shared_data):
-    found, _ = report(shared_data / "df_loganalyzer_examples" / "mechanical_fail.log")
+    examples = shared_data / "df_loganalyzer_examples"
+    found, _ = report(examples / "mechanical_fail.log")
     assert found.items == ()
-    assert not any(step.worthwhile for step in found.steps)
-    found, _ = report(shared_data / "df_loganalyzer_examples" / "nan.log")
-    motor = {step.method: step.reason for step in found.steps}["mag-motor"]
+    assert not any(step.worthwhile for step in steps(examples / "mechanical_fail.log"))
+    motor = {step.method: step.reason for step in steps(examples / "nan.log")}["mag-motor"]
     assert "COMPASS_MOT_X" in motor
     assert "not a number" in motor

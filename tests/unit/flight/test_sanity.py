@@ -7,7 +7,8 @@ import pytest
 
 from mavcal.calib.flight.item import FlightLimit, FlightVerdict, judged
 from mavcal.calib.flight.report import flight_report
-from mavcal.calib.health.overview import overview
+from mavcal.calib.methods.overview import overview
+from mavcal.calib.methods.worthwhile import LoggedTrip, advice
 from mavcal.calib.recording import (
     Channel,
     Event,
@@ -149,25 +150,29 @@ def test_a_finding_is_none_within_twice_its_own_sd():
     assert judged("a", "b", 2.5, limit, "").verdict == FlightVerdict.FAIL
 
 
-def test_the_steps_say_what_is_worthwhile_and_why_the_rest_is_not():
-    report = flight_report(with_attitude(log([CLEAN], (20.0, 45.0), seed=8)))
+def steps_of(recording):
+    report = flight_report(recording)
     assert report is not None
-    steps = {step.method: step for step in report.steps}
+    return advice(LoggedTrip(recording, report.rests, report.ground))
+
+
+def test_the_steps_say_what_is_worthwhile_and_why_the_rest_is_not():
+    found = steps_of(with_attitude(log([CLEAN], (20.0, 45.0), seed=8)))
+    steps = {step.method: step for step in found}
     assert steps["gyro-rest"].worthwhile
     assert steps["thermal-poly"].worthwhile
     assert steps["thermal-poly"].command == "mavcal fit thermal-poly made.bin"
     assert "2 directions" in steps["accel-multi"].reason or "1 direction" in steps["accel-multi"].reason
     assert "no compass" in steps["mag-flight"].reason
-    assert [step.worthwhile for step in report.steps] == sorted((s.worthwhile for s in report.steps), reverse=True)
+    assert [step.worthwhile for step in found] == sorted((s.worthwhile for s in found), reverse=True)
 
 
 def test_a_corrupt_compensation_is_named():
     recording = log([CLEAN], (20.0, 45.0), seed=9)
     mag = Channel(Sensor.MAG, 0, np.arange(10.0), np.ones((10, 3)), "uT", Stage.RAW, "MAG")
     corrupt = ParameterTimeline.constant({"COMPASS_MOT_X": float("nan"), "COMPASS_MOT_Y": 0.0})
-    report = flight_report(dataclasses.replace(recording.with_channels([*recording.channels, mag]), parameters=corrupt))
-    assert report is not None
-    assert "COMPASS_MOT_X in force is not a number" in {s.method: s.reason for s in report.steps}["mag-motor"]
+    found = steps_of(dataclasses.replace(recording.with_channels([*recording.channels, mag]), parameters=corrupt))
+    assert "COMPASS_MOT_X in force is not a number" in {s.method: s.reason for s in found}["mag-motor"]
 
 
 def test_what_is_no_vehicles_has_no_flight():
@@ -180,11 +185,12 @@ def test_what_is_no_vehicles_has_no_flight():
 
 def test_a_log_without_inertial_sensors_is_told_so():
     current = Channel(Sensor.CURRENT, 0, np.arange(5.0), np.ones(5), "A", Stage.RAW, "BAT")
-    report = flight_report(Recording((current,), identity=Identity("ardupilot"), source="x.log"))
+    recording = Recording((current,), identity=Identity("ardupilot"), source="x.log")
+    report = flight_report(recording)
     assert report is not None
     assert report.verdict == FlightVerdict.NOT_TESTABLE
     assert report.items == ()
-    assert not any(step.worthwhile for step in report.steps)
+    assert not any(step.worthwhile for step in steps_of(recording))
 
 
 @pytest.mark.parametrize("spoil", ["nan", "constant", "one", "backwards", "debiased", "counts"])

@@ -7,8 +7,8 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.flight.thermal import ThermalWish, fit_rests
-from mavcal.calib.flight.warm import difference, logs_of
+from mavcal.calib.flight.rest_temperatures import difference, logs_of
+from mavcal.calib.flight.thermal import ThermalRequest, fit_rests
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Identity, ParameterTimeline, Sensor
 from tests.unit.flight.made import Unit, log
@@ -17,7 +17,7 @@ ACCEL = ((8e-3, -5e-3, 12e-3), (150e-6, 0.0, 0.0))
 GYRO = ((3e-4, -2e-4, 1.5e-4),)
 DRIFTING = Unit((0.3, -0.2, 0.15), (0.01, -0.015, 0.008), ACCEL, GYRO)
 STEADY = Unit()
-QUADRATIC = ThermalWish(2, 35.0, 10.0)
+QUADRATIC = ThermalRequest(2, 35.0, 10.0)
 
 
 def errors(fit, truth):

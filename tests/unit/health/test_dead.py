@@ -9,8 +9,8 @@ import pytest
 
 from mavcal.calib.health.dead import dead_findings
 from mavcal.calib.health.finding import HealthVerdict
-from mavcal.calib.health.overview import overview
 from mavcal.calib.health.report import health
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.recording import (
     Channel,
     Event,

@@ -10,8 +10,8 @@ import pytest
 
 from bench.health import named_bad
 from mavcal.calib.health.finding import HealthVerdict
-from mavcal.calib.health.overview import overview
 from mavcal.calib.health.report import health
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.recording import Event, Identity, Oddity, OddSamples, ParameterTimeline, Recording, Sensor, Stage
 from tests.unit.health.faults import FAULTS, injected
 from tests.unit.health.made import CALIBRATED, flight

@@ -7,8 +7,8 @@ import dataclasses
 import pytest
 
 from mavcal.calib.health.finding import HealthVerdict
-from mavcal.calib.health.overview import overview
 from mavcal.calib.health.report import health
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.recording import ParameterTimeline, Sensor
 from tests.unit.health.made import CALIBRATED, flight
 

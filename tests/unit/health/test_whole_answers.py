@@ -13,10 +13,10 @@ import pytest
 
 from mavcal.calib import logs
 from mavcal.calib.errors import CalibError
-from mavcal.calib.health.overview import overview
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.recording import Event, Identity, Oddity, OddSamples, Recording, Sensor
 from tests.unit.health.made import flight
-from tests.unit.health.test_lacking import streamed
+from tests.unit.health.test_missing_data import streamed
 
 CASES = Path(__file__).resolve().parents[4] / "shared" / "data" / "reported_cases"
 KNOWN = sorted(p for p in CASES.rglob("*") if p.suffix in {".bin", ".tlog", ".csv", ".npz"}) if CASES.is_dir() else []

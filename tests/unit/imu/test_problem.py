@@ -21,7 +21,7 @@ from mavcal.calib.imu.problem import (
     turns_of,
 )
 from mavcal.calib.imu.unknowns import DIAGONAL, FREE, UNKNOWNS, Coordinates, ImuPrior, cross, symmetric
-from mavcal.calib.imu.weigh import MISFIT, GroupFit, groups, weigh
+from mavcal.calib.imu.weighting import MISFIT, GroupFit, groups, weigh
 
 POSES, RATE = 14, 50.0
 TRUTH = np.concatenate(
@@ -265,7 +265,7 @@ def test_good_data_are_weighed_as_they_are():
     done = weigh(problem, first, ImuPrior(NEUTRAL, np.zeros(UNKNOWNS)), FREE)
     assert done.problem is problem
     assert done.solution is first
-    assert done.doubt == 1.0
+    assert done.student_factor == 1.0
     assert done.kept.tolist() == list(range(POSES))
     assert done.moves_out == 0
 
@@ -278,7 +278,7 @@ def test_poses_that_sway_are_given_the_variance_that_they_show():
     done = weigh(shaken, solve(shaken, TRUTH, u), ImuPrior(NEUTRAL, np.zeros(UNKNOWNS)), FREE)
     assert np.sqrt(done.problem.extra[0]) == pytest.approx(4.0 * POSE_SD, rel=0.35)
     assert done.poses.p_value < MISFIT
-    assert done.doubt > 1.0
+    assert done.student_factor > 1.0
     assert done.kept.tolist() == list(range(24))  # all of them sway: none is the one that is wrong
     assert groups(done.problem, done.solution)[0].p_value > MISFIT
 

@@ -13,10 +13,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.calib import wire
 from mavcal.calib.earth import earth_field
 from mavcal.calib.errors import ProcedureError
+from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import OperatorAnswer
 from mavcal.calib.procedures.protocol import GaveUp, Step
 from mavcal.calib.procedures.registry import validate_options
-from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded
 from mavcal.service.jobs import digest as digest_module

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import wire
 from mavcal.calib.firmware.plan import Movement
-from mavcal.calib.firmware.proof.movement import FACES
+from mavcal.calib.firmware.proof.verify import FACES
 from mavcal.calib.procedures.protocol import Pose
 from mavcal.service.errors import CaptureEnded
 from mavcal.service.jobs.verify import POLL_S, Window, proving

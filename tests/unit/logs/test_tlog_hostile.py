@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.health.overview import overview
 from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.methods.overview import overview
 from mavcal.calib.wire import tlog_record
 
 

@@ -17,8 +17,7 @@ from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.align import Vertical, fit_alignment
-from mavcal.calib.mag.align_solve import AlignmentNoise, align
-from mavcal.calib.mag.align_start import linear_start
+from mavcal.calib.mag.align_solve import AlignmentNoise, align, linear_start
 
 G = 9.80665
 STRENGTH, DIP = 49.0, math.radians(66.0)

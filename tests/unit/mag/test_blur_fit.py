@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.mag.blur import rates_during
-from mavcal.calib.mag.blur_axes import axes_of_gyro
+from mavcal.calib.mag.blur import axes_of_gyro, rates_during
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.mag.samples import not_repeated
 from mavcal.calib.recording import Sensor

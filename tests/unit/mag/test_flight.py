@@ -12,7 +12,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.flight import fit_flight
 from mavcal.calib.mag.flight_fit import correlation_time
-from mavcal.calib.mag.flight_input import flown
+from mavcal.calib.mag.flight_input import end_of_flight
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.recording import Channel, Sensor, Stage
 from tests.unit.mag.flights import FIELD, Truth, fly
@@ -173,9 +173,9 @@ def test_a_crash_ends_the_flight():
     tipped = np.where((t > 49.5)[:, None], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
     f = Channel(Sensor.ACCEL, 0, t, accel, "m/s2", Stage.RAW, "t")
     q = Channel(Sensor.ATTITUDE, 0, t, tipped, "1", Stage.RAW, "t")
-    assert 45.0 < flown(60.0, f, q) < 50.0
+    assert 45.0 < end_of_flight(60.0, f, q) < 50.0
     level = dataclasses.replace(q, values=np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1)))
-    assert flown(60.0, f, level) == 60.0  # a hard landing is none
+    assert end_of_flight(60.0, f, level) == 60.0  # a hard landing is none
 
 
 @pytest.mark.sampled

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.mag.context import MagContext
-from mavcal.calib.mag.flight_input import between, flown, given, unusable
+from mavcal.calib.mag.flight_input import between, end_of_flight, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
 from mavcal.calib.recording import Channel, Sensor, Stage
@@ -44,7 +44,7 @@ def attitude(yaw_deg=90.0, tilt_deg=0.0, seconds=30.0):
 
 def ready(mag=None, turning=None, *, in_force=None, drive=None, **facts):
     turning = Turning(gyroscope(), None) if turning is None else turning
-    return given(compass() if mag is None else mag, turning, in_force, drive, 0.0, MagContext(**facts))
+    return prepared(compass() if mag is None else mag, turning, in_force, drive, 0.0, MagContext(**facts))
 
 
 def test_samples_outside_of_the_motion_are_left_out():
@@ -206,14 +206,14 @@ def crash(shock=90.0, tipped_at=49.5, tip_deg=170.0):
     ],
 )
 def test_a_flight_ends_two_seconds_before_a_shock_that_tips_it_over(changes, end):
-    assert flown(60.0, *crash(**changes)) == pytest.approx(end, abs=1e-6)
+    assert end_of_flight(60.0, *crash(**changes)) == pytest.approx(end, abs=1e-6)
 
 
 def test_without_an_accelerometer_or_an_attitude_a_flight_ends_with_its_recording():
     accel, pose = crash()
-    assert flown(60.0, None, pose) == 60.0
-    assert flown(60.0, accel, None) == 60.0
-    assert flown(60.0, accel.take(slice(0, 0)), pose) == 60.0
+    assert end_of_flight(60.0, None, pose) == 60.0
+    assert end_of_flight(60.0, accel, None) == 60.0
+    assert end_of_flight(60.0, accel.take(slice(0, 0)), pose) == 60.0
 
 
 def test_what_lies_before_an_end_is_kept():

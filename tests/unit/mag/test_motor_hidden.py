@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.mag.context import MagContext
-from mavcal.calib.mag.flight_input import given
+from mavcal.calib.mag.flight_input import prepared
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
 from mavcal.calib.mag.motor_hidden import BLOCK, STRETCHES, Hidden, blocks_of, by_log
@@ -80,7 +80,7 @@ def flight():
     seen = attitude.inv().apply(FIELD) + OFFSET + slow @ TERM + 0.2 * rng.normal(size=(len(t), 3))
     said = Channel(Sensor.ATTITUDE, 0, t, attitude.as_quat()[:, [3, 0, 1, 2]], "1", Stage.RAW, "made")
     mag = Channel(Sensor.MAG, 0, t, seen, "uT", Stage.RAW, "made")
-    return given(mag, Turning(None, said), None, drive, 0.0, MagContext()), drive
+    return prepared(mag, Turning(None, said), None, drive, 0.0, MagContext()), drive
 
 
 @pytest.mark.parametrize("known", [True, False])

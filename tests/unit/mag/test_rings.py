@@ -16,8 +16,8 @@ from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.ring_centres import CENTRES, Ring, centre_of, fit_circle
+from mavcal.calib.mag.ring_solve import by_dominant, columns_of, published
 from mavcal.calib.mag.rings import fit_rings
-from mavcal.calib.mag.rings_algebra import by_dominant, columns_of, published
 from tests.examples import examples
 
 WAYS = np.vstack([np.eye(3), -np.eye(3)])

@@ -9,7 +9,7 @@ from mavcal.calib.earth import local_gravity
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import CheckId, Verdict
 from mavcal.calib.preflight.inertial import accel_force, force_measures, gyro_noise, gyro_rest, rest_measures
-from mavcal.calib.preflight.rest import Mean, Silent, looked, mean_at_rest, moved
+from mavcal.calib.preflight.rest import Mean, Silent, evidence_lines, mean_at_rest, moved
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 G = 9.80665
@@ -108,7 +108,7 @@ def test_of_three_the_one_that_is_off_is_named():
 
 def test_every_check_says_what_it_looked_at():
     there = {1: mean(0.0, 0.0, -G)}
-    assert looked(there, "accelerometer") == ("accelerometer 2: 300 samples over 6.0 s",)
+    assert evidence_lines(there, "accelerometer") == ("accelerometer 2: 300 samples over 6.0 s",)
     found = accel_force(there, ("accel 1 was not heard",), None, None)
     assert found.id is CheckId.ACCEL_FORCE
     assert {"accelerometer 2: 300 samples over 6.0 s", "accel 1 was not heard"} <= set(found.evidence)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavcal.calib.preflight import own
+from mavcal.calib.preflight import self_report
 from mavcal.calib.preflight.check import Check, CheckId, Measure, Report, Verdict, judged, unknown
 from mavcal.calib.preflight.readiness import readiness, unchecked
 from mavcal.calib.preflight.snapshot import OwnView, Shaking
@@ -137,17 +137,17 @@ def test_a_consequence_keeps_its_number_and_names_its_cause():
     ],
 )
 def test_each_check_that_a_parameter_switches_off_is_told(autopilot, parameters, said):
-    assert own.switched_off(autopilot, parameters) == said
-    assert own.arming_checks(autopilot, parameters).verdict in ((WARN,) if said else (PASS, UNKNOWN))
+    assert self_report.switched_off(autopilot, parameters) == said
+    assert self_report.arming_checks(autopilot, parameters).verdict in ((WARN,) if said else (PASS, UNKNOWN))
 
 
 def test_arming_parameters_that_were_not_all_read_prove_nothing():
     some = {"ARMING_CHECK": 1}
-    assert own.arming_checks("ardupilot", some, complete=False).verdict == UNKNOWN
+    assert self_report.arming_checks("ardupilot", some, complete=False).verdict == UNKNOWN
     every = {**some, "ARMING_SKIPCHK": 0, "COMPASS_ENABLE": 1}
-    assert own.arming_checks("ardupilot", every, complete=False).verdict == PASS
-    assert own.arming_checks("ardupilot", {"ARMING_CHECK": 0}, complete=False).verdict == WARN
-    assert own.arming_checks("other", every).verdict == UNKNOWN
+    assert self_report.arming_checks("ardupilot", every, complete=False).verdict == PASS
+    assert self_report.arming_checks("ardupilot", {"ARMING_CHECK": 0}, complete=False).verdict == WARN
+    assert self_report.arming_checks("other", every).verdict == UNKNOWN
 
 
 @pytest.mark.parametrize(
@@ -167,15 +167,15 @@ def test_arming_parameters_that_were_not_all_read_prove_nothing():
 )
 def test_a_text_is_explained_by_a_failed_check_of_the_same_sensor(text, failed, explained):
     view = OwnView(present=True, ready=False, texts=(text,))
-    found = own.vehicle_prearm(view, "ardupilot", {}, [failed])
+    found = self_report.vehicle_prearm(view, "ardupilot", {}, [failed])
     assert found.verdict == (WARN if explained else FAIL)
     assert (f"This follows from {failed}." in found.reason) == explained
 
 
 def test_a_vehicle_that_is_not_ready_and_says_nothing_is_explained_by_what_failed_alone():
-    found = own.vehicle_prearm(OwnView(present=True, ready=False), "px4", {}, [CheckId.SENSOR_IDS])
+    found = self_report.vehicle_prearm(OwnView(present=True, ready=False), "px4", {}, [CheckId.SENSOR_IDS])
     assert (found.verdict, "This follows from sensor_ids." in found.reason) == (Verdict.WARN, True)
-    found = own.vehicle_prearm(OwnView(present=True, ready=False), "px4", {}, [])
+    found = self_report.vehicle_prearm(OwnView(present=True, ready=False), "px4", {}, [])
     assert found.verdict == FAIL
     assert "it says that it is not ready, and not why" in found.reason
 
@@ -196,22 +196,22 @@ def test_a_vehicle_that_is_not_ready_and_says_nothing_is_explained_by_what_faile
     ],
 )
 def test_what_sys_status_said_is_evidence(view, line):
-    evidence = own.vehicle_prearm(view, "px4", {}, []).evidence
+    evidence = self_report.vehicle_prearm(view, "px4", {}, []).evidence
     assert line in evidence
     assert "its checks were not run on request" in evidence
     asked = dataclasses.replace(view, asked=True)
-    assert "its checks were run on request" in own.vehicle_prearm(asked, "px4", {}, []).evidence
+    assert "its checks were run on request" in self_report.vehicle_prearm(asked, "px4", {}, []).evidence
 
 
 @pytest.mark.parametrize(("level", "verdict"), [(2.4, PASS), (2.6, WARN), (3.0, FAIL)])
 def test_a_level_of_vibration_is_known_to_a_twentieth(level, verdict):
-    assert own.vibration(Shaking((0.1, level, 0.1), (0, 0, 0))).verdict == verdict
-    assert own.vibration(Shaking((), ())).verdict == PASS
+    assert self_report.vibration(Shaking((0.1, level, 0.1), (0, 0, 0))).verdict == verdict
+    assert self_report.vibration(Shaking((), ())).verdict == PASS
 
 
 @pytest.mark.parametrize(("calibrating", "verdict"), [(None, UNKNOWN), (True, FAIL), (False, PASS)])
 def test_a_calibration_of_its_own_stands_against_arming(calibrating, verdict):
-    found = own.onboard_calibration(OwnView(calibrating=calibrating))
+    found = self_report.onboard_calibration(OwnView(calibrating=calibrating))
     assert found.verdict == verdict
     assert bool(found.remedy) == (calibrating is True)
 

@@ -10,7 +10,7 @@ from mavcal.calib.firmware import undo
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp
-from mavcal.calib.procedures.replay import replay
+from mavcal.calib.procedures.registry import replay
 from mavcal.calib.recording import Sensor
 
 pytestmark = pytest.mark.shared

@@ -11,8 +11,7 @@ from mavcal.calib.firmware import undo
 from mavcal.calib.logs import read
 from mavcal.calib.methods import METHODS
 from mavcal.calib.procedures.protocol import Done
-from mavcal.calib.procedures.registry import create
-from mavcal.calib.procedures.replay import replay
+from mavcal.calib.procedures.registry import create, replay
 from mavcal.calib.recording import ParameterTimeline, Recording
 from mavcal.service.jobs.digest import context_of, field_of
 from tests.unit.mag.turned import deviations

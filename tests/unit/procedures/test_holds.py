@@ -14,16 +14,16 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitBuilder
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
-from mavcal.calib.procedures.holds import LONGEST, SHORTEST, Hold, taken
+from mavcal.calib.procedures.holds import LONGEST, SHORTEST, Hold, pose_of_hold
 from mavcal.calib.procedures.level import roll_pitch
 from mavcal.calib.procedures.motion import RESTING, StillWatch
-from mavcal.calib.procedures.placing import facing, place, shown_down
+from mavcal.calib.procedures.placing import down_direction, facing, place
 from mavcal.calib.procedures.poses import DOWN, FACES
 from mavcal.calib.procedures.protocol import Pose, PromptStep
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.procedures.results import annotated, mean_or_none, refusals, share_of_information
-from mavcal.calib.procedures.steady import Stretch
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
+from mavcal.calib.procedures.turntable import Stretch
 from mavcal.calib.recording import Channel, Identity, Sensor, Stage
 
 TICK = 0.25
@@ -116,7 +116,7 @@ def test_a_hold_knows_the_temperature_of_its_unit_where_it_streams():
 
 
 def test_a_pose_is_taken_of_the_accelerometers_that_gave_samples():
-    pose = taken(held([G] * 9), 3, Pose.LEVEL, Z, (0, 1))
+    pose = pose_of_hold(held([G] * 9), 3, Pose.LEVEL, Z, (0, 1))
     assert list(pose.means) == [0]
     assert (pose.number, pose.pose) == (3, Pose.LEVEL)
 
@@ -247,11 +247,11 @@ def test_down_is_what_the_first_accelerometer_shows_that_is_not_weightless():
     watch = StillWatch(RESTING, ((Sensor.ACCEL, 0), (Sensor.ACCEL, 1)))
     body = {0: np.eye(3), 1: Rotation.from_euler("x", 90.0, degrees=True).as_matrix()}
     watch.update({**frame(0, accel=-0.9 * Z), **frame(0, accel=-G * Z, instance=1)})
-    assert shown_down(watch, body, (0,)) is None
-    assert shown_down(watch, body, (0, 1)) == pytest.approx(body[1] @ Z)
+    assert down_direction(watch, body, (0,)) is None
+    assert down_direction(watch, body, (0, 1)) == pytest.approx(body[1] @ Z)
     watch.update(frame(1, accel=-1.1 * X))
-    assert shown_down(watch, body, (0, 1)) == pytest.approx(X)
-    assert shown_down(watch, body, (1,)) is None
+    assert down_direction(watch, body, (0, 1)) == pytest.approx(X)
+    assert down_direction(watch, body, (1,)) is None
 
 
 def test_a_prompt_to_put_it_down_leaves_the_choice_while_there_is_one():

@@ -189,7 +189,7 @@ def test_a_compass_without_noise_may_rest_before_it_is_turned():
             turn = Rates(np.arange(count) / 25.0, rows, square, square, np.ones(count, dtype=bool), 0.01)
             still = BodyMotion(turn, rows, rows)
             track.add(np.tile(0.1 * at, (count, 1)), still)
-            track.look()
+            track.update()
             assert track.coverage.count == 0
 
 

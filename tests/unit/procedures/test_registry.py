@@ -13,8 +13,7 @@ from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, ProcedureError
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done
-from mavcal.calib.procedures.registry import PROCEDURES, create, specification, validate_options
-from mavcal.calib.procedures.replay import replay
+from mavcal.calib.procedures.registry import PROCEDURES, create, replay, specification, validate_options
 from mavcal.calib.procedures.table import markdown
 from mavcal.calib.recording import Event, Identity, Recording, Sensor
 from mavcal.service.commands.calibrate import KINDS

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Channel, Sensor, Stage
 from mavcal.calib.thermal.cells import DriftCells
-from mavcal.calib.thermal.fit import fit_drift_data, fit_polynomial
+from mavcal.calib.thermal.fit import PolynomialOptions, fit_drift_data, fit_polynomial
 
 COEFFICIENTS = np.array([[7e-3, 6e-5, 1e-6], [-4e-3, -3e-5, 0.0], [9e-3, 4e-5, -2e-6]])
 PER_TICK = 12
@@ -39,7 +39,7 @@ def in_cells(channel, limit=2048, span=None):
 def fitted(cells, T, **options):
     at = np.interp(cells.table().time, np.arange(len(T)) / 50.0, T)
     data = cells.data(at)
-    return fit_drift_data(cells.channel, data, data.samples, **options)
+    return fit_drift_data(cells.channel, data, data.samples, PolynomialOptions(**options))
 
 
 @pytest.mark.parametrize("limit", [2048, 100, 40])

@@ -10,9 +10,9 @@ from mavcal.calib.thermal.quality import (
     attitude_quality,
     common_warnings,
     declined_warnings,
+    fit_message,
     or_none,
     remedy_for,
-    said_of,
     two_way_warnings,
 )
 from mavcal.calib.thermal.sweeps import ThermometerLag
@@ -31,9 +31,9 @@ def channel(sensor=Sensor.GYRO, unit="rad/s"):
 
 
 def test_a_fit_says_of_which_axes_and_over_what():
-    said = said_of("slope", data(), ~Z)
+    said = fit_message("slope", data(), ~Z)
     assert all(token in said for token in ("slope", " x, y ", "10.0 to", "45.0 degC", "1000 rows"))
-    assert "no axis" in said_of("slope", data(), NONE)
+    assert "no axis" in fit_message("slope", data(), NONE)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware.compose.agreement import agreement
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair
+from mavcal.calib.firmware.compose.plan import agreement
 from mavcal.calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.plan import ParameterKind

@@ -11,7 +11,7 @@ from mavcal.calib.firmware import names
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.px4 import parameters as px4
-from mavcal.calib.firmware.px4.without_row import without_row
+from mavcal.calib.firmware.px4.parameters import without_row
 from mavcal.calib.firmware.rotations import rotation_matrix
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.mag.free_rotation import angle_between

@@ -9,7 +9,7 @@ from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.compose.px4 import compose_imu
-from mavcal.calib.firmware.compose.trim import adjust_trim, carried_over, force_when_level, trim_from_force
+from mavcal.calib.firmware.compose.trim import adjust_trim, force_when_level, trim_from_force, trim_under
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.firmware.px4 import parameters as px4
@@ -35,7 +35,7 @@ def test_a_level_vehicle_reads_minus_the_third_row_of_the_rotation(roll, pitch):
 def test_an_offset_of_one_percent_of_gravity_turns_the_level_by_a_hundredth_of_a_radian():
     # the old calibration left 0.0980665 m/s2 on y: level read roll atan(-0.01)
     old, new = TriadModel(), TriadModel([0.0, 0.0980665, 0.0])
-    roll, pitch = carried_over(np.arctan(-0.01), 0.0, old, new, None)
+    roll, pitch = trim_under(np.arctan(-0.01), 0.0, old, new, None)
     assert roll == pytest.approx(0.0, abs=1e-6)
     assert pitch == pytest.approx(0.0, abs=1e-12)
 

@@ -9,6 +9,8 @@ import pytest
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import Undo, calibration_changes, calibration_in_force, undo
+from mavcal.calib.firmware.in_force.undo import GUARD_AFTER_S, KnownCalibration, Piece
+from mavcal.calib.firmware.names import ardupilot_imu_names
 from mavcal.calib.recording import (
     Channel,
     Identity,
@@ -25,7 +27,6 @@ ARDUPILOT, PX4 = Identity(autopilot="ardupilot"), Identity(autopilot="px4")
 AXES = "XYZ"
 T = np.arange(0.0, 10.0, 0.02)
 RAW = np.array([0.3, -0.2, -9.6]) + 0.1 * np.sin(T)[:, None] * [1.0, 2.0, 3.0]
-
 AP_BASE: dict[str, float] = {
     "AHRS_ORIENTATION": 0,
     "COMPASS_EXTERNAL": 1,
@@ -58,6 +59,8 @@ PX4_BASE: dict[str, float] = {
     **{f"CAL_ACC0_{a}OFF": 0.0 for a in AXES},
     **{f"CAL_ACC0_{a}SCALE": 1.0 for a in AXES},
 }
+KEY = (Sensor.GYRO, 0)
+X, Y = "CAL_GYRO0_XOFF", "CAL_GYRO0_YOFF"
 
 
 def channel(
@@ -294,3 +297,125 @@ class TestChunks:
         live = Undo(PX4, ParameterTimeline(history))
         out = live.feed(Recording((channel(RAW - [0.05, 0, 0], stage=Stage.CORRECTED),), identity=PX4))
         assert out.channel(Sensor.ACCEL).values == pytest.approx(RAW, abs=1e-12)
+
+
+def piece(parameters, autopilot="ardupilot"):
+    return Piece(-np.inf, {}, {}).completed(autopilot, dict(parameters))
+
+
+def thermal(parameters, *, enable=1, **coefficients):
+    row = {name: 0.0 for name in ardupilot_imu_names(Sensor.GYRO, 0).values() if "TCAL" in name}
+    row |= {"INS_TCAL1_ENABLE": enable, "INS_TCAL1_TMIN": 10.0, "INS_TCAL1_TMAX": 60.0, "INS_GYR1_CALTEMP": 35.0}
+    return parameters | row | coefficients
+
+
+def test_only_what_corrects_the_sensor_makes_a_difference(ardupilot_parameters):
+    plain = piece(ardupilot_parameters)
+    assert plain.same("ardupilot", piece(ardupilot_parameters), KEY)
+    assert plain.same("ardupilot", piece(ardupilot_parameters | {"INS_ACCOFFS_X": 1.0}), KEY)
+    assert not plain.same("ardupilot", piece(ardupilot_parameters | {"INS_GYROFFS_X": 1.0}), KEY)
+    assert not plain.same("ardupilot", piece(ardupilot_parameters | {"AHRS_ORIENTATION": 2}), KEY)
+    accel = (Sensor.ACCEL, 0)
+    assert not plain.same("ardupilot", piece(ardupilot_parameters | {"INS_ACCSCAL_Y": 1.01}), accel)
+
+
+def test_curves_are_compared_by_their_range_and_every_coefficient(ardupilot_parameters):
+    slope = {"INS_TCAL1_GYR1_X": 500.0}
+    base = thermal(ardupilot_parameters, **slope)
+    one = piece(base)
+    assert one.model("ardupilot", KEY).polynomial is not None
+    assert one.same("ardupilot", piece(base), KEY)
+    assert not one.same("ardupilot", piece(ardupilot_parameters), KEY)
+    assert not piece(ardupilot_parameters).same("ardupilot", one, KEY)
+    for change in (
+        {"INS_TCAL1_TMIN": 11.0},
+        {"INS_TCAL1_TMAX": 61.0},
+        {"INS_TCAL1_GYR1_X": 501.0},
+        {"INS_TCAL1_GYR3_Z": 1.0},
+    ):
+        assert not one.same("ardupilot", piece(base | change), KEY)
+    flat = piece(thermal(ardupilot_parameters))
+    assert flat.model("ardupilot", KEY).polynomial is None  # coefficients of zero: no temperature is needed
+    assert flat.same("ardupilot", piece(ardupilot_parameters), KEY)
+
+
+def test_a_correction_that_is_not_known_is_like_no_other(ardupilot_parameters):
+    nothing = piece({})
+    with pytest.raises(FirmwareError):
+        nothing.model("ardupilot", KEY)
+    assert not nothing.same("ardupilot", nothing, KEY)
+    assert not piece(ardupilot_parameters).same("ardupilot", nothing, KEY)
+
+
+def test_px4_s_memory_ignores_a_small_change_and_what_was_first_seen_later_held_all_along(px4_parameters):
+    accel = (Sensor.ACCEL, 0)
+    first = piece(px4_parameters | {"CAL_ACC0_XOFF": 0.5}, "px4")
+    assert set(first.memory) >= {(s, k) for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG) for k in range(4)}
+    small = first.changed(3.0, {"CAL_ACC0_XOFF": 0.505})
+    assert (small.start, small.throughout().start) == (3.0, -np.inf)
+    assert first.same("px4", small, accel)
+    large = small.changed(4.0, {"CAL_ACC0_XOFF": 0.52})
+    assert large.model("px4", accel).offset.tolist() == [0.52, 0.0, 0.0]
+    assert not first.same("px4", large, accel)
+    later = large.completed("px4", {"SENS_BOARD_ROT": 2, "CAL_ACC0_XOFF": 0.9})
+    assert later.memory[accel] is large.memory[accel]  # loaded once
+    assert later.start == 4.0
+    assert piece(px4_parameters).memory == {}
+
+
+def test_a_row_that_was_never_seen_leaves_the_memory(px4_parameters):
+    known = {n: v for n, v in px4_parameters.items() if not n.startswith("CAL_ACC1")}
+    known["CAL_ACC1_ID"] = 0
+    first = piece(known, "px4")
+    assert (Sensor.ACCEL, 0) in first.memory
+    moved = first.changed(1.0, {"CAL_ACC0_ID": 0, "CAL_ACC1_ID": 1310988})
+    assert moved.parameters["CAL_ACC1_ID"] == 1310988
+    assert (Sensor.GYRO, 0) in moved.memory
+
+
+def recorded(start: float, end: float, *entries: tuple[float, str]) -> Recording:
+    """A gyro at 10 Hz beside a position at 1 Hz, and parameters as they are heard."""
+    t, slow = np.arange(start, end, 0.1), np.arange(start, end)
+    channels = (
+        Channel(Sensor.GYRO, 0, t, np.zeros((len(t), 3)), "rad/s", Stage.RAW, "HIGHRES_IMU"),
+        Channel(Sensor.POSITION, 0, slow, np.ones((len(slow), 3)), "deg deg m", Stage.RAW, "GLOBAL_POSITION_INT"),
+    )
+    return Recording(channels, ParameterTimeline(tuple(ParameterEntry(t, name, 0.5) for t, name in entries)))
+
+
+def gyro_times(recording: Recording) -> np.ndarray:
+    return np.concatenate([np.zeros(0), *(c.t for c in recording.channels if c.sensor == Sensor.GYRO)])
+
+
+def test_samples_count_from_the_reading_of_the_last_parameter_on() -> None:
+    whole = recorded(0.0, 10.0, (2.0, X), (2.5, "SENS_BOARD_ROT"), (4.0, Y), (7.0, X))
+    counted = KnownCalibration([X, Y]).feed(whole)
+    assert gyro_times(counted)[0] == pytest.approx(4.0 + GUARD_AFTER_S)
+    assert gyro_times(counted)[-1] == pytest.approx(9.9)
+    positions = [c for c in counted.channels if c.sensor == Sensor.POSITION]
+    assert [len(c) for c in positions] == [10]
+
+
+@pytest.mark.parametrize("cuts", [(1.0, 3.0), (2.2, 4.05, 4.3), (8.0,)])
+def test_chunks_count_the_same_samples_as_the_whole(cuts: tuple[float, ...]) -> None:
+    entries = ((2.0, X), (4.0, Y))
+    whole = gyro_times(KnownCalibration([X, Y]).feed(recorded(0.0, 10.0, *entries)))
+    known, edges = KnownCalibration([X, Y]), (0.0, *cuts, 10.0)
+    parts = []
+    for start, end in itertools.pairwise(edges):
+        heard = [entry for entry in entries if start <= entry[0] < end]
+        parts.append(gyro_times(known.feed(recorded(start, end, *heard))))
+    found = np.concatenate(parts)
+    assert len(found) == pytest.approx(len(whole), abs=len(cuts))  # grids of chunks are not in step
+    assert found.min() >= 4.0 + GUARD_AFTER_S
+
+
+def test_nothing_counts_while_a_parameter_is_not_known() -> None:
+    known = KnownCalibration([X, Y])
+    assert len(gyro_times(known.feed(recorded(0.0, 5.0, (1.0, X))))) == 0
+    assert len(gyro_times(known.feed(recorded(5.0, 9.0, (5.0, Y))))) > 0
+
+
+def test_a_recording_whose_parameters_are_not_asked_for_counts_as_a_whole() -> None:
+    whole = recorded(0.0, 5.0)
+    assert gyro_times(KnownCalibration([]).feed(whole)).tolist() == gyro_times(whole).tolist()

@@ -11,6 +11,7 @@ from mavcal.calib.firmware.compose.content import contents
 from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.compose.trim import force_when_level, trim_from_force
 from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, ProofVerdict, WritePlan
+from mavcal.calib.firmware.proof.check import MOST, PRICE, outliers
 from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.fit import parameter_names
@@ -22,6 +23,8 @@ LEVEL = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 FIELD = np.array([20.0, 3.0, 43.0])
 NOISE = {Sensor.ACCEL: 0.003, Sensor.GYRO: 2e-4, Sensor.MAG: 0.3}
 UNIT = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
+N = 30
+EVERY = np.ones(N, dtype=bool)
 
 
 def channel(rng, sensor, truth, model, vectors, *, start, rate, temperature, stage=Stage.FILTERED):
@@ -100,7 +103,11 @@ def test_px4_restart_that_did_not_happen_is_seen(px4_parameters, px4_fingerprint
 
 
 SOFT = np.array([[1.06, 0.03, -0.02], [0.03, 0.95, 0.015], [-0.02, 0.015, 1.03]])
+
+
 BODY = TriadModel([9.0, -5.5, 3.5], SOFT)
+
+
 KNOWN = {"radius": float(np.linalg.norm(FIELD)), "field_ratio": 1.0}
 
 
@@ -212,6 +219,8 @@ CALIBRATED = {
     **dict(zip(("CAL_ACC0_XOFF", "CAL_ACC0_YOFF", "CAL_ACC0_ZOFF"), (0.333, -0.248, 0.192), strict=True)),
     **dict(zip(("CAL_ACC0_XSCALE", "CAL_ACC0_YSCALE", "CAL_ACC0_ZSCALE"), (0.983, 1.014, 0.988), strict=True)),
 }
+
+
 """An accelerometer calibration that a PX4 has in force when its level is trimmed."""
 
 
@@ -334,3 +343,39 @@ def test_beyond_the_calibrated_temperatures_nothing_is_waited_for(
     assert all("it will be provable below 60 degC" in p.text for p in acting)
     assert result.movement is None
     assert result.settled
+
+
+def covariance():
+    """Scatter of 0.08 beside a common uncertainty of 0.14, as in the capture of an ArduCopter."""
+    return 0.08**2 * np.eye(N) + 0.14**2 * np.ones((N, N))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_single_wild_samples_are_found_and_no_healthy_one(seed):
+    rng = np.random.default_rng(seed)
+    wrong = 2.0 * rng.normal(size=N)  # what the old values would leave
+    data = rng.normal(0.0, 0.08, N) + rng.normal(0.0, 0.14)
+    assert not outliers(np.array([data, data + wrong]), covariance(), EVERY).any()
+    wild = rng.choice(N, 3, replace=False)
+    data[wild] -= 0.62
+    out = outliers(np.array([data, data + wrong]), covariance(), EVERY)
+    assert set(np.flatnonzero(out)) == set(wild)
+
+
+def test_what_the_old_values_explain_is_not_left_out():
+    """The new values would leave out a fifth of the samples; the old ones explain all, and are cheaper."""
+    rng = np.random.default_rng(1)
+    effect = np.where(np.arange(N) < 5, 1.0, 0.0)
+    data = rng.normal(0.0, 0.08, N) + effect  # nothing was applied
+    assert not outliers(np.array([data, data - effect]), covariance(), EVERY).any()
+
+
+def test_no_more_than_a_fifth_and_no_reading_at_rest_is_left_out():
+    rng = np.random.default_rng(2)
+    data = rng.normal(0.0, 5.0, N)
+    assert outliers(data[None], 0.01 * np.eye(N), EVERY).sum() == int(MOST * N)
+    moving = np.arange(N) >= 20
+    out = outliers(data[None], 0.01 * np.eye(N), moving)
+    assert out.sum() == int(MOST * 10)
+    assert not out[:20].any()
+    assert PRICE > 4.0

@@ -17,7 +17,7 @@ from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, Proof
 from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.logs import read
 from mavcal.calib.procedures.protocol import Done
-from mavcal.calib.procedures.replay import replay
+from mavcal.calib.procedures.registry import replay
 from mavcal.calib.recording import ParameterTimeline, Recording, Sensor
 from mavcal.service.jobs.digest import context_of, field_of
 

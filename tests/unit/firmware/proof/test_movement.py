@@ -14,7 +14,7 @@ from mavcal.calib.firmware.plan import Change, ParameterKind, ParameterVerdict, 
 from mavcal.calib.firmware.proof.check import check_stream
 from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import force_of
-from mavcal.calib.firmware.proof.movement import movement_for
+from mavcal.calib.firmware.proof.verify import movement_for
 from mavcal.calib.recording import Sensor
 
 G = 9.80665

@@ -7,7 +7,13 @@ import pytest
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.compose.draft import Draft, Subject
-from mavcal.calib.firmware.compose.px4_memory import Vector, acts_at_once, representable, set_vector, survives_restart
+from mavcal.calib.firmware.compose.px4_memory import (
+    Vector,
+    order_without_restart,
+    representable,
+    set_vector,
+    survives_restart,
+)
 from mavcal.calib.firmware.names import CROSS, OFFSET, SCALE
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.px4 import parameters as px4
@@ -142,11 +148,11 @@ class TestMemory:
             ([0.52, 0.505, 0.0], (1, 0)),  # the small step first: it counts together with the large one
             ([0.505, 0.5, 0.3], (0, 2)),
         ):
-            assert acts_at_once(draft, vector(ACCEL, OFFSET, values), np.array(values)) == order
+            assert order_without_restart(draft, vector(ACCEL, OFFSET, values), np.array(values)) == order
 
     def test_an_empty_row_is_loaded_whole(self, px4_parameters):
         draft = Draft(px4_parameters | {"CAL_ACC0_ID": 0}, ComposeOptions())
-        assert acts_at_once(draft, vector(ACCEL, OFFSET, [0.001, 0, 0]), np.array([0.001, 0, 0])) == (0, 1, 2)
+        assert order_without_restart(draft, vector(ACCEL, OFFSET, [0.001, 0, 0]), np.array([0.001, 0, 0])) == (0, 1, 2)
 
     @pytest.mark.parametrize(("deviation", "written"), [(1.61, False), (1.62, True)])
     def test_a_restart_is_not_asked_for_the_noise_of_a_vector(self, px4_parameters, deviation, written):

@@ -7,8 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.stream.assembler import wire_dtype
 from mavcal.calib.firmware.stream.auxiliary import Auxiliary
-from mavcal.calib.firmware.stream.payload import wire_dtype
 from mavcal.calib.recording import Sensor
 
 
