@@ -20,19 +20,18 @@ from mavcal.service.fleet.ahead import TrendsAhead
 from mavcal.service.fleet.book import FleetBook
 from mavcal.service.freed import give_back_for_ever
 from mavcal.service.hand import SimulatedHands
-from mavcal.service.jobs.campaigns import CAMPAIGN, uploads_of_campaign
-from mavcal.service.jobs.computing import uploads_of
-from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, uploads_of_campaign
+from mavcal.service.jobs.core.codec import CODE as UNREADABLE
+from mavcal.service.jobs.core.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.core.model import Failure
+from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.live_rates import LiveRates
-from mavcal.service.jobs.model import Failure
-from mavcal.service.jobs.owed_rates import OwedRates
-from mavcal.service.jobs.salvage import CODE as UNREADABLE
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
+from mavcal.service.jobs.uploads.computing import uploads_of
 from mavcal.service.link.allowed import Allowed
 from mavcal.service.link_closing import require_unneeded
 from mavcal.service.link_registry import LinkRegistry
+from mavcal.service.rates.owed import OwedRates
+from mavcal.service.rates.watching import LiveRates
 from mavcal.service.recordings import Recordings
 from mavcal.service.retention import Retention
 from mavcal.service.rotation import Rotation
@@ -42,6 +41,7 @@ from mavcal.service.signing_keys import SigningKeys
 from mavcal.service.store import Store
 from mavcal.service.storing import open_store
 from mavcal.service.vehicle import VehicleRegistry
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 
 if TYPE_CHECKING:
     from mavcal.service.instances.instance import Instance
@@ -134,9 +134,9 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     fleet = FleetBook(store, vehicles)
     doubted = (lambda _: None) if instance is None else instance.jobs.doubted
     owed = OwedRates(settings.data_dir / "live-rates.json")
-    live = LiveRates(RegistryAdapter(vehicles, doubted), owed, read_only=settings.read_only)
+    live = LiveRates(VehicleSource(vehicles, doubted), owed, read_only=settings.read_only)
     hands = SimulatedHands(vehicles.all, lambda: jobs.list())
-    source = RegistryAdapter(vehicles, doubted, live.give_way)
+    source = VehicleSource(vehicles, doubted, live.give_way)
     jobs = JobEngine(
         store,
         source,

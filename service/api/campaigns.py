@@ -30,8 +30,8 @@ from mavcal.service.campaigns.selection import Selection
 from mavcal.service.campaigns.vehicles import newest_of_item
 from mavcal.service.core import Service
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.items import Item, ItemOutcome, item_from_row
-from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.campaigns.items import Item, ItemOutcome, item_from_row
+from mavcal.service.jobs.core.model import Job
 from mavcal.service.vehicle import Vehicle
 
 router = APIRouter(tags=["campaigns"])

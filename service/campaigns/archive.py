@@ -19,17 +19,17 @@ from mavcal.service.campaigns.worker import computed
 from mavcal.service.children import DIAGNOSE, FIT, Limits
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.admission import require_finite
-from mavcal.service.jobs.book import JobBook
-from mavcal.service.jobs.campaigns import CAMPAIGN, Campaigns, CampaignTask, Errand, ItemWork
-from mavcal.service.jobs.codec import job_from_row
-from mavcal.service.jobs.computing import MOST_STARTS
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.ownership import Alone
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.tasks import JobTasks
+from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, Campaigns, CampaignTask, Errand, ItemWork
+from mavcal.service.jobs.campaigns.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
+from mavcal.service.jobs.core.admission import require_finite
+from mavcal.service.jobs.core.book import JobBook
+from mavcal.service.jobs.core.codec import job_from_row
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.ports import Alone
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.tasks import JobTasks
+from mavcal.service.jobs.uploads.computing import MOST_STARTS
 from mavcal.service.store import SqliteStore, Store
 from mavcal.service.store.rows import JobDocument
 

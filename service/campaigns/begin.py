@@ -13,13 +13,14 @@ from mavcal.service.campaigns.selection import Selectable, Selection, selected
 from mavcal.service.campaigns.uploads import UploadFits, UploadGaps
 from mavcal.service.campaigns.vehicles import VEHICLES_AT_ONCE, CalibrationWork, Patience, PreflightWork, RestoreWork
 from mavcal.service.errors import Forbidden
-from mavcal.service.jobs.admission import require_finite
-from mavcal.service.jobs.campaigns import CampaignTask, ItemWork
+from mavcal.service.jobs.calibrate.planning import checked_plan_options, confirmed, require_sensors_of
+from mavcal.service.jobs.campaigns.campaigns import CampaignTask, ItemWork
+from mavcal.service.jobs.core.admission import require_finite
+from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.planning import checked_plan_options, confirmed, require_sensors_of
-from mavcal.service.jobs.port import Computations, VehicleSource
+from mavcal.service.jobs.uploads.computations import Computations
 from mavcal.service.store.rows import RecordingRow
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 
 
 def works(engine: JobEngine, source: VehicleSource, computations: Computations) -> dict[CampaignTask, ItemWork]:

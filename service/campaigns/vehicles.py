@@ -11,14 +11,14 @@ from typing import Any
 
 from mavcal.calib.preflight.check import Verdict
 from mavcal.service.errors import ServiceError, VehicleUnknown
-from mavcal.service.jobs.campaigns import Errand
-from mavcal.service.jobs.codec import to_json
+from mavcal.service.jobs.campaigns.campaigns import Errand
+from mavcal.service.jobs.campaigns.items import Item, ItemEnd, ItemOutcome
+from mavcal.service.jobs.core.codec import to_json
+from mavcal.service.jobs.core.model import Accept, Failure, Job, Unwritten
+from mavcal.service.jobs.core.states import CANCELLABLE, ENDED, WRITING, JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.items import Item, ItemEnd, ItemOutcome
-from mavcal.service.jobs.model import Accept, Failure, Job, Unwritten
-from mavcal.service.jobs.port import VehicleSource
-from mavcal.service.jobs.preflight import Preflight
-from mavcal.service.jobs.states import CANCELLABLE, ENDED, WRITING, JobState
+from mavcal.service.preflights import Preflight
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 
 VEHICLES_AT_ONCE = 32
 """Vehicles that all campaigns together work with at a time."""

@@ -18,7 +18,7 @@ from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
     from mavcal.service.core import Service
-    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.vehicle import Vehicle
 
 
@@ -100,8 +100,8 @@ async def _all_writes(service: Service, vehicle: Vehicle, wait: float) -> Acted:
     """Take back every job that has written to this vehicle, the newest first: each finds the values that it wrote."""
     from mavcal.service.commands.headless import is_of
     from mavcal.service.commands.review import taken_back, writable
+    from mavcal.service.jobs.core.states import JobState
     from mavcal.service.jobs.fixing import settled
-    from mavcal.service.jobs.states import JobState
 
     written = [job for job in service.jobs.list() if job.state is JobState.SUCCEEDED and job.accept is not None]
     ours = sorted((job for job in written if is_of(service, job, vehicle)), key=lambda j: j.updated_at, reverse=True)

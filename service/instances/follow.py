@@ -8,7 +8,7 @@ from contextlib import suppress
 import structlog
 
 from mavcal.service.errors import StoreError
-from mavcal.service.jobs.book import JobBook
+from mavcal.service.jobs.core.book import JobBook
 from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import EventRow, JobRow
 

@@ -16,52 +16,51 @@ from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.calib.report import to_json
 from mavcal.service.errors import AnswerRefused, Forbidden, IllegalTransition, NotCancellable, NotRevertible
-from mavcal.service.jobs.acceptance import Acceptance
-from mavcal.service.jobs.admission import (
-    WAY,
-    request_digest,
-    require_acceptable,
-    require_finite,
-    require_free,
-    require_ready,
-    require_vehicle,
-    require_whole,
-)
-from mavcal.service.jobs.adoption import adopted, composed
-from mavcal.service.jobs.book import JobBook
-from mavcal.service.jobs.campaigns import CAMPAIGN, Campaigns
-from mavcal.service.jobs.claims import TAKING_UP, claim_of, named_now
-from mavcal.service.jobs.computing import COMPUTED, FIT, GAP, Computing
-from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
-from mavcal.service.jobs.ending import INTERRUPTED, doubt
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
-from mavcal.service.jobs.model import Accept, Attempt, Job, WriteResult, cancelled
-from mavcal.service.jobs.ownership import Alone, Ownership
-from mavcal.service.jobs.planning import (
-    FROM_RECORDING,
-    RESTORE,
+from mavcal.service.jobs.calibrate.history import history_of, verified_jobs
+from mavcal.service.jobs.calibrate.planning import (
     checked_plan_options,
     confirmed,
     keep_plan,
     keys_without_row,
     require_sensors_of,
 )
-from mavcal.service.jobs.port import Computations, JobVehicle, NoUploads, VehicleSource
-from mavcal.service.jobs.preflight import Preflight, Preflights
-from mavcal.service.jobs.record import JobRecord, NoRecord
-from mavcal.service.jobs.restoring import planned_restore, require_restorable, restored
-from mavcal.service.jobs.resumption import Resumption
-from mavcal.service.jobs.runner import Runner
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, JobState
-from mavcal.service.jobs.tasks import JobTasks, Work
-from mavcal.service.jobs.tidying import Tidying
-from mavcal.service.jobs.verified import history_of, verified_jobs
-from mavcal.service.jobs.write import check_plan
+from mavcal.service.jobs.calibrate.runner import Runner
+from mavcal.service.jobs.calibrate.without_capture import (
+    adopted,
+    composed,
+    planned_restore,
+    require_restorable,
+    restored,
+)
+from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, Campaigns
+from mavcal.service.jobs.core.admission import (
+    WAY,
+    require_finite,
+    require_free,
+    require_ready,
+    require_vehicle,
+    require_whole,
+)
+from mavcal.service.jobs.core.book import JobBook
+from mavcal.service.jobs.core.crashpoints import At, CrashPoint, nowhere
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.journal import BY_OPERATOR, JournalStep
+from mavcal.service.jobs.core.model import FROM_RECORDING, RESTORE, Accept, Attempt, Job, WriteResult, cancelled
+from mavcal.service.jobs.core.ports import Alone, JobRecord, NoRecord, Ownership
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import CANCELLABLE, CAPTURING, ENDED, JobState
+from mavcal.service.jobs.core.tasks import JobTasks, Resumption, Work
+from mavcal.service.jobs.rates import TAKING_UP, Tidying, claim_of, named_now
+from mavcal.service.jobs.uploads.computations import Computations, NoUploads
+from mavcal.service.jobs.uploads.computing import COMPUTED, FIT, GAP, Computing
+from mavcal.service.jobs.write.accept import Acceptance, request_digest, require_acceptable
+from mavcal.service.jobs.write.outcome import INTERRUPTED, doubt
+from mavcal.service.jobs.write.steps import check_plan
 from mavcal.service.jobs.writes import Writes
+from mavcal.service.preflights import Preflight, Preflights
 from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import EventRow, JobDocument, JobRow
+from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
 
 
 class JobEngine:
@@ -120,7 +119,7 @@ class JobEngine:
         """Fits and diagnoses of uploads."""
         self.campaigns = Campaigns(self.book, self._tasks, clock, wall)
         """Jobs for many vehicles or logs; what they do is put in before :meth:`start`."""
-        self._preflights = Preflights(self.settings, wall, clock)
+        self._preflights = Preflights(self.settings.preflight_s, wall, clock)
         self._writes = Writes(vehicles, self.settings, clock=clock, reach=reach)
         self._acceptance = Acceptance(store, wall)
         self._resumption = Resumption(
@@ -198,7 +197,7 @@ class JobEngine:
         return self.book.job(job_id)
 
     def claim(self, vehicle_id: str) -> str | None:
-        """See :func:`service.jobs.claims.claim_of`."""
+        """See :func:`service.jobs.rates.claim_of`."""
         if self._resumption.waiting:
             return TAKING_UP
         jobs = named_now(self.list(), self._vehicles)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from mavcal.calib.firmware.options import key_text
+from mavcal.service.jobs.core.model import Accept, Failure, Job
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.model import Accept, Failure, Job
-from mavcal.service.jobs.states import ENDED, JobState
 
 
 class Fixable(StrEnum):
@@ -22,7 +22,11 @@ class Fixable(StrEnum):
 
 WAIT_S = 120.0
 """How long a calibration at rest, or its write, may take."""
+
+
 _LOOK_S = 0.1
+
+
 _LEFT = ENDED | {JobState.REVIEW, JobState.IN_DOUBT, JobState.WAITING_FOR_REBOOT}
 """States from which a job does not go on without somebody."""
 
@@ -44,7 +48,7 @@ async def fixed(
 ) -> tuple[Fix, ...]:
     """Run and write each kind once; the first one that does not succeed is the last.
 
-    `look`: look at the vehicle after each write (:func:`service.jobs.ready.readiness_of`).
+    `look`: look at the vehicle after each write (:func:`service.jobs.write.readiness.readiness_of`).
 
     Raises
     ------

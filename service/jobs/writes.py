@@ -8,19 +8,19 @@ from contextlib import suppress
 from mavcal.calib.recording import Identity
 from mavcal.calib.report import from_json
 from mavcal.service.errors import VehicleUnknown
-from mavcal.service.jobs.admission import require_vehicle
-from mavcal.service.jobs.crashpoints import CrashPoint
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.port import JobVehicle, VehicleSource
-from mavcal.service.jobs.preflight import History, Preflights
-from mavcal.service.jobs.ready import look_after
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import JobState
-from mavcal.service.jobs.tidying import Tidying
-from mavcal.service.jobs.transaction import Transaction
-from mavcal.service.jobs.verify import StreamProof
-from mavcal.service.jobs.write import Writing
+from mavcal.service.jobs.core.admission import require_vehicle
+from mavcal.service.jobs.core.crashpoints import CrashPoint
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.model import Accept, Job
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.jobs.rates import Tidying
+from mavcal.service.jobs.write.attempt import Writing
+from mavcal.service.jobs.write.readiness import look_after
+from mavcal.service.jobs.write.stream_check import StreamProof
+from mavcal.service.jobs.write.transaction import Transaction
+from mavcal.service.preflights import History, Preflights
+from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
 
 
 class Writes:

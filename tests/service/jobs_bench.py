@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.core.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.core.model import Accept, Job
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import JobState
-from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link import Link
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store import SqliteStore
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 from tests.patience import scaled
 
 SPEED = 10.0
@@ -70,7 +70,7 @@ async def session(
     registry = VehicleRegistry(yield_s=yield_s)
     link = Link("bench", url, tlog_dir=folder / "tlogs")
     registry.attach(link)
-    engine = JobEngine(store, RegistryAdapter(registry), reach=reach, settings=settings)
+    engine = JobEngine(store, VehicleSource(registry), reach=reach, settings=settings)
     try:
         await link.open()
         await engine.start()

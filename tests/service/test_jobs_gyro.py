@@ -7,9 +7,9 @@ import pytest
 
 from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.service.errors import PhysicalJobRunning, PlanChanged, VehicleArmed
-from mavcal.service.jobs.digest import JobFitRequest, fit_segments
-from mavcal.service.jobs.model import Accept, Failure, Result
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.calibrate.digest import JobFitRequest, fit_segments
+from mavcal.service.jobs.core.model import Accept, Failure, Result
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 
 from .jobs_bench import GYRO_OFFSETS, SPEED, Session, eventually, session, stored, zero_gyro_offsets

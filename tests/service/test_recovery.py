@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.crashpoints import At
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 

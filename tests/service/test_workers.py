@@ -16,7 +16,7 @@ import pytest
 
 from mavcal.calib.errors import CalibError
 from mavcal.service.core import Service, running_service
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.lifetime import ending_with_us
 from mavcal.service.workers.paths import moved
 from mavcal.service.workers.queue import lock_of

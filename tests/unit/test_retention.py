@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.jobs import states
+from mavcal.service.jobs.core import states
 from mavcal.service.retention import DAY_S, Retention
 from mavcal.service.settings import RetentionSettings
 from mavcal.service.store import SqliteStore, sql

@@ -12,9 +12,9 @@ from mavcal.service.api.models.base import Json, Number, Request, Stamp
 from mavcal.service.api.models.fits import FitModel
 from mavcal.service.api.models.plans import LeftOutModel, PlanModel, PlanOptions, VerificationModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
-from mavcal.service.jobs.model import Holds, WriteResult
-from mavcal.service.jobs.proof import ProofLevel
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Holds, WriteResult
+from mavcal.service.jobs.core.proof import ProofLevel
+from mavcal.service.jobs.core.states import JobState
 
 
 class JobRequest(Request):

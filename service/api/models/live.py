@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 from mavcal.calib.firmware.stream.rates import INERTIAL_HZ, LIVE_MOST_HZ
 from mavcal.calib.recording import Sensor
 from mavcal.service.api.models.base import Attitude, Number, Request
-from mavcal.service.jobs.live_rates import LiveState
+from mavcal.service.rates.watching import LiveState
 
 
 class WatchRequest(Request):

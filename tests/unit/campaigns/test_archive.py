@@ -18,11 +18,11 @@ from mavcal.service.campaigns.uploads import UploadFits, UploadGaps
 from mavcal.service.children import DIAGNOSE, FIT, Limits
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.errors import ChildEnded, ChildrenBusy, JobUnknown
-from mavcal.service.jobs.campaigns import CAMPAIGN, Errand
-from mavcal.service.jobs.items import Item, ItemOutcome, item_from_row
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.port import Diagnosis
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, Errand
+from mavcal.service.jobs.campaigns.items import Item, ItemOutcome, item_from_row
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.jobs.uploads.computations import Diagnosis
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import JobDocument, JobRow
 from tests.unit.api import samples

@@ -11,7 +11,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.service.campaigns.begin import CampaignDesk
 from mavcal.service.campaigns.selection import Selection
 from mavcal.service.errors import RecordingUnknown
-from mavcal.service.jobs.campaigns import CampaignTask
+from mavcal.service.jobs.campaigns.campaigns import CampaignTask
 from mavcal.service.store.rows import RecordingRow
 
 UPLOADS = [RecordingRow(f"r{k}", 1.0, f"flight {k}.bin", Path(f"/up/r{k}"), 1, "ab", {}) for k in range(4)]

@@ -16,14 +16,14 @@ from mavcal.service.campaigns.begin import CalibrationOrder, CampaignDesk, works
 from mavcal.service.campaigns.selection import Selection
 from mavcal.service.campaigns.vehicles import BEGUN_BY, of_preflight
 from mavcal.service.errors import Forbidden, VehicleArmed
-from mavcal.service.jobs.campaigns import CAMPAIGN, CampaignTask
-from mavcal.service.jobs.codec import from_json, row_from_job
+from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, CampaignTask
+from mavcal.service.jobs.campaigns.items import Item, ItemOutcome, item_from_row, row_from_item
+from mavcal.service.jobs.core.codec import from_json, row_from_job
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.model import Accept, Attempt, Failure, Job, Result, Unwritten, WriteResult
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.items import Item, ItemOutcome, item_from_row, row_from_item
-from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, Result, Unwritten, WriteResult
-from mavcal.service.jobs.preflight import Preflight
-from mavcal.service.jobs.states import JobState
+from mavcal.service.preflights import Preflight
 from mavcal.service.store import SqliteStore
 from tests.unit.jobs.conftest import OLD, QUICK, make_plan, until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 from mavcal.client.enums import JobState as ClientState
 from mavcal.service.commands import accept, answer, cancel, follow, revert
 from mavcal.service.commands.review import JobWish
-from mavcal.service.jobs.model import Accept, Failure, Result
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Accept, Failure, Result
+from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import FakeVehicle, of_service, plain
 from tests.unit.commands.test_review import BLOCKED, EMPTY, FULL, HALF, PLAN
 

@@ -10,9 +10,9 @@ from mavcal.service.campaigns.vehicles import BEGUN_BY
 from mavcal.service.commands import campaign_run
 from mavcal.service.commands.campaign_run import VehicleWish, resumed
 from mavcal.service.errors import EndpointError, JobUnknown
-from mavcal.service.jobs.campaigns import CAMPAIGN
-from mavcal.service.jobs.items import Item, ItemOutcome, row_from_item
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN
+from mavcal.service.jobs.campaigns.items import Item, ItemOutcome, row_from_item
+from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import plain
 
 A, B = "udpin:0.0.0.0:14550", "tcp:b:5760"

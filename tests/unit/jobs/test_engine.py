@@ -29,18 +29,17 @@ from mavcal.service.errors import (
     VehicleSilent,
     VehicleUnknown,
 )
-from mavcal.service.jobs.codec import job_from_row, row_from_job
+from mavcal.service.jobs.core.codec import job_from_row, row_from_job
+from mavcal.service.jobs.core.journal import BY_OPERATOR, JournalStep
+from mavcal.service.jobs.core.model import Accept, Failure, Job, WriteResult
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
-from mavcal.service.jobs.model import Accept, Failure, Job, WriteResult
-from mavcal.service.jobs.states import JobState
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.store.sql import SqlStore
 from tests.stores import new_store
+from tests.unit.jobs.computations import FakeComputations
+from tests.unit.jobs.conftest import OLD, QUICK, make_plan, until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
-
-from .computations import FakeComputations
-from .conftest import OLD, QUICK, make_plan, until
 
 CONTEXT = {"identity": to_json(Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1))}
 

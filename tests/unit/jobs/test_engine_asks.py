@@ -27,20 +27,19 @@ from mavcal.service.errors import (
     RecordingUnknown,
     VehicleArmed,
 )
-from mavcal.service.jobs import adoption
 from mavcal.service.jobs import engine as engine_module
+from mavcal.service.jobs.calibrate import without_capture as adoption
+from mavcal.service.jobs.calibrate.planning import Planned
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.model import FROM_RECORDING, Accept, Failure, Result, cancelled
+from mavcal.service.jobs.core.states import WRITING, JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.model import Accept, Failure, Result, cancelled
-from mavcal.service.jobs.planning import FROM_RECORDING, Planned
-from mavcal.service.jobs.states import WRITING, JobState
 from mavcal.service.store.rows import SnapshotPurpose
+from tests.unit.jobs.computations import FakeComputations
+from tests.unit.jobs.conftest import OLD, make_plan, until
 from tests.unit.jobs.fakes import FakeVehicle
-
-from .computations import FakeComputations
-from .conftest import OLD, make_plan, until
-from .test_engine import CONTEXT, reviewed, running
-from .test_engine_life import Idle, bare, kept, started
+from tests.unit.jobs.test_engine import CONTEXT, reviewed, running
+from tests.unit.jobs.test_engine_life import Idle, bare, kept, started
 
 UNKNOWN = Identity("ardupilot", 2, None, None, 1, 1)
 KNOWN = Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1)

@@ -11,22 +11,20 @@ from typing import Any
 import pytest
 
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.codec import row_from_job
+from mavcal.service.jobs.core.codec import row_from_job
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.model import FROM_RECORDING, Accept, Failure, Job
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.model import Accept, Failure, Job
-from mavcal.service.jobs.planning import FROM_RECORDING
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import JobState
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.store.sql import SqlStore
 from tests.stores import new_store
+from tests.unit.jobs.computations import FakeComputations
+from tests.unit.jobs.conftest import OLD, QUICK, until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
-
-from .computations import FakeComputations
-from .conftest import OLD, QUICK, until
-from .test_engine import CONTEXT, reviewed, sent_one
+from tests.unit.jobs.test_engine import CONTEXT, reviewed, sent_one
 
 
 class Idle:

@@ -12,9 +12,9 @@ import pytest
 from mavcal.calib.firmware.plan import Change, ParameterKind, WritePlan
 from mavcal.calib.recording import Sensor
 from mavcal.service.jobs import fixing
+from mavcal.service.jobs.core.model import Accept, Failure, Job, Result
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.fixing import Fixable, fixed, settled
-from mavcal.service.jobs.model import Accept, Failure, Job, Result
-from mavcal.service.jobs.states import JobState
 from tests.unit.api.samples import FINGERPRINT
 
 FIRST = Change("A", 0.0, 1.0, ParameterKind.REAL32, "", sensor=Sensor.GYRO, instance=0)

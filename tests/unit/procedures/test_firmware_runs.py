@@ -14,7 +14,7 @@ from mavcal.calib.procedures.protocol import Done
 from mavcal.calib.procedures.registry import create
 from mavcal.calib.procedures.replay import replay
 from mavcal.calib.recording import ParameterTimeline, Recording
-from mavcal.service.jobs.digest import context_of, field_of
+from mavcal.service.jobs.calibrate.digest import context_of, field_of
 from tests.unit.mag.turned import deviations
 
 pytestmark = pytest.mark.shared

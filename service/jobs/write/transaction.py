@@ -1,0 +1,255 @@
+"""A write from accept to its end, whatever happens on the way.
+
+.. code-block:: text
+
+    prepare ─> send_all ─> read_back ─> (restart) ─> check ─> finish ─> succeeded
+       │           └───────────┴────────────┴──────────┴─────────┴─ failed ──> roll_back ─> reverted
+       │           └───────────┴────────────┴──────────┴─────────┴─ armed, silent, conflict ─> in_doubt
+       └─ nothing was sent ─> review             in_doubt ─ may be written to again ─> where the journal says
+
+A running write and the recovery after a crash share everything after ``prepare``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+import structlog
+
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
+from mavcal.service.errors import DiskFull, ServiceError, WriteFailed, WriteStopped
+from mavcal.service.jobs.core.admission import until_idle
+from mavcal.service.jobs.core.crashpoints import At
+from mavcal.service.jobs.core.handle import JobHandle, counting, waiting
+from mavcal.service.jobs.core.journal import BY_OPERATOR, JournalStep, Next, WriteRecord, decide
+from mavcal.service.jobs.core.parameters import require_absent
+from mavcal.service.jobs.core.proof import proof_of
+from mavcal.service.jobs.core.standing import as_read, who_else
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.jobs.rates import ASKING_S, restore_streams
+from mavcal.service.jobs.write.attempt import Settling, Writing
+from mavcal.service.jobs.write.guard import STOPPING, WriteGuard
+from mavcal.service.jobs.write.outcome import (
+    INTERRUPTED,
+    Account,
+    cause_of,
+    end,
+    look_back,
+    nothing_sent,
+    record_of,
+    reverted,
+    stop,
+    succeeded,
+)
+from mavcal.service.jobs.write.steps import finish, prepare, read_back, restart, roll_back, send_all
+from mavcal.service.vehicle.job_vehicle import read_values
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass
+class Transaction:
+    """The write of one job. `attempt` makes the context of a new attempt with the vehicle as it is known now.
+
+    `attempt` raises VehicleError while the vehicle is not there. No exception leaves a method, whatever its type; the
+    job is then in doubt and tried again, or at an end. Cancelling a running method is a crash: the journal decides at
+    the next start.
+    """
+
+    handle: JobHandle
+    attempt: Callable[[], Writing]
+    retry_s: float
+    _guard: WriteGuard | None = None
+    """That of the last attempt: it remembers how the vehicle was."""
+
+    async def apply(self) -> None:
+        """Write the plan. The job is applying; it ends succeeded or reverted, or in review if nothing was sent."""
+        try:
+            w = self.attempt()
+            await until_idle(self.handle, w.vehicle, w.settings)
+            w = self.attempt()
+            w.guard.check()
+            await w.check.before(w.guard)
+            told = counting(self.handle, "asking again for what was not there")
+            await w.guard.run(partial(require_absent, w.vehicle, self.handle.job, w.composed_on(), told))
+            await prepare(w)
+        except Exception as error:  # noqa: BLE001 - nothing was sent yet, whatever it was
+            end(self.handle, _nothing_sent(error))
+            return
+        await self._carried(w, partial(_write, w))
+        await self.resolve()
+
+    async def revert(self) -> None:
+        """Take a finished write back. The job is rolling_back, and its journal says so."""
+        try:
+            w = self.attempt()
+        except Exception as error:  # noqa: BLE001 - the vehicle has gone: look again later
+            await stop(self.handle, cause_of(error), {}, None)
+        else:
+            await self._carried(w, partial(_take_back, w, BY_OPERATOR))
+        await self.resolve()
+
+    async def resolve(self) -> None:
+        """Bring the job to its end if it is in doubt: as soon as its vehicle may be written to, and tries for ever."""
+        while self.handle.job.state == JobState.IN_DOUBT:
+            try:
+                if self._guard is not None:
+                    await look_back(self.handle, self._guard)
+                w = self.attempt()
+                reason = w.guard.reason()
+                if reason is None:
+                    await self._carried(w, partial(_resume, w))
+                else:
+                    self._waits(reason)
+            except ServiceError as error:  # the vehicle is not there: look again later
+                self._waits(str(error))
+            except Exception:  # of any kind: a job in doubt must not be stranded; logged with its trace
+                log.exception("a write in doubt cannot be taken up", job=self.handle.id)
+            if self.handle.job.state == JobState.IN_DOUBT:
+                await asyncio.sleep(self.retry_s)
+
+    async def _carried(self, w: Writing, stage: Callable[[], Awaitable[None]]) -> None:
+        """Run a stage: what fails is taken back, what must not go on is left in doubt."""
+        forget = w.vehicle.on_parameter(w.hear)
+        try:
+            await stage()
+        except STOPPING as stopped:
+            await self._stopped(w, stopped)
+        except Exception as error:  # noqa: BLE001 - whatever it was, the vehicle must not stay half-written
+            await self._failed(w, error)
+        finally:
+            forget()
+            self._guard = w.guard
+
+    def _waits(self, reason: str) -> None:
+        """Say what keeps this write from being finished or taken back."""
+        text = f"Waiting to finish this write or to take it back: {reason}"
+        with suppress(DiskFull):  # the vehicle comes first
+            self.handle.prompt(Prompt(PromptStep.WAIT, text if text.endswith(".") else f"{text}."))
+
+    async def _stopped(self, w: Writing, error: Exception) -> None:
+        record = record_of(self.handle)
+        if self.handle.job.state == JobState.APPLYING and record is not None and not record.sent:
+            end(self.handle, _nothing_sent(error))
+        else:
+            await stop(self.handle, cause_of(error), w.heard, w.guard)
+
+    async def _failed(self, w: Writing, error: Exception) -> None:
+        record, state = record_of(self.handle), self.handle.job.state
+        unsent = state == JobState.APPLYING and record is not None and not record.sent
+        if unsent or state in (JobState.ROLLING_BACK, JobState.IN_DOUBT):
+            await self._stopped(w, error)
+            return
+        try:
+            await w.same_boot()
+            await _take_back(w, cause_of(error))
+        except Exception as worse:  # noqa: BLE001 - also what was not foreseen must not strand the job
+            await self._stopped(w, worse)
+
+
+def _nothing_sent(error: Exception) -> Account:
+    return nothing_sent(getattr(error, "code", "write-failed"), cause_of(error))
+
+
+async def _write(w: Writing) -> None:
+    await send_all(w)
+    following = Next.REBOOT if w.plan.needs_reboot else Next.VERIFY
+    values = await read_back(w, Settling.SAVED if following == Next.REBOOT else Settling.KEPT)
+    await _onward(w, following, values)
+
+
+async def _resume(w: Writing) -> None:
+    """Find out where the write stands, and go on from there."""
+    record = w.handle.written()
+    identity = await w.guard.run(w.vehicle.identify)
+    if (identity.uid or "") != w.plan.fingerprint.uid:
+        raise WriteStopped("another vehicle answers under this one's address")
+    if not w.plan.fingerprint.uid:
+        await w.guard.run(partial(_same_sensors, w))
+    if w.vehicle.id != w.handle.job.vehicle_id:
+        w.handle.change("vehicle", {"id": w.vehicle.id}, vehicle_id=w.vehicle.id)
+    readings = await w.guard.run(partial(read_values, w.vehicle, [s.name for s in record.sent]))
+    values = {name: reading.value for name, reading in readings.items()}
+    following = decide(record, w.plan, values)
+    cause = record.rolling_back or record.stopped or INTERRUPTED
+    if following == Next.REBOOT and await _has_restarted(w, record):
+        await w.handle.record(JournalStep.REBOOTED)
+        following, values = Next.VERIFY, await read_back(w, Settling.RESTARTED)
+    if following == Next.NOTHING_SENT:
+        await _rates_back(w)
+        await w.handle.record_anyway(JournalStep.CLOSED)
+        end(w.handle, nothing_sent("interrupted", cause, "Nothing was written. Apply the plan again."))
+    elif following == Next.ROLL_BACK:
+        await _take_back(w, cause)
+    else:
+        if following == Next.REBOOT:
+            values = await read_back(w, Settling.SAVED)  # what is to survive the restart must be saved
+        await _onward(w, following, values)
+
+
+async def _has_restarted(w: Writing, record: WriteRecord) -> bool:
+    """Whether the restart that a write waits for came while nobody listened: it need not be asked for again."""
+    if record.saved is None:
+        return False
+    await w.same_boot()  # its clock is heard
+    boot_time = w.vehicle.condition().boot_time
+    return boot_time is not None and record.saved.restarted_since(w.handle.now(), boot_time)
+
+
+async def _same_sensors(w: Writing) -> None:
+    """Raise WriteStopped if a vehicle that no unique id names has other sensors than that of the plan."""
+    planned = {c.name for c in w.plan.changes}
+    before = {n: v for n, v in w.composed_on().items() if "_ID" in n and n not in planned and v}
+    now = await read_values(w.vehicle, before, absent=True)
+    other = [name for name, value in before.items() if name in now and now[name].value not in (0, value)]
+    if other or (before and not now):
+        raise WriteStopped(f"a vehicle with other sensors answers ({', '.join(other or before)} differs)")
+
+
+async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None:
+    """From "every parameter holds its new value" to the end."""
+    if following == Next.REBOOT:
+        w.handle.move(JobState.WAITING_FOR_REBOOT, standing=(), outcome=None)
+        await restart(w)
+        values = await read_back(w, Settling.RESTARTED)
+    w.handle.move(JobState.VERIFYING, standing=(), outcome=None)
+    if following != Next.FINISH:
+        verification = await w.check.after(w.guard, values)
+        seen = {"proved": verification.proved, "proof": proof_of(verification).level.value}
+        w.handle.change("verification", seen, verification=verification, prompt=None)
+        if verification.must_go:
+            raise WriteFailed(verification.must_go)
+        await w.handle.record(JournalStep.VERIFIED)
+        w.reach(At.VERIFIED)
+    values = await finish(w)
+    who = who_else(w.handle.written(), w.plan)
+    told = succeeded(as_read(w.plan, w.old_values(), values, who), w.plan, w.handle.job.verification, who)
+    await _rates_back(w)
+    await w.handle.record(JournalStep.CLOSED)
+    w.reach(At.CLOSED)
+    end(w.handle, told)
+
+
+async def _rates_back(w: Writing) -> None:
+    async with waiting(w.handle, "putting the message rates back", ASKING_S):
+        await restore_streams(w.handle, w.vehicle)
+
+
+async def _take_back(w: Writing, because: str) -> None:
+    if w.handle.job.state != JobState.ROLLING_BACK:
+        w.handle.move_anyway(JobState.ROLLING_BACK, standing=(), outcome=None, prompt=None)
+    await w.handle.record_anyway(JournalStep.ROLL_BACK, because=because)
+    values = await roll_back(w)
+    record = w.handle.written()
+    who = who_else(record, w.plan)
+    read = as_read(w.plan, w.old_values(), values, who)
+    told = reverted(read, None if because == BY_OPERATOR else because, who, len(record.sent))
+    await _rates_back(w)
+    await w.handle.record_anyway(JournalStep.CLOSED)
+    w.reach(At.CLOSED)
+    end(w.handle, told)
