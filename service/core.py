@@ -30,6 +30,7 @@ from mavcal.service.jobs.uploads.computing import uploads_of
 from mavcal.service.link.allowed import Allowed
 from mavcal.service.link_closing import require_unneeded
 from mavcal.service.link_registry import LinkRegistry
+from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.rates.owed import OwedRates
 from mavcal.service.rates.watching import LiveRates
 from mavcal.service.recordings import Recordings
@@ -133,10 +134,10 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     computations = UploadComputations(recordings, workers or children, of_files, of_gaps)
     fleet = FleetBook(store, vehicles)
     doubted = (lambda _: None) if instance is None else instance.jobs.doubted
-    owed = OwedRates(settings.data_dir / "live-rates.json")
-    live = LiveRates(VehicleSource(vehicles, doubted), owed, read_only=settings.read_only)
+    ledgers = RateLedgers(VehicleSource(vehicles, doubted), OwedRates(settings.data_dir / "live-rates.json"))
+    live = LiveRates(ledgers, read_only=settings.read_only)
     hands = SimulatedHands(vehicles.all, lambda: jobs.list())
-    source = VehicleSource(vehicles, doubted, live.give_way)
+    source = VehicleSource(vehicles, doubted, live.release)
     jobs = JobEngine(
         store,
         source,
@@ -147,6 +148,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         read_only=settings.read_only,
         reach=reach,
         record=fleet,
+        ledgers=ledgers,
     )
     jobs.campaigns.works |= works(jobs, source, computations)
     campaigns = CampaignDesk(jobs, computations, settings.read_only)

@@ -16,7 +16,6 @@ from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
@@ -40,6 +39,7 @@ from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, told_
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import CommandRefused, CommandTimeout, DiskFull, PreflightRunning, ServiceError, VehicleError
+from mavcal.service.rates.ledger import RateLedgers, RateUser
 from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS
 from mavcal.service.vehicle.job_vehicle import SLOW, JobVehicle, ParameterReading, read_values
 
@@ -134,32 +134,27 @@ class Preflights:
     def __init__(
         self,
         capture_s: float,
+        ledgers: RateLedgers,
         wall: Callable[[], float] = time.time,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._capture_s = capture_s
+        self._capture_s, self._ledgers = capture_s, ledgers
         self._wall, self._clock = wall, clock
         self._running: set[str] = set()
         self._looks: dict[str, asyncio.Task[Preflight]] = {}
         """Those that give way."""
-        self._restoring: dict[str, asyncio.Task[Any]] = {}
-        self._owed: dict[str, dict[int, int]] = {}
-        """Message rates that are being put back."""
 
     def require_idle(self, vehicle_id: str) -> None:
         """Raise PreflightRunning while somebody has this vehicle looked at; a look that nobody asked for gives way."""
         look = self._looks.pop(vehicle_id, None)
         if look is not None:
-            look.cancel()
-            self._restoring[vehicle_id] = look
+            self._end(vehicle_id, look)
         if vehicle_id in self._running:
             raise PreflightRunning
 
     def holds(self, vehicle_id: str) -> bool:
-        """Whether this vehicle is looked at, or its rates are still being put back after that."""
-        restoring = self._restoring.get(vehicle_id)
-        busy = vehicle_id in self._running or vehicle_id in self._looks
-        return busy or (restoring is not None and not restoring.done())
+        """Whether this vehicle is looked at."""
+        return vehicle_id in self._running or vehicle_id in self._looks
 
     async def run(
         self,
@@ -178,7 +173,7 @@ class Preflights:
         """
         rates = preflight_streams(vehicle.identity.autopilot or "")
         began, at, heard = self._clock(), self._wall(), _Heard()
-        before = self._taken_over(vehicle.id)
+        before = self._ledgers.of(vehicle.id).taken_over(RateUser.PREFLIGHT)
         if vehicle.identity.firmware is None:
             await _identified(vehicle, heard)
         known = await history(vehicle)
@@ -212,7 +207,7 @@ class Preflights:
             await asyncio.gather(reading, asking, return_exceptions=True)
             listening()
             forget()
-            await self._restored(vehicle, before)
+            await self._return(vehicle, before)
         readings = await asyncio.to_thread(rest_readings, snapshot)
         seconds = self._clock() - began
         return Preflight(vehicle.id, vehicle.identity, at, seconds, report, tuple(heard.notes), readings=readings)
@@ -227,8 +222,7 @@ class Preflights:
             if self._looks.get(vehicle.id) is look:
                 del self._looks[vehicle.id]
             if not look.done():
-                look.cancel()
-                self._restoring[vehicle.id] = look
+                self._end(vehicle.id, look)
         return None if look.cancelled() else look.result()
 
     @contextmanager
@@ -307,32 +301,26 @@ class Preflights:
             raise error
         return True
 
-    async def _restored(self, vehicle: JobVehicle, before: dict[int, int]) -> None:
-        """Put the message rates back; on a slow link that goes on after the verdict."""
-        if not before:
-            return
-        task = asyncio.create_task(_put_back(vehicle, before), name=f"rates of the preflight of {vehicle.id}")
-        self._restoring[vehicle.id], self._owed[vehicle.id] = task, before
-        await asyncio.wait({task}, timeout=RESTORE_S)
+    async def _return(self, vehicle: JobVehicle, before: dict[int, int]) -> None:
+        """Return the message rates; on a slow link that goes on after the verdict."""
+        if before:
+            ledger = self._ledgers.of(vehicle.id)
+            task = ledger.begin_return(RateUser.PREFLIGHT, _put_back(vehicle, before), intervals=before)
+            await asyncio.wait({task}, timeout=RESTORE_S)
 
-    def _taken_over(self, vehicle_id: str) -> dict[int, int]:
-        """The rates that an earlier preflight is still putting back: this one does so when it ends."""
-        task, owed = self._restoring.pop(vehicle_id, None), self._owed.pop(vehicle_id, {})
-        if task is None or task.done():
-            return {}
-        task.cancel()
-        return owed
+    def _end(self, vehicle_id: str, look: asyncio.Task[Preflight]) -> None:
+        """End a look for somebody who goes first; it returns the rates that it has changed."""
+        look.cancel()
+        self._ledgers.of(vehicle_id).begin_return(RateUser.PREFLIGHT, look)
 
-    async def restored(self, vehicle_id: str) -> None:
-        """Wait until the rates of an earlier preflight are back."""
-        while (task := self._restoring.pop(vehicle_id, None)) is not None:
-            await asyncio.wait({task})
-        self._owed.pop(vehicle_id, None)
+    async def returned(self, vehicle_id: str) -> None:
+        """Wait until the rates of an earlier preflight are returned."""
+        await self._ledgers.of(vehicle_id).returned(RateUser.PREFLIGHT)
 
     async def stop(self) -> None:
         """Wait until every vehicle has its rates back."""
-        for vehicle_id in list(self._restoring):
-            await self.restored(vehicle_id)
+        for ledger in self._ledgers.all():
+            await ledger.returned(RateUser.PREFLIGHT)
 
 
 async def _identified(vehicle: JobVehicle, heard: _Heard) -> None:

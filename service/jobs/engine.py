@@ -50,7 +50,7 @@ from mavcal.service.jobs.core.ports import Alone, JobRecord, NoRecord, Ownership
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import CANCELLABLE, CAPTURING, ENDED, JobState
 from mavcal.service.jobs.core.tasks import JobTasks, Resumption, Work
-from mavcal.service.jobs.rates import TAKING_UP, Tidying, claim_of, named_now
+from mavcal.service.jobs.rates import STARTING, JobRates, with_present_vehicles
 from mavcal.service.jobs.uploads.computations import Computations, NoUploads
 from mavcal.service.jobs.uploads.computing import COMPUTED, FIT, GAP, Computing
 from mavcal.service.jobs.write.accept import Acceptance, request_digest, require_acceptable
@@ -58,6 +58,7 @@ from mavcal.service.jobs.write.outcome import INTERRUPTED, doubt
 from mavcal.service.jobs.write.steps import check_plan
 from mavcal.service.jobs.writes import Writes
 from mavcal.service.preflights import Preflight, Preflights
+from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import EventRow, JobDocument, JobRow
 from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
@@ -84,6 +85,8 @@ class JobEngine:
         Monotonic time for time-outs; wall time for stamps.
     reach, record
         Called where a crash would leave another state behind (tests); told of what jobs and preflights came to.
+    ledgers
+        The message rates of all vehicles; None: nobody watches any.
     """
 
     def __init__(
@@ -100,6 +103,7 @@ class JobEngine:
         wall: Callable[[], float] = time.time,
         reach: CrashPoint = nowhere,
         record: JobRecord | None = None,
+        ledgers: RateLedgers | None = None,
     ) -> None:
         self.settings = settings or JobSettings()
         self._store, self._vehicles, self._read_only = store, vehicles, read_only
@@ -112,14 +116,15 @@ class JobEngine:
         """Every job; one of several instances tells it what the others have done."""
         self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
         self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
-        self._tidying = Tidying(self._runner.vehicle, self.settings.review_s, self._tasks.leaving)
+        self._ledgers = ledgers or RateLedgers(vehicles)
+        self._rates = JobRates(self._ledgers, self._runner.vehicle, self.settings.review_s, self._tasks.leaving)
         self._computations = computations or NoUploads()
         lanes = {FIT: self.settings.fits_at_once, GAP: self.settings.diagnoses_at_once}
         self.computing = Computing(self._computations, self.book, self._tasks, self.cancel, wall, lanes=lanes)
         """Fits and diagnoses of uploads."""
         self.campaigns = Campaigns(self.book, self._tasks, clock, wall)
         """Jobs for many vehicles or logs; what they do is put in before :meth:`start`."""
-        self._preflights = Preflights(self.settings.preflight_s, wall, clock)
+        self._preflights = Preflights(self.settings.preflight_s, self._ledgers, wall, clock)
         self._writes = Writes(vehicles, self.settings, clock=clock, reach=reach)
         self._acceptance = Acceptance(store, wall)
         self._resumption = Resumption(
@@ -168,13 +173,13 @@ class JobEngine:
         elif state == JobState.FITTING:
             self._tasks.spawn(handle, partial(self._runner.fit, handle))
         else:
-            self._tidy(handle)
+            self._return_rates(handle)
 
     async def stop(self) -> None:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
         self._tasks.stopping = True
         self.book.close()
-        tasks = [*self._tasks.running.values(), *self._tidying.tasks, *self._resumption.waiting]
+        tasks = [*self._tasks.running.values(), *self._rates.tasks, *self._resumption.waiting]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -186,7 +191,7 @@ class JobEngine:
     async def tidied(self) -> None:
         """Wait until jobs that are over have put the vehicle's message rates back."""
         over, running = ENDED | {JobState.REVIEW}, self._tasks.running
-        await self._tidying.finished(lambda: {task for key, task in running.items() if self.get(key).state in over})
+        await self._rates.all_returned(lambda: {task for key, task in running.items() if self.get(key).state in over})
 
     def list(self) -> tuple[Job, ...]:
         """Every job, oldest first."""
@@ -197,11 +202,12 @@ class JobEngine:
         return self.book.job(job_id)
 
     def claim(self, vehicle_id: str) -> str | None:
-        """See :func:`service.jobs.rates.claim_of`."""
+        """Who has the message rates of a vehicle, in a sentence for whoever would like to watch; None: nobody."""
         if self._resumption.waiting:
-            return TAKING_UP
-        jobs = named_now(self.list(), self._vehicles)
-        return claim_of(vehicle_id, jobs, self._tasks.running, self._tidying, self._preflights)
+            return STARTING
+        jobs = with_present_vehicles(self.list(), self._vehicles)
+        looked_at = self._preflights.holds(vehicle_id)
+        return self._rates.user(vehicle_id, jobs, self._tasks.running, looked_at=looked_at)
 
     async def document(self, job_id: str, name: str) -> JobDocument:
         """A document that the job has made. Raises JobUnknown, DocumentUnknown."""
@@ -226,7 +232,7 @@ class JobEngine:
         self._require_free(vehicle.id)
         require_ready(vehicle, busy=True)  # which is one of the checks
         with self._preflights.claimed(vehicle.id):
-            await self._tidying.before_capture(vehicle.id)
+            await self._rates.before_capture(vehicle.id)
             found = await self._preflights.run(vehicle, self._history, heading=heading)
             return await self._record.keep_preflight(found)
 
@@ -422,7 +428,7 @@ class JobEngine:
         fresh: dict[str, Any] = {"outcome": None, "verification": None, "standing": ()}
         handle.move(JobState.APPLYING, accept=accept, context=context, last_write=attempt, **fresh)
         known = self._history if look else None
-        self._tasks.spawn(handle, partial(self._writes.applied, handle, self._preflights, self._tidying, known))
+        self._tasks.spawn(handle, partial(self._writes.applied, handle, self._preflights, self._rates, known))
         self._reach(At.ACCEPTED)
         return handle.job
 
@@ -459,7 +465,7 @@ class JobEngine:
 
     def _require_free(self, vehicle_id: str, *, besides: str = "") -> None:
         """Raise PhysicalJobRunning or PreflightRunning if something else claims this vehicle."""
-        require_free(vehicle_id, named_now(self.list(), self._vehicles), besides=besides)
+        require_free(vehicle_id, with_present_vehicles(self.list(), self._vehicles), besides=besides)
         self._preflights.require_idle(vehicle_id)
 
     def _require_writing(self) -> None:
@@ -478,8 +484,8 @@ class JobEngine:
 
     async def _captured(self, handle: JobHandle) -> None:
         """A capture, after message rates of an earlier job of this vehicle are back, and with its own put back."""
-        await self._preflights.restored(require_vehicle(handle.job))
-        await self._tidying.before_capture(require_vehicle(handle.job))
+        await self._preflights.returned(require_vehicle(handle.job))
+        await self._rates.before_capture(require_vehicle(handle.job))
         await self._runner.calibrate(handle)
 
     def _ended(self, handle: JobHandle) -> None:
@@ -489,10 +495,10 @@ class JobEngine:
         self._ownership.ended(handle.job)
         self._record.job_ended(handle.job)
         if handle.job.state in ENDED | {JobState.REVIEW}:
-            self._tidy(handle)
+            self._return_rates(handle)
             self._store.soon(partial(self._store.drop_events, handle.id, "progress", keep=1))
 
-    def _tidy(self, handle: JobHandle) -> None:
-        """Put message rates back that a job has left changed; a stopping service leaves that to its next start."""
+    def _return_rates(self, handle: JobHandle) -> None:
+        """Return message rates that a job has left changed; a stopping service leaves that to its next start."""
         if not self._tasks.stopping:
-            self._tidying.begin(handle)
+            self._rates.begin_return(handle)

@@ -1,13 +1,12 @@
-"""Message rates of jobs: requested, remembered in the journal, put back."""
+"""Message rates of jobs: requested, owed in the journal until they are returned, and who has those of a vehicle."""
 
 from __future__ import annotations
 
 import asyncio
 import dataclasses
 from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-
-import structlog
+from contextlib import ExitStack, suppress
+from typing import Any
 
 from mavcal.service.errors import ServiceError, VehicleUnknown
 from mavcal.service.jobs.core.admission import require_vehicle
@@ -15,156 +14,137 @@ from mavcal.service.jobs.core.handle import JobHandle, waiting
 from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import PHYSICAL, JobState
-from mavcal.service.preflights import Preflights
+from mavcal.service.rates.ledger import RateLedgers, RateUser, request_rates, return_rates
 from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
-
-log = structlog.get_logger(__name__)
 
 ASKING_S = 1.0
 """About how long it takes to ask for messages and to hear that they are granted."""
+STARTING = "The service is finishing what was interrupted at its last stop; the vehicle is asked for samples then."
+
+
+@dataclasses.dataclass(frozen=True)
+class JournalOwed:
+    """What a job owes to its vehicle, in its journal; see :class:`service.rates.ledger.Owed`."""
+
+    handle: JobHandle
+
+    def intervals(self) -> Mapping[int, int]:
+        """What is owed."""
+        return self.handle.written().intervals
+
+    async def owe(self, before: Mapping[int, int]) -> None:
+        """Owe these as well. Raises DiskFull."""
+        await self.handle.record(JournalStep.STREAMS, intervals={str(k): v for k, v in before.items()})
+
+    async def returned(self) -> None:
+        """Owe nothing any more."""
+        await self.handle.record_anyway(JournalStep.STREAMS_RESTORED)
 
 
 async def ask_for_streams(
     handle: JobHandle, vehicle: JobVehicle, rates: Mapping[int, float], *, measure_s: float = 0.0
 ) -> None:
-    """Have messages sent at `rates` (Hz by message id).
-
-    What was before is in the journal before anything is changed. Raises VehicleError, LinkError.
-    """
-    known = handle.written().intervals
+    """Have messages sent at `rates` (Hz by message id). Raises VehicleError, LinkError."""
     measured = ", and measuring what the link carries" if measure_s > 0 else ""
     async with waiting(handle, f"starting the sensor streams{measured}", measure_s + ASKING_S):
-        before = await vehicle.intervals([message for message in rates if message not in known])
-        if before:
-            await handle.record(JournalStep.STREAMS, intervals={str(k): v for k, v in before.items()})
-        warnings = await vehicle.request_streams(rates, measure_s=measure_s, before={**known, **before})
+        warnings = await request_rates(vehicle, rates, JournalOwed(handle), measure_s=measure_s)
     for warning in warnings:
         handle.warn(warning)
 
 
-async def restore_streams(handle: JobHandle, vehicle: JobVehicle) -> None:
-    """Put the message rates back that the journal remembers; one that fails is a warning, and is tried again later."""
-    intervals = handle.written().intervals
-    if not intervals:
-        return
+async def return_streams(handle: JobHandle, vehicle: JobVehicle) -> None:
+    """Return the message rates that the job owes; a failure is a warning, and is tried again later."""
     try:
-        await vehicle.set_intervals(intervals)
+        await return_rates(vehicle, JournalOwed(handle))
     except ServiceError as error:
         handle.warn(f"the message rates could not be put back yet: {error}")
-        return
-    await handle.record_anyway(JournalStep.STREAMS_RESTORED)
 
 
-class Tidying:
-    """The tasks that put rates back.
-
-    `vehicle` waits for the vehicle of a job; `leaving` names tasks of jobs that are over.
+class JobRates:
+    """Returns the rates of jobs that are over, and tells who has the rates of a vehicle.
 
     A job in review keeps its rates for `review_s`: an accept that follows at once needs the same ones.
+
+    Parameters
+    ----------
+    ledgers
+        Those of all vehicles.
+    vehicle
+        Waits for the vehicle of a job.
+    review_s
+        See above.
+    leaving
+        Names tasks of jobs that are over and still hold a vehicle.
     """
 
     def __init__(
         self,
+        ledgers: RateLedgers,
         vehicle: Callable[[JobHandle], Awaitable[JobVehicle]],
         review_s: float,
         leaving: Callable[[str], set[asyncio.Task[None]]] = lambda _: set(),
     ) -> None:
+        self._ledgers = ledgers
         self._vehicle, self._review_s, self._leaving = vehicle, review_s, leaving
-        self._of: dict[str, tuple[str, asyncio.Task[None]]] = {}
-        """Job and task by vehicle."""
-        self._hurry = asyncio.Event()
 
     @property
-    def tasks(self) -> set[asyncio.Task[None]]:
-        """Those that are under way."""
-        return {task for _, task in self._of.values()}
+    def tasks(self) -> set[asyncio.Task[Any]]:
+        """Returns that are under way."""
+        return {task for ledger in self._ledgers.all() for task in ledger.tasks}
 
-    def begin(self, handle: JobHandle) -> None:
-        """Put back what this job has left changed, if anything."""
-        if not handle.written().intervals:
-            return
-        vehicle_id = require_vehicle(handle.job)
-        task = asyncio.create_task(self._put_back(handle), name=f"rates of {handle.id}")
-        mine = self._of[vehicle_id] = (handle.id, task)
+    def begin_return(self, handle: JobHandle) -> None:
+        """Return what this job owes, if anything."""
+        if handle.written().intervals:
+            ledger = self._ledgers.of(require_vehicle(handle.job))
+            ledger.begin_return(RateUser.JOB, self._return(handle), owner=handle.id)
 
-        def done(ended: asyncio.Task[None]) -> None:
-            if self._of.get(vehicle_id) is mine:
-                del self._of[vehicle_id]
-            if not ended.cancelled() and ended.exception() is not None:
-                log.warning("message rates not put back", job=handle.id, reason=str(ended.exception()))
-
-        task.add_done_callback(done)
-
-    def holds(self, vehicle_id: str) -> bool:
-        """Whether rates of this vehicle are being put back, or kept for an accept."""
-        return vehicle_id in self._of
-
-    async def finished(self, running: Callable[[], set[asyncio.Task[None]]]) -> None:
-        """Wait for everything that is to be put back by now, and by the tasks that `running` names."""
-        with self.hurrying():
-            while waited := running() | self.tasks:
+    async def all_returned(self, running: Callable[[], set[asyncio.Task[None]]]) -> None:
+        """Wait for every return that is under way, and for those of the tasks that `running` names."""
+        while waited := running() | self.tasks:
+            with ExitStack() as hurrying:
+                for ledger in self._ledgers.all():
+                    hurrying.enter_context(ledger.hurrying())
                 await asyncio.wait(waited)
 
     async def before_capture(self, vehicle_id: str) -> None:
-        """Wait until an earlier job of this vehicle has its rates put back, and do not let that wait for an accept.
+        """Wait until every earlier user of this vehicle has returned its rates, and no longer for an accept.
 
-        A job that was just cancelled has asked for messages a moment ago, and has not begun to put them back.
+        A job that was just cancelled has asked for messages a moment ago, and has not begun to return them.
         """
         if leaving := self._leaving(vehicle_id):
             await asyncio.wait(leaving)
-        _, task = self._of.get(vehicle_id, ("", None))
-        if task is not None:
-            with self.hurrying():
-                await asyncio.wait({task})
+        await self._ledgers.of(vehicle_id).returned(RateUser.JOB)
 
     async def before_write(self, handle: JobHandle) -> None:
-        """Keep the rates of this job's capture, which the write needs too; those of another job are put back first."""
-        job_id, task = self._of.get(require_vehicle(handle.job), ("", None))
-        if task is not None and job_id == handle.id:
-            task.cancel()
-            await asyncio.wait({task})
-        else:
+        """Keep the rates of this job's capture, which the write needs too; those of another job are returned first."""
+        if not await self._ledgers.of(require_vehicle(handle.job)).kept_for(handle.id):
             await self.before_capture(require_vehicle(handle.job))
 
-    @contextmanager
-    def hurrying(self) -> Iterator[None]:
-        """Meanwhile no rates are kept for an accept."""
-        self._hurry.set()
-        try:
-            yield
-        finally:
-            self._hurry.clear()
+    def user(self, vehicle_id: str, jobs: Iterable[Job], running: Collection[str], *, looked_at: bool) -> str | None:
+        """Who has the rates of a vehicle, in a sentence for whoever would like to watch; None: nobody.
 
-    async def _put_back(self, handle: JobHandle) -> None:
+        `running` are the ids of jobs whose task is not over, whatever their state says.
+        """
+        for job in jobs:
+            if job.vehicle_id == vehicle_id and (job.state in PHYSICAL or job.id in running):
+                return f"A job ({job.kind}) has chosen which messages the vehicle sends; these are shown."
+        ledger = self._ledgers.of(vehicle_id)
+        if looked_at or ledger.returning(RateUser.PREFLIGHT):
+            return "A preflight has chosen which messages the vehicle sends; these are shown."
+        if ledger.returning(RateUser.JOB):
+            return "The message rates are still those of the last job; they are put back first."
+        return None
+
+    async def _return(self, handle: JobHandle) -> None:
         if handle.job.state == JobState.REVIEW:
             with suppress(TimeoutError):
                 async with asyncio.timeout(self._review_s):  # no wait_for: that of Python 3.11 can lose a cancellation
-                    await self._hurry.wait()
-        await restore_streams(handle, await self._vehicle(handle))
+                    await self._ledgers.of(require_vehicle(handle.job)).wait_for_hurry()
+        await return_streams(handle, await self._vehicle(handle))
 
 
-TAKING_UP = "The service is finishing what was interrupted at its last stop; the vehicle is asked for samples then."
-
-
-def claim_of(
-    vehicle_id: str, jobs: Iterable[Job], running: Collection[str], tidying: Tidying, preflights: Preflights
-) -> str | None:
-    """In a sentence, for who would like to watch; None: nothing has them.
-
-    `running`: the ids of jobs whose task is not over, whatever their state says.
-    """
-    for job in jobs:
-        if job.vehicle_id == vehicle_id and (job.state in PHYSICAL or job.id in running):
-            return f"A job ({job.kind}) has chosen which messages the vehicle sends; these are shown."
-    if preflights.holds(vehicle_id):
-        return "A preflight has chosen which messages the vehicle sends; these are shown."
-    if tidying.holds(vehicle_id):
-        return "The message rates are still those of the last job; they are put back first."
-    return None
-
-
-def named_now(jobs: Iterable[Job], vehicles: VehicleSource) -> Iterator[Job]:
-    """Jobs, and of those that claim a vehicle the name that it has by now: another link may have named it before."""
+def with_present_vehicles(jobs: Iterable[Job], vehicles: VehicleSource) -> Iterator[Job]:
+    """Jobs; those that claim a vehicle with its present id: another link may have named it before."""
     for job in jobs:
         if job.vehicle_id is None or job.state not in PHYSICAL:
             yield job

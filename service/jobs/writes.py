@@ -14,7 +14,7 @@ from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.rates import Tidying
+from mavcal.service.jobs.rates import JobRates
 from mavcal.service.jobs.write.attempt import Writing
 from mavcal.service.jobs.write.readiness import look_after
 from mavcal.service.jobs.write.stream_check import StreamProof
@@ -69,13 +69,13 @@ class Writes:
         heard = [one for one in found if one.id != job.vehicle_id and not one.condition().silent]
         return heard[0] if len(heard) == 1 else None
 
-    async def applied(self, handle: JobHandle, preflights: Preflights, tidying: Tidying, look: History | None) -> None:
-        """The write, once nobody puts message rates back any more: it needs the same ones as the capture.
+    async def applied(self, handle: JobHandle, preflights: Preflights, rates: JobRates, look: History | None) -> None:
+        """The write, once nobody returns message rates any more: it needs the same ones as the capture.
 
         `look`: what is known of the vehicle, with which it is looked at afterwards; None: it is not.
         """
-        await preflights.restored(require_vehicle(handle.job))
-        await tidying.before_write(handle)
+        await preflights.returned(require_vehicle(handle.job))
+        await rates.before_write(handle)
         await self.transaction(handle).apply()
         if look is not None:
             with suppress(VehicleUnknown):

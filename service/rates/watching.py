@@ -1,7 +1,7 @@
-"""Message rates for those who watch a vehicle: requested while somebody does, then put back as they were.
+"""Message rates for those who watch a vehicle: requested while somebody does, then returned to what they were.
 
-No measurement is disturbed. While a job or a preflight controls the rates of a vehicle, or still puts them back, none
-are requested here. Whoever needs them next has ours put back first (:meth:`LiveRates.give_way`).
+No measurement is disturbed. While a job or a preflight controls the rates of a vehicle, or still returns them, none are
+requested here. Whoever needs the rates next has ours returned first (:meth:`LiveRates.release`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ import structlog
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.stream.rates import LIVE_MOST_HZ, live_streams
 from mavcal.service.errors import Forbidden, ServiceError, VehicleUnknown, WatchUnknown
+from mavcal.service.rates.ledger import LiveWatch, RateLedgers, request_rates, return_rates
 from mavcal.service.rates.owed import OwedRates
-from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
+from mavcal.service.vehicle.job_vehicle import JobVehicle
 
 log = structlog.get_logger(__name__)
 
@@ -66,16 +67,6 @@ class LiveStatus:
     rate_hz: float
 
 
-@dataclass
-class LiveWatch:
-    """The wish of one client; it lapses unless its stream goes on taking samples."""
-
-    id: str
-    vehicle_id: str
-    rate_hz: float
-    until: float
-
-
 @dataclass(frozen=True)
 class LiveTimes:
     """Times of watching, s of the wall clock."""
@@ -98,58 +89,55 @@ class LiveRates:
 
     Parameters
     ----------
-    vehicles
-        Where vehicles are found.
-    owed
-        What has to be put back.
+    ledgers
+        Who watches each vehicle, and what is owed to it.
     read_only
         No vehicle is ever asked for anything.
     times
-        See there.
+        See :class:`LiveTimes`.
     clock
         Monotonic, s.
     """
 
     def __init__(
         self,
-        vehicles: VehicleSource,
-        owed: OwedRates,
+        ledgers: RateLedgers,
         *,
         read_only: bool = False,
         times: LiveTimes | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._vehicles, self._owed = vehicles, owed
+        self._ledgers = ledgers
         self._read_only = read_only
         self._times, self._clock = times or LiveTimes(), clock
         self._claim: Claim = lambda _: None
-        self._watches: dict[str, LiveWatch] = {}
-        self._attended: dict[str, _Attended] = {}
+        self._attendants: dict[str, Attendant] = {}
         self._stopping = False
 
     def start(self, claim: Claim) -> None:
-        """Put back what an earlier run has left; `claim` says from now on what else has the rates of a vehicle."""
+        """Return what an earlier run has left; `claim` says from now on what else has the rates of a vehicle."""
         self._claim = claim
-        if not self._read_only:
-            for vehicle_id in self._owed.all():
+        if not self._read_only and self._ledgers.kept is not None:
+            for vehicle_id in self._ledgers.kept.all():
                 self._attend(vehicle_id)
 
     async def stop(self) -> None:
-        """Put everything back; what cannot be within a while is put back at the next start."""
+        """Return all rates; what cannot be returned within a while is returned at the next start."""
         self._stopping = True
-        self._watches.clear()
-        attended = tuple(self._attended.values())
-        for one in attended:
+        for ledger in self._ledgers.all():
+            ledger.watches.clear()
+        attendants = tuple(self._attendants.values())
+        for one in attendants:
             one.task.cancel()
-        await asyncio.gather(*(one.task for one in attended), return_exceptions=True)
+        await asyncio.gather(*(one.task for one in attendants), return_exceptions=True)
         with suppress(TimeoutError):
             async with asyncio.timeout(self._times.stop_s):
-                await asyncio.gather(*(one.give_way(()) for one in attended))
+                await asyncio.gather(*(one.release(()) for one in attendants))
 
     # --- watching
 
     def begin(self, vehicle_id: str, rate_hz: float) -> LiveWatch:
-        """Wish for the samples of a vehicle; the watch has to be taken up by a stream.
+        """Begin to watch a vehicle; the watch lapses unless a stream takes it up.
 
         Raises
         ------
@@ -157,7 +145,7 @@ class LiveRates:
             If this service changes nothing.
         VehicleUnknown
         InvalidInputError
-            If nobody streams as fast, or the rate is none.
+            If the rate is not above zero, or faster than any vehicle streams.
         FirmwareError
             If the autopilot is neither ArduPilot nor PX4.
         """
@@ -165,118 +153,142 @@ class LiveRates:
             raise Forbidden(READ_ONLY)
         if not 0 < rate_hz <= LIVE_MOST_HZ:
             raise InvalidInputError(f"rate_hz is {rate_hz:g}: give a rate above 0, up to {LIVE_MOST_HZ:g} Hz")
-        vehicle = self._vehicles.vehicle(vehicle_id)
+        vehicle = self._ledgers.vehicles.vehicle(vehicle_id)
         live_streams(vehicle.identity.autopilot or "", rate_hz)
         watch = LiveWatch(uuid.uuid4().hex[:12], vehicle.id, rate_hz, self._clock() + self._times.lapse_s)
-        self._watches[watch.id] = watch
+        self._ledgers.of(vehicle.id).watches[watch.id] = watch
         self._attend(vehicle.id)
         return watch
 
     def watch(self, watch_id: str, vehicle_id: str) -> LiveWatch:
         """The watch of that id. Raises WatchUnknown if it is over, or of another vehicle."""
-        found = self._watches.get(watch_id)
-        if found is None or self._place(found.vehicle_id) != self._place(vehicle_id):
+        found = self._ledgers.of(vehicle_id).watches.get(watch_id)
+        if found is None:
             raise WatchUnknown
         return found
 
     def taken(self, watch: LiveWatch) -> LiveStatus:
-        """The stream of this watch has taken samples: it goes on. How it stands with the rates."""
+        """Note that the stream of this watch has taken samples; returns the state of the rates."""
         watch.until = self._clock() + self._times.lapse_s
         if self._stopping:
             return LiveStatus(LiveState.WAITING, "", watch.rate_hz)
-        self._watches[watch.id] = watch
+        self._ledgers.of(watch.vehicle_id).watches[watch.id] = watch
         return self._attend(watch.vehicle_id).status
 
     def left(self, watch: LiveWatch) -> None:
-        """The stream of this watch has ended."""
+        """Note that the stream of this watch has ended."""
         watch.until = self._clock() + self._times.leave_s
 
-    async def give_way(self, vehicle_id: str, message_ids: Collection[int]) -> Mapping[int, int]:
-        """Put our rates back, for somebody who has claimed the vehicle and needs other ones.
+    async def release(self, vehicle_id: str, message_ids: Collection[int]) -> Mapping[int, int]:
+        """Return our rates, for somebody who has claimed the vehicle and needs other ones.
 
-        Returns intervals (us, by message) that could not be put back, of those that are asked about: they are how it
-        was before us, and putting them back is the caller's from now on.
+        Returns intervals (us, by message), of those that are asked about, that could not be returned. They are as they
+        were before us, and returning them is the caller's from now on.
         """
-        attended = self._find(vehicle_id)
-        return {} if attended is None else await attended.give_way(message_ids)
-
-    def wished_hz(self, vehicle_id: str) -> float:
-        """The fastest rate that anybody wishes; 0: nobody watches. Watches that have lapsed are forgotten."""
-        now = self._clock()
-        for watch in [watch for watch in self._watches.values() if watch.until <= now]:
-            del self._watches[watch.id]
-        place = self._place(vehicle_id)
-        return max((w.rate_hz for w in self._watches.values() if self._place(w.vehicle_id) == place), default=0.0)
+        attendant = self._attendant(vehicle_id)
+        return {} if attendant is None else await attendant.release(message_ids)
 
     # --- inside
 
-    def _place(self, vehicle_id: str) -> str:
-        """A vehicle gets its lasting id when it has said which unit it is, and is found by the first one still."""
-        try:
-            return self._vehicles.vehicle(vehicle_id).id
-        except VehicleUnknown:
-            return vehicle_id
+    def _attendant(self, vehicle_id: str) -> Attendant | None:
+        ledger = self._ledgers.of(vehicle_id)
+        going = (one for one in self._attendants.values() if not one.task.done())
+        return next((one for one in going if self._ledgers.of(one.vehicle_id) is ledger), None)
 
-    def _find(self, vehicle_id: str) -> _Attended | None:
-        place = self._place(vehicle_id)
-        going = (attended for attended in self._attended.values() if not attended.task.done())
-        return next((attended for attended in going if self._place(attended.vehicle_id) == place), None)
-
-    def _attend(self, vehicle_id: str) -> _Attended:
-        known = self._find(vehicle_id)
+    def _attend(self, vehicle_id: str) -> Attendant:
+        known = self._attendant(vehicle_id)
         if known is not None:
             return known
-        attended = _Attended(vehicle_id, self._vehicles, self._owed, self._claim, self._times)
-        self._attended[vehicle_id] = attended
-        attended.task = asyncio.create_task(
-            attended.run(partial(self.wished_hz, vehicle_id)), name=f"live rates of {vehicle_id}"
-        )
-        attended.task.add_done_callback(partial(self._over, attended))
-        return attended
+        attendant = Attendant(vehicle_id, self._ledgers, self._claim, self._times)
+        self._attendants[vehicle_id] = attendant
+        attendant.task = asyncio.create_task(attendant.run(self._clock), name=f"live rates of {vehicle_id}")
+        attendant.task.add_done_callback(partial(self._over, attendant))
+        return attendant
 
-    def _over(self, attended: _Attended, task: asyncio.Task[None]) -> None:
-        if self._attended.get(attended.vehicle_id) is attended:
-            del self._attended[attended.vehicle_id]
+    def _over(self, attendant: Attendant, task: asyncio.Task[None]) -> None:
+        if self._attendants.get(attendant.vehicle_id) is attendant:
+            del self._attendants[attendant.vehicle_id]
         if not task.cancelled() and task.exception() is not None:
             log.error(
-                "live rates are not looked after any more", vehicle=attended.vehicle_id, exc_info=task.exception()
+                "live rates are not looked after any more", vehicle=attendant.vehicle_id, exc_info=task.exception()
             )
 
 
-class _Attended:
-    """One vehicle that is watched, or to which rates are owed."""
+class WatchOwed:
+    """What is owed to one vehicle for its watches, in memory and on the disk; see :class:`service.rates.ledger.Owed`.
+
+    A change reaches the disk first: what is not there would not be returned after a crash. It is made whole even if
+    whoever makes it is cancelled.
+    """
+
+    def __init__(self, vehicle_id: str, kept: OwedRates) -> None:
+        self._vehicle_id, self._kept = vehicle_id, kept
+        self._intervals = dict(kept.all().get(vehicle_id, {}))
+
+    def intervals(self) -> Mapping[int, int]:
+        """What is owed."""
+        return self._intervals
+
+    async def owe(self, before: Mapping[int, int]) -> None:
+        """Owe these as well, unless they are owed already. Raises DiskFull."""
+        await self._keep({**before, **self._intervals})
+
+    async def hand_over(self, message_ids: Collection[int]) -> Mapping[int, int]:
+        """Those of these messages that are owed; somebody else owes them from now on. Raises DiskFull."""
+        theirs = {
+            message_id: self._intervals[message_id] for message_id in message_ids if message_id in self._intervals
+        }
+        if theirs:
+            await self._keep({key: interval for key, interval in self._intervals.items() if key not in theirs})
+        return theirs
+
+    async def returned(self) -> None:
+        """Owe nothing any more. Raises DiskFull."""
+        await self._keep({})
+
+    async def _keep(self, intervals: Mapping[int, int]) -> None:
+        keeping = asyncio.create_task(asyncio.to_thread(self._kept.put, self._vehicle_id, dict(intervals)))
+        try:
+            await asyncio.shield(keeping)
+        finally:
+            await asyncio.wait({keeping})
+            if keeping.exception() is None:
+                self._intervals = dict(intervals)
+
+
+class Attendant:
+    """Sets the rates of one vehicle that is watched, or returns what is owed to it."""
 
     task: asyncio.Task[None]
 
-    def __init__(
-        self, vehicle_id: str, vehicles: VehicleSource, kept: OwedRates, claim: Claim, times: LiveTimes
-    ) -> None:
+    def __init__(self, vehicle_id: str, ledgers: RateLedgers, claim: Claim, times: LiveTimes) -> None:
+        assert ledgers.kept is not None
         self.vehicle_id = vehicle_id
         self.status = LiveStatus(LiveState.ASKING, "", 0.0)
-        self._vehicles, self._kept, self._claim, self._times = vehicles, kept, claim, times
-        self._owed = dict(kept.all().get(vehicle_id, {}))
-        self._asked_hz = 0.0
+        self._ledgers, self._claim, self._times = ledgers, claim, times
+        self._owed = WatchOwed(vehicle_id, ledgers.kept)
+        self._requested_hz = 0.0
         self._boots = 0
         self._text = ""
-        self._gave_way = False
+        self._released = False
         self._busy = asyncio.Lock()
-        self._asking: asyncio.Task[None] | None = None
+        self._requesting: asyncio.Task[None] | None = None
 
-    async def run(self, wished: Callable[[], float]) -> None:
-        """Ask while somebody wishes for it and nothing stands against it; then put back. Returns when that is done."""
+    async def run(self, clock: Callable[[], float]) -> None:
+        """Request while somebody watches and nothing stands against it, then return the rates and end."""
         while True:
-            rate, pause = wished(), self._times.look_s
-            against = self._against()
+            rate, pause = self._ledgers.of(self.vehicle_id).wanted_hz(clock()), self._times.look_s
+            against = self._obstacle()
             try:
                 if self._restarted():
-                    self._asked_hz = 0.0
-                    await self._owe({})  # a vehicle that has restarted has its own rates again
-                if rate and against is None and rate != self._asked_hz:
+                    self._requested_hz = 0.0
+                    await self._owed.returned()  # a vehicle that has restarted has its own rates again
+                if rate and against is None and rate != self._requested_hz:
                     self.status = LiveStatus(LiveState.ASKING, "", rate)
-                    await self._ask(rate)
-                elif self._owed and self._must_end(rate):
-                    await self._put_back()
-                elif not rate and not self._owed:
+                    await self._request(rate)
+                elif self._owed.intervals() and self._must_end(rate):
+                    await self._return()
+                elif not rate and not self._owed.intervals():
                     return
                 self._tell(rate, against)
             except ServiceError as error:
@@ -284,32 +296,29 @@ class _Attended:
                 pause = self._times.again_s
             await asyncio.sleep(pause)
 
-    async def give_way(self, message_ids: Collection[int]) -> Mapping[int, int]:
-        """See :meth:`LiveRates.give_way`."""
-        self._gave_way = True
-        if self._asking is not None:
-            self._asking.cancel()
+    async def release(self, message_ids: Collection[int]) -> Mapping[int, int]:
+        """Return the rates for somebody else; see :meth:`LiveRates.release`."""
+        self._released = True
+        if self._requesting is not None:
+            self._requesting.cancel()
         with suppress(ServiceError):
-            await self._put_back()
-        left = {message_id: self._owed[message_id] for message_id in message_ids if message_id in self._owed}
-        if left:
-            await self._owe({key: interval for key, interval in self._owed.items() if key not in left})
-        return left
+            await self._return()
+        return await self._owed.hand_over(message_ids)
 
     def _tell(self, rate: float, against: str | None) -> None:
-        if rate and self._asked_hz == rate:
+        if rate and self._requested_hz == rate:
             self.status = LiveStatus(LiveState.GRANTED, self._text, rate)
         elif rate and against is not None:
             self.status = LiveStatus(LiveState.WAITING, against, rate)
 
     def _vehicle(self) -> JobVehicle | None:
         try:
-            return self._vehicles.vehicle(self.vehicle_id)
+            return self._ledgers.vehicles.vehicle(self.vehicle_id)
         except VehicleUnknown:
             return None
 
-    def _against(self) -> str | None:
-        """Why nothing is asked of the vehicle now."""
+    def _obstacle(self) -> str | None:
+        """Why nothing is requested of the vehicle now; None: it may be."""
         vehicle = self._vehicle()
         if vehicle is None:
             return SILENT
@@ -323,58 +332,45 @@ class _Attended:
     def _must_end(self, rate: float) -> bool:
         """Whether nobody watches any more, or a flight needs the link.
 
-        Not while somebody for whom we gave way has rates of its own.
+        Not while whoever had the rates released still has the vehicle.
         """
         vehicle = self._vehicle()
-        if vehicle is None or (self._gave_way and self._claim(vehicle.id) is not None):
+        if vehicle is None or (self._released and self._claim(vehicle.id) is not None):
             return False
         return not rate or vehicle.condition().armed
 
     def _restarted(self) -> bool:
         vehicle = self._vehicle()
-        return vehicle is not None and self._asked_hz > 0 and vehicle.condition().reboots > self._boots
+        return vehicle is not None and self._requested_hz > 0 and vehicle.condition().reboots > self._boots
 
-    async def _ask(self, rate: float) -> None:
-        self._asking = asyncio.create_task(self._asked(rate), name=f"live rates asked of {self.vehicle_id}")
+    async def _request(self, rate: float) -> None:
+        """Request rates; whoever needs the vehicle meanwhile cancels this, and what was set is then put back."""
+        self._requesting = asyncio.create_task(self._set(rate), name=f"live rates requested of {self.vehicle_id}")
         try:
-            await asyncio.wait({self._asking})
+            await asyncio.wait({self._requesting})
         finally:
-            self._asking.cancel()
-            result = (await asyncio.gather(self._asking, return_exceptions=True))[0]
-            self._asking = None
+            self._requesting.cancel()
+            result = (await asyncio.gather(self._requesting, return_exceptions=True))[0]
+            self._requesting = None
         if isinstance(result, Exception):
             raise result
 
-    async def _asked(self, rate: float) -> None:
-        """Cancelled by whoever needs the vehicle: what was set is put back then."""
+    async def _set(self, rate: float) -> None:
         async with self._busy:
-            vehicle = self._vehicles.vehicle(self.vehicle_id)
+            vehicle = self._ledgers.vehicles.vehicle(self.vehicle_id)
             rates = live_streams(vehicle.identity.autopilot or "", rate)
-            self._boots, self._gave_way = vehicle.condition().reboots, False
-            before = await vehicle.intervals([key for key in rates if key not in self._owed])
-            await self._owe({**before, **self._owed})
-            slow = await vehicle.request_streams(rates, measure_s=self._times.measure_s, before=self._owed)
-            self._asked_hz = rate
+            self._boots, self._released = vehicle.condition().reboots, False
+            slow = await request_rates(vehicle, rates, self._owed, measure_s=self._times.measure_s)
+            self._requested_hz = rate
             self._text = f"The link is slow: fewer samples come than {rate:g} a second." if slow else ""
 
-    async def _put_back(self) -> None:
+    async def _return(self) -> None:
         """Raises VehicleError, LinkError, DiskFull if it is not certain that everything is as before."""
         async with self._busy:
-            self._asked_hz = 0.0
+            self._requested_hz = 0.0
             vehicle = self._vehicle()
-            if not self._owed or vehicle is None:
+            if vehicle is None:
                 return
             now = vehicle.condition()
             if not now.silent and now.conflict is None:
-                await vehicle.set_intervals(self._owed)
-                await self._owe({})
-
-    async def _owe(self, intervals: Mapping[int, int]) -> None:
-        """The disk first: what is not kept there would not be put back after a crash. Whole, if it is cancelled."""
-        keeping = asyncio.create_task(asyncio.to_thread(self._kept.put, self.vehicle_id, dict(intervals)))
-        try:
-            await asyncio.shield(keeping)
-        finally:
-            await asyncio.wait({keeping})
-            if keeping.exception() is None:
-                self._owed = dict(intervals)
+                await return_rates(vehicle, self._owed)

@@ -73,8 +73,8 @@ class TlogPosition:
 FramesCallback = Callable[[Sequence[Frame], DiskFull | None], None]
 Doubted = Callable[[str], str | None]
 """Why the vehicle of that id may not be ours to write to; None: it is."""
-GiveWay = Callable[[str, Collection[int]], Awaitable[Mapping[int, int]]]
-"""Puts back the rates of whoever watches a vehicle; intervals (us) that could not be put back."""
+Release = Callable[[str, Collection[int]], Awaitable[Mapping[int, int]]]
+"""Returns the message rates of those who watch a vehicle; gives intervals (us) that could not be returned."""
 
 
 async def _nobody_watches(_vehicle_id: str, _message_ids: Collection[int]) -> Mapping[int, int]:
@@ -88,16 +88,14 @@ class JobVehicle:
     ----------
     vehicle
         As it was found.
-    doubted, give_way
-        See :data:`Doubted`, :data:`GiveWay`.
+    doubted, release
+        See :data:`Doubted`, :data:`Release`.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, doubted: Doubted = lambda _: None, give_way: GiveWay = _nobody_watches
-    ) -> None:
+    def __init__(self, vehicle: Vehicle, doubted: Doubted = lambda _: None, release: Release = _nobody_watches) -> None:
         self._found = vehicle
         self._doubted = doubted
-        self._give_way = give_way
+        self._release = release
 
     @property
     def _vehicle(self) -> Vehicle:
@@ -168,10 +166,10 @@ class JobVehicle:
         """Message intervals, us: -1 off, 0 the vehicle's default (also where it does not say).
 
         The caller has claimed the vehicle and is about to change them. Rates that were set for somebody who watches
-        are put back first.
+        are returned first.
         """
         wanted = tuple(message_ids)
-        known = await self._give_way(self.id, wanted)
+        known = await self._release(self.id, wanted)
         asked = [message_id for message_id in wanted if message_id not in known]
         return {**known, **await get_intervals(self._vehicle, asked)}
 
@@ -240,16 +238,16 @@ class VehicleSource:
     ----------
     registry
         Every vehicle that is heard.
-    doubted, give_way
+    doubted, release
         As for :class:`JobVehicle`.
     """
 
     def __init__(
-        self, registry: VehicleRegistry, doubted: Doubted = lambda _: None, give_way: GiveWay = _nobody_watches
+        self, registry: VehicleRegistry, doubted: Doubted = lambda _: None, release: Release = _nobody_watches
     ) -> None:
         self._registry = registry
         self._doubted = doubted
-        self._give_way = give_way
+        self._release = release
 
     def vehicle(self, vehicle_id: str) -> JobVehicle:
         """The vehicle of that id. Raises VehicleUnknown."""
@@ -267,7 +265,7 @@ class VehicleSource:
         )
 
     def _of(self, vehicle: Vehicle) -> JobVehicle:
-        return JobVehicle(vehicle, self._doubted, self._give_way)
+        return JobVehicle(vehicle, self._doubted, self._release)
 
 
 async def read_values(

@@ -69,7 +69,7 @@ async def test_gyro_from_start_to_proof_and_back(tmp_path: Path, sim: SimulatedV
         assert stored(sim) == before
 
         # Nothing is left switched on that was off before.
-        await eventually(lambda: not bench.engine._tidying.tasks)
+        await eventually(lambda: not bench.engine._rates.tasks)
         assert bench.engine.book.handle(job.id).written().intervals == {}
 
 

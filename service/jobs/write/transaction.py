@@ -31,7 +31,7 @@ from mavcal.service.jobs.core.parameters import require_absent
 from mavcal.service.jobs.core.proof import proof_of
 from mavcal.service.jobs.core.standing import as_read, who_else
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.rates import ASKING_S, restore_streams
+from mavcal.service.jobs.rates import ASKING_S, return_streams
 from mavcal.service.jobs.write.attempt import Settling, Writing
 from mavcal.service.jobs.write.guard import STOPPING, WriteGuard
 from mavcal.service.jobs.write.outcome import (
@@ -237,7 +237,7 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
 
 async def _rates_back(w: Writing) -> None:
     async with waiting(w.handle, "putting the message rates back", ASKING_S):
-        await restore_streams(w.handle, w.vehicle)
+        await return_streams(w.handle, w.vehicle)
 
 
 async def _take_back(w: Writing, because: str) -> None:

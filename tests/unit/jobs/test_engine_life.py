@@ -202,7 +202,7 @@ async def test_a_stopped_service_leaves_its_jobs_as_they_are(vehicle: FakeVehicl
     await engine.stop()
     assert task.cancelled()
     assert engine.get("j1").state == JobState.RUNNING
-    assert engine._tidying.tasks == set()
+    assert engine._rates.tasks == set()
     assert vehicle.message_intervals == {}
     assert engine._own_executor is not None
     with pytest.raises(RuntimeError):

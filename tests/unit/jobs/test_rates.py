@@ -12,10 +12,11 @@ from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.rates import Tidying, ask_for_streams, restore_streams
+from mavcal.service.jobs.rates import JobRates, ask_for_streams, return_streams
+from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.store import SqliteStore
 from tests.unit.jobs.conftest import until
-from tests.unit.jobs.fakes import FakeVehicle
+from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 
 class Changed:
@@ -23,8 +24,8 @@ class Changed:
 
     def __init__(self, review_s: float = 60.0) -> None:
         self.store = SqliteStore(None)
-        self.vehicle = FakeVehicle({}, message_intervals={27: 500_000})
-        self.tidying = Tidying(self._found, review_s)
+        self.vehicle = FakeVehicle({}, id="v", message_intervals={27: 500_000})
+        self.rates = JobRates(RateLedgers(FakeRegistry({"v": self.vehicle})), self._found, review_s)
 
     async def _found(self, _handle: JobHandle) -> FakeVehicle:
         await asyncio.sleep(0)
@@ -56,8 +57,8 @@ def changed() -> Iterator[Changed]:
 async def test_what_was_before_is_in_the_journal_and_is_put_back(changed: Changed) -> None:
     handle = await changed.asked("one", JobState.FAILED)
     assert handle.written().intervals == {27: 500_000, 30: 0}
-    changed.tidying.begin(handle)
-    await until(lambda: not changed.tidying.tasks)
+    changed.rates.begin_return(handle)
+    await until(lambda: not changed.rates.tasks)
     assert changed.put_back
     assert handle.written().intervals == {}
 
@@ -70,35 +71,35 @@ async def test_asking_again_does_not_take_the_changed_rate_for_the_old_one(chang
 
 async def test_a_review_keeps_its_rates_for_an_accept(changed: Changed) -> None:
     handle = await changed.asked("one")
-    changed.tidying.begin(handle)
+    changed.rates.begin_return(handle)
     await asyncio.sleep(0.01)
     assert not changed.put_back
-    await changed.tidying.before_write(handle)
-    assert changed.tidying.tasks == set()
+    await changed.rates.before_write(handle)
+    assert changed.rates.tasks == set()
     assert not changed.put_back
 
 
 async def test_a_review_that_is_not_accepted_has_them_put_back() -> None:
     changed = Changed(review_s=0.01)
-    changed.tidying.begin(await changed.asked("one"))
+    changed.rates.begin_return(await changed.asked("one"))
     await until(lambda: changed.put_back)
     changed.store.close()
 
 
 @pytest.mark.parametrize("begin", ["capture", "write"])
 async def test_another_jobs_capture_and_write_do_not_wait_for_the_accept(changed: Changed, begin: str) -> None:
-    changed.tidying.begin(await changed.asked("first"))
+    changed.rates.begin_return(await changed.asked("first"))
     if begin == "capture":
-        await changed.tidying.before_capture("v")
+        await changed.rates.before_capture("v")
     else:
-        await changed.tidying.before_write(changed.job("second", JobState.RUNNING))
+        await changed.rates.before_write(changed.job("second", JobState.RUNNING))
     assert changed.put_back
 
 
 async def test_a_job_that_changed_nothing_leaves_nothing_to_do(changed: Changed) -> None:
-    changed.tidying.begin(changed.job("one"))
-    assert changed.tidying.tasks == set()
-    await changed.tidying.before_capture("v")
+    changed.rates.begin_return(changed.job("one"))
+    assert changed.rates.tasks == set()
+    await changed.rates.before_capture("v")
 
 
 async def test_rates_that_cannot_be_put_back_are_said_and_kept_for_later(changed: Changed) -> None:
@@ -109,11 +110,11 @@ async def test_rates_that_cannot_be_put_back_are_said_and_kept_for_later(changed
         raise CommandTimeout("no answer")
 
     works, changed.vehicle.set_intervals = changed.vehicle.set_intervals, silent  # type: ignore[method-assign]
-    await restore_streams(handle, changed.vehicle)
+    await return_streams(handle, changed.vehicle)
     assert handle.job.warnings == ("the message rates could not be put back yet: no answer",)
     assert handle.written().intervals == {27: 500_000, 30: 0}
     changed.vehicle.set_intervals = works  # type: ignore[method-assign]
-    await restore_streams(handle, changed.vehicle)
+    await return_streams(handle, changed.vehicle)
     assert changed.put_back
     assert handle.written().intervals == {}
 

@@ -13,6 +13,7 @@ from mavcal.calib.errors import FirmwareError, InvalidInputError
 from mavcal.calib.firmware.stream.rates import live_streams
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import CommandTimeout, Forbidden, LinkDown, VehicleUnknown, WatchUnknown
+from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.rates.owed import OwedRates
 from mavcal.service.rates.watching import ARMED, SILENT, LiveRates, LiveState, LiveTimes
 from tests.unit.jobs.conftest import until
@@ -64,7 +65,9 @@ class World:
     claim: str | None = None
 
     def made(self, **changes: bool) -> LiveRates:
-        return LiveRates(self.registry, OwedRates(self.path), times=QUICK, clock=lambda: self.now, **changes)
+        return LiveRates(
+            RateLedgers(self.registry, OwedRates(self.path)), times=QUICK, clock=lambda: self.now, **changes
+        )
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[LiveRates]:
@@ -124,7 +127,7 @@ async def test_a_job_finds_the_rates_as_they_were_and_nothing_is_asked_until_it_
         watch = live.begin("vehicle-1", 50.0)
         await until(lambda: live.taken(watch).state == LiveState.GRANTED)
         world.claim = "A job has them."
-        assert await live.give_way("vehicle-1", tuple(BEFORE)) == {}
+        assert await live.release("vehicle-1", tuple(BEFORE)) == {}
         assert world.restored
         asked = len(world.vehicle.requests)
         world.vehicle.message_intervals[RAW_IMU] = 40_000  # the job's
@@ -145,7 +148,7 @@ async def test_a_job_that_begins_while_rates_are_asked_for_finds_them_as_they_we
         live.begin("vehicle-1", 50.0)
         await until(lambda: bool(world.vehicle.requests))
         world.claim = "A job has them."
-        assert await live.give_way("vehicle-1", tuple(BEFORE)) == {}
+        assert await live.release("vehicle-1", tuple(BEFORE)) == {}
         assert world.restored
 
 
@@ -154,7 +157,7 @@ async def test_what_cannot_be_put_back_becomes_the_jobs_own_to_put_back(world: W
         watch = live.begin("vehicle-1", 50.0)
         await until(lambda: live.taken(watch).state == LiveState.GRANTED)
         world.vehicle.broken, world.claim = True, "A job has them."
-        assert await live.give_way("vehicle-1", [RAW_IMU]) == {RAW_IMU: BEFORE[RAW_IMU]}
+        assert await live.release("vehicle-1", [RAW_IMU]) == {RAW_IMU: BEFORE[RAW_IMU]}
         assert RAW_IMU not in OwedRates(world.path).all()["vehicle-1"]
         world.vehicle.broken = False
         world.now = 2 * QUICK.lapse_s  # nobody watches any more
@@ -219,7 +222,7 @@ async def test_the_end_of_the_service_puts_back_and_a_killed_one_leaves_it_to_th
     killed.start(lambda _: None)
     killed.begin("vehicle-1", 50.0)
     await until(lambda: len(world.vehicle.requests) == 2 and not world.restored)
-    for attended in killed._attended.values():
+    for attended in killed._attendants.values():
         attended.task.cancel()
     await asyncio.sleep(0)
     assert not world.restored

@@ -7,7 +7,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 
-class StreamLedger:
+class PortRates:
     """The rates that are ours, and what every link had before. They follow the vehicle to another link."""
 
     def __init__(self) -> None:
