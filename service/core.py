@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from mavcal.service.campaigns.begin import CampaignDesk, works
+from mavcal.service.campaigns.begin import CampaignDesk, running_campaigns
+from mavcal.service.campaigns.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
 from mavcal.service.fleet.ahead import TrendsAhead
 from mavcal.service.fleet.book import FleetBook
 from mavcal.service.freed import give_back_for_ever
 from mavcal.service.hand import SimulatedHands
-from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.jobs.core.codec import CODE as UNREADABLE
 from mavcal.service.jobs.core.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.core.model import Failure
@@ -150,8 +150,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         record=fleet,
         ledgers=ledgers,
     )
-    jobs.campaigns.works |= works(jobs, source, computations)
-    campaigns = CampaignDesk(jobs, computations, settings.read_only)
+    campaigns = CampaignDesk(running_campaigns(jobs, source, computations), computations, settings.read_only)
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)

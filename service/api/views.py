@@ -34,7 +34,7 @@ from mavcal.service.api.models import (
     VehicleModel,
     VehicleSensorsModel,
 )
-from mavcal.service.jobs.campaigns.items import Item
+from mavcal.service.campaigns.items import Item
 from mavcal.service.jobs.core.codec import from_json, to_json
 from mavcal.service.jobs.core.model import Failure, Job
 from mavcal.service.jobs.core.states import JobState

@@ -14,13 +14,13 @@ from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.methods import METHODS
+from mavcal.service.campaigns.campaigns import CAMPAIGN, Campaigns, CampaignTask, Errand, ItemWork
 from mavcal.service.campaigns.executors import Workers
+from mavcal.service.campaigns.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
 from mavcal.service.campaigns.worker import computed
 from mavcal.service.children import DIAGNOSE, FIT, Limits
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, Campaigns, CampaignTask, Errand, ItemWork
-from mavcal.service.jobs.campaigns.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
 from mavcal.service.jobs.core.admission import require_finite
 from mavcal.service.jobs.core.book import JobBook
 from mavcal.service.jobs.core.codec import job_from_row

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from mavcal.calib.report import to_json
+from mavcal.service.campaigns.campaigns import Errand
+from mavcal.service.campaigns.items import ItemEnd, of_diagnosis, of_fits
 from mavcal.service.computations import REPORT
 from mavcal.service.errors import ChildrenBusy
-from mavcal.service.jobs.campaigns.campaigns import Errand
-from mavcal.service.jobs.campaigns.items import ItemEnd, of_diagnosis, of_fits
 from mavcal.service.jobs.uploads.computations import Computations
 from mavcal.service.jobs.uploads.computing import MOST_STARTS
 

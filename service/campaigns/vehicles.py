@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from mavcal.calib.preflight.check import Verdict
+from mavcal.service.campaigns.campaigns import Errand
+from mavcal.service.campaigns.items import Item, ItemEnd, ItemOutcome
 from mavcal.service.errors import ServiceError, VehicleUnknown
-from mavcal.service.jobs.campaigns.campaigns import Errand
-from mavcal.service.jobs.campaigns.items import Item, ItemEnd, ItemOutcome
 from mavcal.service.jobs.core.codec import to_json
 from mavcal.service.jobs.core.model import Accept, Failure, Job, Unwritten
 from mavcal.service.jobs.core.states import CANCELLABLE, ENDED, WRITING, JobState

@@ -14,8 +14,8 @@ import click
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json
 
 if TYPE_CHECKING:
+    from mavcal.service.campaigns.items import Item
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.jobs.campaigns.items import Item
     from mavcal.service.jobs.core.model import Job
     from mavcal.service.store.rows import ItemRow
 
@@ -46,7 +46,7 @@ async def followed(job_of: Callable[[], Job], screen: Screen) -> Job:
 
 def tell(job: Job, rows: Sequence[ItemRow], telling: Telling, screen: Screen) -> int:
     """Show a campaign that has ended, and its exit code."""
-    from mavcal.service.jobs.campaigns.items import ItemOutcome, item_from_row
+    from mavcal.service.campaigns.items import ItemOutcome, item_from_row
     from mavcal.service.jobs.core.codec import to_json
     from mavcal.service.jobs.core.model import Failure
 
@@ -81,10 +81,10 @@ def exit_code(options: Mapping[str, Any], outcomes: Iterable[str]) -> int:
 
 def show_items(data_dir: Path, job_id: str, outcomes: Sequence[str], table: Path | None, *, as_json: bool) -> int:
     """The items of a campaign of a data directory, whoever runs it; results are in the JSON."""
+    from mavcal.service.campaigns.campaigns import CAMPAIGN
+    from mavcal.service.campaigns.items import item_from_row
     from mavcal.service.commands.jobs import table as aligned
     from mavcal.service.errors import JobUnknown
-    from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN
-    from mavcal.service.jobs.campaigns.items import item_from_row
     from mavcal.service.jobs.core.codec import to_json
     from mavcal.service.store.sqlite import items_of, jobs_of
 

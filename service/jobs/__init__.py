@@ -1,8 +1,7 @@
 """Jobs: a calibration of a vehicle from its first sample to the proof of its write, or a computation on uploads.
 
 Rooms, lowest first: `core` has the job, its journal, its store and its task. `uploads` computes fits and gaps.
-`calibrate` captures, fits and plans; `write` writes a plan; `campaigns` go through many vehicles or logs. `engine` puts
-them together. One word stands for one thing:
+`calibrate` captures, fits and plans; `write` writes a plan. `engine` puts them together. One word stands for one thing:
 
 .. code-block:: text
 

@@ -32,7 +32,6 @@ from mavcal.service.jobs.calibrate.without_capture import (
     require_restorable,
     restored,
 )
-from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, Campaigns
 from mavcal.service.jobs.core.admission import (
     WAY,
     require_finite,
@@ -115,20 +114,20 @@ class JobEngine:
         self.book = JobBook(store, self._ownership, self.settings.progress_s, clock, wall)
         """Every job; one of several instances tells it what the others have done."""
         self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
-        self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
+        self.tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
         self._ledgers = ledgers or RateLedgers(vehicles)
-        self._rates = JobRates(self._ledgers, self._runner.vehicle, self.settings.review_s, self._tasks.leaving)
+        self._rates = JobRates(self._ledgers, self._runner.vehicle, self.settings.review_s, self.tasks.leaving)
         self._computations = computations or NoUploads()
         lanes = {FIT: self.settings.fits_at_once, GAP: self.settings.diagnoses_at_once}
-        self.computing = Computing(self._computations, self.book, self._tasks, self.cancel, wall, lanes=lanes)
+        self.computing = Computing(self._computations, self.book, self.tasks, self.cancel, wall, lanes=lanes)
         """Fits and diagnoses of uploads."""
-        self.campaigns = Campaigns(self.book, self._tasks, clock, wall)
-        """Jobs for many vehicles or logs; what they do is put in before :meth:`start`."""
+        self.resumed_by: dict[str, Callable[[JobHandle], None]] = dict.fromkeys(COMPUTED, self.computing.take_up)
+        """How jobs of kinds that others run are resumed; entered before :meth:`start`."""
         self._preflights = Preflights(self.settings.preflight_s, self._ledgers, wall, clock)
         self._writes = Writes(vehicles, self.settings, clock=clock, reach=reach)
         self._acceptance = Acceptance(store, wall)
         self._resumption = Resumption(
-            self._tasks, self.settings.recovery_alone_s, recover=self._recover, resume=self._resume
+            self.tasks, self.settings.recovery_alone_s, recover=self._recover, resume=self._resume
         )
 
     async def start(self) -> None:
@@ -149,12 +148,12 @@ class JobEngine:
     def give_up(self, of: Callable[[Job], bool]) -> None:
         """Stop what is done for these jobs, which are not ours any more; nothing more is sent or kept for them."""
         for handle in self.book.drop(of):
-            self._tasks.cancel(handle.id)
+            self.tasks.cancel(handle.id)
 
     def _recover(self, handle: JobHandle) -> None:
         """Finish or take back an interrupted write: the journal and the vehicle decide."""
         if handle.job.plan is not None:
-            self._tasks.spawn(handle, partial(self._recovered, handle, INTERRUPTED))
+            self.tasks.spawn(handle, partial(self._recovered, handle, INTERRUPTED))
 
     async def _recovered(self, handle: JobHandle, reason: str) -> None:
         await doubt(handle, reason)
@@ -162,24 +161,22 @@ class JobEngine:
 
     def _resume(self, handle: JobHandle) -> None:
         state, kind = handle.job.state, handle.job.kind
-        if kind in COMPUTED and state not in ENDED:
-            self.computing.take_up(handle)
-        elif kind == CAMPAIGN:
-            self.campaigns.take_up(handle)
+        if kind in self.resumed_by:
+            self.resumed_by[kind](handle)
         elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
-            self._tasks.spawn(handle, partial(self._captured, handle))
+            self.tasks.spawn(handle, partial(self._captured, handle))
         elif state == JobState.FITTING and kind in (FROM_RECORDING, RESTORE):
-            self._tasks.spawn(handle, self._adoption(handle))
+            self.tasks.spawn(handle, self._adoption(handle))
         elif state == JobState.FITTING:
-            self._tasks.spawn(handle, partial(self._runner.fit, handle))
+            self.tasks.spawn(handle, partial(self._runner.fit, handle))
         else:
             self._return_rates(handle)
 
     async def stop(self) -> None:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
-        self._tasks.stopping = True
+        self.tasks.stopping = True
         self.book.close()
-        tasks = [*self._tasks.running.values(), *self._rates.tasks, *self._resumption.waiting]
+        tasks = [*self.tasks.running.values(), *self._rates.tasks, *self._resumption.waiting]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -190,7 +187,7 @@ class JobEngine:
 
     async def tidied(self) -> None:
         """Wait until jobs that are over have put the vehicle's message rates back."""
-        over, running = ENDED | {JobState.REVIEW}, self._tasks.running
+        over, running = ENDED | {JobState.REVIEW}, self.tasks.running
         await self._rates.all_returned(lambda: {task for key, task in running.items() if self.get(key).state in over})
 
     def list(self) -> tuple[Job, ...]:
@@ -207,7 +204,7 @@ class JobEngine:
             return STARTING
         jobs = with_present_vehicles(self.list(), self._vehicles)
         looked_at = self._preflights.holds(vehicle_id)
-        return self._rates.user(vehicle_id, jobs, self._tasks.running, looked_at=looked_at)
+        return self._rates.user(vehicle_id, jobs, self.tasks.running, looked_at=looked_at)
 
     async def document(self, job_id: str, name: str) -> JobDocument:
         """A document that the job has made. Raises JobUnknown, DocumentUnknown."""
@@ -332,7 +329,7 @@ class JobEngine:
         if state not in CANCELLABLE:
             raise NotCancellable(f"job {job_id} is {state}: it cannot be cancelled now")
         handle.move(JobState.CANCELLED, prompt=None, outcome=cancelled(handle.job))
-        self._tasks.cancel(job_id)
+        self.tasks.cancel(job_id)
         return handle.job
 
     async def answer(self, job_id: str, value: str) -> Job:
@@ -351,7 +348,7 @@ class JobEngine:
         if handle.job.state != JobState.INTERRUPTED:
             raise IllegalTransition(f"job {job_id} is {handle.job.state}: only an interrupted job is fitted again")
         handle.move(JobState.FITTING, outcome=None)
-        self._tasks.spawn(handle, partial(self._runner.fit, handle))
+        self.tasks.spawn(handle, partial(self._runner.fit, handle))
         return handle.job
 
     # --- writing
@@ -428,7 +425,7 @@ class JobEngine:
         fresh: dict[str, Any] = {"outcome": None, "verification": None, "standing": ()}
         handle.move(JobState.APPLYING, accept=accept, context=context, last_write=attempt, **fresh)
         known = self._history if look else None
-        self._tasks.spawn(handle, partial(self._writes.applied, handle, self._preflights, self._rates, known))
+        self.tasks.spawn(handle, partial(self._writes.applied, handle, self._preflights, self._rates, known))
         self._reach(At.ACCEPTED)
         return handle.job
 
@@ -450,7 +447,7 @@ class JobEngine:
             await handle.record(JournalStep.ROLL_BACK, because=BY_OPERATOR)
             self._require_free(require_vehicle(handle.job), besides=job_id)
         handle.move(JobState.ROLLING_BACK, prompt=None)
-        self._tasks.spawn(handle, self._writes.transaction(handle).revert)
+        self.tasks.spawn(handle, self._writes.transaction(handle).revert)
         return handle.job
 
     def _made(self, vehicle: JobVehicle, kind: str, options: Mapping[str, Any], context: Mapping[str, Any]) -> Job:
@@ -460,7 +457,7 @@ class JobEngine:
 
     async def _begun(self, job: Job, work: Callable[[JobHandle], Work]) -> Job:
         handle = await self.book.new(job)
-        self._tasks.spawn(handle, work(handle))
+        self.tasks.spawn(handle, work(handle))
         return handle.job
 
     def _require_free(self, vehicle_id: str, *, besides: str = "") -> None:
@@ -500,5 +497,5 @@ class JobEngine:
 
     def _return_rates(self, handle: JobHandle) -> None:
         """Return message rates that a job has left changed; a stopping service leaves that to its next start."""
-        if not self._tasks.stopping:
+        if not self.tasks.stopping:
             self._rates.begin_return(handle)

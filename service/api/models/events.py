@@ -12,7 +12,7 @@ from mavcal.service.api.models.jobs import OutcomeModel, VehicleReadinessModel, 
 from mavcal.service.api.models.links import LinkModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
 from mavcal.service.api.models.vehicles import VehicleModel
-from mavcal.service.jobs.campaigns.items import ItemOutcome
+from mavcal.service.campaigns.items import ItemOutcome
 from mavcal.service.jobs.core.proof import ProofLevel
 from mavcal.service.jobs.core.states import JobState
 

@@ -159,6 +159,8 @@ class Computing:
 
     def take_up(self, handle: JobHandle) -> None:
         """Begin a job again that was waiting or running when the service stopped; not more often than is sensible."""
+        if handle.job.state in ENDED:
+            return
         if handle.job.state == JobState.FITTING:
             if handle.job.context.get("starts", 0) >= MOST_STARTS:
                 cause = f"The service was stopped {MOST_STARTS} times while this job ran."

@@ -31,7 +31,7 @@ from mavcal.service.api.views import (
     sensors_model,
     vehicle_model,
 )
-from mavcal.service.jobs.campaigns.items import Item, ItemOutcome
+from mavcal.service.campaigns.items import Item, ItemOutcome
 from mavcal.service.jobs.core.model import Failure
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.link.types import LinkState, LinkStatistics

@@ -13,13 +13,13 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.service.campaigns import archive as module
 from mavcal.service.campaigns import uploads, worker
 from mavcal.service.campaigns.archive import FolderFits, FolderGaps, archive, campaign_of
+from mavcal.service.campaigns.campaigns import CAMPAIGN, Errand
 from mavcal.service.campaigns.executors import Workers
+from mavcal.service.campaigns.items import Item, ItemOutcome, item_from_row
 from mavcal.service.campaigns.uploads import UploadFits, UploadGaps
 from mavcal.service.children import DIAGNOSE, FIT, Limits
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.errors import ChildEnded, ChildrenBusy, JobUnknown
-from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, Errand
-from mavcal.service.jobs.campaigns.items import Item, ItemOutcome, item_from_row
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.uploads.computations import Diagnosis

@@ -73,7 +73,7 @@ PLACES: dict[str, tuple[tuple[Do, tuple[JobState, ...]], ...]] = {
     "service/errors/jobs.py": ((plan, (R,)),),
     "calib/procedures/intake.py": ((start, (F,)),),
 }
-NAMES_A_COMMAND = {"service/jobs/campaigns/campaigns.py"}
+NAMES_A_COMMAND = {"service/campaigns/campaigns.py"}
 """Tried on the command line (tests/service/test_campaigns_killed.py)."""
 
 
@@ -91,7 +91,7 @@ def texts(tree: ast.AST) -> Iterator[str]:
 
 def test_every_place_that_advises_is_tried_here() -> None:
     found = set()
-    for folder in ("service/jobs", "service/errors", "calib/procedures"):
+    for folder in ("service/jobs", "service/campaigns", "service/errors", "calib/procedures"):
         for path in sorted((ROOT / folder).rglob("*.py")):
             if any(ADVICE.search(text) for text in texts(ast.parse(path.read_text(encoding="utf-8")))):
                 found.add(str(path.relative_to(ROOT)))

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
@@ -51,6 +51,7 @@ async def running(
     read_only: bool = False,
     store: SqlStore | None = None,
     computations: FakeComputations | None = None,
+    before: Callable[[JobEngine], None] = lambda _: None,
 ) -> AsyncIterator[JobEngine]:
     store = store or new_store()
     for job in jobs:
@@ -59,6 +60,7 @@ async def running(
             digest = job.plan.snapshot_sha256
             store.add_snapshot(job.id, 0.0, SnapshotPurpose.COMPOSED_ON, digest, vehicle.values())
     engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle}), computations, settings=QUICK, read_only=read_only)
+    before(engine)
     await engine.start()
     try:
         yield engine

@@ -123,7 +123,7 @@ async def test_a_cancelled_job_asks_for_nothing_and_has_no_task(vehicle: FakeVeh
         job = await engine.cancel("j1")
         assert (job.state, job.prompt) == (JobState.CANCELLED, None)
         assert job.outcome == cancelled(bare(JobState.QUEUED))
-        await until(lambda: engine._tasks.running == {})
+        await until(lambda: engine.tasks.running == {})
 
 
 @pytest.mark.parametrize("state", sorted(set(JobState) - {JobState.INTERRUPTED} - WRITING))
@@ -132,7 +132,7 @@ async def test_only_an_interrupted_job_is_fitted_again(vehicle: FakeVehicle, sta
         engine.book._hold(bare(state))
         with pytest.raises(IllegalTransition, match="only an interrupted job"):
             await engine.refit("j1")
-        assert engine._tasks.running == {}
+        assert engine.tasks.running == {}
         assert engine.get("j1").state == state
 
 
@@ -250,7 +250,7 @@ async def test_another_job_that_begins_meanwhile_has_the_vehicle(
         assert engine.get("j1").state == state
         assert [row.step for row in engine._store.journal("j1")] == steps
         assert len(engine._store.audit()) == len(steps)
-        assert engine._tasks.running == {}
+        assert engine.tasks.running == {}
 
 
 async def test_what_wrote_nothing_cannot_be_taken_back(vehicle: FakeVehicle) -> None:

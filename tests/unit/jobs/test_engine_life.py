@@ -143,7 +143,7 @@ async def test_writes_come_first_and_the_others_when_they_have_ended(vehicle: Fa
         await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
         await asyncio.sleep(0.01)
         assert capturing.begun == []
-        assert set(engine._tasks.running) == {"j1"}
+        assert set(engine.tasks.running) == {"j1"}
         vehicle.change_state(armed=False)
         await until(lambda: capturing.begun == ["j2"])
         assert engine.get("j1").state == JobState.REVERTED
@@ -186,7 +186,7 @@ async def test_a_job_that_cannot_be_taken_up_does_not_strand_the_next_one(vehicl
 
 async def test_a_write_without_a_plan_stays_in_doubt_and_has_no_task(vehicle: FakeVehicle) -> None:
     async with started(kept(vehicle, bare(JobState.IN_DOUBT)), vehicle) as engine:
-        assert engine._tasks.running == {}
+        assert engine.tasks.running == {}
         assert engine.get("j1").state == JobState.IN_DOUBT
 
 
@@ -198,7 +198,7 @@ async def test_a_stopped_service_leaves_its_jobs_as_they_are(vehicle: FakeVehicl
     engine._runner.calibrate = capturing  # type: ignore[method-assign]
     await engine.start()
     await until(lambda: capturing.begun == ["j1"])
-    (task,) = engine._tasks.running.values()
+    (task,) = engine.tasks.running.values()
     await engine.stop()
     assert task.cancelled()
     assert engine.get("j1").state == JobState.RUNNING
@@ -239,7 +239,7 @@ async def test_progress_of_a_job_that_is_over_is_dropped_but_for_the_last(vehicl
         engine._runner.calibrate = at_once  # type: ignore[method-assign]
 
     async with started(store, vehicle, prepare) as engine:
-        await until(lambda: not engine._tasks.running)
+        await until(lambda: not engine.tasks.running)
         await engine.book.handle("j1").kept()
         left = [event.data for event in store.events("j1") if event.kind == "progress"]
         assert left == [{"current": 4}]
@@ -307,6 +307,6 @@ async def test_a_job_that_is_not_on_the_disk_does_not_exist(
         with pytest.raises(OSError, match="full"):
             await engine.submit(vehicle.id, "gyro")
         assert engine.list() == ()
-        assert engine._tasks.running == {}
+        assert engine.tasks.running == {}
         with pytest.raises(JobUnknown):
             engine.get("j1")

@@ -7,6 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.service.campaigns.items import (
+    OPEN,
+    Item,
+    ItemOutcome,
+    ended_by,
+    item_from_row,
+    of_diagnosis,
+    of_fits,
+    row_from_item,
+)
 from mavcal.service.errors import (
     ChildEnded,
     LinkDown,
@@ -16,16 +26,6 @@ from mavcal.service.errors import (
     VehicleArmed,
     VehicleBusy,
     VehicleSilent,
-)
-from mavcal.service.jobs.campaigns.items import (
-    OPEN,
-    Item,
-    ItemOutcome,
-    ended_by,
-    item_from_row,
-    of_diagnosis,
-    of_fits,
-    row_from_item,
 )
 from mavcal.service.store.rows import ItemRow, JobDocument
 from tests.examples import examples

@@ -21,8 +21,8 @@ import structlog
 
 from mavcal.calib.errors import CalibError, InvalidInputError
 from mavcal.calib.procedures.protocol import Progress
+from mavcal.service.campaigns.items import OPEN, Item, ItemEnd, ItemOutcome, ended_by, item_from_row, row_from_item
 from mavcal.service.errors import CampaignsBusy, IllegalTransition, ServiceError, StoreError
-from mavcal.service.jobs.campaigns.items import OPEN, Item, ItemEnd, ItemOutcome, ended_by, item_from_row, row_from_item
 from mavcal.service.jobs.core.book import JobBook
 from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Failure, Job, Result

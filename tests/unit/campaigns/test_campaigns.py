@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.service.campaigns import campaigns
+from mavcal.service.campaigns.campaigns import CAMPAIGN, CampaignTask, Errand, uploads_of_campaign
+from mavcal.service.campaigns.items import Item, ItemEnd, ItemOutcome, item_from_row, row_from_item
 from mavcal.service.errors import (
     CampaignsBusy,
     ChildEnded,
@@ -19,9 +23,6 @@ from mavcal.service.errors import (
     ServiceError,
     VehicleArmed,
 )
-from mavcal.service.jobs.campaigns import campaigns
-from mavcal.service.jobs.campaigns.campaigns import CAMPAIGN, CampaignTask, Errand, uploads_of_campaign
-from mavcal.service.jobs.campaigns.items import Item, ItemEnd, ItemOutcome, item_from_row, row_from_item
 from mavcal.service.jobs.core.codec import row_from_job
 from mavcal.service.jobs.core.model import Failure, Job, Result
 from mavcal.service.jobs.core.states import JobState
@@ -30,7 +31,7 @@ from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import ItemRow, JobDocument
 from tests.unit.jobs.conftest import OLD, until
 from tests.unit.jobs.fakes import FakeVehicle
-from tests.unit.jobs.test_engine import running
+from tests.unit.jobs.test_engine import running as running_engine
 
 DONE = ItemEnd(ItemOutcome.DONE, "fine", "pass")
 
@@ -74,6 +75,15 @@ class FakeWork:
     async def cancelled(self, errand: Errand) -> str:
         self.cancels.append(errand.item.subject)
         return "it was ended"
+
+
+def with_campaigns(engine: Any) -> None:
+    engine.campaigns = campaigns.Campaigns(engine.book, engine.tasks, engine._clock, engine._wall)
+    engine.resumed_by[campaigns.CAMPAIGN] = engine.campaigns.take_up
+
+
+def running(vehicle: FakeVehicle, *jobs: Job, **more: Any) -> AbstractAsyncContextManager[Any]:
+    return running_engine(vehicle, *jobs, before=with_campaigns, **more)
 
 
 def with_work(engine: JobEngine, work: FakeWork) -> FakeWork:
@@ -202,7 +212,7 @@ async def test_a_cancelled_campaign_ends_what_is_under_way_and_begins_nothing_mo
         job = await begin(engine, "abcd")
         await until(lambda: work.begun == ["a", "b", "c"])
         assert (await engine.cancel(job.id)).state == JobState.CANCELLED
-        await until(lambda: not engine._tasks.running)
+        await until(lambda: not engine.tasks.running)
         assert outcomes(engine, job) == {"a": "done", "b": "cancelled", "c": "cancelled", "d": "cancelled"}
         assert sorted(work.cancels) == ["b", "c"]
         assert [i.text for i in items(engine, job)] == ["fine", "it was ended", "it was ended", ""]
@@ -217,7 +227,7 @@ async def test_a_campaign_that_waits_for_its_queue_can_be_cancelled(vehicle: Fak
         first, second = await begin(engine, "a"), await begin(engine, "b")
         await until(lambda: work.begun == ["a"])
         await engine.cancel(second.id)
-        await until(lambda: set(engine._tasks.running) == {first.id})
+        await until(lambda: set(engine.tasks.running) == {first.id})
         work.held.clear()
         await ended(engine, first)
         assert (outcomes(engine, first), outcomes(engine, second)) == ({"a": "done"}, {"b": "cancelled"})
@@ -233,6 +243,7 @@ async def test_a_stopped_service_goes_on_with_what_has_not_ended(vehicle: FakeVe
         assert outcomes(engine, job) == {"a": "done", "b": "running", "c": "waiting", "d": "waiting"}
     assert work.cancels == []
     engine = JobEngine(store, engine._vehicles)
+    with_campaigns(engine)
     more = with_work(engine, FakeWork())
     await engine.start()
     done = await ended(engine, job)
@@ -248,6 +259,7 @@ async def test_an_item_that_stops_the_service_is_not_begun_for_ever(vehicle: Fak
     poison = replace(Item(1, "a"), outcome=ItemOutcome.RUNNING, starts=3)
     store = holding(poison, Item(2, "b"))
     engine = JobEngine(store, FakeVehicles())
+    with_campaigns(engine)
     work = with_work(engine, FakeWork(most_starts=3))
     await engine.start()
     job = await ended(engine, engine.get("c1"))
