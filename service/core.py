@@ -22,7 +22,7 @@ from mavcal.service.fleet.book import FleetBook
 from mavcal.service.freed import give_back_for_ever
 from mavcal.service.hand import SimulatedHands
 from mavcal.service.jobs.core.codec import CODE as UNREADABLE
-from mavcal.service.jobs.core.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.core.crashpoints import CrashPoint, no_crash
 from mavcal.service.jobs.core.model import Failure
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.engine import JobEngine
@@ -95,7 +95,7 @@ class Service:
 
 
 @asynccontextmanager
-async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) -> AsyncIterator[Service]:
+async def running_service(settings: Settings, *, reach: CrashPoint = no_crash) -> AsyncIterator[Service]:
     """A service from its data directory to its last closed link; `reach` is the engine's (tests).
 
     Raises

@@ -313,10 +313,6 @@ class Preflights:
         look.cancel()
         self._ledgers.of(vehicle_id).begin_return(RateUser.PREFLIGHT, look)
 
-    async def returned(self, vehicle_id: str) -> None:
-        """Wait until the rates of an earlier preflight are returned."""
-        await self._ledgers.of(vehicle_id).returned(RateUser.PREFLIGHT)
-
     async def stop(self) -> None:
         """Wait until every vehicle has its rates back."""
         for ledger in self._ledgers.all():

@@ -35,10 +35,10 @@ from mavcal.service.api.models import (
     VehicleSensorsModel,
 )
 from mavcal.service.campaigns.items import Item
+from mavcal.service.fixing import Fix
 from mavcal.service.jobs.core.codec import from_json, to_json
 from mavcal.service.jobs.core.model import Failure, Job
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.fixing import Fix
 from mavcal.service.jobs.write.readiness import readiness_of
 from mavcal.service.link import Link
 from mavcal.service.preflights import Preflight

@@ -28,7 +28,7 @@ def running_campaigns(engine: JobEngine, source: VehicleSource, computations: Co
     """The campaigns of an engine that has not started; it resumes them with its other jobs."""
     campaigns = Campaigns(engine.book, engine.tasks, time.monotonic, time.time)
     campaigns.works |= _works(engine, source, computations)
-    engine.resumed_by[CAMPAIGN] = campaigns.take_up
+    engine.resumed_by[CAMPAIGN] = campaigns.resume_at_start
     return campaigns
 
 

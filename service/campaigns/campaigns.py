@@ -93,7 +93,7 @@ class QueuePlace:
 
 
 @dataclass(frozen=True)
-class Errand:
+class ItemRun:
     """One item, as its work gets it."""
 
     campaign: Job
@@ -121,11 +121,11 @@ class ItemWork(Protocol):
         """So often an item is begun whose service stops meanwhile: it may be the item that stops it. None: always."""
         ...
 
-    async def run(self, errand: Errand) -> ItemEnd:
+    async def run(self, run: ItemRun) -> ItemEnd:
         """Do it. Raises ServiceError or CalibError, which end the item alone."""
         ...
 
-    async def cancelled(self, errand: Errand) -> str:
+    async def cancelled(self, run: ItemRun) -> str:
         """The campaign was cancelled while :meth:`run` ran, and :meth:`run` with it: end what it began; say how."""
         ...
 
@@ -191,7 +191,7 @@ class Campaigns:
         self._spawn(handle)
         return handle.job
 
-    def take_up(self, handle: JobHandle) -> None:
+    def resume_at_start(self, handle: JobHandle) -> None:
         """Go on with a campaign whose service was stopped."""
         if handle.job.state == JobState.QUEUED:
             cause = "The service was stopped before the list of this campaign was kept. Nothing was begun."
@@ -228,7 +228,7 @@ class Campaigns:
         """Go through what has not ended; the job ends succeeded, whatever became of its items."""
         run = _Run(handle, self._clock, Counter(await handle.store.do(partial(handle.store.item_counts, handle.id))))
         try:
-            await self._unless_lost(handle, run)
+            await self._run_or_interrupt(handle, run)
         except asyncio.CancelledError:
             if handle.job.state == JobState.CANCELLED:
                 change = partial(handle.store.change_outcomes, handle.id, OPEN, ItemOutcome.CANCELLED)
@@ -239,16 +239,16 @@ class Campaigns:
             why = EACH_PROVES if handle.job.options.get("apply") else NOTHING_WRITTEN
             handle.move(JobState.SUCCEEDED, outcome=Result(run.text(_noun(task)), proof_reason=why), progress=None)
 
-    async def _unless_lost(self, handle: JobHandle, run: _Run) -> None:
+    async def _run_or_interrupt(self, handle: JobHandle, run: _Run) -> None:
         """Go through the items; a campaign that cannot keep what became of them is interrupted."""
         try:
-            await self._through(handle, run)
+            await self._run_items(handle, run)
         except* StoreError as errors:
             log.error("campaign interrupted", job=handle.id, reason=str(errors.exceptions[0]))
             cause = f"What became of an item could not be kept: {errors.exceptions[0]}"
             self._interrupt(handle, "store-error", cause)
 
-    async def _through(self, handle: JobHandle, run: _Run) -> None:
+    async def _run_items(self, handle: JobHandle, run: _Run) -> None:
         work = self.works[CampaignTask(handle.job.options["task"])]
         own = asyncio.Semaphore(handle.job.options.get("at_once") or MOST_ITEMS)
         left = await handle.store.do(partial(handle.store.items, handle.id, limit=MOST_ITEMS, outcomes=OPEN))
@@ -257,17 +257,17 @@ class Campaigns:
                 await own.acquire()  # first its own: a campaign that is cancelled here holds nothing of others
                 await work.lane.acquire()
                 place = QueuePlace((own, work.lane), self._waiting)
-                doing = group.create_task(self._item(handle, work, item_from_row(row), place, run))
+                doing = group.create_task(self._run_item(handle, work, item_from_row(row), place, run))
                 doing.add_done_callback(partial(_left, place))
 
-    async def _item(self, handle: JobHandle, work: ItemWork, item: Item, place: QueuePlace, run: _Run) -> None:
+    async def _run_item(self, handle: JobHandle, work: ItemWork, item: Item, place: QueuePlace, run: _Run) -> None:
         """One item from its begin to its outcome, both in the store."""
         again = item.starts > 0
         item = dataclasses.replace(
             item, outcome=ItemOutcome.RUNNING, began_at=self._wall(), starts=item.starts + 1, text=""
         )
         await _keep(handle, item)
-        ended = await self._carried(handle, work, Errand(handle.job, item, place, again))
+        ended = await self._end_of(handle, work, ItemRun(handle.job, item, place, again))
         for document in ended.documents:
             await handle.store.do(partial(handle.store.save_document, handle.id, document))
         item = _with(item, ended, self._wall())
@@ -276,16 +276,16 @@ class Campaigns:
         handle.announce("item", {**told, "text": item.text, "job_id": item.job_id})
         run.count(item.outcome)
 
-    async def _carried(self, handle: JobHandle, work: ItemWork, errand: Errand) -> ItemEnd:
-        item = errand.item
+    async def _end_of(self, handle: JobHandle, work: ItemWork, run: ItemRun) -> ItemEnd:
+        item = run.item
         if work.most_starts is not None and item.starts > work.most_starts:
             text = f"The service was stopped {work.most_starts} times while this item ran: look into its log."
             return ItemEnd(ItemOutcome.FAILED, text, "computation-interrupted")
         try:
-            return await work.run(errand)
+            return await work.run(run)
         except asyncio.CancelledError:
             if handle.job.state == JobState.CANCELLED:
-                ended = ItemEnd(ItemOutcome.CANCELLED, await work.cancelled(errand), "job-cancelled")
+                ended = ItemEnd(ItemOutcome.CANCELLED, await work.cancelled(run), "job-cancelled")
                 await _keep(handle, _with(item, ended, self._wall()))
             raise
         except (ServiceError, CalibError) as error:

@@ -26,7 +26,7 @@ KINDS = (
 )
 """Those of ``calib.procedures.registry``, stated here so that help does without numpy (a test compares them)."""
 HANDS_FREE = ("gyro", "level")
-"""Those of ``service.jobs.fixing``, which want nothing but a vehicle at rest (a test compares them)."""
+"""Those of ``service.fixing``, which want nothing but a vehicle at rest (a test compares them)."""
 
 
 @click.command()
@@ -87,8 +87,8 @@ def command(
 
 async def _hands_free(kind: str, service: Service, vehicle: Vehicle) -> Acted:
     """Calibrate and write; whether it would arm afterwards is told too."""
+    from mavcal.service.fixing import Fixable, fixed
     from mavcal.service.jobs.core.states import JobState
-    from mavcal.service.jobs.fixing import Fixable, fixed
     from mavcal.service.jobs.write.readiness import readiness_of
 
     [fix] = await fixed(service.jobs, vehicle.id, [Fixable(kind)], actor="command line", look=True)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
     from mavcal.service.jobs.core.model import Job
-    from mavcal.service.jobs.write.unfinished import Unfinished
     from mavcal.service.settings import Settings
+    from mavcal.service.unfinished import Unfinished
     from mavcal.service.vehicle import Vehicle
 
     Begin = Callable[[Service, Vehicle], Awaitable[Job]]
@@ -79,7 +79,7 @@ async def _job(settings: Settings, begin: Begin, wish: JobWish, screen: Screen) 
 def _require_resolved(resolved: Sequence[Unfinished]) -> None:
     """Raise PhysicalJobRunning, with every parameter, if an earlier job is still in doubt."""
     from mavcal.service.errors import PhysicalJobRunning
-    from mavcal.service.jobs.write.unfinished import ending
+    from mavcal.service.unfinished import ending
 
     for found in resolved:
         if not found.ended:

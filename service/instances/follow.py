@@ -49,7 +49,7 @@ class Follower:
     async def _page(self, book: JobBook) -> bool:
         def read() -> tuple[tuple[EventRow, ...], dict[str, JobRow | None]]:
             events = self._store.events(after=self._after, limit=PAGE)
-            return events, {event.job_id: self._store.job(event.job_id) for event in events if book.asks_for(event)}
+            return events, {event.job_id: self._store.job(event.job_id) for event in events if book.needs_row(event)}
 
         events, rows = await self._store.do(read)
         for event in events:

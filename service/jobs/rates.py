@@ -30,7 +30,7 @@ class JournalOwed:
 
     def intervals(self) -> Mapping[int, int]:
         """What is owed."""
-        return self.handle.written().intervals
+        return self.handle.write_record().intervals
 
     async def owe(self, before: Mapping[int, int]) -> None:
         """Owe these as well. Raises DiskFull."""
@@ -73,7 +73,7 @@ class JobRates:
         Waits for the vehicle of a job.
     review_s
         See above.
-    leaving
+    ending_tasks
         Names tasks of jobs that are over and still hold a vehicle.
     """
 
@@ -82,10 +82,10 @@ class JobRates:
         ledgers: RateLedgers,
         vehicle: Callable[[JobHandle], Awaitable[JobVehicle]],
         review_s: float,
-        leaving: Callable[[str], set[asyncio.Task[None]]] = lambda _: set(),
+        ending_tasks: Callable[..., set[asyncio.Task[None]]] = lambda *_: set(),
     ) -> None:
         self._ledgers = ledgers
-        self._vehicle, self._review_s, self._leaving = vehicle, review_s, leaving
+        self._vehicle, self._review_s, self._ending_tasks = vehicle, review_s, ending_tasks
 
     @property
     def tasks(self) -> set[asyncio.Task[Any]]:
@@ -94,31 +94,38 @@ class JobRates:
 
     def begin_return(self, handle: JobHandle) -> None:
         """Return what this job owes, if anything."""
-        if handle.written().intervals:
+        if handle.write_record().intervals:
             ledger = self._ledgers.of(require_vehicle(handle.job))
             ledger.begin_return(RateUser.JOB, self._return(handle), owner=handle.id)
 
-    async def all_returned(self, running: Callable[[], set[asyncio.Task[None]]]) -> None:
-        """Wait for every return that is under way, and for those of the tasks that `running` names."""
-        while waited := running() | self.tasks:
+    async def all_returned(self) -> None:
+        """Wait until every job that is over has returned its rates."""
+        while waited := self._ending_tasks() | self.tasks:
             with ExitStack() as hurrying:
                 for ledger in self._ledgers.all():
                     hurrying.enter_context(ledger.hurrying())
                 await asyncio.wait(waited)
 
     async def before_capture(self, vehicle_id: str) -> None:
-        """Wait until every earlier user of this vehicle has returned its rates, and no longer for an accept.
+        """Wait until every earlier user of this vehicle has returned its rates, and no longer for an accept."""
+        await self._ledgers.of(vehicle_id).returned(RateUser.PREFLIGHT)
+        await self.before_preflight(vehicle_id)
+
+    async def before_preflight(self, vehicle_id: str) -> None:
+        """Wait until earlier jobs of this vehicle have returned its rates; a preflight takes over those of another.
 
         A job that was just cancelled has asked for messages a moment ago, and has not begun to return them.
         """
-        if leaving := self._leaving(vehicle_id):
-            await asyncio.wait(leaving)
+        if ending_tasks := self._ending_tasks(vehicle_id):
+            await asyncio.wait(ending_tasks)
         await self._ledgers.of(vehicle_id).returned(RateUser.JOB)
 
     async def before_write(self, handle: JobHandle) -> None:
         """Keep the rates of this job's capture, which the write needs too; those of another job are returned first."""
-        if not await self._ledgers.of(require_vehicle(handle.job)).kept_for(handle.id):
-            await self.before_capture(require_vehicle(handle.job))
+        vehicle_id = require_vehicle(handle.job)
+        await self._ledgers.of(vehicle_id).returned(RateUser.PREFLIGHT)
+        if not await self._ledgers.of(vehicle_id).kept_for(handle.id):
+            await self.before_preflight(vehicle_id)
 
     def user(self, vehicle_id: str, jobs: Iterable[Job], running: Collection[str], *, looked_at: bool) -> str | None:
         """Who has the rates of a vehicle, in a sentence for whoever would like to watch; None: nobody.

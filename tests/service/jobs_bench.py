@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mavcal.service.jobs.core.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.core.crashpoints import CrashPoint, no_crash
 from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
@@ -63,7 +63,7 @@ async def eventually(condition: Callable[[], bool], seconds: float = 20.0) -> No
 
 @asynccontextmanager
 async def session(
-    folder: Path, url: str, *, reach: CrashPoint = nowhere, settings: JobSettings = QUICK, yield_s: float = 30.0
+    folder: Path, url: str, *, reach: CrashPoint = no_crash, settings: JobSettings = QUICK, yield_s: float = 30.0
 ) -> AsyncIterator[Session]:
     """The service on a data directory, until its vehicle is known; stopped in an orderly way at the end."""
     store = SqliteStore(folder)

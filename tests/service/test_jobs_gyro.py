@@ -70,7 +70,7 @@ async def test_gyro_from_start_to_proof_and_back(tmp_path: Path, sim: SimulatedV
 
         # Nothing is left switched on that was off before.
         await eventually(lambda: not bench.engine._rates.tasks)
-        assert bench.engine.book.handle(job.id).written().intervals == {}
+        assert bench.engine.book.handle(job.id).write_record().intervals == {}
 
 
 async def test_accepted_but_not_applied_is_caught_and_taken_back(tmp_path: Path, sim: SimulatedVehicle) -> None:
@@ -166,12 +166,12 @@ async def cancelled(bench: Session) -> float:
     with pytest.raises(PhysicalJobRunning):
         await bench.engine.submit(bench.vehicle.id, "gyro")
     await eventually(lambda: bench.engine.get(job.id).prompt is not None)
-    changed = set(bench.engine.book.handle(job.id).written().intervals)
+    changed = set(bench.engine.book.handle(job.id).write_record().intervals)
     assert changed
     loop_time = bench.vehicle.clock()
     job = await bench.engine.cancel(job.id)
     assert job.state == JobState.CANCELLED
-    await eventually(lambda: not bench.engine.book.handle(job.id).written().intervals)
+    await eventually(lambda: not bench.engine.book.handle(job.id).write_record().intervals)
     took = bench.vehicle.clock() - loop_time
     await eventually(lambda: bool(bench.engine.get(job.id).segments))
     return took

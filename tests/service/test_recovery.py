@@ -61,7 +61,7 @@ async def test_killed_in_the_capture_and_in_the_write(tmp_path: Path, sim: Simul
     assert steps[-1] == JournalStep.CLOSED
 
     async with session(tmp_path, sim.url) as bench:
-        assert bench.engine.book.handle(bench.engine.list()[-1].id).written().intervals == {}
+        assert bench.engine.book.handle(bench.engine.list()[-1].id).write_record().intervals == {}
 
 
 @pytest.mark.long

@@ -8,8 +8,8 @@ from pydantic import BaseModel, Field
 
 from mavcal.calib.preflight.check import CheckId, Verdict
 from mavcal.service.api.models.base import Json, Request, Stamp
+from mavcal.service.fixing import Fixable
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.fixing import Fixable
 
 
 class PreflightRequest(Request):

@@ -19,7 +19,7 @@ from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS
 from mavcal.calib.firmware.in_force.rewritten import READ_EVERY_S, read_again
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.firmware.stream.rates import requested_streams
+from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
 from mavcal.calib.procedures.registry import load_libraries, specification
 from mavcal.calib.recording import Identity
@@ -33,9 +33,9 @@ from mavcal.service.errors import (
     ParameterTimeout,
     VehicleSilent,
 )
-from mavcal.service.jobs.calibrate.digest import LiveDigest, changed, spoils
+from mavcal.service.jobs.calibrate.digest import LiveDigest, require_unchanged
 from mavcal.service.jobs.calibrate.watch import CaptureWatch, LinkWatch
-from mavcal.service.jobs.core.crashpoints import At, CrashPoint, nowhere
+from mavcal.service.jobs.core.crashpoints import At, CrashPoint, no_crash
 from mavcal.service.jobs.core.handle import JobHandle, counting
 from mavcal.service.jobs.core.parameters import read_needed
 from mavcal.service.jobs.core.segments import captured, close_span, open_span, read_range
@@ -64,7 +64,7 @@ class Capture:
     handle: JobHandle
     vehicle: JobVehicle
     settings: JobSettings
-    reach: CrashPoint = nowhere
+    reach: CrashPoint = no_crash
     clock: Callable[[], float] = time.monotonic
     wall: Callable[[], float] = time.time
     foresee: Callable[[Identity, Mapping[str, Value]], Sequence[str]] = lambda _identity, _parameters: ()
@@ -104,7 +104,7 @@ class Capture:
         await ask_for_streams(self.handle, self.vehicle, rates, measure_s=self.settings.measure_s)
         # Only now: on a bad link the requests take long, and a replay of the streams that came first would not wait
         # for the others. The segment and the frames begin at the same place, so that live and replay see the same.
-        position, forget = await self.vehicle.record(LiveDigest.wanted(self.vehicle.identity), self._take)
+        position, forget = await self.vehicle.record(Assembler(self.vehicle.identity).message_ids, self._take)
         try:
             row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.CAPTURE, position)
             try:
@@ -138,7 +138,7 @@ class Capture:
         if not reading.cancelled():
             reading.result()  # a defect there would leave changes unseen
         self.handle.prompt(None)  # nothing is asked of anybody any more
-        self._show(JobState.RUNNING)
+        self._set_state(JobState.RUNNING)
         await self._read_again(identity, watch)
         return done
 
@@ -155,7 +155,7 @@ class Capture:
         for row in earlier:
             data = await asyncio.to_thread(read_range, row.path, row.start_byte, row.end_byte)
             records = list(iter_tlog(data))
-            self._told(await asyncio.to_thread(digest.feed, [frame for _, frame in records]))
+            self._announce(await asyncio.to_thread(digest.feed, [frame for _, frame in records]))
             last_record = records[-1][0] / 1e6 if records else last_record
         watch = CaptureWatch(self.vehicle, self.settings, self.clock, self.handle.warn)
         if earlier:
@@ -171,8 +171,8 @@ class Capture:
                 raise self._disk
             if frames:
                 steps += await asyncio.to_thread(digest.feed, frames)
-            self._told(steps)
-            self._say_that_it_waits()
+            self._announce(steps)
+            self._announce_wait()
             self.reach(At.CAPTURE_RUNNING)
             outcome = digest.outcome
             for warning in digest.warnings:
@@ -193,7 +193,7 @@ class Capture:
                 with suppress(VehicleSilent, ParameterTimeout, LinkDown):
                     await read_values(self.vehicle, names)
 
-    def _say_that_it_waits(self) -> None:
+    def _announce_wait(self) -> None:
         """A procedure counts in samples: where none come, or none are of use, it says nothing by itself."""
         now, last = self.clock(), self.handle.job.progress
         if math.isinf(self._told_at):
@@ -217,17 +217,17 @@ class Capture:
             self.handle.change("answer", {"value": value}, context={**self.handle.job.context, "answers": given})
         return steps
 
-    def _told(self, steps: Sequence[Step]) -> None:
+    def _announce(self, steps: Sequence[Step]) -> None:
         """Hand prompts and progress on to whoever watches the job."""
         for step in steps:
             if isinstance(step, Prompt):
                 self.handle.prompt(step)
-                self._show(JobState.WAITING_FOR_OPERATOR if _asks(step) else JobState.RUNNING)
+                self._set_state(JobState.WAITING_FOR_OPERATOR if _needs_operator(step) else JobState.RUNNING)
             elif isinstance(step, Progress):
                 self._told_at = self.clock()
                 self.handle.progress(step)
 
-    def _show(self, state: JobState) -> None:
+    def _set_state(self, state: JobState) -> None:
         if self.handle.job.state != state:
             self.handle.move(state)
 
@@ -244,11 +244,10 @@ class Capture:
                 watch.look(None)
                 await asyncio.sleep(self.settings.watch_s)
         for name, reading in readings.items():
-            if spoils(self.handle.job.kind, name, self.parameters[name], reading.value):
-                raise changed(name, self.parameters[name], reading.value)
+            require_unchanged(self.handle.job.kind, name, self.parameters[name], reading.value)
 
 
-def _asks(prompt: Prompt) -> bool:
+def _needs_operator(prompt: Prompt) -> bool:
     """Whether the operator has to do something now, and is not already doing it."""
     if prompt.rotate or prompt.number is not None:
         return True

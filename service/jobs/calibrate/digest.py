@@ -7,6 +7,7 @@ closed segments, which gives the same digits whenever it is repeated.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -31,7 +32,7 @@ from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Step
 from mavcal.calib.procedures.registry import create, specification
 from mavcal.calib.procedures.replay import replay
-from mavcal.calib.recording import Channel, Identity, ParameterEntry, Recording, Sensor
+from mavcal.calib.recording import Identity, ParameterEntry, Recording, Sensor
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded
 from mavcal.service.jobs.core.model import LogSpan
@@ -39,6 +40,8 @@ from mavcal.service.jobs.core.segments import content_of
 
 POSITION_WAIT_S = 3.0
 """A compass job waits so long for the vehicle's position, in seconds of its clock: the Earth's field depends on it."""
+
+NO_KEYS: frozenset[Key] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class Fitted:
 
     outcome: Done | GaveUp
     parameters: dict[str, Value]
-    without_row: frozenset[Key] = frozenset()
+    without_row: frozenset[Key] = NO_KEYS
     """PX4: see :func:`calib.firmware.px4.without_row.without_row`."""
 
 
@@ -97,11 +100,6 @@ class LiveDigest:
         """Newest time stamp of an inertial sample, s on the vehicle's clock."""
         self.restarted = False
         """Whether the vehicle's clock restarted among the frames."""
-
-    @staticmethod
-    def wanted(identity: Identity) -> frozenset[int]:
-        """The messages that are worth feeding."""
-        return Assembler(identity).message_ids
 
     @property
     def time(self) -> float:
@@ -170,8 +168,7 @@ class LiveDigest:
             if not entry.name.startswith(self._prefixes):
                 continue
             before = self._parameters.setdefault(entry.name, entry.value)
-            if spoils(self._kind, entry.name, before, entry.value):
-                raise changed(entry.name, before, entry.value)
+            require_unchanged(self._kind, entry.name, before, entry.value)
             self._parameters[entry.name] = entry.value
 
 
@@ -187,7 +184,7 @@ def context_of(
     return ProcedureContext(identity, instances, field, parameters)
 
 
-def spoils(kind: str, name: str, before: Value, after: Value) -> bool:
+def voids_capture(kind: str, name: str, before: Value, after: Value) -> bool:
     """Whether this change of a parameter makes the capture of a job of `kind` useless.
 
     While a vehicle warms up, PX4 rewrites the offsets of its gyros whenever they have drifted by 0.01 rad/s. That is no
@@ -201,15 +198,17 @@ def spoils(kind: str, name: str, before: Value, after: Value) -> bool:
     return Sensor.GYRO in specification(kind).measured or name not in BY_ITSELF
 
 
-def changed(name: str, before: Value, after: Value) -> CaptureEnded:
-    """The refusal of a capture in which a calibration parameter changed; disturbed, if the vehicle may have done it."""
+def require_unchanged(kind: str, name: str, before: Value, after: Value) -> None:
+    """Raise CaptureEnded if a change makes the capture useless; CaptureDisturbed if the vehicle may have made it."""
+    if not voids_capture(kind, name, before, after):
+        return
     who = "another ground station, or the vehicle itself"
     remedy = "Leave the vehicle's calibration alone while a job runs, and start the job again."
     if name.startswith("CAL_GYRO"):
         who += " (PX4's gyro_calibration, while IMU_GYRO_CAL_EN is 1)"
         remedy += " If it happens again, set IMU_GYRO_CAL_EN to 0 and restart the vehicle first."
-    kind = CaptureDisturbed if name in BY_ITSELF else CaptureEnded
-    return kind(
+    error = CaptureDisturbed if name in BY_ITSELF else CaptureEnded
+    raise error(
         f"{name} changed from {shown(before)} to {shown(after)} during the capture, set by {who}", remedy=remedy
     )
 
@@ -217,18 +216,12 @@ def changed(name: str, before: Value, after: Value) -> CaptureEnded:
 def field_of(recording: Recording, at: float) -> EarthField | None:
     """The Earth's field where the vehicle first said to be; None: it said nothing usable."""
     position = next((c for c in recording.channels if c.sensor == Sensor.POSITION and len(c)), None)
-    return None if position is None else _field_at(position, at)
-
-
-def _field_at(position: Channel, at: float) -> EarthField | None:
     when = datetime.fromtimestamp(at, UTC)
     year = when.year + (when.timetuple().tm_yday - 1) / 365.25
-    for latitude, longitude, altitude in position.values:
+    for latitude, longitude, altitude in () if position is None else position.values:
         if latitude or longitude:  # (0, 0) is "no fix"
-            try:
+            with suppress(InvalidInputError):
                 return earth_field(float(latitude), float(longitude), float(altitude), year)
-            except InvalidInputError:
-                continue
     return None
 
 
@@ -241,11 +234,10 @@ def fit_segments(request: JobFitRequest) -> Fitted:
         If a segment is not what it was, or a calibration parameter changed in it.
     UnreadableError, InvalidInputError, FirmwareError
     """
-    recording = recording_of(request.spans, request.system)
+    recording = read_tlog(b"".join(content_of(span) for span in request.spans), system=request.system)
     for entry in calibration_changes(recording):
         before = next(e.value for e in recording.parameters.entries if e.name == entry.name)
-        if spoils(request.kind, entry.name, before, entry.value):
-            raise changed(entry.name, before, entry.value)
+        require_unchanged(request.kind, entry.name, before, entry.value)
     parameters = recording.parameters.final()
     context = context_of(request.kind, recording.identity, parameters, field_of(recording, request.created_at))
     answers = [OperatorAnswer(t, value) for t, value in request.answers]
@@ -253,12 +245,8 @@ def fit_segments(request: JobFitRequest) -> Fitted:
     if rewrites_meanwhile(request.kind, recording.identity.autopilot):
         recording = CertainOffsets(whole=True).feed(recording)
     outcome = replay(request.kind, request.options, context, known.feed(undo(recording)), answers)
-    said = _said_by_px4(recording) if recording.identity.autopilot == "px4" else frozenset()
-    return Fitted(outcome, parameters, said)
-
-
-def _said_by_px4(recording: Recording) -> frozenset[Key]:
-    return without_row(recording.events, recording.parameters.entries)
+    px4 = recording.identity.autopilot == "px4"
+    return Fitted(outcome, parameters, without_row(recording.events, recording.parameters.entries) if px4 else NO_KEYS)
 
 
 def _read_at_first(kind: str, identity: Identity, parameters: Mapping[str, Value]) -> list[str]:
@@ -266,8 +254,3 @@ def _read_at_first(kind: str, identity: Identity, parameters: Mapping[str, Value
     autopilot = identity.autopilot or ""
     names = needed(autopilot, specification(kind).sensors, parameters, drift=kind in DRIFT_KINDS)
     return [name for name in names if name in parameters and name.startswith(CALIBRATION_PREFIXES[autopilot])]
-
-
-def recording_of(spans: Sequence[LogSpan], system: int | None) -> Recording:
-    """The recording of consecutive segments of one vehicle, not yet undone. Raises CaptureEnded, UnreadableError."""
-    return read_tlog(b"".join(content_of(span) for span in spans), system=system)

@@ -12,7 +12,7 @@ from mavcal.calib.firmware.slots import CALIBRATED, px4_sensor_ids
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Identity, Sensor
 from mavcal.calib.report import from_json
-from mavcal.service.jobs.calibrate.planning import stated_ids
+from mavcal.service.jobs.calibrate.planning import stated_device_ids
 from mavcal.service.jobs.core.model import RESTORE, Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.store.protocol import JobStore
@@ -56,7 +56,7 @@ def _verified(job: Job, store: JobStore) -> VerifiedCalibration:
     written = {change.name: change.new for change in job.plan.changes if not change.session}
     left = {**parameters, **written}
     # as they stand afterwards: a plan may write ids, and its fingerprint is of before
-    autopilot, told = job.plan.fingerprint.autopilot, stated_ids(job)
+    autopilot, told = job.plan.fingerprint.autopilot, stated_device_ids(job)
     held = px4_sensor_ids(left, told) if autopilot == "px4" else sensor_ids(autopilot, left)
     ids = {key_text(*key): device for key, device in held.items()}
     accels = [fit for fit in job.results if fit.sensor == Sensor.ACCEL and fit.temperature is not None]

@@ -115,7 +115,7 @@ def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping
     return {fit.instance: fit.temperature for fit in results if fit.temperature is not None}
 
 
-def told_device_ids(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[Key, int]:
+def held_device_ids(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[Key, int]:
     """Device ids by sensor that were stated for a job that was written to this vehicle, if its rows still hold them.
 
     Without them the next job would take the rows by order again, and write into that of another sensor.
@@ -123,12 +123,12 @@ def told_device_ids(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[st
     found: dict[Key, int] = {}
     written = [job for job in jobs if job.vehicle_id == vehicle_id and job.state == JobState.SUCCEEDED]
     for job in sorted(written, key=lambda job: job.updated_at):
-        found |= stated_ids(job)
+        found |= stated_device_ids(job)
     held = {(sensor, device) for (sensor, _), device in px4_sensor_ids(parameters).items()}
     return {key: device for key, device in found.items() if (key[0], device) in held}
 
 
-def stated_ids(job: Job) -> dict[Key, int]:
+def stated_device_ids(job: Job) -> dict[Key, int]:
     """Device ids that were stated for this job, of the sensors that its plan wrote."""
     if job.plan is None or job.plan.fingerprint.autopilot != "px4":
         return {}
@@ -166,7 +166,7 @@ def make_plan(
 
     `options` are those of the plan as plain data, `temperatures` those of :func:`accel_temperatures`,
     and `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says. PX4 itself says `without_row`.
-    `told` is what :func:`told_device_ids` finds.
+    `told` is what :func:`held_device_ids` finds.
     """
     rowless = frozenset(without_row)
     chosen = compose_options(
@@ -185,6 +185,18 @@ def make_plan(
 def keys_without_row(context: Mapping[str, Any]) -> tuple[Key, ...]:
     """The sensors that are in no row, as PX4 said in the capture of this job's context."""
     return tuple(parse_key(text) for text in context.get(WITHOUT_ROW, ()))
+
+
+def move_to_review(handle: JobHandle, plan: WritePlan, nothing: Result, **changes: Any) -> None:
+    """Bring a job that has planned to review, or to its end with the outcome `nothing` if there is nothing to write."""
+    done = plan.nothing_to_write
+    handle.move(
+        JobState.SUCCEEDED if done else JobState.REVIEW,
+        outcome=nothing if done else None,
+        fingerprint=plan.fingerprint,
+        plan=plan,
+        **changes,
+    )
 
 
 async def keep_plan(handle: JobHandle, planned: Planned) -> None:

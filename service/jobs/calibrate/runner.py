@@ -14,7 +14,6 @@ import structlog
 from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware.options import key_text
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.fit import FitStatus
 from mavcal.calib.procedures.protocol import GaveUp
 from mavcal.calib.recording import Identity
 from mavcal.calib.report import from_json, to_json
@@ -32,15 +31,16 @@ from mavcal.service.jobs.calibrate.planning import (
     WITHOUT_ROW,
     accel_temperatures,
     foresee,
+    held_device_ids,
     keep_plan,
     make_plan,
+    move_to_review,
     nothing_to_write,
-    told_device_ids,
 )
 from mavcal.service.jobs.core.admission import require_vehicle, until_idle
-from mavcal.service.jobs.core.crashpoints import At, CrashPoint, nowhere
+from mavcal.service.jobs.core.crashpoints import At, CrashPoint, no_crash
 from mavcal.service.jobs.core.handle import JobHandle
-from mavcal.service.jobs.core.model import Failure, Job, LogSpan
+from mavcal.service.jobs.core.model import Failure, Job, LogSpan, fit_messages
 from mavcal.service.jobs.core.segments import SET_ASIDE, captured, span_of
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
@@ -75,7 +75,7 @@ class Runner:
     executor: Executor
     jobs: Callable[[], Iterable[Job]]
     """Every job, for what is known from earlier ones."""
-    reach: CrashPoint = nowhere
+    reach: CrashPoint = no_crash
     clock: Callable[[], float] = time.monotonic
     wall: Callable[[], float] = time.time
 
@@ -92,11 +92,11 @@ class Runner:
                 handle.change("segments", {}, segments=_spans(handle))
             raise
         except CaptureLost as lost:
-            self._end(handle, JobState.INTERRUPTED, lost.code, str(lost), lost.remedy)
+            _end(handle, JobState.INTERRUPTED, Failure.of(lost, lost.remedy))
         except CaptureEnded as ended:
-            self._end(handle, JobState.FAILED, ended.code, str(ended), ended.remedy)
+            _end(handle, JobState.FAILED, Failure.of(ended, ended.remedy))
         except (ServiceError, CalibError) as error:
-            self._end(handle, JobState.FAILED, _code(error), str(error), "Remove the cause and start the job again.")
+            _end(handle, JobState.FAILED, Failure.of(error, "Remove the cause and start the job again."))
         else:
             handle.move(JobState.FITTING, segments=_spans(handle), prompt=None)
             await self.fit(handle)
@@ -140,7 +140,7 @@ class Runner:
                 raise CaptureEnded(fitted.outcome.cause, remedy=fitted.outcome.remedy)
             results = fitted.outcome.results
             known = accel_temperatures(self.jobs(), require_vehicle(job), fitted.parameters)
-            stated = told_device_ids(self.jobs(), require_vehicle(job), fitted.parameters)
+            stated = held_device_ids(self.jobs(), require_vehicle(job), fitted.parameters)
             planned = await asyncio.to_thread(
                 make_plan,
                 results,
@@ -153,24 +153,17 @@ class Runner:
             )
             await keep_plan(handle, planned)
         except CaptureEnded as ended:
-            self._end(handle, JobState.FAILED, ended.code, str(ended), ended.remedy)
+            _end(handle, JobState.FAILED, Failure.of(ended, ended.remedy))
             return
         except (ServiceError, CalibError) as error:
-            self._end(
-                handle, JobState.FAILED, _code(error), str(error), "What was recorded is kept; start the job again."
-            )
+            _end(handle, JobState.FAILED, Failure.of(error, "What was recorded is kept; start the job again."))
             return
-        told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
-        told += [warning for fit in results for warning in fit.warnings]  # a sensor that was left out, above all
-        warnings = tuple(dict.fromkeys((*job.warnings, *told)))
-        done = planned.plan.nothing_to_write
-        handle.move(
-            JobState.SUCCEEDED if done else JobState.REVIEW,
-            outcome=nothing_to_write(planned.plan) if done else None,
+        move_to_review(
+            handle,
+            planned.plan,
+            nothing_to_write(planned.plan),
             results=results,
-            plan=planned.plan,
-            fingerprint=planned.plan.fingerprint,
-            warnings=warnings,
+            warnings=tuple(dict.fromkeys((*job.warnings, *fit_messages(results)))),
             missed=fitted.outcome.left_out,
             context={**handle.job.context, WITHOUT_ROW: sorted(key_text(*key) for key in fitted.without_row)},
             prompt=None,
@@ -201,9 +194,6 @@ class Runner:
                 )
             await asyncio.sleep(self.settings.watch_s)
 
-    def _end(self, handle: JobHandle, state: JobState, code: str, cause: str, remedy: str) -> None:
-        handle.move(state, outcome=Failure(code, cause, remedy), segments=_spans(handle), prompt=None)
-
 
 def _set_aside(handle: JobHandle, disturbed: CaptureDisturbed) -> None:
     """Leave what was recorded so far out of the fit; it stays on the disk."""
@@ -220,5 +210,5 @@ def _spans(handle: JobHandle) -> tuple[LogSpan, ...]:
     return tuple(span_of(row) for row in rows if row.end_byte is not None)
 
 
-def _code(error: Exception) -> str:
-    return str(getattr(error, "code", "calibration-error"))
+def _end(handle: JobHandle, state: JobState, failure: Failure) -> None:
+    handle.move(state, outcome=failure, segments=_spans(handle), prompt=None)

@@ -52,8 +52,11 @@ class LinkWatch:
 
     def _prompt(self, away: float) -> Prompt:
         """The prompt from before, so that nothing of it looks done; its words say that nobody is heard."""
-        text = f"The vehicle is silent: check its power and the link. {self._limit()}"
-        lasted = Silence(float(math.floor(away + HEARTBEATS_S)), self._settings.gap_limit_s + HEARTBEATS_S)
+        limit_s = self._settings.gap_limit_s + HEARTBEATS_S
+        text = (
+            f"The vehicle is silent: check its power and the link. The job gives up after {limit_s:.0f} s of silence."
+        )
+        lasted = Silence(float(math.floor(away + HEARTBEATS_S)), limit_s)
         before = self._before or Prompt(PromptStep.SILENT, text)
         return dataclasses.replace(
             before,
@@ -67,9 +70,6 @@ class LinkWatch:
             number=None,
             unfinished="",
         )
-
-    def _limit(self) -> str:
-        return f"The job gives up after {self._settings.gap_limit_s + HEARTBEATS_S:.0f} s of silence."
 
     async def run(self) -> None:
         """Look again and again, until cancelled."""

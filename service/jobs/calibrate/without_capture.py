@@ -12,25 +12,27 @@ from mavcal.calib.firmware.in_force.origin import Origin, unproved
 from mavcal.calib.firmware.options import Key, compose_options
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.firmware.slots import CALIBRATED
-from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.fit import FitResult
 from mavcal.calib.preflight.restore import compose_restore, expected_names, require_same_unit
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Identity
 from mavcal.calib.report import from_json, to_json
-from mavcal.service.errors import NothingVerified, ServiceError
+from mavcal.service.errors import IllegalTransition, NothingVerified, ServiceError
 from mavcal.service.jobs.calibrate.planning import (
     Planned,
     accel_temperatures,
     checked_plan_options,
+    held_device_ids,
     keep_plan,
+    keys_without_row,
     make_plan,
+    move_to_review,
     nothing_to_write,
     require_origin,
-    told_device_ids,
 )
 from mavcal.service.jobs.core.admission import require_ready
 from mavcal.service.jobs.core.handle import JobHandle
-from mavcal.service.jobs.core.model import Failure, Job, Result
+from mavcal.service.jobs.core.model import RESTORE, Failure, Job, Result, fit_messages
 from mavcal.service.jobs.core.parameters import read_needed, sensors_of
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.uploads.computations import Computations
@@ -38,7 +40,7 @@ from mavcal.service.preflights import History
 from mavcal.service.vehicle.job_vehicle import JobVehicle, read_values
 
 
-async def composed(
+async def compose_plan(
     vehicle: JobVehicle,
     results: Sequence[FitResult],
     options: Mapping[str, Any],
@@ -67,7 +69,7 @@ async def composed(
         doubt = unproved(from_json(origin, Origin), identity)
     earlier = tuple(jobs)
     known = accel_temperatures(earlier, vehicle.id, parameters)
-    told = told_device_ids(earlier, vehicle.id, parameters) if origin is None else {}  # a log says its own ids
+    told = held_device_ids(earlier, vehicle.id, parameters) if origin is None else {}  # a log says its own ids
     return identity, await asyncio.to_thread(
         make_plan,
         results,
@@ -81,7 +83,7 @@ async def composed(
     )
 
 
-async def adopted(
+async def plan_from_recording(
     handle: JobHandle,
     vehicle_of: Callable[[JobHandle], Awaitable[JobVehicle]],
     computations: Computations,
@@ -98,25 +100,44 @@ async def adopted(
         kept = to_json(origin)
         vehicle = await vehicle_of(handle)
         require_ready(vehicle)
-        identity, planned = await composed(vehicle, results, chosen, kept, jobs())
+        identity, planned = await compose_plan(vehicle, results, chosen, kept, jobs())
         await keep_plan(handle, planned)
     except (ServiceError, CalibError) as error:
-        code = str(getattr(error, "code", "calibration-error"))
         remedy = "Remove the cause and ask for the job again; the recording is kept."
-        handle.move(JobState.FAILED, outcome=Failure(code, str(error), remedy))
+        handle.move(JobState.FAILED, outcome=Failure.of(error, remedy))
         return
-    told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
-    told += [warning for fit in results for warning in fit.warnings]
-    done = planned.plan.nothing_to_write
-    handle.move(
-        JobState.SUCCEEDED if done else JobState.REVIEW,
-        outcome=nothing_to_write(planned.plan) if done else None,
-        fingerprint=planned.plan.fingerprint,
+    move_to_review(
+        handle,
+        planned.plan,
+        nothing_to_write(planned.plan),
         results=tuple(results),
-        plan=planned.plan,
-        warnings=tuple(dict.fromkeys(told)),
+        warnings=fit_messages(results),
         context={"identity": to_json(identity), "plan_options": chosen, "origin": kept},
     )
+
+
+def require_review(job: Job) -> None:
+    """Raise IllegalTransition unless the job is in review."""
+    if job.state != JobState.REVIEW:
+        raise IllegalTransition(f"job {job.id} is {job.state}: only a job in review can be planned again")
+
+
+async def plan_again(
+    handle: JobHandle, vehicle: JobVehicle, options: dict[str, Any], known: History, jobs: Iterable[Job]
+) -> None:
+    """Compose the plan of a job in review again, on the vehicle's present parameters."""
+    job = handle.job
+    if job.kind == RESTORE:
+        identity, planned = await compose_restore_plan(vehicle, await known(vehicle), options)
+    else:
+        origin, rowless = job.context.get("origin"), keys_without_row(job.context)
+        identity, planned = await compose_plan(vehicle, job.results, options, origin, jobs, rowless)
+    await keep_plan(handle, planned)
+    require_review(handle.job)  # it may have been accepted or cancelled meanwhile
+    plan = planned.plan
+    context = {**handle.job.context, "identity": to_json(identity), "plan_options": options}
+    data = {"sha256": plan.sha256}
+    handle.change("plan", data, plan=plan, fingerprint=plan.fingerprint, context=context, outcome=None)
 
 
 async def require_restorable(vehicle: JobVehicle, history: History) -> None:
@@ -127,7 +148,7 @@ async def require_restorable(vehicle: JobVehicle, history: History) -> None:
         raise NothingVerified(str(error)) from error
 
 
-async def planned_restore(
+async def compose_restore_plan(
     vehicle: JobVehicle, history: Sequence[VerifiedCalibration], options: Mapping[str, Any]
 ) -> tuple[Identity, Planned]:
     """Who the vehicle is, and the plan on its present parameters.
@@ -158,7 +179,9 @@ async def planned_restore(
     return identity, Planned(plan, calibration_snapshot(parameters))
 
 
-async def restored(handle: JobHandle, vehicle_of: Callable[[JobHandle], Awaitable[JobVehicle]], known: History) -> None:
+async def plan_restore(
+    handle: JobHandle, vehicle_of: Callable[[JobHandle], Awaitable[JobVehicle]], known: History
+) -> None:
     """Plan; the job ends in review, succeeded with nothing to write, or failed.
 
     `vehicle_of` waits for the vehicle of a job, which after a restart of the service takes a while.
@@ -167,18 +190,15 @@ async def restored(handle: JobHandle, vehicle_of: Callable[[JobHandle], Awaitabl
     try:
         vehicle = await vehicle_of(handle)
         require_ready(vehicle)
-        identity, planned = await planned_restore(vehicle, await known(vehicle), options)
+        identity, planned = await compose_restore_plan(vehicle, await known(vehicle), options)
         await keep_plan(handle, planned)
     except (ServiceError, CalibError) as error:
-        code = str(getattr(error, "code", "calibration-error"))
-        handle.move(JobState.FAILED, outcome=Failure(code, str(error), "Nothing was written."))
+        handle.move(JobState.FAILED, outcome=Failure.of(error, "Nothing was written."))
         return
-    done = planned.plan.nothing_to_write
-    handle.move(
-        JobState.SUCCEEDED if done else JobState.REVIEW,
-        outcome=_in_place(planned.plan) if done else None,
-        fingerprint=planned.plan.fingerprint,
-        plan=planned.plan,
+    move_to_review(
+        handle,
+        planned.plan,
+        _in_place(planned.plan),
         warnings=planned.plan.warnings,
         context={**handle.job.context, "identity": to_json(identity)},
     )

@@ -18,8 +18,11 @@ from mavcal.service.jobs.core.ports import Ownership
 from mavcal.service.store.protocol import JobStore, Store
 from mavcal.service.store.rows import EventRow, JobDocument, JobRow
 
-TOLD: Mapping[str, tuple[Any, str]] = {"progress": (Progress | None, "progress"), "prompt": (Prompt | None, "prompt")}
-"""Events that alone say what they say, with the field of the job."""
+UNSTORED: Mapping[str, tuple[Any, str]] = {
+    "progress": (Progress | None, "progress"),
+    "prompt": (Prompt | None, "prompt"),
+}
+"""Events that change a field of a job and no row of the store, with that field."""
 
 
 class JobBook:
@@ -72,17 +75,19 @@ class JobBook:
         """Know every job of the store; none is ours yet."""
         self._others = {row.id: job_of(row, self._store) for row in self._store.each_job()}
 
-    def asks_for(self, event: EventRow) -> bool:
+    def needs_row(self, event: EventRow) -> bool:
         """Whether the row of the event's job is wanted: it is not ours, and the event does not say all."""
-        return event.job_id not in self._handles and not (event.kind in TOLD and event.job_id in self._others)
+        return event.job_id not in self._handles and not (event.kind in UNSTORED and event.job_id in self._others)
 
     def seen(self, event: EventRow, row: JobRow | None) -> None:
         """Tell of an event; what it, or its job's `row`, says of a job that is not ours is known from now on."""
         if event.job_id not in self._handles:
             if row is not None:
                 self._others[row.id] = job_of(row, self._store)
-            elif event.kind in TOLD and event.job_id in self._others:
-                self._others[event.job_id] = told(self._others[event.job_id], event)
+            elif event.kind in UNSTORED and event.job_id in self._others:
+                kind, field = UNSTORED[event.kind]
+                said: dict[str, Any] = {field: from_json(dict(event.data), kind) if event.data else None}
+                self._others[event.job_id] = dataclasses.replace(self._others[event.job_id], **said)
         self._feed.publish(event)
 
     def close(self) -> None:
@@ -163,13 +168,6 @@ class JobBook:
         self._handles[job.id] = handle
         self._others.pop(job.id, None)
         return handle
-
-
-def told(job: Job, event: EventRow) -> Job:
-    """What an event of these kinds, which is in no row of a job, says of it."""
-    kind, field = TOLD[event.kind]
-    changed: dict[str, Any] = {field: from_json(dict(event.data), kind) if event.data else None}
-    return dataclasses.replace(job, **changed)
 
 
 PAGE = 200

@@ -14,10 +14,9 @@ from mavcal.calib import report
 from mavcal.calib.converter import lenient, read
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.procedures.protocol import Progress, Prompt
-from mavcal.service.jobs.core.journal import JournalStep, fold
+from mavcal.service.jobs.core.journal import JournalStep, as_heard, fold
 from mavcal.service.jobs.core.model import Failure, Job, Outcome, Result, Standing, Unwritten
 from mavcal.service.jobs.core.proof import ProofLevel
-from mavcal.service.jobs.core.standing import as_heard
 from mavcal.service.jobs.core.states import ENDED, WRITING, JobState
 from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import JobRow

@@ -77,14 +77,13 @@ class JobHandle:
         return self._wall()
 
     def move(self, to: JobState, **changes: Any) -> None:
-        """Go to another state. Raises IllegalTransition; the job is then as it was."""
+        """Go to another state, also while the store does not work: recovery reads the vehicle.
+
+        Raises IllegalTransition; the job is then as it was.
+        """
         changed = advance(self.job, to, self._wall(), **changes)
         data = {"state": to.value, "outcome": to_json(changed.outcome)}
         self._keep(changed, "state", data)
-
-    def move_anyway(self, to: JobState, **changes: Any) -> None:
-        """Go to another state even if the store fails: the vehicle comes first, and recovery reads the vehicle."""
-        self.move(to, **changes)
 
     async def kept(self) -> None:
         """Return when every change of the job is on the disk. Raises DiskFull."""
@@ -163,7 +162,7 @@ class JobHandle:
         with suppress(Exception):
             self._tell(kind, data)
 
-    def written(self) -> WriteRecord:
+    def write_record(self) -> WriteRecord:
         """What the journal says, with the steps that the store still has to take."""
         owed = tuple(self._owed_steps)  # first: what is saved meanwhile is then in both, and never in neither
         rows = self.store.journal(self.id)

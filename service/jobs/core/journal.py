@@ -1,4 +1,4 @@
-"""Reads the journal of a write: what is known to have happened, and what must follow.
+"""Reads the journal of a write: what has happened, what must follow, and what each parameter holds.
 
 All functions are pure. A running transaction, and recovery after a crash or after an armed or silent vehicle, decide by
 this alone.
@@ -6,24 +6,23 @@ this alone.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
+from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN_AT_REST
 from mavcal.calib.firmware.plan import Change, ParameterKind, Value, WritePlan
+from mavcal.service.jobs.core.model import Holds, Standing
 from mavcal.service.store.rows import JournalRow
 
 BY_OPERATOR = "the operator asked for it"
 """Why a finished write is taken back, if nothing went wrong."""
-
-
+SOMEBODY = "somebody else"
+EITHER = "the vehicle itself or somebody else"
 RESTART_MARGIN_S = 5.0
-
-
 RESTART_MARGIN = 0.05
 """By so much, in seconds and as a share, a vehicle must have run for less time than has passed to have restarted."""
 
@@ -99,7 +98,7 @@ class WriteRecord:
     restored: frozenset[str] = frozenset()
     rolling_back: str | None = None
     undone: frozenset[str] = frozenset()
-    left: Mapping[str, Value] = dataclasses.field(default_factory=dict)
+    left: Mapping[str, Value] = field(default_factory=dict)
     closed: bool = False
     stopped: str | None = None
     """Why the write stopped first; what came of that later does not replace it."""
@@ -109,7 +108,7 @@ class WriteRecord:
     """The vehicle was seen to restart in the middle, not by us."""
     interrupted: bool = False
     """The service itself ended in the middle, and nobody listened for a while."""
-    intervals: Mapping[int, int] = dataclasses.field(default_factory=dict)
+    intervals: Mapping[int, int] = field(default_factory=dict)
     """Message intervals to be restored, microseconds by message id."""
 
     def of(self, name: str) -> Sent | None:
@@ -131,8 +130,75 @@ def fold(rows: Iterable[JournalRow]) -> WriteRecord:
     """What the rows of a job say, oldest first."""
     record = WriteRecord()
     for row in rows:
-        record = _FOLDS[JournalStep(row.step)](record, row.data)
+        record = _after(record, JournalStep(row.step), row.data)
     return record
+
+
+def _after(record: WriteRecord, step: JournalStep, data: Mapping[str, Any]) -> WriteRecord:
+    """The record with what one more row says; a snapshot and an announced command change nothing in it."""
+    match step:
+        case JournalStep.ACCEPTED:  # a new transaction; the message rates of the one before may be owed still
+            return WriteRecord(accepted=True, intervals=record.intervals)
+        case JournalStep.STREAMS:  # the first announcement holds the intervals as they were before us
+            before = {int(key): int(interval) for key, interval in data["intervals"].items()}
+            return replace(record, intervals={**before, **record.intervals})
+        case JournalStep.STREAMS_RESTORED:
+            return replace(record, intervals={})
+        case JournalStep.READ_BACK:
+            known = data.get("boot_time") is not None
+            saved = Saved(float(data["at"]), float(data["boot_time"])) if known else record.saved
+            return replace(record, read_back=True, saved=saved)
+        case JournalStep.COMMANDED:
+            return replace(record, commanded=record.commanded | {int(data["index"])})
+        case JournalStep.ROLL_BACK:
+            return replace(record, rolling_back=record.rolling_back or str(data["because"]), closed=False)
+        case JournalStep.STOPPED:
+            return _stopped(record, data)
+    if step in _FLAGS:
+        return replace(record, **_FLAGS[step])
+    return record if step in {JournalStep.SNAPSHOT, JournalStep.COMMAND} else _of_parameter(record, step, data)
+
+
+_FLAGS: Mapping[JournalStep, dict[str, Any]] = {
+    JournalStep.REBOOT: {"reboot_announced": True},
+    JournalStep.REBOOTED: {"rebooted": True},
+    JournalStep.VERIFIED: {"verified": True},
+    JournalStep.CLOSED: {"closed": True},
+}
+
+
+def _of_parameter(record: WriteRecord, step: JournalStep, data: Mapping[str, Any]) -> WriteRecord:
+    """The record after a step that names a parameter."""
+    name = data["name"]
+    if step is JournalStep.SEND and record.of(name) is None:
+        sent = Sent(name, data["old"], data["new"], ParameterKind(data["kind"]), data["session"])
+        return replace(record, sent=(*record.sent, sent))
+    announced = step in {JournalStep.SEND, JournalStep.RESTORE, JournalStep.UNDO}
+    record = replace(record, sent=_confirmed(record, name, None if announced else data["value"]))
+    match step:
+        case JournalStep.RESTORED:
+            return replace(record, restored=record.restored | {name})
+        case JournalStep.UNDONE:
+            return replace(record, undone=record.undone | {name})
+        case JournalStep.LEFT:
+            return replace(record, left={**record.left, name: data["value"]})
+    return record
+
+
+def _confirmed(record: WriteRecord, name: str, value: Value | None) -> tuple[Sent, ...]:
+    return tuple(replace(sent, confirmed=value) if sent.name == name else sent for sent in record.sent)
+
+
+def _stopped(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    restarted = bool(data.get("restarted"))
+    first = record.stopped is None or (record.silent and restarted)
+    return replace(
+        record,
+        stopped=str(data["reason"]) if first else record.stopped,
+        silent=bool(data.get("silent")) if first else record.silent,
+        restarted=record.restarted or restarted,
+        interrupted=record.interrupted or bool(data.get("interrupted")),
+    )
 
 
 def decide(record: WriteRecord, plan: WritePlan, values: Mapping[str, Value]) -> Next:
@@ -167,99 +233,63 @@ def same(a: Value, b: Value, kind: ParameterKind) -> bool:
     return bool(np.float32(a) == np.float32(b)) if kind == ParameterKind.REAL32 else a == b
 
 
-def _replace_sent(record: WriteRecord, name: str, confirmed: Value | None) -> tuple[Sent, ...]:
-    return tuple(dataclasses.replace(s, confirmed=confirmed) if s.name == name else s for s in record.sent)
+# --- parameters that a write touched
 
 
-def _accepted(record: WriteRecord, _: Mapping[str, Any]) -> WriteRecord:
-    return WriteRecord(accepted=True, intervals=record.intervals)
+def holding(value: Value | None, old: Value, new: Value, kind: ParameterKind) -> Holds:
+    """Which value a parameter holds; `old` where both are one."""
+    if value is None:
+        return Holds.UNKNOWN
+    if same(value, old, kind):
+        return Holds.OLD
+    return Holds.NEW if same(value, new, kind) else Holds.OTHER
 
 
-def _send(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    if record.of(data["name"]) is not None:
-        return dataclasses.replace(record, sent=_replace_sent(record, data["name"], None))
-    sent = Sent(data["name"], data["old"], data["new"], ParameterKind(data["kind"]), data["session"])
-    return dataclasses.replace(record, sent=(*record.sent, sent))
+def as_read(plan: WritePlan, old: Mapping[str, Value], values: Mapping[str, Value], who: str) -> tuple[Standing, ...]:
+    """Every parameter of a plan as it was freshly read, `old` being what it held before the write."""
+    found = []
+    for change in plan.changes:
+        name, value, before = change.name, values.get(change.name), old[change.name]
+        holds = holding(value, before, change.new, change.kind)
+        note = f"set by {who}; it is left so" if holds == Holds.OTHER else ""
+        found.append(Standing(name, before, change.new, value, value is not None, note, holds))
+    return tuple(found)
 
 
-def _confirmed(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    return dataclasses.replace(record, sent=_replace_sent(record, data["name"], data["value"]))
+def as_heard(record: WriteRecord, heard: Mapping[str, Value], doubt: str | None = None) -> tuple[Standing, ...]:
+    """Every parameter that may have been touched, as it was last heard.
+
+    `heard` are values heard since the last PARAM_SET of each name. One that was not also confirmed as the answer to
+    that PARAM_SET is no proof: it may be a late echo from before. With a `doubt` nothing is certain, and once a session
+    setting was put back the vehicle may calibrate by itself again.
+    """
+    found = []
+    freed = [s.name for s in record.sent if s.session and s.name in record.undone | record.restored]
+    for sent in record.sent:
+        value = heard.get(sent.name, sent.confirmed)
+        confirmed = sent.confirmed is not None and value is not None and same(value, sent.confirmed, sent.kind)
+        note = f"set by {who_sets(sent.name)}" if sent.name in record.left else doubt or ""
+        if freed and not sent.session and sent.name not in record.left:
+            note = "; ".join(filter(None, (note, f"the vehicle may change it since {freed[0]} was put back")))
+        certain = confirmed and doubt is None and (sent.session or not freed)
+        holds = holding(value, sent.old, sent.new, sent.kind) if certain else Holds.UNKNOWN
+        found.append(Standing(sent.name, sent.old, sent.new, value, certain, note, holds))
+    return tuple(found)
 
 
-def _unconfirmed(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    return dataclasses.replace(record, sent=_replace_sent(record, data["name"], None))
+def who_sets(name: str) -> str:
+    """Return who may have changed this parameter while the vehicle ran. PX4 rewrites its gyro offsets at rest."""
+    return EITHER if name in REWRITTEN_AT_REST else SOMEBODY
 
 
-def _undone(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    done = _confirmed(record, data)
-    return dataclasses.replace(done, undone=record.undone | {data["name"]})
+def who_else(record: WriteRecord, plan: WritePlan) -> str:
+    """Who may have set a value that is neither old nor new.
 
-
-def _restored(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    done = _confirmed(record, data)
-    return dataclasses.replace(done, restored=record.restored | {data["name"]})
-
-
-def _left(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    done = _confirmed(record, data)
-    return dataclasses.replace(done, left={**record.left, data["name"]: data["value"]})
-
-
-def _streams(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    # The first announcement holds the intervals as they were before us.
-    new = {int(k): int(v) for k, v in data["intervals"].items()}
-    return dataclasses.replace(record, intervals={**new, **record.intervals})
-
-
-def _roll_back(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    return dataclasses.replace(record, rolling_back=record.rolling_back or str(data["because"]), closed=False)
-
-
-def _stopped(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    restarted = bool(data.get("restarted"))
-    first = record.stopped is None or (record.silent and restarted)
-    return dataclasses.replace(
-        record,
-        stopped=str(data["reason"]) if first else record.stopped,
-        silent=bool(data.get("silent")) if first else record.silent,
-        restarted=record.restarted or restarted,
-        interrupted=record.interrupted or bool(data.get("interrupted")),
-    )
-
-
-def _commanded(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    return dataclasses.replace(record, commanded=record.commanded | {int(data["index"])})
-
-
-def _read_back(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
-    known = data.get("boot_time") is not None
-    saved = Saved(float(data["at"]), float(data["boot_time"])) if known else record.saved
-    return dataclasses.replace(record, read_back=True, saved=saved)
-
-
-def _flag(**flags: Any) -> Any:
-    return lambda record, _: dataclasses.replace(record, **flags)
-
-
-_FOLDS: Mapping[JournalStep, Any] = {
-    JournalStep.ACCEPTED: _accepted,
-    JournalStep.STREAMS: _streams,
-    JournalStep.STREAMS_RESTORED: _flag(intervals={}),
-    JournalStep.SNAPSHOT: _flag(),
-    JournalStep.SEND: _send,
-    JournalStep.ECHO: _confirmed,
-    JournalStep.READ_BACK: _read_back,
-    JournalStep.REBOOT: _flag(reboot_announced=True),
-    JournalStep.REBOOTED: _flag(rebooted=True),
-    JournalStep.VERIFIED: _flag(verified=True),
-    JournalStep.COMMAND: _flag(),
-    JournalStep.COMMANDED: _commanded,
-    JournalStep.RESTORE: _unconfirmed,
-    JournalStep.RESTORED: _restored,
-    JournalStep.ROLL_BACK: _roll_back,
-    JournalStep.UNDO: _unconfirmed,
-    JournalStep.UNDONE: _undone,
-    JournalStep.LEFT: _left,
-    JournalStep.STOPPED: _stopped,
-    JournalStep.CLOSED: _flag(closed=True),
-}
+    PX4 rewrites its gyro offsets at rest. After a restart the vehicle may have calibrated itself, also once a session
+    setting was put back that kept it from that. Nobody listened while the service was away.
+    """
+    freed = any(s.session and s.name in record.undone | record.restored for s in record.sent)
+    later = record.interrupted or record.rolling_back == BY_OPERATOR
+    alone = later or record.restarted or record.reboot_announced or record.rebooted
+    at_rest = any(change.name in REWRITTEN_AT_REST for change in plan.changes)
+    return EITHER if freed or alone or at_rest else SOMEBODY

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 from mavcal.calib.firmware.plan import Fingerprint, LeftOut, Value, Verification, WritePlan
-from mavcal.calib.fit import FitResult
+from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.protocol import Progress, Prompt
 from mavcal.calib.procedures.registry import specification
 from mavcal.service.errors import IllegalTransition
@@ -44,8 +44,13 @@ class Failure:
     remedy: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cause", _stopped(self.cause))  # it mostly follows a colon and may begin small
+        object.__setattr__(self, "cause", _stopped(self.cause))  # mostly follows a colon, and may begin lower-case
         object.__setattr__(self, "remedy", _stopped(self.remedy[:1].upper() + self.remedy[1:]))
+
+    @classmethod
+    def of(cls, error: Exception, remedy: str) -> Self:
+        """The failure that an error of the service or of a calculation stands for."""
+        return cls(str(getattr(error, "code", "calibration-error")), str(error), remedy)
 
 
 @dataclass(frozen=True)
@@ -180,6 +185,13 @@ class Job:
     def _missed(self, *, asked: bool) -> tuple[LeftOut, ...]:
         calibrated = specification(self.kind).calibrated if self.missed else frozenset()
         return tuple(out for out in self.missed if (out.sensor in calibrated) == asked)
+
+
+def fit_messages(fits: Iterable[FitResult]) -> tuple[str, ...]:
+    """What fits warn of, each once: why a sensor was refused first."""
+    fits = tuple(fits)
+    refused = [fit.message for fit in fits if fit.status == FitStatus.REFUSED]
+    return tuple(dict.fromkeys((*refused, *(warning for fit in fits for warning in fit.warnings))))
 
 
 def cancelled(job: Job) -> Failure:

@@ -64,14 +64,3 @@ class JobRecord(Protocol):
     async def keep_preflight(self, found: Preflight) -> Preflight:
         """The report as it is told, with a note if it could not be kept."""
         ...
-
-
-class NoRecord:
-    """Keeps nothing."""
-
-    def job_ended(self, job: Job) -> None:
-        """See JobRecord."""
-
-    async def keep_preflight(self, found: Preflight) -> Preflight:
-        """See JobRecord."""
-        return found

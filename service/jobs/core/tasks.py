@@ -15,6 +15,8 @@ from mavcal.service.jobs.core.states import CAPTURING, ENDED, WRITING, JobState
 log = structlog.get_logger(__name__)
 
 Work = Callable[[], Awaitable[None]]
+How = Callable[[JobHandle], None]
+LOST = "the write lost its task, by a defect of the program; its log says more"
 
 
 class JobTasks:
@@ -41,6 +43,8 @@ class JobTasks:
         self._handles: dict[str, JobHandle] = {}
         self.stopping = False
         """Set before the tasks of a stopping service are cancelled."""
+        self.resuming: set[asyncio.Task[None]] = set()
+        """Tasks in which jobs wait to be resumed until interrupted writes have ended."""
 
     def spawn(self, handle: JobHandle, work: Work) -> None:
         """Run a job's work as its task."""
@@ -48,11 +52,11 @@ class JobTasks:
         self.running[handle.id], self._handles[handle.id] = task, handle
         task.add_done_callback(partial(self._over, handle))
 
-    def leaving(self, vehicle_id: str) -> set[asyncio.Task[None]]:
-        """Tasks of jobs that are over and still hold this vehicle: one that was cancelled ends a moment later."""
+    def ending_tasks(self, vehicle_id: str | None = None) -> set[asyncio.Task[None]]:
+        """Tasks of jobs that are over, and still hold this vehicle or any: a cancelled one ends a moment later."""
         over = ENDED | {JobState.REVIEW}
         jobs = ((task, self._handles[job_id].job) for job_id, task in self.running.items())
-        return {task for task, job in jobs if job.vehicle_id == vehicle_id and job.state in over}
+        return {task for task, job in jobs if vehicle_id in {None, job.vehicle_id} and job.state in over}
 
     def cancel(self, job_id: str) -> None:
         """Cancel the task of a job, if it has one."""
@@ -74,14 +78,36 @@ class JobTasks:
                 task = asyncio.current_task()
                 if self.stopping or (task is not None and task.cancelling()):
                     raise  # a stop of the service is a crash: the journal decides at the next start
-                broke(handle, error)
-            except Exception as error:  # noqa: BLE001 - every kind of defect; `broke` logs it with its trace
-                broke(handle, error)
+                note_defect(handle, error)
+            except Exception as error:  # noqa: BLE001 - every kind of defect; `note_defect` logs it with its trace
+                note_defect(handle, error)
             if handle.job.state not in WRITING or self.running.get(handle.id) is not asyncio.current_task():
                 return
             await asyncio.sleep(pause)
             pause = self._retry_s
             work = partial(self._recovered, handle, LOST)
+
+    def resume(self, handles: Sequence[JobHandle], recover: How, resume: How, *, alone_s: float) -> None:
+        """Take jobs up where an earlier run left them, however it ended.
+
+        Interrupted writes are recovered first and alone; the others are resumed when these have ended, or after
+        `alone_s`.
+        """
+        writes = [handle for handle in handles if handle.job.state in WRITING]
+        _each(writes, recover)
+        others = [handle for handle in handles if handle not in writes]
+        running = [task for handle in writes if (task := self.running.get(handle.id)) is not None]
+
+        async def follow() -> None:
+            await asyncio.wait(running, timeout=alone_s)
+            _each(others, resume)
+
+        if running:
+            task = asyncio.create_task(follow())
+            self.resuming.add(task)
+            task.add_done_callback(self.resuming.discard)
+        else:
+            _each(others, resume)
 
     def _over(self, handle: JobHandle, task: asyncio.Task[None]) -> None:
         if self.running.get(handle.id) is task:
@@ -89,67 +115,19 @@ class JobTasks:
             self._ended(handle)
 
 
-How = Callable[[JobHandle], None]
-
-
-class Resumption:
-    """Takes jobs up where they were left, however their run ended.
-
-    Parameters
-    ----------
-    tasks
-        Where the work of a job runs.
-    alone_s
-        For so long other jobs wait for interrupted writes.
-    recover, resume
-        Take up a job that was writing, and any other one.
-    """
-
-    def __init__(self, tasks: JobTasks, alone_s: float, *, recover: How, resume: How) -> None:
-        self._tasks = tasks
-        self._alone_s = alone_s
-        self._recover, self._resume = recover, resume
-        self.waiting: set[asyncio.Task[None]] = set()
-        """Those that wait for writes to end."""
-
-    def begin(self, handles: Sequence[JobHandle]) -> None:
-        """Take these jobs up."""
-        writes = [handle for handle in handles if handle.job.state in WRITING]
-        for handle in writes:
-            _taken_up(handle, self._recover)
-        others = [handle for handle in handles if handle not in writes]
-        running = [task for handle in writes if (task := self._tasks.running.get(handle.id)) is not None]
-        if running:
-            task = asyncio.create_task(self._follow(running, others))
-            self.waiting.add(task)
-            task.add_done_callback(self.waiting.discard)
-        else:
-            self._take_up(others)
-
-    async def _follow(self, writes: Iterable[asyncio.Task[None]], others: Sequence[JobHandle]) -> None:
-        await asyncio.wait(tuple(writes), timeout=self._alone_s)
-        self._take_up(others)
-
-    def _take_up(self, handles: Iterable[JobHandle]) -> None:
-        for handle in handles:
-            _taken_up(handle, self._resume)
-
-
-def _taken_up(handle: JobHandle, how: How) -> None:
-    """Take one job up; what is wrong with it must not keep the others waiting."""
-    try:
-        how(handle)
-    except Exception:  # of any kind: one job must not strand the writes after it; logged with its trace
-        log.exception("job not taken up", job=handle.id, state=handle.job.state)
-
-
-LOST = "the write lost its task, by a defect of the program; its log says more"
-
-
-def broke(handle: JobHandle, error: BaseException) -> None:
+def note_defect(handle: JobHandle, error: BaseException) -> None:
     """Note a defect in a job's work; a job that has written nothing ends with it."""
     log.error("job broke", job=handle.id, state=handle.job.state, exc_info=error)
     if handle.job.state in CAPTURING | {JobState.FITTING}:
         cause = f"a defect of the program ended the job ({type(error).__name__})"
         remedy = "Its log says more. What was recorded is kept."
-        handle.move_anyway(JobState.FAILED, outcome=Failure("internal-error", cause, remedy), prompt=None)
+        handle.move(JobState.FAILED, outcome=Failure("internal-error", cause, remedy), prompt=None)
+
+
+def _each(handles: Iterable[JobHandle], how: How) -> None:
+    """Take each job up; what is wrong with one must not keep the others waiting."""
+    for handle in handles:
+        try:
+            how(handle)
+        except Exception:  # of any kind: one job must not strand the writes after it; logged with its trace
+            log.exception("job not taken up", job=handle.id, state=handle.job.state)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Never, Protocol
 
 from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.fit import FitResult
@@ -73,26 +73,8 @@ class NoUploads:
         """Raise RecordingUnknown."""
         raise RecordingUnknown(f"there is no recording {recording}: uploads are not kept here")
 
-    async def fit(
-        self, recording: str, method: str, options: Mapping[str, Any], *, told: Told | None = None
-    ) -> tuple[FitResult, ...]:
+    async def fit(self, *_order: Any, **_options: Any) -> Never:
         """Raise RecordingUnknown."""
         raise RecordingUnknown
 
-    async def fit_of_vehicle(
-        self, recording: str, method: str, options: Mapping[str, Any]
-    ) -> tuple[tuple[FitResult, ...], Origin]:
-        """Raise RecordingUnknown."""
-        raise RecordingUnknown
-
-    async def diagnose(
-        self,
-        real: str,
-        sim: str | None,
-        nominal: Sequence[str],
-        *,
-        limit_s: float | None = None,
-        told: Told | None = None,
-    ) -> Diagnosis:
-        """Raise RecordingUnknown."""
-        raise RecordingUnknown
+    fit_of_vehicle = diagnose = fit

@@ -21,7 +21,7 @@ from mavcal.service.errors import ChildrenBusy, GapsBusy, JobCancelled, ServiceE
 from mavcal.service.jobs.core.admission import require_finite
 from mavcal.service.jobs.core.book import JobBook
 from mavcal.service.jobs.core.handle import JobHandle
-from mavcal.service.jobs.core.model import Failure, Job, Result
+from mavcal.service.jobs.core.model import Failure, Job, Result, fit_messages
 from mavcal.service.jobs.core.states import CANCELLABLE, ENDED, JobState
 from mavcal.service.jobs.core.tasks import JobTasks
 from mavcal.service.jobs.uploads.computations import Computations, Told
@@ -157,7 +157,7 @@ class Computing:
         finally:
             self._waited_for.pop(job.id, None)
 
-    def take_up(self, handle: JobHandle) -> None:
+    def resume_at_start(self, handle: JobHandle) -> None:
         """Begin a job again that was waiting or running when the service stopped; not more often than is sensible."""
         if handle.job.state in ENDED:
             return
@@ -184,8 +184,7 @@ class Computing:
                 await (self._diagnosed(handle) if handle.job.kind == GAP else self._fitted(handle))
             ended = handle.job
         except (ServiceError, CalibError) as error:
-            code = str(getattr(error, "code", "calibration-error"))
-            handle.move(JobState.FAILED, outcome=Failure(code, str(error), REMEDY), progress=None)
+            handle.move(JobState.FAILED, outcome=Failure.of(error, REMEDY), progress=None)
             ended = error
         except Exception as defect:
             ended = defect
@@ -199,11 +198,9 @@ class Computing:
         fits = await self._computations.fit(
             order["recording"], order["method"], order["options"], told=self._told(handle)
         )
-        self._taken_up(handle)
-        warnings = [fit.message for fit in fits if fit.status == FitStatus.REFUSED]
-        warnings += [warning for fit in fits for warning in fit.warnings]
+        self._note_started(handle)
         outcome = Result(_counted(fits, order["method"]), proof_reason=NOTHING_WRITTEN)
-        told = tuple(dict.fromkeys(warnings))
+        told = fit_messages(fits)
         handle.move(JobState.SUCCEEDED, results=tuple(fits), outcome=outcome, warnings=told, progress=None)
 
     async def _diagnosed(self, handle: JobHandle) -> None:
@@ -211,7 +208,7 @@ class Computing:
         diagnosis = await self._computations.diagnose(
             order["real"], order["sim"], order["nominal"], limit_s=order.get("limit_s"), told=self._told(handle)
         )
-        self._taken_up(handle)
+        self._note_started(handle)
         for document in diagnosis.documents:
             await handle.store.do(partial(handle.store.save_document, handle.id, document))
         outcome = Result(diagnosis.summary, proof_reason=NOTHING_WRITTEN)
@@ -227,7 +224,7 @@ class Computing:
         steps = itertools.count()
 
         def told(text: str) -> None:
-            self._taken_up(handle)
+            self._note_started(handle)
             said, step = read_line(text), next(steps)
             if said.share is None:
                 handle.progress(Progress(float(min(step, STEPS)), float(STEPS), "steps", said.text))
@@ -236,7 +233,7 @@ class Computing:
 
         return told
 
-    def _taken_up(self, handle: JobHandle) -> None:
+    def _note_started(self, handle: JobHandle) -> None:
         """A child has the job: it is not queued any more."""
         if handle.job.state == JobState.QUEUED:
             starts = handle.job.context.get("starts", 0) + 1

@@ -18,10 +18,9 @@ from mavcal.calib.firmware.values import shown
 from mavcal.service.errors import ServiceError, WriteFailed
 from mavcal.service.jobs.core.codec import to_json
 from mavcal.service.jobs.core.handle import JobHandle
-from mavcal.service.jobs.core.journal import JournalStep, WriteRecord
+from mavcal.service.jobs.core.journal import JournalStep, WriteRecord, as_heard
 from mavcal.service.jobs.core.model import Attempt, Failure, Holds, Outcome, Result, Standing, Unwritten, WriteResult
 from mavcal.service.jobs.core.proof import Proof, ProofLevel, proof_of
-from mavcal.service.jobs.core.standing import as_heard
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.write.guard import RESTARTED, WriteGuard
 
@@ -29,16 +28,19 @@ log = structlog.get_logger(__name__)
 
 NAMED = 3
 """So many parameters are named in a sentence; `standing` lists them all."""
-
-
 RESOLVE = "Disarm the vehicle and keep it on the ground and in reach: this is then finished or taken back by itself."
-
-
 READ_BACK_ONLY = Proof(ProofLevel.NONE, "The old values were read back; no stream was checked.")
+RESULTS: Mapping[JobState, WriteResult] = {
+    JobState.REVIEW: WriteResult.FAILED,
+    JobState.IN_DOUBT: WriteResult.IN_DOUBT,
+    JobState.REVERTED: WriteResult.REVERTED,
+    JobState.SUCCEEDED: WriteResult.SUCCEEDED,
+}
+INTERRUPTED = "the service was interrupted while it wrote"
 
 
 @dataclass(frozen=True)
-class Account:
+class WriteOutcome:
     """The state that a write has come to, and what is said of it."""
 
     state: JobState
@@ -48,17 +50,17 @@ class Account:
     """Parameters for which a PARAM_SET may have left."""
 
 
-def nothing_sent(code: str, cause: str, remedy: str = "Nothing was written.") -> Account:
+def nothing_sent(code: str, cause: str, remedy: str = "Nothing was written.") -> WriteOutcome:
     """The write ended before its first PARAM_SET: the vehicle is as it was."""
-    return Account(JobState.REVIEW, Unwritten(code, cause, remedy))
+    return WriteOutcome(JobState.REVIEW, Unwritten(code, cause, remedy))
 
 
-def in_doubt(known: Sequence[Standing], cause: str) -> Account:
+def in_doubt(known: Sequence[Standing], cause: str) -> WriteOutcome:
     """The write stopped; `known` is every parameter that was sent, or may have been."""
-    return Account(JobState.IN_DOUBT, Failure("in-doubt", cause, RESOLVE), tuple(known), len(known))
+    return WriteOutcome(JobState.IN_DOUBT, Failure("in-doubt", cause, RESOLVE), tuple(known), len(known))
 
 
-def reverted(read: Sequence[Standing], cause: str | None, who: str, sent: int) -> Account:
+def reverted(read: Sequence[Standing], cause: str | None, who: str, sent: int) -> WriteOutcome:
     """The write was taken back and every parameter of the plan read; a `cause` of None: the operator asked for it.
 
     Raises
@@ -78,12 +80,12 @@ def reverted(read: Sequence[Standing], cause: str | None, who: str, sent: int) -
         text = f"The old values are back, read and verified, except {_changed(away, who)}."
     if cause is None:
         proof = READ_BACK_ONLY
-        return Account(JobState.REVERTED, Result(text, proof.level, proof.reason), away, sent)
+        return WriteOutcome(JobState.REVERTED, Result(text, proof.level, proof.reason), away, sent)
     remedy = f"{text} Start a new job."
-    return Account(JobState.REVERTED, Failure("reverted", cause, remedy), away, sent)
+    return WriteOutcome(JobState.REVERTED, Failure("reverted", cause, remedy), away, sent)
 
 
-def succeeded(read: Sequence[Standing], plan: WritePlan, verification: Verification | None, who: str) -> Account:
+def succeeded(read: Sequence[Standing], plan: WritePlan, verification: Verification | None, who: str) -> WriteOutcome:
     """Every parameter of the plan was read at the end; only session settings may have been left to others.
 
     Raises
@@ -101,7 +103,7 @@ def succeeded(read: Sequence[Standing], plan: WritePlan, verification: Verificat
     text = f"Every parameter was written and read back. {proof.reason}"
     if away:
         text += f" The settings of this session are back, except {_changed(away, who)}."
-    return Account(JobState.SUCCEEDED, Result(text, proof.level, proof.reason, proof.unproved), away, len(read))
+    return WriteOutcome(JobState.SUCCEEDED, Result(text, proof.level, proof.reason, proof.unproved), away, len(read))
 
 
 def _changed(away: Sequence[Standing], who: str) -> str:
@@ -119,35 +121,17 @@ def _number(value: Value | None) -> str:
     return "unknown" if value is None else shown(value)
 
 
-RESULTS: Mapping[JobState, WriteResult] = {
-    JobState.REVIEW: WriteResult.FAILED,
-    JobState.IN_DOUBT: WriteResult.IN_DOUBT,
-    JobState.REVERTED: WriteResult.REVERTED,
-    JobState.SUCCEEDED: WriteResult.SUCCEEDED,
-}
-
-
-INTERRUPTED = "the service was interrupted while it wrote"
-
-
-def end(handle: JobHandle, told: Account) -> None:
+def conclude(handle: JobHandle, told: WriteOutcome) -> None:
     """Bring the job to the state of `told`, with the last attempt as a field and as the event ``write``."""
-    cause, remedy = _said(told)
+    of = told.outcome
+    cause, remedy = (of.cause, of.remedy) if isinstance(of, Failure) else (of.text, "")
     attempt = Attempt(RESULTS[told.state], handle.now(), cause, remedy, told.sent)
     changes: dict[str, Any] = {"accept": None} if told.state == JobState.REVIEW else {}
-    handle.move_anyway(
-        told.state, outcome=told.outcome, standing=told.standing, last_write=attempt, prompt=None, **changes
-    )
+    handle.move(told.state, outcome=told.outcome, standing=told.standing, last_write=attempt, prompt=None, **changes)
     handle.announce("write", to_json(attempt))
 
 
-def _said(told: Account) -> tuple[str, str]:
-    if isinstance(told.outcome, Failure):
-        return told.outcome.cause, told.outcome.remedy
-    return told.outcome.text, ""
-
-
-async def stop(handle: JobHandle, reason: str, heard: Mapping[str, Value], guard: WriteGuard | None) -> None:
+async def put_in_doubt(handle: JobHandle, reason: str, heard: Mapping[str, Value], guard: WriteGuard | None) -> None:
     """Put the job in doubt: nothing more is sent, and every parameter that may have been is listed.
 
     `guard` is that of the attempt that stopped; None: the service itself was interrupted.
@@ -160,10 +144,10 @@ async def stop(handle: JobHandle, reason: str, heard: Mapping[str, Value], guard
     )
     doubt = "before the service was interrupted" if guard is None else guard.doubt()
     record = record_of(handle)
-    end(handle, in_doubt(_known(handle, record, heard, doubt), _cause(record, reason)))
+    conclude(handle, in_doubt(_known(handle, record, heard, doubt), _cause(record, reason)))
 
 
-async def look_back(handle: JobHandle, guard: WriteGuard) -> None:
+async def withdraw_certainty(handle: JobHandle, guard: WriteGuard) -> None:
     """What was certain when the write stopped need not be so any more, say after a restart of the vehicle."""
     doubt, record = guard.doubt(), record_of(handle)
     if doubt is None:
@@ -182,7 +166,7 @@ async def look_back(handle: JobHandle, guard: WriteGuard) -> None:
 def record_of(handle: JobHandle) -> WriteRecord | None:
     """What the journal says; None: it cannot be read."""
     try:
-        return handle.written()
+        return handle.write_record()
     except Exception:  # of any kind: a damaged journal must not keep a job from its ending; logged with its trace
         log.exception("journal unreadable", job=handle.id)
         return None
@@ -213,10 +197,15 @@ def _known(
     return tuple(Standing(c.name, c.old, c.new, None, certain=False, note=note) for c in changes)
 
 
-async def doubt(handle: JobHandle, reason: str) -> None:
-    """Put a job whose write lost its task in doubt; one that has sent nothing goes back to review."""
+def nothing_was_sent(handle: JobHandle) -> bool:
+    """Whether the journal says that no PARAM_SET of this write may have left."""
     record = record_of(handle)
-    if handle.job.state == JobState.APPLYING and record is not None and not record.sent:
-        end(handle, nothing_sent("interrupted", reason, "Nothing was written. Apply the plan again."))
+    return handle.job.state == JobState.APPLYING and record is not None and not record.sent
+
+
+async def settle_lost_write(handle: JobHandle, reason: str) -> None:
+    """Put a job whose write lost its task in doubt; one that has sent nothing goes back to review."""
+    if nothing_was_sent(handle):
+        conclude(handle, nothing_sent("interrupted", reason, "Nothing was written. Apply the plan again."))
     else:
-        await stop(handle, reason, {}, None)
+        await put_in_doubt(handle, reason, {}, None)

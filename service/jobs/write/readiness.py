@@ -5,19 +5,19 @@ from __future__ import annotations
 from mavcal.calib.errors import CalibError
 from mavcal.calib.preflight.readiness import Readiness, readiness, unchecked
 from mavcal.calib.report import from_json, to_json
-from mavcal.service.errors import ServiceError
-from mavcal.service.jobs.core.admission import require_ready
+from mavcal.service.errors import ServiceError, VehicleUnknown
+from mavcal.service.jobs.core.admission import require_ready, require_vehicle
 from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.preflights import History, Preflights
-from mavcal.service.vehicle.job_vehicle import JobVehicle
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 
 READINESS = "readiness"
 """Where a job's context keeps it."""
 
 
-async def look_after(handle: JobHandle, vehicle: JobVehicle, preflights: Preflights, history: History) -> None:
+async def keep_readiness(handle: JobHandle, vehicles: VehicleSource, preflights: Preflights, history: History) -> None:
     """Keep in the job what a preflight says, if the write has succeeded.
 
     Whoever begins something with the vehicle meanwhile goes first; what the write has reached stands either way.
@@ -25,8 +25,11 @@ async def look_after(handle: JobHandle, vehicle: JobVehicle, preflights: Preflig
     if handle.job.state != JobState.SUCCEEDED:
         return
     try:
+        vehicle = vehicles.vehicle(require_vehicle(handle.job))
         require_ready(vehicle, busy=True)
         found = await preflights.look(vehicle, history)
+    except VehicleUnknown:
+        return
     except (ServiceError, CalibError) as error:
         told = unchecked(str(error))
     else:

@@ -27,13 +27,13 @@ from mavcal.service.errors import (
 from mavcal.service.jobs.core.crashpoints import At
 from mavcal.service.jobs.core.handle import counting, waiting
 from mavcal.service.jobs.core.journal import JournalStep, Sent, same
-from mavcal.service.jobs.write.attempt import Settling, Writing
+from mavcal.service.jobs.write.context import Settling, WriteContext
 from mavcal.service.jobs.write.guard import STOPPING
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.vehicle.job_vehicle import ParameterReading, read_values
 
 
-async def check_plan(w: Writing) -> dict[str, ParameterReading]:
+async def check_plan(w: WriteContext) -> dict[str, ParameterReading]:
     """Make sure that the plan still fits the vehicle; returns fresh readings of everything that it rests on.
 
     Raises
@@ -61,7 +61,7 @@ async def check_plan(w: Writing) -> dict[str, ParameterReading]:
     return fresh
 
 
-async def prepare(w: Writing) -> None:
+async def prepare(w: WriteContext) -> None:
     """Check the plan against the vehicle and keep the old values. Nothing is sent yet.
 
     Raises
@@ -69,7 +69,13 @@ async def prepare(w: Writing) -> None:
     PlanBlocked, PlanChanged, WriteStopped
     """
     fresh = await w.guard.run(partial(check_plan, w))
-    await _keep_snapshot(w, {change.name: fresh[change.name] for change in w.plan.changes})
+    old = {change.name: fresh[change.name] for change in w.plan.changes}
+    body = {name: {"value": reading.value, "kind": reading.kind.value} for name, reading in old.items()}
+    digest = snapshot_sha256({name: reading.value for name, reading in old.items()})
+    at, store = w.handle.now(), w.handle.store
+    await store.do(lambda: store.add_snapshot(w.handle.id, at, SnapshotPurpose.BEFORE_WRITE, digest, body))
+    await w.handle.record(JournalStep.SNAPSHOT, sha256=digest)
+    w.reach(At.SNAPSHOT_KEPT)
 
 
 def _check_kinds(plan: WritePlan, fresh: Mapping[str, ParameterReading]) -> None:
@@ -78,17 +84,7 @@ def _check_kinds(plan: WritePlan, fresh: Mapping[str, ParameterReading]) -> None
         raise PlanChanged(f"the vehicle's types are not those of the plan: {', '.join(wrong)}. Plan again")
 
 
-async def _keep_snapshot(w: Writing, old: Mapping[str, ParameterReading]) -> None:
-    body = {name: {"value": reading.value, "kind": reading.kind.value} for name, reading in old.items()}
-    digest = snapshot_sha256({name: reading.value for name, reading in old.items()})
-    store = w.handle.store
-    at = w.handle.now()
-    await store.do(lambda: store.add_snapshot(w.handle.id, at, SnapshotPurpose.BEFORE_WRITE, digest, body))
-    await w.handle.record(JournalStep.SNAPSHOT, sha256=digest)
-    w.reach(At.SNAPSHOT_KEPT)
-
-
-async def send_all(w: Writing) -> None:
+async def send_all(w: WriteContext) -> None:
     """Write every parameter of the plan in its order. Raises WriteStopped, ParameterError."""
     before = w.old_values()
     told = counting(w.handle, "writing")
@@ -107,7 +103,7 @@ async def send_all(w: Writing) -> None:
     told(len(w.plan.changes), len(w.plan.changes))
 
 
-async def read_back(w: Writing, until: Settling = Settling.KEPT) -> dict[str, Value]:
+async def read_back(w: WriteContext, until: Settling = Settling.KEPT) -> dict[str, Value]:
     """Wait until the vehicle has come so far, then read everything again.
 
     Raises
@@ -123,7 +119,7 @@ async def read_back(w: Writing, until: Settling = Settling.KEPT) -> dict[str, Va
     return values
 
 
-async def current_values(w: Writing) -> dict[str, Value]:
+async def current_values(w: WriteContext) -> dict[str, Value]:
     """Fresh values of the plan's parameters, under the guard."""
     names = [change.name for change in w.plan.changes]
     told = counting(w.handle, "reading back")
@@ -148,10 +144,12 @@ PREFLIGHT_REBOOT_SHUTDOWN = 246
 REBOOT_AUTOPILOT = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-ASK = Prompt(PromptStep.REBOOT, "Restart the vehicle: switch it off and on again. The new values act only then.")
+ASK_TO_RESTART = Prompt(
+    PromptStep.REBOOT, "Restart the vehicle: switch it off and on again. The new values act only then."
+)
 
 
-async def restart(w: Writing) -> None:
+async def restart(w: WriteContext) -> None:
     """Have the vehicle restarted and wait until it may be written to again.
 
     Everything must have been read back, and hence saved, before. The vehicle is restarted by us only if the operator
@@ -165,13 +163,13 @@ async def restart(w: Writing) -> None:
         If another vehicle comes back.
     """
     before = w.vehicle.condition().reboots
-    if w.accept.reboot and await _commanded(w):
+    if w.accept.reboot and await _command_restart(w):
         limit = w.settings.reboot_timeout_s
     else:
-        w.handle.prompt(ASK)
+        w.handle.prompt(ASK_TO_RESTART)
         limit = w.settings.operator_reboot_s
     async with waiting(w.handle, f"waiting for the vehicle to restart, for at most {limit:.0f} s", limit_s=limit):
-        await _back_again(w, before, limit)
+        await _until_restarted(w, before, limit)
         w.handle.prompt(None)
         w.guard.expect_restart()
         identity = await w.guard.run(w.vehicle.identify)
@@ -181,7 +179,7 @@ async def restart(w: Writing) -> None:
     w.reach(At.REBOOTED)
 
 
-async def _commanded(w: Writing) -> bool:
+async def _command_restart(w: WriteContext) -> bool:
     """Tell the vehicle to restart; False if it refuses."""
     await w.handle.record(JournalStep.REBOOT)
     w.reach(At.REBOOT_SENT)
@@ -195,7 +193,7 @@ async def _commanded(w: Writing) -> bool:
     return True
 
 
-async def _back_again(w: Writing, before: int, limit: float) -> None:
+async def _until_restarted(w: WriteContext, before: int, limit: float) -> None:
     """Wait until the vehicle has restarted, is heard, disarmed and on the ground."""
     loop = asyncio.get_running_loop()
     deadline = loop.time() + limit
@@ -211,14 +209,14 @@ async def _back_again(w: Writing, before: int, limit: float) -> None:
         await asyncio.sleep(w.settings.watch_s)
 
 
-async def finish(w: Writing) -> dict[str, Value]:
+async def finish(w: WriteContext) -> dict[str, Value]:
     """Do what is left of a verified write; may be called again after a crash. Returns every parameter as last read.
 
     Raises
     ------
     WriteStopped, WriteFailed, CommandRefused, ParameterError
     """
-    done = w.handle.written()
+    done = w.handle.write_record()
     for index, after in enumerate(w.plan.after):
         if index not in done.commanded:
             await w.handle.record(JournalStep.COMMAND, index=index, command=after.command)
@@ -234,7 +232,7 @@ async def finish(w: Writing) -> dict[str, Value]:
     return values
 
 
-async def _restore(w: Writing, sent: Sent) -> None:
+async def _restore(w: WriteContext, sent: Sent) -> None:
     value = await w.get(sent.name)
     if same(value, sent.new, sent.kind) and not same(sent.new, sent.old, sent.kind):
         await w.handle.record(JournalStep.RESTORE, name=sent.name)
@@ -243,7 +241,7 @@ async def _restore(w: Writing, sent: Sent) -> None:
     await w.handle.record(JournalStep.RESTORED, name=sent.name, value=value)
 
 
-async def roll_back(w: Writing) -> dict[str, Value]:
+async def roll_back(w: WriteContext) -> dict[str, Value]:
     """Put the old values back; returns every parameter of the plan as it was read afterwards.
 
     The job is rolling_back; may be called again after a crash. Journal rows are best effort here: if the disk is full
@@ -254,21 +252,21 @@ async def roll_back(w: Writing) -> dict[str, Value]:
     WriteStopped, ParameterError, WriteFailed
     """
     w.reach(At.ROLLBACK_BEGUN)
-    for parameter in reversed(w.handle.written().sent):
+    for parameter in reversed(w.handle.write_record().sent):
         await _undo(w, parameter)
     # A PARAM_SET from before the stop may still be under way, and the vehicle has to save.
     await w.settle()
     return await current_values(w)
 
 
-async def _undo(w: Writing, sent: Sent) -> None:
+async def _undo(w: WriteContext, sent: Sent) -> None:
     """Put one old value back if ours is still there."""
     value = await w.get(sent.name)
     if same(value, sent.old, sent.kind):
         await w.handle.record_anyway(JournalStep.UNDONE, name=sent.name, value=value)
         return
     if not same(value, sent.new, sent.kind):
-        await w.ask_who()
+        await w.confirm_identity()
         await w.handle.record_anyway(JournalStep.LEFT, name=sent.name, value=value)
         return
     await w.handle.record_anyway(JournalStep.UNDO, name=sent.name)

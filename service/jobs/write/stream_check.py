@@ -120,8 +120,8 @@ def _inertial_span(chunk: Recording) -> tuple[float | None, float | None]:
 
 
 @dataclass
-class StreamProof:
-    """See :class:`service.jobs.write.attempt.PhysicalCheck`."""
+class StreamCheck:
+    """Looks at the stream before and after a write (DESIGN 6, rule 4)."""
 
     handle: JobHandle
     vehicle: JobVehicle
@@ -161,21 +161,22 @@ class StreamProof:
             async with waiting(self.handle, "reading the sensors after the write", self.settings.check_s):
                 after = await guard.run(partial(window.extend, self.settings.check_s))
             verification = await self._verify(before, after, values)
-            begun = _end(after)
-            while not verification.settled and not verification.contradicted and self._patient(_end(after) - begun):
-                self._look_again(verification, _end(after) - begun)
+            begun = after.span[1]
+            while self._unsettled(verification, after.span[1] - begun):
+                self._look_again(verification, after.span[1] - begun)
                 after = await guard.run(partial(window.extend, STEP_S))
                 verification = await self._verify(before, after, values)
-            begun = _end(after)
-            while self._worth_waiting(verification, _end(after) - begun):
-                self._ask(verification, _end(after) - begun, after)
+            begun = after.span[1]
+            while self._worth_waiting(verification, after.span[1] - begun):
+                self._ask(verification, after.span[1] - begun, after)
                 after = await guard.run(partial(window.extend, STEP_S))
                 verification = await self._verify(before, after, values)
         self.handle.prompt(None)
         return verification
 
-    def _patient(self, waited: float) -> bool:
-        return waited < self.settings.observe_s and not self._finished()
+    def _unsettled(self, verification: Verification, waited: float) -> bool:
+        decided = verification.settled or verification.contradicted
+        return not decided and waited < self.settings.observe_s and not self._finished()
 
     def _look_again(self, verification: Verification, waited: float) -> None:
         """A vehicle that was touched for a second is no reason to give up, nor to take a write back."""
@@ -278,7 +279,3 @@ def pose_at_rest(recording: Recording) -> Pose | None:
             steady = float(lately.std(axis=0).max()) < RESTS_WITHIN
             return recognise(down(lately.mean(axis=0))) if steady else None
     return None
-
-
-def _end(recording: Recording) -> float:
-    return recording.span[1]

@@ -22,32 +22,36 @@ import structlog
 
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.procedures.protocol import Prompt, PromptStep
-from mavcal.service.errors import DiskFull, ServiceError, WriteFailed, WriteStopped
-from mavcal.service.jobs.core.admission import until_idle
-from mavcal.service.jobs.core.crashpoints import At
+from mavcal.calib.recording import Identity
+from mavcal.calib.report import from_json
+from mavcal.service.errors import DiskFull, ServiceError, VehicleUnknown, WriteFailed, WriteStopped
+from mavcal.service.jobs.core.admission import require_vehicle, until_idle
+from mavcal.service.jobs.core.crashpoints import At, CrashPoint
 from mavcal.service.jobs.core.handle import JobHandle, counting, waiting
-from mavcal.service.jobs.core.journal import BY_OPERATOR, JournalStep, Next, WriteRecord, decide
+from mavcal.service.jobs.core.journal import BY_OPERATOR, JournalStep, Next, WriteRecord, as_read, decide, who_else
+from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.parameters import require_absent
 from mavcal.service.jobs.core.proof import proof_of
-from mavcal.service.jobs.core.standing import as_read, who_else
+from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.rates import ASKING_S, return_streams
-from mavcal.service.jobs.write.attempt import Settling, Writing
+from mavcal.service.jobs.write.context import Settling, WriteContext
 from mavcal.service.jobs.write.guard import STOPPING, WriteGuard
 from mavcal.service.jobs.write.outcome import (
     INTERRUPTED,
-    Account,
+    WriteOutcome,
     cause_of,
-    end,
-    look_back,
+    conclude,
     nothing_sent,
-    record_of,
+    nothing_was_sent,
+    put_in_doubt,
     reverted,
-    stop,
     succeeded,
+    withdraw_certainty,
 )
 from mavcal.service.jobs.write.steps import finish, prepare, read_back, restart, roll_back, send_all
-from mavcal.service.vehicle.job_vehicle import read_values
+from mavcal.service.jobs.write.stream_check import StreamCheck
+from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource, read_values
 
 log = structlog.get_logger(__name__)
 
@@ -62,7 +66,7 @@ class Transaction:
     """
 
     handle: JobHandle
-    attempt: Callable[[], Writing]
+    attempt: Callable[[], WriteContext]
     retry_s: float
     _guard: WriteGuard | None = None
     """That of the last attempt: it remembers how the vehicle was."""
@@ -79,9 +83,9 @@ class Transaction:
             await w.guard.run(partial(require_absent, w.vehicle, self.handle.job, w.composed_on(), told))
             await prepare(w)
         except Exception as error:  # noqa: BLE001 - nothing was sent yet, whatever it was
-            end(self.handle, _nothing_sent(error))
+            conclude(self.handle, _nothing_sent(error))
             return
-        await self._carried(w, partial(_write, w))
+        await self._run_stage(w, partial(_write, w))
         await self.resolve()
 
     async def revert(self) -> None:
@@ -89,9 +93,9 @@ class Transaction:
         try:
             w = self.attempt()
         except Exception as error:  # noqa: BLE001 - the vehicle has gone: look again later
-            await stop(self.handle, cause_of(error), {}, None)
+            await put_in_doubt(self.handle, cause_of(error), {}, None)
         else:
-            await self._carried(w, partial(_take_back, w, BY_OPERATOR))
+            await self._run_stage(w, partial(_roll_back, w, BY_OPERATOR))
         await self.resolve()
 
     async def resolve(self) -> None:
@@ -99,21 +103,21 @@ class Transaction:
         while self.handle.job.state == JobState.IN_DOUBT:
             try:
                 if self._guard is not None:
-                    await look_back(self.handle, self._guard)
+                    await withdraw_certainty(self.handle, self._guard)
                 w = self.attempt()
                 reason = w.guard.reason()
                 if reason is None:
-                    await self._carried(w, partial(_resume, w))
+                    await self._run_stage(w, partial(_recover, w))
                 else:
-                    self._waits(reason)
+                    self._show_obstacle(reason)
             except ServiceError as error:  # the vehicle is not there: look again later
-                self._waits(str(error))
+                self._show_obstacle(str(error))
             except Exception:  # of any kind: a job in doubt must not be stranded; logged with its trace
                 log.exception("a write in doubt cannot be taken up", job=self.handle.id)
             if self.handle.job.state == JobState.IN_DOUBT:
                 await asyncio.sleep(self.retry_s)
 
-    async def _carried(self, w: Writing, stage: Callable[[], Awaitable[None]]) -> None:
+    async def _run_stage(self, w: WriteContext, stage: Callable[[], Awaitable[None]]) -> None:
         """Run a stage: what fails is taken back, what must not go on is left in doubt."""
         forget = w.vehicle.on_parameter(w.hear)
         try:
@@ -126,46 +130,91 @@ class Transaction:
             forget()
             self._guard = w.guard
 
-    def _waits(self, reason: str) -> None:
+    def _show_obstacle(self, reason: str) -> None:
         """Say what keeps this write from being finished or taken back."""
         text = f"Waiting to finish this write or to take it back: {reason}"
         with suppress(DiskFull):  # the vehicle comes first
             self.handle.prompt(Prompt(PromptStep.WAIT, text if text.endswith(".") else f"{text}."))
 
-    async def _stopped(self, w: Writing, error: Exception) -> None:
-        record = record_of(self.handle)
-        if self.handle.job.state == JobState.APPLYING and record is not None and not record.sent:
-            end(self.handle, _nothing_sent(error))
+    async def _stopped(self, w: WriteContext, error: Exception) -> None:
+        if nothing_was_sent(self.handle):
+            conclude(self.handle, _nothing_sent(error))
         else:
-            await stop(self.handle, cause_of(error), w.heard, w.guard)
+            await put_in_doubt(self.handle, cause_of(error), w.heard, w.guard)
 
-    async def _failed(self, w: Writing, error: Exception) -> None:
-        record, state = record_of(self.handle), self.handle.job.state
-        unsent = state == JobState.APPLYING and record is not None and not record.sent
-        if unsent or state in (JobState.ROLLING_BACK, JobState.IN_DOUBT):
+    async def _failed(self, w: WriteContext, error: Exception) -> None:
+        returning = self.handle.job.state in (JobState.ROLLING_BACK, JobState.IN_DOUBT)
+        if returning or nothing_was_sent(self.handle):
             await self._stopped(w, error)
             return
         try:
-            await w.same_boot()
-            await _take_back(w, cause_of(error))
+            await w.require_same_boot()
+            await _roll_back(w, cause_of(error))
         except Exception as worse:  # noqa: BLE001 - also what was not foreseen must not strand the job
             await self._stopped(w, worse)
 
 
-def _nothing_sent(error: Exception) -> Account:
+class Transactions:
+    """Makes the transactions of an engine, each attempt with the vehicle as it is known then."""
+
+    def __init__(
+        self, vehicles: VehicleSource, settings: JobSettings, *, clock: Callable[[], float], reach: CrashPoint
+    ) -> None:
+        self._vehicles = vehicles
+        self._settings = settings
+        self._clock, self._reach = clock, reach
+
+    def of(self, handle: JobHandle) -> Transaction:
+        """The write of a job."""
+        return Transaction(handle, lambda: self.attempt(handle.job, handle), self._settings.retry_s)
+
+    def attempt(self, job: Job, handle: JobHandle) -> WriteContext:
+        """A context for writing, with the vehicle as it is known now."""
+        assert job.plan is not None
+        accept = job.accept or Accept(job.plan.sha256)
+        vehicle = self._heard(job)
+        check = StreamCheck(handle, vehicle, job.plan, accept.prove_s, self._settings, self._clock)
+        return WriteContext(handle, vehicle, job.plan, accept, check, self._settings, self._reach)
+
+    def _heard(self, job: Job) -> JobVehicle:
+        """The job's vehicle. One without a unique id is named by a link, and may be heard on another one by now.
+
+        Raises VehicleUnknown. Whether its sensors are those of the plan is asked before anything is sent.
+        """
+        try:
+            vehicle = self._vehicles.vehicle(require_vehicle(job))
+        except VehicleUnknown:
+            elsewhere = self._elsewhere(job)
+            if elsewhere is None:
+                raise
+            return elsewhere
+        gone = vehicle.identity.uid is None and vehicle.condition().silent
+        return (self._elsewhere(job) if gone else None) or vehicle
+
+    def _elsewhere(self, job: Job) -> JobVehicle | None:
+        """The one vehicle that may be that of a write in doubt, heard on another link than the one that names it."""
+        known = job.context.get("identity")
+        if job.state != JobState.IN_DOUBT or known is None:
+            return None
+        found = self._vehicles.nameless(from_json(known, Identity))
+        heard = [one for one in found if one.id != job.vehicle_id and not one.condition().silent]
+        return heard[0] if len(heard) == 1 else None
+
+
+def _nothing_sent(error: Exception) -> WriteOutcome:
     return nothing_sent(getattr(error, "code", "write-failed"), cause_of(error))
 
 
-async def _write(w: Writing) -> None:
+async def _write(w: WriteContext) -> None:
     await send_all(w)
     following = Next.REBOOT if w.plan.needs_reboot else Next.VERIFY
     values = await read_back(w, Settling.SAVED if following == Next.REBOOT else Settling.KEPT)
-    await _onward(w, following, values)
+    await _go_on(w, following, values)
 
 
-async def _resume(w: Writing) -> None:
+async def _recover(w: WriteContext) -> None:
     """Find out where the write stands, and go on from there."""
-    record = w.handle.written()
+    record = w.handle.write_record()
     identity = await w.guard.run(w.vehicle.identify)
     if (identity.uid or "") != w.plan.fingerprint.uid:
         raise WriteStopped("another vehicle answers under this one's address")
@@ -181,27 +230,25 @@ async def _resume(w: Writing) -> None:
         await w.handle.record(JournalStep.REBOOTED)
         following, values = Next.VERIFY, await read_back(w, Settling.RESTARTED)
     if following == Next.NOTHING_SENT:
-        await _rates_back(w)
-        await w.handle.record_anyway(JournalStep.CLOSED)
-        end(w.handle, nothing_sent("interrupted", cause, "Nothing was written. Apply the plan again."))
+        await _close(w, nothing_sent("interrupted", cause, "Nothing was written. Apply the plan again."))
     elif following == Next.ROLL_BACK:
-        await _take_back(w, cause)
+        await _roll_back(w, cause)
     else:
         if following == Next.REBOOT:
             values = await read_back(w, Settling.SAVED)  # what is to survive the restart must be saved
-        await _onward(w, following, values)
+        await _go_on(w, following, values)
 
 
-async def _has_restarted(w: Writing, record: WriteRecord) -> bool:
+async def _has_restarted(w: WriteContext, record: WriteRecord) -> bool:
     """Whether the restart that a write waits for came while nobody listened: it need not be asked for again."""
     if record.saved is None:
         return False
-    await w.same_boot()  # its clock is heard
+    await w.require_same_boot()  # its clock is heard
     boot_time = w.vehicle.condition().boot_time
     return boot_time is not None and record.saved.restarted_since(w.handle.now(), boot_time)
 
 
-async def _same_sensors(w: Writing) -> None:
+async def _same_sensors(w: WriteContext) -> None:
     """Raise WriteStopped if a vehicle that no unique id names has other sensors than that of the plan."""
     planned = {c.name for c in w.plan.changes}
     before = {n: v for n, v in w.composed_on().items() if "_ID" in n and n not in planned and v}
@@ -211,7 +258,7 @@ async def _same_sensors(w: Writing) -> None:
         raise WriteStopped(f"a vehicle with other sensors answers ({', '.join(other or before)} differs)")
 
 
-async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None:
+async def _go_on(w: WriteContext, following: Next, values: dict[str, Value]) -> None:
     """From "every parameter holds its new value" to the end."""
     if following == Next.REBOOT:
         w.handle.move(JobState.WAITING_FOR_REBOOT, standing=(), outcome=None)
@@ -227,29 +274,27 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
         await w.handle.record(JournalStep.VERIFIED)
         w.reach(At.VERIFIED)
     values = await finish(w)
-    who = who_else(w.handle.written(), w.plan)
-    told = succeeded(as_read(w.plan, w.old_values(), values, who), w.plan, w.handle.job.verification, who)
-    await _rates_back(w)
-    await w.handle.record(JournalStep.CLOSED)
-    w.reach(At.CLOSED)
-    end(w.handle, told)
+    who = who_else(w.handle.write_record(), w.plan)
+    read = as_read(w.plan, w.old_values(), values, who)
+    await _close(w, succeeded(read, w.plan, w.handle.job.verification, who))
 
 
-async def _rates_back(w: Writing) -> None:
+async def _close(w: WriteContext, told: WriteOutcome) -> None:
+    """Return the message rates and end the job; only a success has to be on the disk before."""
     async with waiting(w.handle, "putting the message rates back", ASKING_S):
         await return_streams(w.handle, w.vehicle)
+    record = w.handle.record if told.state == JobState.SUCCEEDED else w.handle.record_anyway
+    await record(JournalStep.CLOSED)
+    w.reach(At.CLOSED)
+    conclude(w.handle, told)
 
 
-async def _take_back(w: Writing, because: str) -> None:
+async def _roll_back(w: WriteContext, because: str) -> None:
     if w.handle.job.state != JobState.ROLLING_BACK:
-        w.handle.move_anyway(JobState.ROLLING_BACK, standing=(), outcome=None, prompt=None)
+        w.handle.move(JobState.ROLLING_BACK, standing=(), outcome=None, prompt=None)
     await w.handle.record_anyway(JournalStep.ROLL_BACK, because=because)
     values = await roll_back(w)
-    record = w.handle.written()
+    record = w.handle.write_record()
     who = who_else(record, w.plan)
     read = as_read(w.plan, w.old_values(), values, who)
-    told = reverted(read, None if because == BY_OPERATOR else because, who, len(record.sent))
-    await _rates_back(w)
-    await w.handle.record_anyway(JournalStep.CLOSED)
-    w.reach(At.CLOSED)
-    end(w.handle, told)
+    await _close(w, reverted(read, None if because == BY_OPERATOR else because, who, len(record.sent)))

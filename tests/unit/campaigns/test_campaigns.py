@@ -12,7 +12,7 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.service.campaigns import campaigns
-from mavcal.service.campaigns.campaigns import CAMPAIGN, CampaignTask, Errand, uploads_of_campaign
+from mavcal.service.campaigns.campaigns import CAMPAIGN, CampaignTask, ItemRun, uploads_of_campaign
 from mavcal.service.campaigns.items import Item, ItemEnd, ItemOutcome, item_from_row, row_from_item
 from mavcal.service.errors import (
     CampaignsBusy,
@@ -53,17 +53,17 @@ class FakeWork:
     def __post_init__(self) -> None:
         self.lane = asyncio.Semaphore(self.most)
 
-    async def run(self, errand: Errand) -> ItemEnd:
-        subject = errand.item.subject
+    async def run(self, run: ItemRun) -> ItemEnd:
+        subject = run.item.subject
         self.begun.append(subject)
-        self.again[subject] = errand.again
+        self.again[subject] = run.again
         self.under_way += 1
         self.at_once = max(self.at_once, self.under_way)
         try:
             await asyncio.sleep(0.001)
             while subject in self.held:
                 if subject.startswith("person"):
-                    await errand.place.wait_for_person()
+                    await run.place.wait_for_person()
                 await asyncio.sleep(0.001)
         finally:
             self.under_way -= 1
@@ -72,14 +72,14 @@ class FakeWork:
             raise end
         return end
 
-    async def cancelled(self, errand: Errand) -> str:
-        self.cancels.append(errand.item.subject)
+    async def cancelled(self, run: ItemRun) -> str:
+        self.cancels.append(run.item.subject)
         return "it was ended"
 
 
 def with_campaigns(engine: Any) -> None:
     engine.campaigns = campaigns.Campaigns(engine.book, engine.tasks, engine._clock, engine._wall)
-    engine.resumed_by[campaigns.CAMPAIGN] = engine.campaigns.take_up
+    engine.resumed_by[campaigns.CAMPAIGN] = engine.campaigns.resume_at_start
 
 
 def running(vehicle: FakeVehicle, *jobs: Job, **more: Any) -> AbstractAsyncContextManager[Any]:

@@ -22,7 +22,7 @@ from mavcal.service.errors import VehicleSilent
 from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.write.unfinished import unfinished
+from mavcal.service.unfinished import unfinished
 from tests.unit.commands.doubles import FakeVehicle, plain
 
 URL = "udpin:0.0.0.0:14550"

@@ -19,7 +19,7 @@ from mavcal.service.errors import AnswerRefused, PhysicalJobRunning
 from mavcal.service.jobs.core.model import Accept, Failure, Result
 from mavcal.service.jobs.core.proof import ProofLevel, Unproved
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.write.unfinished import unfinished
+from mavcal.service.unfinished import unfinished
 from tests.unit.api.samples import FINGERPRINT
 from tests.unit.commands.doubles import FakeVehicle, plain
 

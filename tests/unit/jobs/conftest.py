@@ -20,13 +20,13 @@ from mavcal.calib.firmware.plan import (
     snapshot_sha256,
 )
 from mavcal.calib.recording import Sensor
-from mavcal.service.jobs.core.crashpoints import At, nowhere
+from mavcal.service.jobs.core.crashpoints import At, no_crash
 from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.write.attempt import Writing
+from mavcal.service.jobs.write.context import WriteContext
 from mavcal.service.jobs.write.guard import WriteGuard
 from mavcal.service.jobs.write.transaction import Transaction
 from mavcal.service.store.postgres import PostgresStore
@@ -141,15 +141,15 @@ class Bench:
     handle: JobHandle
     accept: Accept
     check: FakeCheck
-    reach: Callable[[At], None] = nowhere
+    reach: Callable[[At], None] = no_crash
     settings: JobSettings = QUICK
     before: dict[str, ParameterReading] = field(init=False)
 
     def __post_init__(self) -> None:
         self.before = dict(self.vehicle.parameters)
 
-    def attempt(self) -> Writing:
-        return Writing(self.handle, self.vehicle, self.plan, self.accept, self.check, self.settings, self.reach)
+    def attempt(self) -> WriteContext:
+        return WriteContext(self.handle, self.vehicle, self.plan, self.accept, self.check, self.settings, self.reach)
 
     @property
     def transaction(self) -> Transaction:

@@ -33,7 +33,7 @@ async def start(engine: JobEngine, job: Job) -> object:
 
 async def plan(engine: JobEngine, job: Job) -> object:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mavcal.service.jobs.engine.composed", _same_plan(job))
+        patch.setattr("mavcal.service.jobs.calibrate.without_capture.compose_plan", _same_plan(job))
         return await engine.plan_again(job.id)
 
 

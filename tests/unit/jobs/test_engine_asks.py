@@ -174,7 +174,7 @@ async def test_two_accepts_at_once_are_one_write(vehicle: FakeVehicle) -> None:
     assert job.plan is not None
     accept = Accept(job.plan.sha256)
     async with started(kept(vehicle, job), vehicle) as engine:
-        engine._writes.applied = Idle()  # type: ignore[method-assign]
+        engine._write = Idle()  # type: ignore[method-assign]
         both = await asyncio.gather(engine.apply("j1", accept), engine.apply("j1", accept), return_exceptions=True)
         assert sorted(type(one).__name__ for one in both) == ["IllegalTransition", "Job"]
         assert [row.step for row in engine._store.journal("j1")].count(JournalStep.ACCEPTED) == 1

@@ -170,14 +170,14 @@ async def test_a_job_that_cannot_be_taken_up_does_not_strand_the_next_one(vehicl
 
     def prepare(engine: JobEngine) -> None:
         engine._runner.calibrate = capturing  # type: ignore[method-assign]
-        resume = engine._resumption._resume
+        resume = engine._resume
 
         def broken(handle: JobHandle) -> None:
             if handle.id == "j1":
                 raise RuntimeError("of any kind")
             resume(handle)
 
-        engine._resumption._resume = broken  # type: ignore[method-assign]
+        engine._resume = broken  # type: ignore[method-assign]
 
     async with started(kept(vehicle, first, second), vehicle, prepare) as engine:
         await until(lambda: capturing.begun == ["j2"])
@@ -204,9 +204,8 @@ async def test_a_stopped_service_leaves_its_jobs_as_they_are(vehicle: FakeVehicl
     assert engine.get("j1").state == JobState.RUNNING
     assert engine._rates.tasks == set()
     assert vehicle.message_intervals == {}
-    assert engine._own_executor is not None
     with pytest.raises(RuntimeError):
-        engine._own_executor.submit(print)
+        engine._pool.submit(print)
     store.close()
 
 
@@ -219,7 +218,7 @@ async def test_a_service_that_stops_while_writes_are_alone_takes_nothing_else_up
     capturing = Idle()
     engine._runner.calibrate = capturing  # type: ignore[method-assign]
     await engine.start()
-    (following,) = engine._resumption.waiting
+    (following,) = engine.tasks.resuming
     await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
     await engine.stop()
     assert following.cancelled()
@@ -252,7 +251,7 @@ async def test_an_accepted_write_begins_with_an_attempt_that_runs(vehicle: FakeV
     applying = Idle()
 
     def prepare(engine: JobEngine) -> None:
-        engine._writes.applied = applying  # type: ignore[method-assign]
+        engine._write = applying  # type: ignore[method-assign]
         engine._wall = engine._acceptance._wall = lambda: 77.0
 
     async with started(store, vehicle, prepare) as engine:

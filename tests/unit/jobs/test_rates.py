@@ -56,17 +56,17 @@ def changed() -> Iterator[Changed]:
 
 async def test_what_was_before_is_in_the_journal_and_is_put_back(changed: Changed) -> None:
     handle = await changed.asked("one", JobState.FAILED)
-    assert handle.written().intervals == {27: 500_000, 30: 0}
+    assert handle.write_record().intervals == {27: 500_000, 30: 0}
     changed.rates.begin_return(handle)
     await until(lambda: not changed.rates.tasks)
     assert changed.put_back
-    assert handle.written().intervals == {}
+    assert handle.write_record().intervals == {}
 
 
 async def test_asking_again_does_not_take_the_changed_rate_for_the_old_one(changed: Changed) -> None:
     handle = await changed.asked("one")
     await ask_for_streams(handle, changed.vehicle, {27: 100.0, 33: 5.0})
-    assert handle.written().intervals == {27: 500_000, 30: 0, 33: 0}
+    assert handle.write_record().intervals == {27: 500_000, 30: 0, 33: 0}
 
 
 async def test_a_review_keeps_its_rates_for_an_accept(changed: Changed) -> None:
@@ -112,11 +112,11 @@ async def test_rates_that_cannot_be_put_back_are_said_and_kept_for_later(changed
     works, changed.vehicle.set_intervals = changed.vehicle.set_intervals, silent  # type: ignore[method-assign]
     await return_streams(handle, changed.vehicle)
     assert handle.job.warnings == ("the message rates could not be put back yet: no answer",)
-    assert handle.written().intervals == {27: 500_000, 30: 0}
+    assert handle.write_record().intervals == {27: 500_000, 30: 0}
     changed.vehicle.set_intervals = works  # type: ignore[method-assign]
     await return_streams(handle, changed.vehicle)
     assert changed.put_back
-    assert handle.written().intervals == {}
+    assert handle.write_record().intervals == {}
 
 
 async def test_warnings_of_a_slow_link_are_kept(changed: Changed) -> None:

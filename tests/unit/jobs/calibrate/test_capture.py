@@ -15,7 +15,7 @@ from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import CaptureEnded
 from mavcal.service.jobs.calibrate import capture as capture_module
-from mavcal.service.jobs.calibrate.capture import Capture, _asks
+from mavcal.service.jobs.calibrate.capture import Capture, _needs_operator
 from mavcal.service.jobs.calibrate.digest import LiveDigest
 from mavcal.service.jobs.calibrate.watch import CaptureWatch
 from mavcal.service.jobs.core.handle import JobHandle
@@ -159,7 +159,7 @@ async def test_a_calibration_that_changed_unheard_is_found_by_reading_it_again(
     ],
 )
 def test_an_operator_is_waited_for_only_where_there_is_something_to_do(prompt: Prompt, asks: bool) -> None:
-    assert _asks(prompt) == asks
+    assert _needs_operator(prompt) == asks
 
 
 class Scripted:

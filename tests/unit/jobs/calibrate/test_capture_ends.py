@@ -112,13 +112,13 @@ async def test_prompts_and_progress_are_shown_and_the_job_waits_where_something_
     handle = capture.handle
     turn, rest = Prompt(PromptStep.TURN, "Turn it.", rotate=True), Prompt(PromptStep.HOLD_STILL, "Leave it alone.")
     progress = Progress(1.0, 2.0, "s", "recording")
-    capture._told([turn, progress])
+    capture._announce([turn, progress])
     assert (handle.job.prompt, handle.job.progress) == (turn, progress)
     assert handle.job.state == JobState.WAITING_FOR_OPERATOR
-    capture._told([turn])  # the same again moves nothing
-    capture._told([Done((), "enough")])
+    capture._announce([turn])  # the same again moves nothing
+    capture._announce([Done((), "enough")])
     assert (handle.job.prompt, handle.job.progress) == (turn, progress)
-    capture._told([rest])
+    capture._announce([rest])
     assert (handle.job.prompt, handle.job.state) == (rest, JobState.RUNNING)
     await handle.kept()
     states = [

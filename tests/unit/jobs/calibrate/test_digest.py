@@ -27,7 +27,7 @@ from mavcal.service.jobs.calibrate.digest import (
     context_of,
     field_of,
     fit_segments,
-    spoils,
+    voids_capture,
 )
 from mavcal.service.jobs.core.model import LogSpan
 from mavcal.service.jobs.core.segments import content_of
@@ -223,7 +223,7 @@ def test_a_change_that_the_vehicle_may_have_made_itself_is_a_disturbance() -> No
     ],
 )
 def test_which_changes_spoil_a_capture(kind: str, name: str, before: float, after: float, spoiled: bool) -> None:
-    assert spoils(kind, name, before, after) == spoiled
+    assert voids_capture(kind, name, before, after) == spoiled
     assert isinstance(changed(name, before, after), CaptureDisturbed) == ("GYR" in name)
 
 

@@ -25,7 +25,7 @@ from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Result
 from mavcal.service.jobs.core.segments import SET_ASIDE
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.write.attempt import Settling, Writing
+from mavcal.service.jobs.write.context import Settling, WriteContext
 from mavcal.service.jobs.write.steps import read_back
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SegmentPurpose, SnapshotPurpose
@@ -178,7 +178,7 @@ async def test_nothing_is_read_back_before_the_vehicle_has_saved(make_bench: Mak
     bench = make_bench()
     bench.vehicle.change_state(boot_time=100.0)
     settings = replace(QUICK, settle_s={"ardupilot": 9.0}, save_s={"ardupilot": 9.0})
-    w = Writing(bench.handle, bench.vehicle, bench.plan, bench.accept, bench.check, settings)
+    w = WriteContext(bench.handle, bench.vehicle, bench.plan, bench.accept, bench.check, settings)
     for change in bench.plan.changes:
         bench.vehicle.store(change.name, change.new)
     looks, stated = 0, bench.vehicle.condition
@@ -202,13 +202,13 @@ async def test_what_a_write_waits_for_is_saving_where_a_restart_follows(
     make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waited: list[Settling] = []
-    settle = Writing.settle
+    settle = WriteContext.settle
 
-    async def noted(self: Writing, until_then: Settling = Settling.KEPT) -> None:
+    async def noted(self: WriteContext, until_then: Settling = Settling.KEPT) -> None:
         waited.append(until_then)
         await settle(self, until_then)
 
-    monkeypatch.setattr(Writing, "settle", noted)
+    monkeypatch.setattr(WriteContext, "settle", noted)
     await make_bench().apply()
     assert waited[0] == Settling.KEPT
     assert Settling.SAVED not in waited

@@ -13,9 +13,8 @@ from mavcal.service.errors import DiskFull
 from mavcal.service.jobs.core import handle as handle_module
 from mavcal.service.jobs.core.codec import job_from_row, row_from_job
 from mavcal.service.jobs.core.handle import JobHandle, counting
-from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.journal import JournalStep, as_heard
 from mavcal.service.jobs.core.model import Job
-from mavcal.service.jobs.core.standing import as_heard
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.store import SqliteStore
@@ -67,7 +66,7 @@ async def test_progress_is_announced_as_soon_as_it_may_be_and_not_before() -> No
 
 
 def test_a_job_that_has_ended_asks_nothing(handle: JobHandle) -> None:
-    handle.move_anyway(JobState.CANCELLED, prompt=None)
+    handle.move(JobState.CANCELLED, prompt=None)
     handle.prompt(Prompt(PromptStep.SILENT, "The vehicle is silent."))
     assert handle.job.prompt is None
 
@@ -134,10 +133,10 @@ async def test_an_undo_that_the_disk_refused_already_makes_the_value_uncertain()
     await handle.record(JournalStep.ECHO, name="A", value=2.0)
     store.refuses = True
     await handle.record_anyway(JournalStep.UNDO, name="A")
-    (standing,) = as_heard(handle.written(), {})
+    (standing,) = as_heard(handle.write_record(), {})
     assert not standing.certain
     await handle.record_anyway(JournalStep.UNDONE, name="A", value=1.0)
-    (standing,) = as_heard(handle.written(), {})
+    (standing,) = as_heard(handle.write_record(), {})
     assert (standing.value, standing.certain) == (1.0, True)
     store.close()
 
@@ -154,7 +153,7 @@ async def test_two_undos_of_one_instant_both_count_though_the_disk_has_taken_one
     await handle.record_anyway(JournalStep.UNDO, name="A")
     store.refuses = True
     await handle.record_anyway(JournalStep.UNDO, name="B")
-    assert [one.certain for one in as_heard(handle.written(), {})] == [False, False]
+    assert [one.certain for one in as_heard(handle.write_record(), {})] == [False, False]
     store.close()
 
 

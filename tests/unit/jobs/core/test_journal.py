@@ -121,3 +121,27 @@ def test_a_value_that_is_sent_again_is_one_entry_and_waits_for_its_echo_again() 
     record = fold(rows(ACCEPTED, send("A"), echo("A"), send("B", 0.25), send("A")))
     assert [sent.name for sent in record.sent] == ["A", "B"]
     assert [sent.confirmed for sent in record.sent] == [None, None]
+
+
+@pytest.mark.parametrize("step", JournalStep)
+def test_every_step_is_understood_by_recovery(step: JournalStep) -> None:
+    """What is only announced, and needs no deed of recovery, changes nothing."""
+    _, said = send("A")
+    said |= {
+        "value": 0.5,
+        "intervals": {"27": 1},
+        "at": 1.0,
+        "boot_time": 2.0,
+        "index": 0,
+        "because": "b",
+        "reason": "r",
+    }
+    begun = (ACCEPTED, send("A"), echo("A", 0.25), (JournalStep.STREAMS, {"intervals": {"30": 2}}))
+    before, after = fold(rows(*begun)), fold(rows(*begun, (step, said)))
+    assert (after == before) == (step in {JournalStep.SNAPSHOT, JournalStep.COMMAND})
+
+
+@pytest.mark.parametrize("step", [JournalStep.SEND, JournalStep.ECHO, JournalStep.RESTORED, JournalStep.LEFT])
+def test_a_row_that_names_no_parameter_is_damaged(step: JournalStep) -> None:
+    with pytest.raises(KeyError):
+        fold(rows((step, {"value": 1.0})))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from mavcal.service.jobs.core.states import WRITING, JobState
-from mavcal.service.jobs.core.tasks import Resumption
+from mavcal.service.jobs.core.tasks import JobTasks
 
 
 def handle(name, state):
@@ -18,11 +18,11 @@ class Taking:
 
     def __init__(self, *, alone_s=60.0, broken=(), idle=()):
         self.taken, self.broken, self.idle = [], set(broken), set(idle)
-        self.running = {}
-        self.ends = asyncio.Event()
-        self.resumption = Resumption(
-            SimpleNamespace(running=self.running), alone_s, recover=self.recover, resume=self.resume
-        )
+        self.ends, self.alone_s = asyncio.Event(), alone_s
+        self.tasks = JobTasks(0.0, None, None)
+
+    def begin(self, handles):
+        self.tasks.resume(handles, self.recover, self.resume, alone_s=self.alone_s)
 
     def _take(self, how, one):
         self.taken.append((how, one.id))
@@ -32,7 +32,7 @@ class Taking:
     def recover(self, one):
         self._take("recover", one)
         if one.id not in self.idle:
-            self.running[one.id] = asyncio.ensure_future(self.ends.wait())
+            self.tasks.running[one.id] = asyncio.ensure_future(self.ends.wait())
 
     def resume(self, one):
         self._take("resume", one)
@@ -48,27 +48,27 @@ CAPTURE, REVIEW = handle("c", JobState.RUNNING), handle("r", JobState.REVIEW)
 
 async def test_writes_are_taken_up_first_and_the_others_when_these_have_ended():
     taking = Taking()
-    taking.resumption.begin([CAPTURE, WRITE, REVIEW, OTHER_WRITE])
+    taking.begin([CAPTURE, WRITE, REVIEW, OTHER_WRITE])
     await taking.settle()
     assert taking.taken == [("recover", "w"), ("recover", "x")]
-    assert len(taking.resumption.waiting) == 1
+    assert len(taking.tasks.resuming) == 1
     taking.ends.set()
     await taking.settle()
     assert taking.taken[2:] == [("resume", "c"), ("resume", "r")]
-    assert not taking.resumption.waiting
+    assert not taking.tasks.resuming
 
 
 async def test_without_writes_nobody_waits():
     taking = Taking()
-    taking.resumption.begin([CAPTURE, REVIEW])
+    taking.begin([CAPTURE, REVIEW])
     assert taking.taken == [("resume", "c"), ("resume", "r")]
-    assert not taking.resumption.waiting
+    assert not taking.tasks.resuming
 
 
 async def test_a_write_that_does_not_end_keeps_the_others_waiting_for_a_while_only():
     taking = Taking(alone_s=0.0)
-    taking.resumption.begin([WRITE, CAPTURE])
-    await asyncio.gather(*taking.resumption.waiting)
+    taking.begin([WRITE, CAPTURE])
+    await asyncio.gather(*taking.tasks.resuming)
     assert taking.taken == [("recover", "w"), ("resume", "c")]
     taking.ends.set()
     await taking.settle()
@@ -76,18 +76,18 @@ async def test_a_write_that_does_not_end_keeps_the_others_waiting_for_a_while_on
 
 async def test_a_write_that_has_nothing_to_do_holds_nobody_up():
     taking = Taking(idle={"w"})
-    taking.resumption.begin([WRITE, CAPTURE])
+    taking.begin([WRITE, CAPTURE])
     assert taking.taken == [("recover", "w"), ("resume", "c")]
 
 
 async def test_a_job_that_cannot_be_taken_up_strands_no_other():
     taking = Taking(broken={"w", "c"}, idle={"x"})
-    taking.resumption.begin([WRITE, OTHER_WRITE, CAPTURE, REVIEW])
+    taking.begin([WRITE, OTHER_WRITE, CAPTURE, REVIEW])
     assert taking.taken == [("recover", "w"), ("recover", "x"), ("resume", "c"), ("resume", "r")]
 
 
 @pytest.mark.parametrize("state", JobState)
 async def test_every_state_that_may_have_written_is_recovered(state):
     taking = Taking(idle={"j"})
-    taking.resumption.begin([handle("j", state)])
+    taking.begin([handle("j", state)])
     assert taking.taken == [("recover" if state in WRITING else "resume", "j")]

@@ -130,7 +130,7 @@ async def test_what_was_begun_is_finished_before_a_cancelled_step_ends(make_benc
     recording.cancel()
     await asyncio.wait({recording})
     assert recording.cancelled()
-    assert bench.handle.written().intervals == {30: 0}
+    assert bench.handle.write_record().intervals == {30: 0}
 
 
 async def test_a_change_that_found_the_disk_full_is_kept_before_the_next_step(make_bench: MakeBench) -> None:

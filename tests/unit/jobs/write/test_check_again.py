@@ -18,7 +18,7 @@ from mavcal.calib.triad import TriadModel
 from mavcal.calib.wire import FrameParser
 from mavcal.service.errors import WriteStopped
 from mavcal.service.jobs.write.guard import WriteGuard
-from mavcal.service.jobs.write.stream_check import HOLD_STILL, StreamProof
+from mavcal.service.jobs.write.stream_check import HOLD_STILL, StreamCheck
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.server import make_vehicle
 from mavcal.service.simvehicle.vehicle import MavlinkChannel
@@ -84,7 +84,7 @@ class Rig:
         self.bench.handle.change("results", {}, results=(self.fit(),))
         known = {p.name: p.value for p in self.vehicle.table}
         rules = dataclasses.replace(QUICK, **settings)  # type: ignore[arg-type]
-        check = StreamProof(self.bench.handle, self.bench.vehicle, self.plan(), 0.0, rules)
+        check = StreamCheck(self.bench.handle, self.bench.vehicle, self.plan(), 0.0, rules)
         pumping = asyncio.create_task(self.pump())
         try:
             self.vehicle.preset_parameters(dict.fromkeys(NAMES, 0.0))
@@ -151,7 +151,7 @@ async def test_a_vehicle_that_arms_while_its_streams_are_asked_for_stops_the_wri
 ) -> None:
     bench = make_bench()
     vehicle = Deaf(bench.vehicle.parameters)
-    check = StreamProof(bench.handle, vehicle, bench.plan, 0.0, QUICK)
+    check = StreamCheck(bench.handle, vehicle, bench.plan, 0.0, QUICK)
     guard = WriteGuard(vehicle, 0.01)
     looking = asyncio.create_task(check.before(guard) if when == "before" else check.after(guard, {}))
     await asyncio.sleep(0.03)

@@ -12,18 +12,18 @@ from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Accept, Failure, Holds, Result, Standing, Unwritten, WriteResult
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.core.tasks import broke
+from mavcal.service.jobs.core.tasks import note_defect
 from mavcal.service.jobs.write.guard import RESTARTED, WriteGuard
 from mavcal.service.jobs.write.outcome import (
     RESOLVE,
-    Account,
+    WriteOutcome,
     cause_of,
-    doubt,
-    end,
-    look_back,
+    conclude,
     nothing_sent,
+    put_in_doubt,
     record_of,
-    stop,
+    settle_lost_write,
+    withdraw_certainty,
 )
 from mavcal.service.store.rows import EventRow
 from tests.unit.jobs.conftest import Bench, MakeBench
@@ -70,13 +70,13 @@ def bench(make_bench: MakeBench) -> Bench:
     ("account", "result", "cause", "remedy", "accepted"),
     [
         (nothing_sent("disk-full", "no room", "Make room."), WriteResult.FAILED, "no room.", "Make room.", False),
-        (Account(JobState.IN_DOUBT, Failure("c", "why", "do"), (), 2), WriteResult.IN_DOUBT, "why.", "Do.", True),
+        (WriteOutcome(JobState.IN_DOUBT, Failure("c", "why", "do"), (), 2), WriteResult.IN_DOUBT, "why.", "Do.", True),
     ],
 )
 async def test_an_attempt_that_ends_is_a_field_and_an_event_and_a_state(
-    bench: Bench, account: Account, result: WriteResult, cause: str, remedy: str, accepted: bool
+    bench: Bench, account: WriteOutcome, result: WriteResult, cause: str, remedy: str, accepted: bool
 ) -> None:
-    end(bench.handle, account)
+    conclude(bench.handle, account)
     await bench.handle.kept()
     job = bench.handle.job
     assert (job.state, job.outcome, job.standing) == (account.state, account.outcome, account.standing)
@@ -93,7 +93,7 @@ async def test_an_attempt_that_ends_is_a_field_and_an_event_and_a_state(
 
 async def test_a_success_has_its_text_as_the_cause_and_needs_no_remedy(bench: Bench) -> None:
     bench.handle.job = replace(bench.handle.job, state=JobState.VERIFYING)
-    end(bench.handle, Account(JobState.SUCCEEDED, Result("All is well."), (), 3))
+    conclude(bench.handle, WriteOutcome(JobState.SUCCEEDED, Result("All is well."), (), 3))
     attempt = bench.handle.job.last_write
     assert attempt is not None
     assert (attempt.result, attempt.cause, attempt.remedy) == (WriteResult.SUCCEEDED, "All is well.", "")
@@ -117,7 +117,7 @@ async def test_a_stop_says_what_was_sent_and_how_far_that_is_certain(
     await one_sent(bench)
     guard = WriteGuard(bench.vehicle, 0.001)
     bench.vehicle.change_state(**change)
-    await stop(bench.handle, "it was enough", {X: 0.5}, guard)
+    await put_in_doubt(bench.handle, "it was enough", {X: 0.5}, guard)
     assert bench.state == JobState.IN_DOUBT
     assert standing(bench) == Standing(X, 0.0, 0.5, 0.5, certain, note, holds)
     assert failure(bench) == Failure("in-doubt", "it was enough", RESOLVE)
@@ -127,7 +127,7 @@ async def test_a_stop_says_what_was_sent_and_how_far_that_is_certain(
 
 async def test_an_interrupted_service_is_certain_of_nothing(bench: Bench) -> None:
     await one_sent(bench)
-    await stop(bench.handle, "interrupted", {}, None)
+    await put_in_doubt(bench.handle, "interrupted", {}, None)
     (row,) = rows(bench, JournalStep.STOPPED)
     assert (row["restarted"], row["silent"], row["interrupted"]) == (False, False, True)
     assert standing(bench).note == "before the service was interrupted"
@@ -137,9 +137,9 @@ async def test_an_interrupted_service_is_certain_of_nothing(bench: Bench) -> Non
 async def test_the_first_reason_stays(bench: Bench) -> None:
     await one_sent(bench)
     await bench.handle.record(JournalStep.STOPPED, reason="the vehicle is armed")
-    await stop(bench.handle, "its consequence", {}, None)
+    await put_in_doubt(bench.handle, "its consequence", {}, None)
     assert failure(bench).cause == "the vehicle is armed."
-    await stop(bench.handle, "a third one", {}, None)  # it is in doubt already: nothing more to say
+    await put_in_doubt(bench.handle, "a third one", {}, None)  # it is in doubt already: nothing more to say
     assert len(rows(bench, JournalStep.STOPPED)) == 2
     await bench.store.do(lambda: None)
     assert len(events(bench, "write")) == 1
@@ -148,14 +148,14 @@ async def test_the_first_reason_stays(bench: Bench) -> None:
 class Damaged(JobHandle):
     """Its journal cannot be read."""
 
-    def written(self) -> Any:
+    def write_record(self) -> Any:
         raise ValueError("damaged")
 
 
 async def test_without_a_journal_all_of_the_plan_may_have_been_sent(bench: Bench) -> None:
     bench.handle.__class__ = Damaged
     assert record_of(bench.handle) is None
-    await doubt(bench.handle, "broken")
+    await settle_lost_write(bench.handle, "broken")
     assert bench.state == JobState.IN_DOUBT
     assert failure(bench).cause == "broken."
     note = "the journal cannot be read: whether it was sent is not known"
@@ -163,7 +163,7 @@ async def test_without_a_journal_all_of_the_plan_may_have_been_sent(bench: Bench
         Standing(c.name, c.old, c.new, None, certain=False, note=note) for c in bench.plan.changes
     )
     bench.handle.job = replace(bench.handle.job, state=JobState.APPLYING, plan=None)
-    await doubt(bench.handle, "broken")
+    await settle_lost_write(bench.handle, "broken")
     assert bench.handle.job.standing == ()
 
 
@@ -174,12 +174,12 @@ async def test_a_restart_afterwards_takes_the_certainty_away_once(bench: Bench) 
     await one_sent(bench)
     guard = WriteGuard(bench.vehicle, 0.001)
     bench.vehicle.change_state(armed=True)
-    await stop(bench.handle, "the vehicle is armed", {X: 0.5}, guard)
-    await look_back(bench.handle, guard)
+    await put_in_doubt(bench.handle, "the vehicle is armed", {X: 0.5}, guard)
+    await withdraw_certainty(bench.handle, guard)
     assert standing(bench).certain  # nothing speaks against it
     bench.vehicle.change_state(armed=False, reboots=1)
     for _ in range(2):
-        await look_back(bench.handle, guard)
+        await withdraw_certainty(bench.handle, guard)
         assert standing(bench) == Standing(
             X, 0.0, 0.5, 0.5, certain=False, note="before the vehicle restarted", holds=Holds.UNKNOWN
         )
@@ -193,10 +193,10 @@ async def test_a_restart_afterwards_takes_the_certainty_away_once(bench: Bench) 
 async def test_a_silence_afterwards_is_no_restart(bench: Bench) -> None:
     await one_sent(bench)
     guard = WriteGuard(bench.vehicle, 0.001)
-    await stop(bench.handle, "enough", {X: 0.5}, guard)
+    await put_in_doubt(bench.handle, "enough", {X: 0.5}, guard)
     bench.handle.job = replace(bench.handle.job, standing=(replace(standing(bench), note="said before"),))
     bench.vehicle.change_state(silent=True)
-    await look_back(bench.handle, guard)
+    await withdraw_certainty(bench.handle, guard)
     assert (standing(bench).certain, standing(bench).note) == (False, "said before")
     assert len(rows(bench, JournalStep.STOPPED)) == 1
 
@@ -204,9 +204,9 @@ async def test_a_silence_afterwards_is_no_restart(bench: Bench) -> None:
 async def test_what_was_uncertain_keeps_its_note(bench: Bench) -> None:
     await one_sent(bench)
     guard = WriteGuard(bench.vehicle, 0.001)
-    await stop(bench.handle, "interrupted", {}, None)
+    await put_in_doubt(bench.handle, "interrupted", {}, None)
     bench.vehicle.change_state(silent=True)
-    await look_back(bench.handle, guard)
+    await withdraw_certainty(bench.handle, guard)
     assert standing(bench).note == "before the service was interrupted"
     await bench.store.do(lambda: None)
     assert events(bench, "standing") == []
@@ -217,7 +217,7 @@ async def test_what_was_uncertain_keeps_its_note(bench: Bench) -> None:
 
 async def test_a_write_without_a_task_that_has_sent_nothing_goes_back_to_review(bench: Bench) -> None:
     await bench.handle.record(JournalStep.ACCEPTED)
-    await doubt(bench.handle, "interrupted by a defect")
+    await settle_lost_write(bench.handle, "interrupted by a defect")
     assert bench.state == JobState.REVIEW
     remedy = "Nothing was written. Apply the plan again."
     assert failure(bench) == Unwritten("interrupted", "interrupted by a defect", remedy)
@@ -228,7 +228,7 @@ async def test_a_write_without_a_task_that_may_have_sent_something_is_in_doubt(b
     if state == JobState.APPLYING:
         await one_sent(bench)
     bench.handle.job = replace(bench.handle.job, state=state)
-    await doubt(bench.handle, "lost")
+    await settle_lost_write(bench.handle, "lost")
     assert bench.state == JobState.IN_DOUBT
 
 
@@ -242,7 +242,7 @@ def test_what_was_not_foreseen_is_named_and_nothing_else_of_it() -> None:
 @pytest.mark.parametrize("state", list(JobState))
 async def test_a_defect_ends_a_job_that_has_written_nothing_and_no_other(bench: Bench, state: JobState) -> None:
     bench.handle.job = before = replace(bench.handle.job, state=state)
-    broke(bench.handle, KeyError("x"))
+    note_defect(bench.handle, KeyError("x"))
     ends = {JobState.QUEUED, JobState.RUNNING, JobState.WAITING_FOR_OPERATOR, JobState.FITTING}
     if state not in ends:
         assert bench.handle.job == before

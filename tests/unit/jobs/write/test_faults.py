@@ -18,7 +18,7 @@ from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.states import ENDED, WRITING, JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.write.attempt import Writing
+from mavcal.service.jobs.write.context import WriteContext
 from mavcal.service.store import SqliteStore
 from tests.examples import examples
 from tests.unit.jobs.conftest import NEW, OLD, QUICK, FakeCheck, float32
@@ -96,19 +96,19 @@ class Engine(JobEngine):
     def __init__(self, store: SqliteStore, vehicle: FakeVehicle, reach: Callable[[At], None], check: FakeCheck) -> None:
         super().__init__(store, FakeRegistry({vehicle.id: vehicle}), settings=QUICK, reach=reach)
         self.check = check
-        attempt = self._writes.attempt
+        attempt = self._transactions.attempt
 
-        def checked(job: Job, handle: JobHandle) -> Writing:
+        def checked(job: Job, handle: JobHandle) -> WriteContext:
             made = attempt(job, handle)
             made.check = self.check
             return made
 
-        self._writes.attempt = checked  # type: ignore[method-assign]
+        self._transactions.attempt = checked  # type: ignore[method-assign]
 
     def stranded(self) -> list[str]:
         """Jobs that are not at an end and have no task."""
         busy = {job.id for job in self.list() if job.state not in ENDED | {JobState.REVIEW}}
-        return [i for i in busy if i not in self._tasks.running or self._tasks.running[i].done()]
+        return [i for i in busy if i not in self.tasks.running or self.tasks.running[i].done()]
 
 
 @settings(max_examples=examples(120), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

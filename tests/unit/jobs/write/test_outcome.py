@@ -17,11 +17,20 @@ from mavcal.calib.firmware.plan import (
     WritePlan,
 )
 from mavcal.service.errors import WriteFailed
-from mavcal.service.jobs.core.journal import BY_OPERATOR, JournalStep, fold
+from mavcal.service.jobs.core.journal import (
+    BY_OPERATOR,
+    EITHER,
+    SOMEBODY,
+    JournalStep,
+    as_heard,
+    as_read,
+    fold,
+    who_else,
+    who_sets,
+)
 from mavcal.service.jobs.core.model import Failure, Holds, Result
-from mavcal.service.jobs.core.standing import EITHER, SOMEBODY, as_heard, as_read, who_else, who_sets
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.write.outcome import Account, in_doubt, reverted, succeeded
+from mavcal.service.jobs.write.outcome import WriteOutcome, in_doubt, reverted, succeeded
 from tests.unit.jobs.core.test_journal import ACCEPTED, echo, rows, send
 
 REAL = ParameterKind.REAL32
@@ -42,11 +51,11 @@ def read(kinds: list[str], plan: WritePlan, who: str) -> Any:
     return as_read(plan, old, {f"P{i}": VALUES[kind] for i, kind in enumerate(kinds)}, who)
 
 
-def text_of(told: Account) -> str:
+def text_of(told: WriteOutcome) -> str:
     return told.outcome.text if isinstance(told.outcome, Result) else f"{told.outcome.cause} {told.outcome.remedy}"
 
 
-def check_named(told: Account) -> None:
+def check_named(told: WriteOutcome) -> None:
     """Every parameter of the list is in the sentence with its value, or counted there; and no other is."""
     text = text_of(told)
     for known in told.standing[:3]:

@@ -16,7 +16,7 @@ from mavcal.service.jobs.core.crashpoints import At
 from mavcal.service.jobs.core.journal import BY_OPERATOR, JournalStep
 from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.write.attempt import Writing
+from mavcal.service.jobs.write.context import WriteContext
 from mavcal.service.jobs.write.transaction import Transaction
 from tests.patience import scaled
 from tests.unit.jobs.conftest import NEW, OLD, QUICK, Bench, Killed, MakeBench, float32, until
@@ -217,7 +217,7 @@ async def test_a_vehicle_that_is_not_there_is_waited_for_and_that_is_told(make_b
     again = await crashed(make_bench(), At.ECHO_KEPT)
     there = False
 
-    def attempt() -> Writing:
+    def attempt() -> WriteContext:
         if not there:
             raise VehicleUnknown("there is no vehicle vehicle-1")
         return again.attempt()
@@ -235,7 +235,7 @@ async def test_a_defect_while_a_write_is_taken_up_does_not_strand_it(make_bench:
     again = await crashed(make_bench(), At.ECHO_KEPT)
     times = 0
 
-    def attempt() -> Writing:
+    def attempt() -> WriteContext:
         nonlocal times
         times += 1
         if times == 1:
@@ -254,7 +254,7 @@ async def test_a_taking_back_whose_vehicle_has_gone_is_in_doubt_and_made_later(m
     bench.handle.move(JobState.ROLLING_BACK)
     seen: list[JobState] = []
 
-    def attempt() -> Writing:
+    def attempt() -> WriteContext:
         seen.append(bench.state)
         if len(seen) == 1:
             raise VehicleUnknown("there is no vehicle vehicle-1")
@@ -271,7 +271,7 @@ async def test_a_vehicle_that_has_gone_before_anything_was_sent_leaves_the_plan_
 ) -> None:
     bench = make_bench()
 
-    def attempt() -> Writing:
+    def attempt() -> WriteContext:
         raise VehicleUnknown("there is no vehicle vehicle-1")
 
     await Transaction(bench.handle, attempt, QUICK.retry_s).apply()

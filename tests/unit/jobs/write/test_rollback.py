@@ -10,7 +10,7 @@ from mavcal.calib.recording import Identity
 from mavcal.service.errors import DiskFull, ParameterTimeout, WriteStopped
 from mavcal.service.jobs.core.crashpoints import At
 from mavcal.service.jobs.core.journal import JournalStep
-from mavcal.service.jobs.write.attempt import Writing
+from mavcal.service.jobs.write.context import WriteContext
 from mavcal.service.jobs.write.steps import prepare, roll_back, send_all
 from tests.unit.jobs.conftest import NEW, OLD, Bench, Killed, MakeBench, float32
 
@@ -75,7 +75,7 @@ async def test_somebody_elses_value_is_left_alone_and_told_of(make_bench: MakeBe
     bench.vehicle.store(Y, 0.5)
     assert await roll_back(bench.attempt()) == BEFORE | {Y: 0.5}
     assert [name for name, _ in bench.vehicle.sets] == [Z, X]
-    assert bench.handle.written().left == {Y: 0.5}
+    assert bench.handle.write_record().left == {Y: 0.5}
 
 
 async def test_before_a_foreign_value_is_taken_as_said_it_is_asked_who_answers(make_bench: MakeBench) -> None:
@@ -91,7 +91,7 @@ async def test_before_a_foreign_value_is_taken_as_said_it_is_asked_who_answers(m
     bench.vehicle.identify = identify  # type: ignore[method-assign]
     with pytest.raises(WriteStopped, match="two vehicles answer"):
         await roll_back(w)
-    assert bench.handle.written().left == {}
+    assert bench.handle.write_record().left == {}
     assert [name for name, _ in bench.vehicle.sets] == [Z]
 
 
@@ -171,10 +171,10 @@ async def test_what_is_returned_was_read_after_the_vehicle_settled(
     bench = make_bench()
     await half_written(bench)
 
-    async def settle(_: Writing) -> None:
+    async def settle(_: WriteContext) -> None:
         bench.vehicle.store(X, float32(NEW[X]))
 
-    monkeypatch.setattr(Writing, "settle", settle)
+    monkeypatch.setattr(WriteContext, "settle", settle)
     assert await roll_back(bench.attempt()) == BEFORE | {X: float32(NEW[X])}
 
 

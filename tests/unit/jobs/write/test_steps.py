@@ -19,7 +19,7 @@ from mavcal.service.errors import (
 )
 from mavcal.service.jobs.core.crashpoints import At
 from mavcal.service.jobs.core.journal import JournalStep
-from mavcal.service.jobs.write.attempt import Settling, Writing
+from mavcal.service.jobs.write.context import Settling, WriteContext
 from mavcal.service.jobs.write.steps import check_in_place, check_plan, prepare, read_back, send_all
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.vehicle.job_vehicle import READS_IN_FLIGHT, Condition, ParameterReading, read_values
@@ -76,12 +76,12 @@ def hanging(bench: Bench) -> Hanging:
     return vehicle
 
 
-async def set_x(w: Writing) -> Value:
+async def set_x(w: WriteContext) -> Value:
     return await w.set(X, 0.5, REAL, instead_of=0.0)
 
 
 async def settled_s(work: Callable[[], Coroutine[Any, Any, object]]) -> float:
-    """Seconds that it took at its quickest: a machine that stands still spoils one try of three."""
+    """Seconds that it took at its quickest: a machine that stands still voids_capture one try of three."""
     loop = asyncio.get_running_loop()
     took = []
     while len(took) < 3 and min(took, default=1.0) >= 0.9:
@@ -169,7 +169,7 @@ async def test_a_value_of_another_vehicle_is_found_by_asking_who_it_is(make_benc
 
     bench.vehicle.__class__ = Stranger
     with pytest.raises(WriteStopped, match="another vehicle"):
-        await w.ask_who()
+        await w.confirm_identity()
 
 
 @pytest.mark.parametrize(("boot_time", "asked"), [(100.0, True), (None, False)])
@@ -181,7 +181,7 @@ async def test_the_vehicles_clock_is_waited_for_where_it_has_one(
     vehicle.change_state(boot_time=boot_time)
     w = bench.attempt()
     w.settings = replace(QUICK, same_boot_s=60.0)
-    waiting = asyncio.ensure_future(w.same_boot())
+    waiting = asyncio.ensure_future(w.require_same_boot())
     for _ in range(20):
         await asyncio.sleep(0)
     assert waiting.done() is not asked
@@ -195,7 +195,7 @@ async def test_a_clock_that_stands_still_is_not_waited_for_for_ever(make_bench: 
     bench.vehicle.change_state(boot_time=100.0)
     w = bench.attempt()
     w.settings = replace(QUICK, same_boot_s=0.03)
-    assert 0.03 <= await settled_s(w.same_boot) < 0.9
+    assert 0.03 <= await settled_s(w.require_same_boot) < 0.9
 
 
 async def test_a_restart_is_found_when_the_clock_is_heard_again(make_bench: MakeBench) -> None:
@@ -203,7 +203,7 @@ async def test_a_restart_is_found_when_the_clock_is_heard_again(make_bench: Make
     w = bench.attempt()
     bench.vehicle.change_state(reboots=1)
     with pytest.raises(WriteStopped, match="restarted by itself"):
-        await w.same_boot()
+        await w.require_same_boot()
 
 
 # --- what was kept

@@ -36,7 +36,7 @@ from mavcal.service.jobs.write.stream_check import (
     FINISH,
     HOLD_STILL,
     STEP_S,
-    StreamProof,
+    StreamCheck,
     Window,
     pose_at_rest,
     proving,
@@ -97,7 +97,7 @@ class Looks:
 
     async def judged(self) -> Verification:
         handle = self.bench.handle
-        check = StreamProof(handle, self.bench.vehicle, self.bench.plan, self.prove_s, self.settings)
+        check = StreamCheck(handle, self.bench.vehicle, self.bench.plan, self.prove_s, self.settings)
         left = list(self.verdicts)
         looks = self
 
@@ -213,7 +213,7 @@ async def test_without_a_stream_the_write_cannot_be_checked_and_its_segment_is_c
     async def none(_window: Window, _seconds: float) -> Recording:
         raise CaptureEnded("the vehicle sends no inertial data", remedy="")
 
-    check = StreamProof(one.bench.handle, one.bench.vehicle, one.bench.plan, 0.0, one.settings)
+    check = StreamCheck(one.bench.handle, one.bench.vehicle, one.bench.plan, 0.0, one.settings)
     monkeypatch.setattr(Window, "extend", none)
     with pytest.raises(WriteFailed, match="cannot be checked: the vehicle sends no inertial data"):
         await check.after(WriteGuard(one.bench.vehicle, 0.01), {})
@@ -244,7 +244,7 @@ async def test_each_window_has_its_streams_asked_for_and_the_attitude_where_a_tr
 
     monkeypatch.setattr(verify_module, "ask_for_streams", streams)
     monkeypatch.setattr(Window, "extend", extend)
-    check = StreamProof(one.bench.handle, one.bench.vehicle, plan, 0.0, one.settings)
+    check = StreamCheck(one.bench.handle, one.bench.vehicle, plan, 0.0, one.settings)
     monkeypatch.setattr(check, "_verify", verdict)
     guard = WriteGuard(one.bench.vehicle, 0.01)
     await (check.before(guard) if stage == "before" else check.after(guard, {}))
@@ -259,7 +259,7 @@ async def test_each_window_has_its_streams_asked_for_and_the_attitude_where_a_tr
 async def test_after_a_crash_the_window_before_the_write_is_read_from_the_log(looks: MakeLooks) -> None:
     one = looks(PROVED)
     vehicle = one.bench.vehicle
-    check = StreamProof(one.bench.handle, vehicle, one.bench.plan, 0.0, one.settings)
+    check = StreamCheck(one.bench.handle, vehicle, one.bench.plan, 0.0, one.settings)
     assert check._recorded() is None
     data = b"".join(record(100.0 + k) for k in range(4))
     vehicle.tlog.write_bytes(b"before" + data)
@@ -287,7 +287,7 @@ async def test_the_parameters_a_check_knows_are_those_of_the_plan_and_then_those
         return PROVED
 
     monkeypatch.setattr(verify_module, "verify", judge)
-    check = StreamProof(one.bench.handle, one.bench.vehicle, one.bench.plan, 0.0, one.settings)
+    check = StreamCheck(one.bench.handle, one.bench.vehicle, one.bench.plan, 0.0, one.settings)
     after = with_sensors(Sensor.GYRO, Sensor.ACCEL, Sensor.MAG)
     await check._verify(None, after, {"INS_GYROFFS_X": 0.25})
     await check._verify(after, after, {})

@@ -11,7 +11,7 @@ import pytest
 from mavcal.calib.procedures.protocol import Progress
 from mavcal.service.jobs.core.handle import JobHandle, waiting
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.write.attempt import Settling, Writing
+from mavcal.service.jobs.write.context import Settling, WriteContext
 from mavcal.service.vehicle.job_vehicle import Condition
 from tests.unit.jobs.conftest import QUICK, Bench, MakeBench, until
 
@@ -70,7 +70,7 @@ async def test_saving_takes_its_time_from_the_last_write_and_after_a_restart_fro
 ) -> None:
     bench = make_bench()
     settings = dataclasses.replace(QUICK, settle_s={"ardupilot": 6.0}, save_s={"ardupilot": 3.0})
-    w = Writing(bench.handle, bench.vehicle, bench.plan, bench.accept, bench.check, settings)
+    w = WriteContext(bench.handle, bench.vehicle, bench.plan, bench.accept, bench.check, settings)
     bench.vehicle.change_state(boot_time=begins)
     looks = 0
 
@@ -98,7 +98,7 @@ async def test_what_is_rewritten_after_a_restart_is_found_by_its_read_back(make_
     vehicle = bench.vehicle
     vehicle.change_state(boot_time=100.0)
     settings = dataclasses.replace(QUICK, settle_s={"ardupilot": 6.0}, reboot_timeout_s=5.0)
-    bench.attempt = lambda: Writing(  # type: ignore[method-assign]
+    bench.attempt = lambda: WriteContext(  # type: ignore[method-assign]
         bench.handle, vehicle, bench.plan, bench.accept, bench.check, settings
     )
     writing = asyncio.create_task(bench.apply())

@@ -7,32 +7,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
-from mavcal.calib.firmware.plan import ParameterKind, Value, Verification, WritePlan
+from mavcal.calib.firmware.plan import ParameterKind, Value, WritePlan
 from mavcal.calib.firmware.values import shown
 from mavcal.service.errors import WriteFailed
-from mavcal.service.jobs.core.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.core.crashpoints import CrashPoint, no_crash
 from mavcal.service.jobs.core.handle import JobHandle, waiting
-from mavcal.service.jobs.core.journal import same
+from mavcal.service.jobs.core.journal import same, who_sets
 from mavcal.service.jobs.core.model import Accept
 from mavcal.service.jobs.core.settings import JobSettings
-from mavcal.service.jobs.core.standing import who_sets
 from mavcal.service.jobs.write.guard import WriteGuard
+from mavcal.service.jobs.write.stream_check import StreamCheck
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.vehicle.job_vehicle import JobVehicle, ParameterReading
-
-
-class PhysicalCheck(Protocol):
-    """Looks at the stream before and after a write (DESIGN 6, rule 4)."""
-
-    async def before(self, guard: WriteGuard) -> None:
-        """Keep a window of the stream under the old parameters."""
-        ...
-
-    async def after(self, guard: WriteGuard, values: Mapping[str, Value]) -> Verification:
-        """Judge the stream under the new parameters, `values`; may ask the operator for movements."""
-        ...
 
 
 class Settling(StrEnum):
@@ -46,16 +34,16 @@ class Settling(StrEnum):
 
 
 @dataclass
-class Writing:
+class WriteContext:
     """What every part of a write transaction works with."""
 
     handle: JobHandle
     vehicle: JobVehicle
     plan: WritePlan
     accept: Accept
-    check: PhysicalCheck
+    check: StreamCheck
     settings: JobSettings = field(default_factory=JobSettings)
-    reach: CrashPoint = nowhere
+    reach: CrashPoint = no_crash
     guard: WriteGuard = field(init=False)
     heard: dict[str, Value] = field(init=False, default_factory=dict)
     """Values heard since the last PARAM_SET of each name; not proof, a late echo may be among them."""
@@ -92,7 +80,7 @@ class Writing:
             await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
             if foreign.done():
                 setting.cancel()
-                await self.ask_who()
+                await self.confirm_identity()
                 raise WriteFailed(f"{who_sets(name)} set {name} to {shown(foreign.result())} meanwhile")
             return setting.result().value
         finally:
@@ -103,7 +91,7 @@ class Writing:
             if not setting.cancelled():
                 setting.exception()  # said already, or overtaken by a stronger reason
 
-    async def ask_who(self) -> None:
+    async def confirm_identity(self) -> None:
         """Ask who answers, where a value is neither ours nor the old one.
 
         It may be another vehicle's at the same address, or this one's after a restart that its clock has not shown yet.
@@ -116,9 +104,9 @@ class Writing:
             If nobody says.
         """
         await self.guard.run(self.vehicle.identify)
-        await self.same_boot()
+        await self.require_same_boot()
 
-    async def same_boot(self) -> None:
+    async def require_same_boot(self) -> None:
         """Wait until the vehicle's clock was heard again: what fails while it restarts is no cause, the restart is.
 
         Raises
@@ -126,10 +114,10 @@ class Writing:
         WriteStopped
             If it restarted, or may not be written to for another reason.
         """
-        await self.guard.run(self._clock_heard)
+        await self.guard.run(self._hear_clock)
         self.guard.check()
 
-    async def _clock_heard(self) -> None:
+    async def _hear_clock(self) -> None:
         loop = asyncio.get_running_loop()
         deadline, before = loop.time() + self.settings.same_boot_s, self.vehicle.condition().boot_time
         while self.vehicle.condition().boot_time == before is not None and loop.time() < deadline:  # noqa: ASYNC110

@@ -12,8 +12,8 @@ from mavcal.service.jobs.core.codec import row_from_job
 from mavcal.service.jobs.core.journal import JournalStep, Sent
 from mavcal.service.jobs.core.model import Failure, Holds, Job, Result, Standing
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.write.unfinished import Unfinished, beginning, ending, left_over
 from mavcal.service.store import SqliteStore
+from mavcal.service.unfinished import Unfinished, beginning, ending, left_over
 
 JOB = Job("j1", "v", "gyro", {}, JobState.IN_DOUBT, 0.0, 0.0)
 SENT = Sent("FLAG", 1, 0, ParameterKind.INT32, session=True, confirmed=1)

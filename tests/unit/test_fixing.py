@@ -11,10 +11,10 @@ import pytest
 
 from mavcal.calib.firmware.plan import Change, ParameterKind, WritePlan
 from mavcal.calib.recording import Sensor
-from mavcal.service.jobs import fixing
+from mavcal.service import fixing
+from mavcal.service.fixing import Fixable, fixed, wait_for_job
 from mavcal.service.jobs.core.model import Accept, Failure, Job, Result
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.fixing import Fixable, fixed, settled
 from tests.unit.api.samples import FINGERPRINT
 
 FIRST = Change("A", 0.0, 1.0, ParameterKind.REAL32, "", sensor=Sensor.GYRO, instance=0)
@@ -144,7 +144,7 @@ async def test_a_job_has_settled_when_it_does_not_go_on_by_itself(
 ) -> None:
     monkeypatch.setattr(fixing, "_LOOK_S", 0.0)
     engine = Engine({}, jobs={"j": job(JobState.RUNNING)})
-    waiting = asyncio.ensure_future(settled(engine, "j"))  # type: ignore[arg-type]
+    waiting = asyncio.ensure_future(wait_for_job(engine, "j"))  # type: ignore[arg-type]
     for running in (JobState.RUNNING, JobState.FITTING, JobState.APPLYING, JobState.VERIFYING):
         engine.jobs["j"] = job(running)
         for _ in range(3):
@@ -157,4 +157,4 @@ async def test_a_job_has_settled_when_it_does_not_go_on_by_itself(
 async def test_a_job_that_never_settles_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fixing, "WAIT_S", 0.0)
     with pytest.raises(TimeoutError):
-        await settled(Engine({}, jobs={"j": job(JobState.RUNNING)}), "j")  # type: ignore[arg-type]
+        await wait_for_job(Engine({}, jobs={"j": job(JobState.RUNNING)}), "j")  # type: ignore[arg-type]

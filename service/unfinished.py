@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
-from mavcal.service.jobs.core.journal import Sent, fold
+from mavcal.service.jobs.core.journal import Sent, as_heard, fold
 from mavcal.service.jobs.core.model import Failure, Job, Outcome, Standing
-from mavcal.service.jobs.core.standing import as_heard
 from mavcal.service.jobs.core.states import ENDED, PHYSICAL, WRITING
 from mavcal.service.store.protocol import JobStore
 

@@ -58,11 +58,11 @@ async def fixed(
     done: list[Fix] = []
     for kind in dict.fromkeys(kinds):
         job = await engine.submit(vehicle_id, kind.value)
-        job, left = await _without_restart(engine, await settled(engine, job.id))
+        job, left = await _without_restart(engine, await wait_for_job(engine, job.id))
         if job.state == JobState.REVIEW and job.plan is not None and not job.plan.blockers and not left.all:
             accept = Accept(job.plan.sha256, prove_s=0.0, actor=actor)
             await engine.apply(job.id, accept, look=look)
-            job = await settled(engine, job.id)
+            job = await wait_for_job(engine, job.id)
         done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_told(job, left), left.text))), left.keys))
         if job.state != JobState.SUCCEEDED:
             break
@@ -98,7 +98,7 @@ async def _without_restart(engine: JobEngine, job: Job) -> tuple[Job, _LeftOut]:
     return job, left
 
 
-async def settled(engine: JobEngine, job_id: str) -> Job:
+async def wait_for_job(engine: JobEngine, job_id: str) -> Job:
     """The job, once nothing goes on with it by itself. Raises TimeoutError after :data:`WAIT_S`."""
     async with asyncio.timeout(WAIT_S):
         while engine.get(job_id).state not in _LEFT:  # noqa: ASYNC110 - the engine wakes nobody for a state
