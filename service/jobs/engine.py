@@ -14,35 +14,12 @@ from typing import Any
 from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.procedures.registry import specification, validate_options
-from mavcal.service.errors import (
-    AnswerRefused,
-    Forbidden,
-    IllegalTransition,
-    NotCancellable,
-    NotRevertible,
-)
+from mavcal.service.errors import AnswerRefused, Forbidden, IllegalTransition, NotCancellable, NotRevertible
+from mavcal.service.jobs.calibrate import without_capture
 from mavcal.service.jobs.calibrate.history import history_of, verified_jobs
-from mavcal.service.jobs.calibrate.planning import (
-    checked_plan_options,
-    confirmed,
-    require_sensors_of,
-)
+from mavcal.service.jobs.calibrate.planning import checked_plan_options, confirmed, require_sensors_of
 from mavcal.service.jobs.calibrate.runner import Runner
-from mavcal.service.jobs.calibrate.without_capture import (
-    plan_again,
-    plan_from_recording,
-    plan_restore,
-    require_restorable,
-    require_review,
-)
-from mavcal.service.jobs.core.admission import (
-    WAY,
-    require_finite,
-    require_free,
-    require_ready,
-    require_vehicle,
-    require_whole,
-)
+from mavcal.service.jobs.core import admission
 from mavcal.service.jobs.core.book import JobBook
 from mavcal.service.jobs.core.crashpoints import At, CrashPoint, no_crash
 from mavcal.service.jobs.core.handle import JobHandle
@@ -229,7 +206,7 @@ class JobEngine:
         """
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
-        require_ready(vehicle, busy=True)  # which is one of the checks
+        admission.require_ready(vehicle, busy=True)  # which is one of the checks
         with self._preflights.claimed(vehicle.id):
             await self._rates.before_preflight(vehicle.id)
             found = await self._preflights.run(vehicle, self._history, heading=heading)
@@ -255,8 +232,8 @@ class JobEngine:
         """
         context = {"plan_options": checked_plan_options(plan_options or {}), **(begun_by or {})}
         vehicle = self._vehicles.vehicle(vehicle_id)
-        require_ready(vehicle)
-        await require_restorable(vehicle, self._history)
+        admission.require_ready(vehicle)
+        await without_capture.require_restorable(vehicle, self._history)
         self._require_free(vehicle.id)
         return await self._begin(self._new_job(vehicle, RESTORE, {}, context), self._planning)
 
@@ -287,10 +264,10 @@ class JobEngine:
         chosen = validate_options(kind, options or {})
         context = {**(begun_by or {}), "plan_options": checked_plan_options(plan_options or {})}
         require_sensors_of(spec, plan_options or {})
-        require_whole(self._store)  # a calibration that could never be written is not begun
+        admission.require_whole(self._store)  # a calibration that could never be written is not begun
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
-        require_ready(vehicle, busy=True)  # which is waited for
+        admission.require_ready(vehicle, busy=True)  # which is waited for
         requested_streams(vehicle.identity.autopilot or "", spec.sensors)
         if vehicle.identity.firmware is None:
             await vehicle.identify()
@@ -315,12 +292,12 @@ class JobEngine:
         VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, VehicleConflict, PhysicalJobRunning
             As for :meth:`submit`.
         """
-        require_finite(options)
+        admission.require_finite(options)
         self._computations.check(recording, method)
         context = {"plan_options": checked_plan_options(plan_options or {})}
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
-        require_ready(vehicle)
+        admission.require_ready(vehicle)
         chosen = {"recording": recording, "method": method, "options": dict(options)}
         return await self._begin(self._new_job(vehicle, FROM_RECORDING, chosen, context), self._planning)
 
@@ -361,12 +338,12 @@ class JobEngine:
         """
         handle = self.book.handle(job_id)
         job = handle.job
-        require_review(job)
+        without_capture.require_review(job)
         results = None if job.kind == RESTORE else job.results
         chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options, results)
-        vehicle = self._vehicles.vehicle(require_vehicle(job))
-        require_ready(vehicle)
-        await plan_again(handle, vehicle, chosen, self._history, self.list())
+        vehicle = self._vehicles.vehicle(admission.require_vehicle(job))
+        admission.require_ready(vehicle)
+        await without_capture.plan_again(handle, vehicle, chosen, self._history, self.list())
         return handle.job
 
     async def apply(
@@ -392,8 +369,8 @@ class JobEngine:
             return handle.job
         self._require_writing()
         self._require_acceptable(handle.job, accept)
-        vehicle = self._vehicles.vehicle(require_vehicle(handle.job))
-        require_ready(vehicle, busy=True)
+        vehicle = self._vehicles.vehicle(admission.require_vehicle(handle.job))
+        admission.require_ready(vehicle, busy=True)
         await check_plan(self._transactions.attempt(dataclasses.replace(handle.job, accept=accept), handle))
         self._require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
         said = {"plan_sha256": accept.plan_sha256, "confirmed": confirmed(handle.job.context.get("plan_options", {}))}
@@ -406,7 +383,7 @@ class JobEngine:
             await self._acceptance.use(idempotency_key, digest, job_id)
             self._require_acceptable(handle.job, accept)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
-        context = {**handle.job.context, WAY: vehicle.condition().way}
+        context = {**handle.job.context, admission.WAY: vehicle.condition().way}
         fresh: dict[str, Any] = {"outcome": None, "verification": None, "standing": ()}
         handle.move(JobState.APPLYING, accept=accept, context=context, last_write=attempt, **fresh)
         self.tasks.spawn(handle, partial(self._write, handle, self._history if look else None))
@@ -424,12 +401,12 @@ class JobEngine:
         self._require_writing()
         if handle.job.accept is None:
             raise NotRevertible(f"job {job_id} found nothing to write: there is nothing to take back")
-        self._require_free(require_vehicle(handle.job), besides=job_id)
-        require_ready(self._vehicles.vehicle(require_vehicle(handle.job)))
+        self._require_free(admission.require_vehicle(handle.job), besides=job_id)
+        admission.require_ready(self._vehicles.vehicle(admission.require_vehicle(handle.job)))
         with self._acceptance.claimed(job_id):
             await self._acceptance.note(actor, "revert", job_id, {})
             await handle.record(JournalStep.ROLL_BACK, because=BY_OPERATOR)
-            self._require_free(require_vehicle(handle.job), besides=job_id)
+            self._require_free(admission.require_vehicle(handle.job), besides=job_id)
         handle.move(JobState.ROLLING_BACK, prompt=None)
         self.tasks.spawn(handle, self._transactions.of(handle).revert)
         return handle.job
@@ -446,17 +423,17 @@ class JobEngine:
 
     def _require_free(self, vehicle_id: str, *, besides: str = "") -> None:
         """Raise PhysicalJobRunning or PreflightRunning if something else claims this vehicle."""
-        require_free(vehicle_id, with_present_vehicles(self.list(), self._vehicles), besides=besides)
+        admission.require_free(vehicle_id, with_present_vehicles(self.list(), self._vehicles), besides=besides)
         self._preflights.require_idle(vehicle_id)
 
     def _require_acceptable(self, job: Job, accept: Accept) -> None:
         require_acceptable(job, accept)
-        self._require_free(require_vehicle(job), besides=job.id)
+        self._require_free(admission.require_vehicle(job), besides=job.id)
 
     def _require_writing(self) -> None:
         if self._read_only:
             raise Forbidden("this service runs with --read-only and never writes: export the plan instead")
-        require_whole(self._store)
+        admission.require_whole(self._store)
 
     async def _history(self, vehicle: JobVehicle) -> tuple[VerifiedCalibration, ...]:
         jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)
@@ -464,12 +441,12 @@ class JobEngine:
 
     def _planning(self, handle: JobHandle) -> Work:
         if handle.job.kind == RESTORE:
-            return partial(plan_restore, handle, self._runner.vehicle, self._history)
-        return partial(plan_from_recording, handle, self._runner.vehicle, self._computations, self.list)
+            return partial(without_capture.plan_restore, handle, self._runner.vehicle, self._history)
+        return partial(without_capture.plan_from_recording, handle, self._runner.vehicle, self._computations, self.list)
 
     async def _capture(self, handle: JobHandle) -> None:
         """A capture, after message rates of an earlier job of this vehicle are back, and with its own put back."""
-        await self._rates.before_capture(require_vehicle(handle.job))
+        await self._rates.before_capture(admission.require_vehicle(handle.job))
         await self._runner.calibrate(handle)
 
     async def _write(self, handle: JobHandle, look: History | None) -> None:

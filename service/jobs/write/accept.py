@@ -9,13 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from mavcal.service.errors import (
-    IdempotencyConflict,
-    IllegalTransition,
-    PlanBlocked,
-    PlanChanged,
-    PlanMissing,
-)
+from mavcal.service.errors import IdempotencyConflict, IllegalTransition, PlanBlocked, PlanChanged, PlanMissing
 from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.store.protocol import Store

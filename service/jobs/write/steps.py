@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import partial
 
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint, matters
-from mavcal.calib.firmware.plan import Change, Value, WritePlan, snapshot_sha256
+from mavcal.calib.firmware.plan import Change, Value, snapshot_sha256
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.service.errors import (
@@ -57,7 +57,10 @@ async def check_plan(w: WriteContext) -> dict[str, ParameterReading]:
         raise PlanChanged(f"parameters changed since the plan was made: {', '.join(differing)}. Plan again")
     if snapshot_sha256(now) != w.plan.snapshot_sha256 or fingerprint(identity, now) != w.plan.fingerprint:
         raise PlanChanged
-    _check_kinds(w.plan, fresh)
+    kinds = [(change, fresh[change.name].kind) for change in w.plan.changes]
+    wrong = [f"{change.name} is {kind}, not {change.kind}" for change, kind in kinds if kind != change.kind]
+    if wrong:
+        raise PlanChanged(f"the vehicle's types are not those of the plan: {', '.join(wrong)}. Plan again")
     return fresh
 
 
@@ -76,12 +79,6 @@ async def prepare(w: WriteContext) -> None:
     await store.do(lambda: store.add_snapshot(w.handle.id, at, SnapshotPurpose.BEFORE_WRITE, digest, body))
     await w.handle.record(JournalStep.SNAPSHOT, sha256=digest)
     w.reach(At.SNAPSHOT_KEPT)
-
-
-def _check_kinds(plan: WritePlan, fresh: Mapping[str, ParameterReading]) -> None:
-    wrong = [f"{c.name} is {fresh[c.name].kind}, not {c.kind}" for c in plan.changes if fresh[c.name].kind != c.kind]
-    if wrong:
-        raise PlanChanged(f"the vehicle's types are not those of the plan: {', '.join(wrong)}. Plan again")
 
 
 async def send_all(w: WriteContext) -> None:
