@@ -14,7 +14,7 @@ from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.methods import METHODS
-from mavcal.service.campaigns.campaigns import CAMPAIGN, Campaigns, CampaignTask, ItemRun, ItemWork
+from mavcal.service.campaigns.campaigns import CAMPAIGN, Campaigns, CampaignTask, ItemTurn, ItemWork
 from mavcal.service.campaigns.executors import Workers
 from mavcal.service.campaigns.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
 from mavcal.service.campaigns.worker import computed
@@ -65,16 +65,16 @@ class FolderFits:
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
 
-    async def run(self, run: ItemRun) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        method = run.options["method"]
-        order = {**_part(run), "method": method, "options": run.options["options"], "origin": False}
+        method = turn.options["method"]
+        order = {**_part(turn), "method": method, "options": turn.options["options"], "origin": False}
         answer = await _on(self.workers, FIT, order, self.limits)
         if "error" in answer:
-            return _failed(answer["error"], run)
+            return _failed(answer["error"], turn)
         return of_fits(answer["done"]["fits"], method, sha256=answer["sha256"], seconds=answer["seconds"])
 
-    async def cancelled(self, run: ItemRun) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
         return "The campaign was cancelled."
 
@@ -88,19 +88,19 @@ class FolderGaps:
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
 
-    async def run(self, run: ItemRun) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        options, part = run.options, _part(run)
+        options, part = turn.options, _part(turn)
         order: Json = {
             "path": part["path"],
             "real": part,
             "sim": None if options["sim"] is None else {**part, "path": options["sim"]},
             "nominal": [{**part, "path": path} for path in options["nominal"]],
-            "title": f"Sim-to-real gap of {Path(run.item.subject).name}",
+            "title": f"Sim-to-real gap of {Path(turn.item.subject).name}",
         }
         answer = await _on(self.workers, DIAGNOSE, order, self.limits)
         if "error" in answer:
-            return _failed(answer["error"], run)
+            return _failed(answer["error"], turn)
         done = answer["done"]
         report, page = json.dumps(done["report"], allow_nan=False), str(done["page"])
         documents = (
@@ -108,9 +108,9 @@ class FolderGaps:
             JobDocument(PAGE, "text/html", page.encode()),
         )
         more = {"sha256": answer["sha256"], "seconds": answer["seconds"]}
-        return of_diagnosis(run.item, done["summary"], done["report"], documents, **more)
+        return of_diagnosis(turn.item, done["summary"], done["report"], documents, **more)
 
-    async def cancelled(self, run: ItemRun) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
         return "The campaign was cancelled."
 
@@ -196,12 +196,12 @@ async def _on(given: Workers, task: str, order: Json, limits: Limits) -> Json:
     return await asyncio.get_running_loop().run_in_executor(given.executor, computed, task, order, limits)
 
 
-def _part(run: ItemRun) -> Json:
-    path = Path(run.options[FOLDER]) / run.item.subject
-    return {"path": str(path), "reading": dict(run.options.get("reading") or {})}
+def _part(turn: ItemTurn) -> Json:
+    path = Path(turn.options[FOLDER]) / turn.item.subject
+    return {"path": str(path), "reading": dict(turn.options.get("reading") or {})}
 
 
-def _failed(error: Mapping[str, str], run: ItemRun) -> ItemEnd:
+def _failed(error: Mapping[str, str], turn: ItemTurn) -> ItemEnd:
     """How an item ends whose file could not be fitted; the folder is no part of the reason."""
-    text = error["text"].replace(f"{run.options[FOLDER]}/", "")
+    text = error["text"].replace(f"{turn.options[FOLDER]}/", "")
     return ItemEnd(ItemOutcome.FAILED, text[:1].upper() + text[1:], error["code"])

@@ -93,8 +93,8 @@ class QueuePlace:
 
 
 @dataclass(frozen=True)
-class ItemRun:
-    """One item, as its work gets it."""
+class ItemTurn:
+    """The turn of one item, as its work gets it."""
 
     campaign: Job
     item: Item
@@ -121,11 +121,11 @@ class ItemWork(Protocol):
         """So often an item is begun whose service stops meanwhile: it may be the item that stops it. None: always."""
         ...
 
-    async def run(self, run: ItemRun) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """Do it. Raises ServiceError or CalibError, which end the item alone."""
         ...
 
-    async def cancelled(self, run: ItemRun) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """The campaign was cancelled while :meth:`run` ran, and :meth:`run` with it: end what it began; say how."""
         ...
 
@@ -267,7 +267,7 @@ class Campaigns:
             item, outcome=ItemOutcome.RUNNING, began_at=self._wall(), starts=item.starts + 1, text=""
         )
         await _keep(handle, item)
-        ended = await self._end_of(handle, work, ItemRun(handle.job, item, place, again))
+        ended = await self._end_of(handle, work, ItemTurn(handle.job, item, place, again))
         for document in ended.documents:
             await handle.store.do(partial(handle.store.save_document, handle.id, document))
         item = _with(item, ended, self._wall())
@@ -276,16 +276,16 @@ class Campaigns:
         handle.announce("item", {**told, "text": item.text, "job_id": item.job_id})
         run.count(item.outcome)
 
-    async def _end_of(self, handle: JobHandle, work: ItemWork, run: ItemRun) -> ItemEnd:
-        item = run.item
+    async def _end_of(self, handle: JobHandle, work: ItemWork, turn: ItemTurn) -> ItemEnd:
+        item = turn.item
         if work.most_starts is not None and item.starts > work.most_starts:
             text = f"The service was stopped {work.most_starts} times while this item ran: look into its log."
             return ItemEnd(ItemOutcome.FAILED, text, "computation-interrupted")
         try:
-            return await work.run(run)
+            return await work.run(turn)
         except asyncio.CancelledError:
             if handle.job.state == JobState.CANCELLED:
-                ended = ItemEnd(ItemOutcome.CANCELLED, await work.cancelled(run), "job-cancelled")
+                ended = ItemEnd(ItemOutcome.CANCELLED, await work.cancelled(turn), "job-cancelled")
                 await _keep(handle, _with(item, ended, self._wall()))
             raise
         except (ServiceError, CalibError) as error:

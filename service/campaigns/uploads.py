@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from mavcal.calib.report import to_json
-from mavcal.service.campaigns.campaigns import ItemRun
+from mavcal.service.campaigns.campaigns import ItemTurn
 from mavcal.service.campaigns.items import ItemEnd, of_diagnosis, of_fits
 from mavcal.service.computations import REPORT
 from mavcal.service.errors import ChildrenBusy
@@ -30,13 +30,13 @@ class UploadFits:
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
 
-    async def run(self, run: ItemRun) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        method, options = run.options["method"], run.options["options"]
-        fits = await _patiently(lambda: self.computations.fit(run.item.subject, method, options))
+        method, options = turn.options["method"], turn.options["options"]
+        fits = await _patiently(lambda: self.computations.fit(turn.item.subject, method, options))
         return of_fits(to_json(fits), method)
 
-    async def cancelled(self, run: ItemRun) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
         return _CANCELLED
 
@@ -49,14 +49,14 @@ class UploadGaps:
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
 
-    async def run(self, run: ItemRun) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        sim, nominal = run.options["sim"], run.options["nominal"]
-        found = await _patiently(lambda: self.computations.diagnose(run.item.subject, sim, nominal))
+        sim, nominal = turn.options["sim"], turn.options["nominal"]
+        found = await _patiently(lambda: self.computations.diagnose(turn.item.subject, sim, nominal))
         report = json.loads(next(d.body for d in found.documents if d.name == REPORT))
-        return of_diagnosis(run.item, found.summary, report, found.documents)
+        return of_diagnosis(turn.item, found.summary, report, found.documents)
 
-    async def cancelled(self, run: ItemRun) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
         return _CANCELLED
 

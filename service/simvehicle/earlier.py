@@ -1,4 +1,4 @@
-"""The calibration that a vehicle starts with: made some time ago, near the truth, and identity no_crash.
+"""The calibration that a vehicle starts with: made some time ago, near the truth, and identity nowhere.
 
 A vehicle whose parameters are all neutral hides every fault in undoing what is in force, and in judging a change of it.
 Such a new vehicle is therefore the exception (``"calibration": "none"``).

@@ -421,7 +421,7 @@ class Vehicle:
             self._poll(now)
 
     def _ask_clock(self, channel: LinkChannel) -> None:
-        """With every heartbeat, where no stream tells the vehicle's time: a restart shows in it, and no_crash else."""
+        """With every heartbeat, where no stream tells the vehicle's time: a restart shows in it, and nowhere else."""
         if not channel.clock_heard:
             self._ask_over(channel, dialect.MAVLINK_MSG_ID_SYSTEM_TIME)
         channel.clock_heard = False

@@ -145,7 +145,7 @@ WRONG: Sequence[tuple[str, ...]] = (
     ("inspect", "garbage.csv"),
     ("convert", "good.csv"),
     ("convert", "good.csv", "out.docx"),
-    ("convert", "good.csv", "no_crash/out.csv"),
+    ("convert", "good.csv", "nowhere/out.csv"),
     ("convert", "missing.csv", "out.csv"),
     ("config", "key"),
     ("config", "key", "--name", "me", "--scope", "everything"),

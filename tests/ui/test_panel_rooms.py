@@ -51,7 +51,7 @@ def test_links_are_opened_refused_and_closed_and_text_stays_text(desk, tmp_path)
     with service(tmp_path) as url:
         desk.open(url, "#/setup")
         desk.sees("No connection is open")
-        desk.page.fill("#url", "ftp:no_crash")
+        desk.page.fill("#url", "ftp:nowhere")
         desk.press("Connect")
         desk.sees("Known forms", inside=".notice")
         desk.page.fill("#url", "serial:/dev/<img src=x onerror=document.title='hurt'>:57600")

@@ -12,7 +12,7 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.service.campaigns import campaigns
-from mavcal.service.campaigns.campaigns import CAMPAIGN, CampaignTask, ItemRun, uploads_of_campaign
+from mavcal.service.campaigns.campaigns import CAMPAIGN, CampaignTask, ItemTurn, uploads_of_campaign
 from mavcal.service.campaigns.items import Item, ItemEnd, ItemOutcome, item_from_row, row_from_item
 from mavcal.service.errors import (
     CampaignsBusy,
@@ -53,17 +53,17 @@ class FakeWork:
     def __post_init__(self) -> None:
         self.lane = asyncio.Semaphore(self.most)
 
-    async def run(self, run: ItemRun) -> ItemEnd:
-        subject = run.item.subject
+    async def run(self, turn: ItemTurn) -> ItemEnd:
+        subject = turn.item.subject
         self.begun.append(subject)
-        self.again[subject] = run.again
+        self.again[subject] = turn.again
         self.under_way += 1
         self.at_once = max(self.at_once, self.under_way)
         try:
             await asyncio.sleep(0.001)
             while subject in self.held:
                 if subject.startswith("person"):
-                    await run.place.wait_for_person()
+                    await turn.place.wait_for_person()
                 await asyncio.sleep(0.001)
         finally:
             self.under_way -= 1
@@ -72,8 +72,8 @@ class FakeWork:
             raise end
         return end
 
-    async def cancelled(self, run: ItemRun) -> str:
-        self.cancels.append(run.item.subject)
+    async def cancelled(self, turn: ItemTurn) -> str:
+        self.cancels.append(turn.item.subject)
         return "it was ended"
 
 

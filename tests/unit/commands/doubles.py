@@ -149,7 +149,7 @@ class ScriptedJobs:
 
 @dataclass(eq=False)
 class FakeLink:
-    """A link that leads no_crash."""
+    """A link that leads nowhere."""
 
     endpoint: str
     reason: str = ""

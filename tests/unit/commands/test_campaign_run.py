@@ -68,7 +68,7 @@ async def test_an_endpoint_that_is_none_ends_the_command(make_service, screen):
 
     service.links.open = refused
     with pytest.raises(EndpointError):
-        await heard(service, screen, "no_crash")
+        await heard(service, screen, "nowhere")
 
 
 class Campaigns:

@@ -23,7 +23,7 @@ def test_help_states_what_the_code_does() -> None:
     [
         (["--simulator", "sim {oops}"], "simulator-command", "{oops}"),
         (["--simulator", "sim {frame}"], "simulator-command", "has no {port}"),
-        (["--simulator", "sim {port}", "--connect", "no_crash"], "simulator-command", "not an endpoint"),
+        (["--simulator", "sim {port}", "--connect", "nowhere"], "simulator-command", "not an endpoint"),
         (["--simulator", "no-such-simulator {port}"], "simulator-missing", "cannot be started"),
     ],
 )

@@ -105,8 +105,8 @@ def test_without_a_position_the_field_of_the_place_is_not_known():
         made = found("earth", compass(), ATTITUDE, *position)
         assert made.verdict == CANNOT_SAY
         assert "GPS" in made.action
-    no_crash = channel(Sensor.POSITION, np.full((len(T), 3), np.nan), POSITION.unit)
-    assert found("earth", compass(), no_crash).verdict == CANNOT_SAY
+    nowhere = channel(Sensor.POSITION, np.full((len(T), 3), np.nan), POSITION.unit)
+    assert found("earth", compass(), nowhere).verdict == CANNOT_SAY
 
 
 def test_a_position_before_the_first_fix_is_none():

@@ -70,7 +70,7 @@ def test_what_stands_on_a_bench_is_allowed_at_the_start(text):
         "sim:px4?config=/etc/passwd",
         "file:/dev/zero",
         "file:/etc/passwd",
-        "file:/no_crash",
+        "file:/nowhere",
     ],
 )
 def test_what_leads_elsewhere_is_refused(text):

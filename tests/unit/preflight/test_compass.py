@@ -128,10 +128,10 @@ def test_where_nothing_is_left_to_compare_it_says_why() -> None:
     assert found.verdict is Verdict.UNKNOWN
     assert "compass 1 " in found.reason
     assert "strength" in found.reason
-    no_crash = compass_direction({0: reading(LEVEL)}, upright(LEVEL), None, None)
-    assert no_crash.verdict is Verdict.UNKNOWN
-    assert "dip" in no_crash.reason
-    assert "strength" not in no_crash.reason
+    nowhere = compass_direction({0: reading(LEVEL)}, upright(LEVEL), None, None)
+    assert nowhere.verdict is Verdict.UNKNOWN
+    assert "dip" in nowhere.reason
+    assert "strength" not in nowhere.reason
 
 
 def test_without_a_position_compasses_are_still_compared_with_each_other() -> None:

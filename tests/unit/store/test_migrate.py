@@ -12,7 +12,7 @@ STEPS = (
     Migration(2, "b", "CREATE TABLE b (x);"),
     Migration(3, "c", "INSERT INTO a SELECT x + 1 FROM a;"),
 )
-BROKEN = (STEPS[0], Migration(2, "b", "CREATE TABLE b (x); INSERT INTO no_crash VALUES (1);"))
+BROKEN = (STEPS[0], Migration(2, "b", "CREATE TABLE b (x); INSERT INTO nowhere VALUES (1);"))
 
 
 @pytest.fixture

@@ -192,7 +192,7 @@ def test_a_failed_write_leaves_nothing_and_the_next_one_works(store: SqlStore) -
     with pytest.raises(ZeroDivisionError):
         broken("DELETE FROM recordings")
     with pytest.raises(StoreError):
-        broken("INSERT INTO no_crash VALUES (1)")
+        broken("INSERT INTO nowhere VALUES (1)")
     assert store.links() == ()
     store.save_link(LinkRow("l1", "udpin:0.0.0.0:1", 1.0))
     assert len(store.links()) == 1

@@ -1,4 +1,4 @@
-"""Kinds of effects are told by their traits, and no_crash by parts of their ids."""
+"""Kinds of effects are told by their traits, and nowhere by parts of their ids."""
 
 from __future__ import annotations
 

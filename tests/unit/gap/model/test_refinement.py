@@ -55,7 +55,7 @@ def humming_late(trace):
 
 
 def test_a_frequency_between_two_peaks_does_not_hold_the_other_shapes():
-    """Its tangent leads no_crash; every step of a joint fit was spoiled by it, and no shape moved any more."""
+    """Its tangent leads nowhere; every step of a joint fit was spoiled by it, and no shape moved any more."""
     problem = problem_of(np.random.default_rng(7), (Sensor.GYRO,), humming_late)
     task = _task_of(problem, tuple(e for e in catalogue() if e.id in ("gyro_tone", "gyro_delay")))
     by_name = {h.effect.id: h for h in task.contest.hypotheses}

@@ -37,8 +37,8 @@ def test_a_hole_in_the_recording_is_no_rest():
         trace, ideal=np.where(hole[:, None], 0.0, trace.ideal), observed=trace.observed & ~hole
     )
     assert with_unit_noise(filled, FOLLOWS).unit_sd == pytest.approx(NOISE, rel=0.2)
-    no_crash = dataclasses.replace(trace, observed=np.zeros_like(trace.observed))
-    assert with_unit_noise(no_crash, FOLLOWS) is no_crash
+    nowhere = dataclasses.replace(trace, observed=np.zeros_like(trace.observed))
+    assert with_unit_noise(nowhere, FOLLOWS) is nowhere
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ async def set_x(w: WriteContext) -> Value:
 
 
 async def settled_s(work: Callable[[], Coroutine[Any, Any, object]]) -> float:
-    """Seconds that it took at its quickest: a machine that stands still voids_capture one try of three."""
+    """Seconds that it took at its quickest: a machine that stands still spoils one try of three."""
     loop = asyncio.get_running_loop()
     took = []
     while len(took) < 3 and min(took, default=1.0) >= 0.9:
