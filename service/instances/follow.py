@@ -54,5 +54,5 @@ class Follower:
         events, rows = await self._store.do(read)
         for event in events:
             self._after = event.id
-            book.seen(event, rows.get(event.job_id))
+            book.publish(event, rows.get(event.job_id))
         return len(events) == PAGE

@@ -1,4 +1,4 @@
-"""One ledger a vehicle: who wants which message rates, and which are on their way back to what they were.
+"""One ledger a vehicle: who watches it at which rate, and whose rates are being returned.
 
 Both firmwares keep one set of rates for a link, so only one user has them at a time. A job goes before a preflight,
 and either before those who watch. Each keeps the intervals of before somewhere (:class:`Owed`) until they are returned.
@@ -67,7 +67,7 @@ async def return_rates(vehicle: JobVehicle, owed: Owed) -> None:
 
 @dataclass
 class LiveWatch:
-    """The wish of one client to see samples; it lapses unless its stream goes on taking them."""
+    """One client's request to see samples; it lapses unless its stream goes on taking them."""
 
     id: str
     vehicle_id: str
@@ -77,7 +77,7 @@ class LiveWatch:
 
 @dataclass(frozen=True)
 class _Return:
-    """Rates on their way back: whose they were, and what is owed."""
+    """A return of rates that is under way: its owner and what is owed."""
 
     owner: str
     task: asyncio.Task[Any]
@@ -163,7 +163,7 @@ class RateLedger:
 
     @contextmanager
     def hurrying(self) -> Iterator[None]:
-        """Meanwhile no rates are kept for an accept."""
+        """Keep no rates for an accept inside the block."""
         self._hurry.set()
         try:
             yield
@@ -171,7 +171,7 @@ class RateLedger:
             self._hurry.clear()
 
     async def wait_for_hurry(self) -> None:
-        """Return when somebody needs the rates."""
+        """Wait until somebody needs the rates."""
         await self._hurry.wait()
 
 
@@ -205,7 +205,7 @@ class RateLedgers:
         return found
 
     def all(self) -> tuple[RateLedger, ...]:
-        """Every ledger in which there is anything."""
+        """Every ledger in use."""
         return tuple(ledger for ledger in self._all.values() if ledger.in_use)
 
     def _present_id(self, vehicle_id: str) -> str:

@@ -34,7 +34,7 @@ class OwedRates:
         return dict(self._owed)
 
     def put(self, vehicle_id: str, intervals: Mapping[int, int]) -> None:
-        """Owe a vehicle exactly these; returns when a loss of power would not change that any more.
+        """Set what is owed to a vehicle; it is on the disk when this returns.
 
         Raises
         ------

@@ -40,7 +40,7 @@ READ_ONLY = "This service runs with --read-only: it does not change which messag
 
 
 class LiveState(StrEnum):
-    """What has become of the wish to watch."""
+    """State of a watch."""
 
     ASKING = "asking"
     GRANTED = "granted"
@@ -50,7 +50,7 @@ class LiveState(StrEnum):
 
 @dataclass(frozen=True)
 class LiveStatus:
-    """How it stands with the rates of a vehicle that is watched.
+    """State of the rates of a watched vehicle.
 
     Parameters
     ----------

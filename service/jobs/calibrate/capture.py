@@ -59,7 +59,7 @@ BATCH_S = 0.05
 
 @dataclass
 class Capture:
-    """One capture of one job, begun or resumed after a restart of the service."""
+    """One capture of one job, begun by this run of the service or by an earlier one."""
 
     handle: JobHandle
     vehicle: JobVehicle
@@ -147,7 +147,7 @@ class Capture:
         self._disk = disk or self._disk
 
     async def _begin(self, identity: Identity, earlier: Sequence[SegmentRow]) -> tuple[LiveDigest, CaptureWatch]:
-        """A digest that has taken what was recorded before a restart of the service, if anything was."""
+        """A digest that was fed what an earlier run of the service has recorded."""
         job = self.handle.job
         digest = LiveDigest(job.kind, job.options, identity, self.parameters, job.created_at)
         digest.schedule([(t, value) for t, value in job.context.get("answers", ())])
@@ -194,7 +194,7 @@ class Capture:
                     await read_values(self.vehicle, names)
 
     def _announce_wait(self) -> None:
-        """A procedure counts in samples: where none come, or none are of use, it says nothing by itself."""
+        """Announce that samples are awaited: a procedure counts samples, and reports nothing while none are usable."""
         now, last = self.clock(), self.handle.job.progress
         if math.isinf(self._told_at):
             self._told_at = now
@@ -204,7 +204,7 @@ class Capture:
         self.handle.progress(replace(last, text=f"{last.text.partition(WAITS)[0]}{WAITS}", eta=None))
 
     def _answered(self, digest: LiveDigest) -> list[Step]:
-        """Hand on the answers that came; those that are taken are kept with the procedure's time for the replay."""
+        """Hand answers to the procedure; accepted ones are kept with its time, for the replay."""
         steps: list[Step] = []
         while not self.handle.answers.empty():
             value = self.handle.answers.get_nowait()
@@ -218,7 +218,7 @@ class Capture:
         return steps
 
     def _announce(self, steps: Sequence[Step]) -> None:
-        """Hand prompts and progress on to whoever watches the job."""
+        """Announce prompts and progress."""
         for step in steps:
             if isinstance(step, Prompt):
                 self.handle.prompt(step)

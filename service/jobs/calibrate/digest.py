@@ -46,7 +46,7 @@ NO_KEYS: frozenset[Key] = frozenset()
 
 @dataclass(frozen=True)
 class JobFitRequest:
-    """Everything that the result of a job depends on; can be sent to another process."""
+    """Everything that the result of a job depends on. It can be sent to another process."""
 
     kind: str
     options: Mapping[str, Any]
@@ -141,7 +141,7 @@ class LiveDigest:
         return () if self._procedure is None else self._procedure.answer(value)
 
     def schedule(self, answers: Sequence[tuple[float, str]]) -> None:
-        """Answers that were given before the service was restarted."""
+        """Schedule answers that were given in an earlier run of the service."""
         given = [OperatorAnswer(t, value) for t, value in answers]
         if self._procedure is None:
             self._scheduled += given

@@ -1,4 +1,4 @@
-"""The verified calibrations of a vehicle, out of the jobs that the store holds."""
+"""The verified calibrations of a vehicle, from the jobs of the store."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def require_sensors_of(spec: ProcedureSpec, options: Mapping[str, Any]) -> None:
 
 
 def confirmed(options: Mapping[str, Any]) -> list[str]:
-    """The names of what the operator has confirmed in a field of its own."""
+    """The confirmations that the operator gave for a plan, by name."""
     return [name for name in CONFIRMATIONS if options.get(name)]
 
 
@@ -95,7 +95,7 @@ def nothing_to_write(plan: WritePlan) -> Result:
 
 
 def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[int, float]:
-    """Temperature (degC) at which the accelerometer calibration in force was taken, by instance, as far as we know.
+    """Temperature (degC) of the accelerometer calibration in force, by instance, where it is known.
 
     From the newest accelerometer job of this vehicle, if every value that it wrote still stands.
     """
@@ -200,7 +200,7 @@ def move_to_review(handle: JobHandle, plan: WritePlan, nothing: Result, **change
 
 
 async def keep_plan(handle: JobHandle, planned: Planned) -> None:
-    """Bring plan and snapshot onto the disk. Raises DiskFull."""
+    """Store plan and snapshot. Raises DiskFull."""
     plan, at, store = planned.plan, handle.now(), handle.store
     body, digest = to_json(plan), snapshot_sha256(planned.composed_on)
 

@@ -102,7 +102,7 @@ class Runner:
             await self.fit(handle)
 
     async def _capture(self, handle: JobHandle, vehicle: JobVehicle) -> None:
-        """Capture, and once more after a calibration of the vehicle's own where that costs nobody a pose."""
+        """Capture; repeat after an onboard calibration if the procedure needs no poses."""
         left = REPEATS if handle.job.kind in REPEATED | EARLY else 0
         while True:
             await until_idle(handle, vehicle, self.settings)
@@ -178,7 +178,7 @@ class Runner:
             return await asyncio.to_thread(fit_segments, request)
 
     async def vehicle(self, handle: JobHandle) -> JobVehicle:
-        """The job's vehicle; after a restart of the service it is waited for."""
+        """The job's vehicle; waited for, since it may be heard later than the service starts."""
         deadline = self.clock() + self.settings.return_limit_s
         while True:
             try:
@@ -196,7 +196,7 @@ class Runner:
 
 
 def _set_aside(handle: JobHandle, disturbed: CaptureDisturbed) -> None:
-    """Leave what was recorded so far out of the fit; it stays on the disk."""
+    """Exclude what was recorded so far from the fit; it stays on the disk."""
     rows = captured(handle.job, handle.store)
     context = {key: value for key, value in handle.job.context.items() if key != "answers"}
     if rows:

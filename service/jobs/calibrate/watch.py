@@ -25,7 +25,7 @@ sample's time."""
 
 
 class LinkWatch:
-    """Tells the operator that the vehicle has fallen silent, whatever the capture does then, and that it is back."""
+    """Tells the operator when the vehicle falls silent and when it is heard again."""
 
     def __init__(
         self, handle: JobHandle, vehicle: JobVehicle, settings: JobSettings, clock: Callable[[], float]
@@ -51,7 +51,7 @@ class LinkWatch:
                 self._handle.prompt(self._before)
 
     def _prompt(self, away: float) -> Prompt:
-        """The prompt from before, so that nothing of it looks done; its words say that nobody is heard."""
+        """The earlier prompt with a text about the silence, so that none of its steps looks done."""
         limit_s = self._settings.gap_limit_s + HEARTBEATS_S
         text = (
             f"The vehicle is silent: check its power and the link. The job gives up after {limit_s:.0f} s of silence."
@@ -80,7 +80,7 @@ class LinkWatch:
 
 @dataclass
 class CaptureWatch:
-    """Looks at the vehicle between two digests; every reason to stop is one sentence with its remedy."""
+    """Checks the vehicle between two digests; each reason to stop is one sentence with its remedy."""
 
     vehicle: JobVehicle
     settings: JobSettings
@@ -156,7 +156,7 @@ class CaptureWatch:
             )
 
     def _check_same_boot(self, digest: LiveDigest | None) -> None:
-        """After a restart of the service: the vehicle's clock must have gone on at least as long as ours."""
+        """After a resume: the vehicle's clock must have advanced at least as long as ours."""
         if self._before is None or digest is None:
             return
         last_time, last_record, wall = self._before

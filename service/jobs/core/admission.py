@@ -30,7 +30,7 @@ WAY = "way"
 
 
 def require_ready(vehicle: JobVehicle, *, busy: bool = False) -> None:
-    """Raise the VehicleError that stands in the way of a job; with `busy` a calibration of its own does not."""
+    """Raise the VehicleError that prevents a job; with `busy`, an onboard calibration does not prevent it."""
     now = vehicle.condition()
     if now.silent:
         raise VehicleSilent
@@ -43,7 +43,7 @@ def require_ready(vehicle: JobVehicle, *, busy: bool = False) -> None:
 
 
 def require_whole(store: Store) -> None:
-    """Raise StoreError while nothing may be written, because what has to be kept of a write could not be."""
+    """Raise StoreError while the store could not keep the journal of a write."""
     obstacle = store.obstacle()
     if obstacle is not None:
         raise StoreError(obstacle)
@@ -79,7 +79,7 @@ def require_free(vehicle_id: str, jobs: Iterable[Job], *, besides: str = "") -> 
 
 
 async def until_idle(handle: JobHandle, vehicle: JobVehicle, settings: JobSettings) -> None:
-    """Wait until the vehicle runs no calibration of its own; what else stands in the way is the caller's.
+    """Wait until the vehicle runs no onboard calibration; other obstacles are checked by the caller.
 
     Raises
     ------
@@ -105,7 +105,7 @@ async def until_idle(handle: JobHandle, vehicle: JobVehicle, settings: JobSettin
 
 
 def _busy(vehicle: JobVehicle, settings: JobSettings) -> tuple[str, float | None] | None:
-    """What keeps the vehicle, and for how long still where that is known."""
+    """The onboard calibration that keeps the vehicle busy, and its remaining time if known, s."""
     now = vehicle.condition()
     if now.silent or now.armed or now.conflict is not None:
         return None

@@ -56,15 +56,15 @@ class JobBook:
         self._others: dict[str, Job] = {}
 
     def load(self) -> list[JobHandle]:
-        """Take every job out of the store."""
+        """Load every job of the store."""
         return self.take(self._store.each_job())
 
     def take(self, rows: Iterable[JobRow]) -> list[JobHandle]:
-        """Hold these jobs, which are ours."""
+        """Take over these jobs."""
         return [self._hold(job_of(row, self._store)) for row in rows]
 
     def drop(self, of: Callable[[Job], bool]) -> list[JobHandle]:
-        """Hold these jobs no longer, which were ours; their last state is known still."""
+        """Give these jobs up; their last state stays listed."""
         dropped = [handle for handle in self._handles.values() if of(handle.job)]
         for handle in dropped:
             del self._handles[handle.id]
@@ -72,15 +72,15 @@ class JobBook:
         return dropped
 
     def watch(self) -> None:
-        """Know every job of the store; none is ours yet."""
+        """List every job of the store without owning one."""
         self._others = {row.id: job_of(row, self._store) for row in self._store.each_job()}
 
     def needs_row(self, event: EventRow) -> bool:
-        """Whether the row of the event's job is wanted: it is not ours, and the event does not say all."""
+        """Whether the job of the event has to be read from the store: another instance owns it, and its row changed."""
         return event.job_id not in self._handles and not (event.kind in UNSTORED and event.job_id in self._others)
 
-    def seen(self, event: EventRow, row: JobRow | None) -> None:
-        """Tell of an event; what it, or its job's `row`, says of a job that is not ours is known from now on."""
+    def publish(self, event: EventRow, row: JobRow | None) -> None:
+        """Publish an event; update a job that another instance owns from the event or from the job's `row`."""
         if event.job_id not in self._handles:
             if row is not None:
                 self._others[row.id] = job_of(row, self._store)
@@ -102,16 +102,16 @@ class JobBook:
         return tuple(sorted((*ours, *self._others.values()), key=lambda job: job.created_at))
 
     def job(self, job_id: str) -> Job:
-        """The job of that id, whosever it is. Raises JobUnknown."""
+        """The job of that id, whichever instance owns it. Raises JobUnknown."""
         other = self._others.get(job_id)
         return self.handle(job_id).job if other is None else other
 
     def holds(self, handle: JobHandle) -> bool:
-        """Whether that job is ours still."""
+        """Whether this instance still owns that job."""
         return self._handles.get(handle.id) is handle
 
     def handle(self, job_id: str) -> JobHandle:
-        """Holds the job of that id. Raises JobUnknown, or JobElsewhere if it is not ours."""
+        """The handle of the job. Raises JobUnknown, or JobElsewhere if another instance owns it."""
         handle = self._handles.get(job_id)
         if handle is not None:
             return handle
@@ -134,7 +134,7 @@ class JobBook:
         return found
 
     async def new(self, job: Job) -> JobHandle:
-        """A job that is in the store, or not there at all. Raises DiskFull."""
+        """Add a job and store it; if it cannot be stored, it is not added. Raises DiskFull."""
         await self._ownership.begin(job)
         handle = self._hold(job)
         try:
@@ -146,7 +146,7 @@ class JobBook:
         return handle
 
     async def kept(self, limit_s: float) -> None:
-        """Save what is owed of every job, as far as the store takes it within so long: the service ends."""
+        """Store the unsaved changes of every job within `limit_s`, at the end of the service."""
         await self._store.do(lambda: None)  # what was refused last is known only then
         await asyncio.gather(*(handle.kept_at_last(limit_s) for handle in self._handles.values() if handle.owes))
 
@@ -178,7 +178,7 @@ RECENT = 1000
 
 
 class EventFeed:
-    """The store is the buffer; the newest events are in memory as well, so that idle readers cost nothing."""
+    """Serves events from the store, and the newest from memory, so that idle readers cost nothing."""
 
     def __init__(self, store: JobStore) -> None:
         self._store = store

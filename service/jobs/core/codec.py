@@ -1,4 +1,4 @@
-"""A job as JSON and back, exactly; a damaged row stops no start, and leaves no write half done."""
+"""Converts a job to JSON and back without loss, and reads what is left of damaged rows."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ CODE = "job-unreadable"
 
 
 def job_of(row: JobRow, store: JobStore) -> Job:
-    """The job of a row; where its body cannot be read, what the rest of the store still says of it.
+    """The job of a row; if the body cannot be read, what the journal and the plan say of it.
 
     A job that was writing keeps its plan, which the journal names: the write can be finished or taken back. Without a
     plan it is in doubt for good. Any other unreadable job has failed, or stays ended as it was.

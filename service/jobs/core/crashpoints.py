@@ -1,4 +1,4 @@
-"""Named instants at which a test may stop or kill the process.
+"""Named points at which a test may stop or kill the process.
 
 The engine is given a :data:`CrashPoint` at its construction. It calls it with a name wherever a crash would leave
 vehicle and journal in another relation. In the service the call does nothing.
@@ -11,7 +11,7 @@ from enum import StrEnum
 
 
 class At(StrEnum):
-    """Where a crash can strike."""
+    """Points at which a test can crash the process."""
 
     CAPTURE_STARTED = "capture_started"
     CAPTURE_RUNNING = "capture_running"  # after every batch of frames
@@ -39,4 +39,4 @@ CrashPoint = Callable[[At], None]
 
 
 def no_crash(_: At) -> None:
-    """Go on."""
+    """Do nothing."""

@@ -36,7 +36,7 @@ Publish = Callable[[EventRow], None]
 
 
 class JobHandle:
-    """Holds a job while it runs. A change of it is on its way to the disk when the call returns, and announced there.
+    """Holds a running job. A change is queued for the store when the call returns, and announced once it is stored.
 
     The store keeps the order: what was changed before a step of the journal is on the disk before that step, and a step
     is there before :meth:`record` returns. Nothing waits for the disk on the event loop.
@@ -91,11 +91,11 @@ class JobHandle:
 
     @property
     def owes(self) -> bool:
-        """Whether a change or a step is not on the disk yet."""
+        """Whether a change or a step is not stored yet."""
         return bool(self._owed or self._owed_steps)
 
     async def kept_at_last(self, limit_s: float) -> bool:
-        """Save what the store has refused, again and again for at most so long; whether nothing is owed any more."""
+        """Retry unsaved changes for at most `limit_s`; whether all are stored."""
         deadline = self._clock() + limit_s
         while True:
             try:
@@ -158,12 +158,12 @@ class JobHandle:
             self.warn(f"{why}: the last steps of this job are recorded late, or not at all if the service ends now")
 
     def announce(self, kind: str, data: Json) -> None:
-        """An event that says again what the job's state says already; lost if the store fails."""
+        """Announce an event that repeats the job's state; it is lost if the store fails."""
         with suppress(Exception):
             self._tell(kind, data)
 
     def write_record(self) -> WriteRecord:
-        """What the journal says, with the steps that the store still has to take."""
+        """What the journal says, unsaved steps included."""
         owed = tuple(self._owed_steps)  # first: what is saved meanwhile is then in both, and never in neither
         rows = self.store.journal(self.id)
         kept = {(row.at, row.step, row.data.get("name")) for row in rows}
@@ -232,7 +232,7 @@ class JobHandle:
 async def waiting(
     handle: JobHandle, what: str, expected_s: float | None = None, *, limit_s: float = 0.0
 ) -> AsyncIterator[None]:
-    """Meanwhile tell what is waited for, how long it has taken, and how long it will, or at most may."""
+    """Report progress while the block runs: what is awaited, for how long, and how much longer or at most."""
     began = time.monotonic()
 
     async def tell() -> None:
@@ -251,7 +251,7 @@ async def waiting(
 
 
 def counting(handle: JobHandle, what: str) -> Callable[[int, int], None]:
-    """How far something is that is counted, with an estimate of what remains: called with done and total."""
+    """A callback for items done and in total, which reports progress with the remaining time."""
     began = time.monotonic()
 
     def told(done: int, total: int) -> None:

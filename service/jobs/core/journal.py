@@ -229,7 +229,7 @@ def holds(sent: Sent, values: Mapping[str, Value], which: str) -> bool:
 
 
 def same(a: Value, b: Value, kind: ParameterKind) -> bool:
-    """Whether two values are one on the wire."""
+    """Whether two values are equal on the wire."""
     return bool(np.float32(a) == np.float32(b)) if kind == ParameterKind.REAL32 else a == b
 
 

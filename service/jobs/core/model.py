@@ -1,4 +1,4 @@
-"""What a job is: one frozen value, and the one function that moves it on."""
+"""A job as a frozen value, and the only function that changes its state."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Holds(StrEnum):
 
 @dataclass(frozen=True)
 class Standing:
-    """What is known of one parameter that a job has written, or may have."""
+    """What is known of one parameter that a job has written or may have written."""
 
     name: str
     old: Value | None
@@ -103,7 +103,7 @@ class Standing:
 
 
 class WriteResult(StrEnum):
-    """What the last attempt to write has come to."""
+    """Result of the last attempt to write."""
 
     RUNNING = "running"
     FAILED = "failed"  # before anything was sent: the job is in review again
@@ -188,14 +188,14 @@ class Job:
 
 
 def fit_messages(fits: Iterable[FitResult]) -> tuple[str, ...]:
-    """What fits warn of, each once: why a sensor was refused first."""
+    """Messages of refused fits, then warnings of all fits, each once."""
     fits = tuple(fits)
     refused = [fit.message for fit in fits if fit.status == FitStatus.REFUSED]
     return tuple(dict.fromkeys((*refused, *(warning for fit in fits for warning in fit.warnings))))
 
 
 def cancelled(job: Job) -> Failure:
-    """The outcome of a job that the operator cancelled, which is possible before its write alone."""
+    """The outcome of a job that the operator cancelled before any write."""
     kept = " Nothing was written: the parameters of the vehicle are as they were." if job.vehicle_id else ""
     return Failure("cancelled", f"The operator cancelled it.{kept}", "")
 

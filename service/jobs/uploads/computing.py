@@ -220,7 +220,7 @@ class Computing:
         return sum(job.kind == kind and job.state not in ENDED for job in self._book.list())
 
     def _told(self, handle: JobHandle) -> Told:
-        """What the child says of its progress; its first word is that it has begun."""
+        """A callback for the child's progress; its first message says that it has started."""
         steps = itertools.count()
 
         def told(text: str) -> None:
@@ -234,7 +234,7 @@ class Computing:
         return told
 
     def _note_started(self, handle: JobHandle) -> None:
-        """A child has the job: it is not queued any more."""
+        """Note that a child has started the job."""
         if handle.job.state == JobState.QUEUED:
             starts = handle.job.context.get("starts", 0) + 1
             handle.move(JobState.FITTING, context={**handle.job.context, "starts": starts})
@@ -255,7 +255,7 @@ class Computing:
 
 
 def uploads_of(job: Job) -> set[str]:
-    """The uploads that must stay for this job; a fit that has ended holds all that is known of its own."""
+    """The uploads that this job still needs; a fit that has ended needs none."""
     if job.kind == GAP:
         return {job.options["real"], *filter(None, [job.options["sim"]]), *job.options["nominal"]}
     if "recording" not in job.options or (job.kind == FIT and job.state in ENDED):

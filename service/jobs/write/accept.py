@@ -1,4 +1,4 @@
-"""Accepts of a plan: whether one may be written, and who asked for it under which key, kept before it is done."""
+"""Accepts of a plan: whether it may be written, who accepted it, and under which idempotency key."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mavcal.service.store.protocol import Store
 
 
 class Acceptance:
-    """Keeps accepts before they are acted on."""
+    """Stores accepts before they are carried out."""
 
     def __init__(self, store: Store, wall: Callable[[], float]) -> None:
         self._store = store
@@ -25,7 +25,7 @@ class Acceptance:
 
     @contextmanager
     def claimed(self, job_id: str) -> Iterator[None]:
-        """Nobody else may begin a write of the same job while its accept is on the way to the disk."""
+        """Block other writes of the same job while its accept is being stored."""
         if job_id in self._claims:
             raise IllegalTransition(f"job {job_id} is being accepted or taken back already")
         self._claims.add(job_id)
@@ -35,7 +35,7 @@ class Acceptance:
             self._claims.discard(job_id)
 
     async def known(self, key: str | None, digest: str, job: Callable[[], Job]) -> bool:
-        """Whether this very request was taken before, and has come to something or still may.
+        """Whether this request was accepted before, and its write was done or is under way.
 
         A key is bound to what was done, not to what was asked: a write that ended without a single PARAM_SET is back
         in review, and its key is free again. Otherwise a client that names its accept by the plan could never retry.
@@ -66,17 +66,17 @@ class Acceptance:
         return True
 
     async def use(self, key: str | None, digest: str, job_id: str) -> None:
-        """Keep that the key was used for this request."""
+        """Store that the key was used for this request."""
         if key is not None:
             await self._store.do(partial(self._store.claim_idempotency_key, key, digest, job_id, self._wall()))
 
     async def note(self, actor: str, action: str, job_id: str, detail: Mapping[str, Any]) -> None:
-        """Keep who asked for a write before it is done. Raises DiskFull."""
+        """Store who asked for a write, before it is done. Raises DiskFull."""
         await self._store.do(partial(self._store.add_audit, self._wall(), actor, action, job_id, detail))
 
 
 def require_acceptable(job: Job, accept: Accept) -> None:
-    """Raise the JobError that keeps the plan of `job` from being written."""
+    """Raise the JobError that prevents the write of the job's plan."""
     if job.state != JobState.REVIEW:
         raise IllegalTransition(f"job {job.id} is {job.state}: only a job in review can be applied")
     if job.plan is None:

@@ -1,4 +1,4 @@
-"""One attempt to write a plan: what every step of the transaction works with."""
+"""The context of one attempt to write a plan, which every step of the transaction uses."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Settling(StrEnum):
 
 @dataclass
 class WriteContext:
-    """What every part of a write transaction works with."""
+    """Vehicle, plan, guard and settings of one attempt."""
 
     handle: JobHandle
     vehicle: JobVehicle
@@ -92,7 +92,7 @@ class WriteContext:
                 setting.exception()  # said already, or overtaken by a stronger reason
 
     async def confirm_identity(self) -> None:
-        """Ask who answers, where a value is neither ours nor the old one.
+        """Ask the vehicle who it is, because a value is neither ours nor the old one.
 
         It may be another vehicle's at the same address, or this one's after a restart that its clock has not shown yet.
 
@@ -107,7 +107,7 @@ class WriteContext:
         await self.require_same_boot()
 
     async def require_same_boot(self) -> None:
-        """Wait until the vehicle's clock was heard again: what fails while it restarts is no cause, the restart is.
+        """Wait for the vehicle's clock: if the vehicle restarts, the restart is the cause of a failure.
 
         Raises
         ------
@@ -128,7 +128,7 @@ class WriteContext:
         return (await self.guard.run(partial(self.vehicle.read_parameter, name))).value
 
     def old_values(self) -> dict[str, Value]:
-        """What every parameter of the plan held before the write; raises WriteFailed if that was not kept."""
+        """The values of the plan's parameters before the write. Raises WriteFailed if they were not stored."""
         kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.BEFORE_WRITE)
         if kept is None:
             raise WriteFailed("there is no snapshot of the old values: nothing is written")
@@ -140,7 +140,7 @@ class WriteContext:
         return {} if kept is None else kept.body
 
     async def settle(self, until: Settling = Settling.KEPT) -> None:
-        """Wait under the guard until the vehicle has come so far, by its clock or by ours."""
+        """Wait under the guard until the vehicle has settled, by its clock or by ours."""
         per_autopilot = self.settings.save_s if until == Settling.SAVED else self.settings.settle_s
         needed = per_autopilot.get(self.plan.fingerprint.autopilot, max(per_autopilot.values()))
         now = self.vehicle.condition().boot_time

@@ -1,4 +1,4 @@
-"""The preconditions of every single write (DESIGN 6, rules 1 to 3), watched also while an answer is awaited."""
+"""The preconditions of every write (DESIGN 6, rules 1 to 3), checked also while an answer is awaited."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class WriteGuard:
         return self._peers.setdefault(now.way, now.peer) != now.peer
 
     def _meanwhile(self, now: Condition) -> str | None:
-        """What came and went since the guard was set up."""
+        """What happened and ended since the guard was set up."""
         before = self._before
         if now.armings != before.armings:
             return "the vehicle was armed meanwhile"
@@ -97,7 +97,7 @@ class WriteGuard:
         return self._vehicle.condition().silent
 
     def doubt(self) -> str | None:
-        """Why even confirmed values may be others by now; None: nothing speaks for that."""
+        """Why confirmed values may have changed since; None: no reason is known."""
         now = self._vehicle.condition()
         before = self._before
         if now.reboots != before.reboots:
@@ -114,7 +114,7 @@ class WriteGuard:
             raise WriteStopped(reason)
 
     def expect_restart(self) -> None:
-        """From now on the vehicle is to stay as it is after its restart."""
+        """Take the state after the restart as the reference."""
         self._before = self._vehicle.condition()
         self._peers = {self._before.way: self._before.peer}
 

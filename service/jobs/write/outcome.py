@@ -41,7 +41,7 @@ INTERRUPTED = "the service was interrupted while it wrote"
 
 @dataclass(frozen=True)
 class WriteOutcome:
-    """The state that a write has come to, and what is said of it."""
+    """The state in which a write ended or stopped, with its outcome and the standing of its parameters."""
 
     state: JobState
     outcome: Outcome
@@ -61,7 +61,7 @@ def in_doubt(known: Sequence[Standing], cause: str) -> WriteOutcome:
 
 
 def reverted(read: Sequence[Standing], cause: str | None, who: str, sent: int) -> WriteOutcome:
-    """The write was taken back and every parameter of the plan read; a `cause` of None: the operator asked for it.
+    """The write was rolled back and every parameter read; `cause` is None if the operator asked for it.
 
     Raises
     ------
@@ -148,7 +148,7 @@ async def put_in_doubt(handle: JobHandle, reason: str, heard: Mapping[str, Value
 
 
 async def withdraw_certainty(handle: JobHandle, guard: WriteGuard) -> None:
-    """What was certain when the write stopped need not be so any more, say after a restart of the vehicle."""
+    """Mark values as uncertain that may have changed since the write stopped, for example by a restart."""
     doubt, record = guard.doubt(), record_of(handle)
     if doubt is None:
         return
@@ -173,7 +173,7 @@ def record_of(handle: JobHandle) -> WriteRecord | None:
 
 
 def cause_of(error: Exception) -> str:
-    """One sentence on what went wrong; what was not foreseen is named, and its details are in the program's log."""
+    """The cause in one sentence; details of an unexpected error are in the log."""
     if isinstance(error, ServiceError | CalibError):
         return str(error)
     log.error("a write broke", exc_info=error)
@@ -181,7 +181,7 @@ def cause_of(error: Exception) -> str:
 
 
 def _cause(record: WriteRecord | None, reason: str) -> str:
-    """The first reason why it stopped stays: what was found later are its consequences."""
+    """The first reason why the write stopped; later ones are its consequences."""
     return reason if record is None or record.stopped is None else record.stopped
 
 
@@ -204,7 +204,7 @@ def nothing_was_sent(handle: JobHandle) -> bool:
 
 
 async def settle_lost_write(handle: JobHandle, reason: str) -> None:
-    """Put a job whose write lost its task in doubt; one that has sent nothing goes back to review."""
+    """Put a job in doubt whose write lost its task, or back to review if nothing was sent."""
     if nothing_was_sent(handle):
         conclude(handle, nothing_sent("interrupted", reason, "Nothing was written. Apply the plan again."))
     else:

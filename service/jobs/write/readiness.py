@@ -18,7 +18,7 @@ READINESS = "readiness"
 
 
 async def keep_readiness(handle: JobHandle, vehicles: VehicleSource, preflights: Preflights, history: History) -> None:
-    """Keep in the job what a preflight says, if the write has succeeded.
+    """Run a preflight after a successful write, and keep its result in the job.
 
     Whoever begins something with the vehicle meanwhile goes first; what the write has reached stands either way.
     """

@@ -101,7 +101,7 @@ async def send_all(w: WriteContext) -> None:
 
 
 async def read_back(w: WriteContext, until: Settling = Settling.KEPT) -> dict[str, Value]:
-    """Wait until the vehicle has come so far, then read everything again.
+    """Wait until the vehicle has settled, then read every parameter.
 
     Raises
     ------
@@ -147,7 +147,7 @@ ASK_TO_RESTART = Prompt(
 
 
 async def restart(w: WriteContext) -> None:
-    """Have the vehicle restarted and wait until it may be written to again.
+    """Restart the vehicle, or ask for it, and wait until it may be written to again.
 
     Everything must have been read back, and hence saved, before. The vehicle is restarted by us only if the operator
     accepted that; otherwise the operator is asked.
@@ -207,7 +207,7 @@ async def _until_restarted(w: WriteContext, before: int, limit: float) -> None:
 
 
 async def finish(w: WriteContext) -> dict[str, Value]:
-    """Do what is left of a verified write; may be called again after a crash. Returns every parameter as last read.
+    """Finish a verified write; may be called again after a crash. Returns every parameter as last read.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The physical check of a write: windows of the stream before and after it, and the movements that prove the rest."""
+"""The physical check of a write: stream windows before and after it, and movements that prove the rest."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ HOLD_STILL = Prompt(
 
 @dataclass
 class Window:
-    """Frames of one vehicle as a growing recording at the firmware's stage, without gaps while it is entered."""
+    """A growing recording of one vehicle at the firmware's stage, without gaps inside the ``with`` block."""
 
     vehicle: JobVehicle
     settings: JobSettings
@@ -179,7 +179,7 @@ class StreamCheck:
         return not decided and waited < self.settings.observe_s and not self._finished()
 
     def _look_again(self, verification: Verification, waited: float) -> None:
-        """A vehicle that was touched for a second is no reason to give up, nor to take a write back."""
+        """Ask to leave the vehicle alone and look again: a short touch must not cause a rollback."""
         self.handle.prompt(HOLD_STILL)
         names = ", ".join(verification.unseen)
         cause = f"no sensor at rest shows {names}" if names else verification.refuted[0].text
@@ -217,11 +217,11 @@ class StreamCheck:
 
     @property
     def _sensors(self) -> set[Sensor]:
-        """The plan's, and the inertial ones: the parameters of the others were not read."""
+        """Sensors of the plan and the inertial ones; the parameters of others were not read."""
         return {change.sensor for change in self.plan.changes if change.sensor is not None} | set(INERTIAL)
 
     def _of_plan(self, recording: Recording) -> Recording:
-        """Without the calibrated sensors that the plan does not rest on, though their samples come along."""
+        """The recording without calibrated sensors that the plan does not concern."""
         beside = set(CALIBRATED) - self._sensors
         return dataclasses.replace(recording, channels=tuple(c for c in recording.channels if c.sensor not in beside))
 
@@ -232,7 +232,7 @@ class StreamCheck:
         await ask_for_streams(self.handle, self.vehicle, rates)
 
     def _recorded(self) -> Recording | None:
-        """The window before the write as it lies in the telemetry log; None: a crash left none."""
+        """The window before the write, from the telemetry log; None: there is none."""
         rows = self.handle.store.segments(self.handle.id, SegmentPurpose.BEFORE)
         closed = [row for row in rows if row.end_byte is not None]
         if not closed:

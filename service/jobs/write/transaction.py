@@ -1,4 +1,4 @@
-"""A write from accept to its end, whatever happens on the way.
+"""A write from its accept to its end.
 
 .. code-block:: text
 
@@ -89,7 +89,7 @@ class Transaction:
         await self.resolve()
 
     async def revert(self) -> None:
-        """Take a finished write back. The job is rolling_back, and its journal says so."""
+        """Roll a finished write back. The job is rolling_back, and its journal says so."""
         try:
             w = self.attempt()
         except Exception as error:  # noqa: BLE001 - the vehicle has gone: look again later
@@ -99,7 +99,7 @@ class Transaction:
         await self.resolve()
 
     async def resolve(self) -> None:
-        """Bring the job to its end if it is in doubt: as soon as its vehicle may be written to, and tries for ever."""
+        """Recover a job in doubt as soon as its vehicle may be written to; tries until it succeeds."""
         while self.handle.job.state == JobState.IN_DOUBT:
             try:
                 if self._guard is not None:
@@ -118,7 +118,7 @@ class Transaction:
                 await asyncio.sleep(self.retry_s)
 
     async def _run_stage(self, w: WriteContext, stage: Callable[[], Awaitable[None]]) -> None:
-        """Run a stage: what fails is taken back, what must not go on is left in doubt."""
+        """Run a stage: a failure is rolled back, a stop leaves the job in doubt."""
         forget = w.vehicle.on_parameter(w.hear)
         try:
             await stage()
@@ -131,7 +131,7 @@ class Transaction:
             self._guard = w.guard
 
     def _show_obstacle(self, reason: str) -> None:
-        """Say what keeps this write from being finished or taken back."""
+        """Show the operator what delays the recovery."""
         text = f"Waiting to finish this write or to take it back: {reason}"
         with suppress(DiskFull):  # the vehicle comes first
             self.handle.prompt(Prompt(PromptStep.WAIT, text if text.endswith(".") else f"{text}."))
@@ -169,7 +169,7 @@ class Transactions:
         return Transaction(handle, lambda: self.attempt(handle.job, handle), self._settings.retry_s)
 
     def attempt(self, job: Job, handle: JobHandle) -> WriteContext:
-        """A context for writing, with the vehicle as it is known now."""
+        """A context for an attempt, with the vehicle as it is known now."""
         assert job.plan is not None
         accept = job.accept or Accept(job.plan.sha256)
         vehicle = self._heard(job)
@@ -213,7 +213,7 @@ async def _write(w: WriteContext) -> None:
 
 
 async def _recover(w: WriteContext) -> None:
-    """Find out where the write stands, and go on from there."""
+    """Continue an interrupted write from what the journal and the vehicle say."""
     record = w.handle.write_record()
     identity = await w.guard.run(w.vehicle.identify)
     if (identity.uid or "") != w.plan.fingerprint.uid:
@@ -240,7 +240,7 @@ async def _recover(w: WriteContext) -> None:
 
 
 async def _has_restarted(w: WriteContext, record: WriteRecord) -> bool:
-    """Whether the restart that a write waits for came while nobody listened: it need not be asked for again."""
+    """Whether the vehicle has restarted while the service was away, as the write requires."""
     if record.saved is None:
         return False
     await w.require_same_boot()  # its clock is heard
@@ -259,7 +259,7 @@ async def _same_sensors(w: WriteContext) -> None:
 
 
 async def _go_on(w: WriteContext, following: Next, values: dict[str, Value]) -> None:
-    """From "every parameter holds its new value" to the end."""
+    """Continue a write whose every parameter holds its new value."""
     if following == Next.REBOOT:
         w.handle.move(JobState.WAITING_FOR_REBOOT, standing=(), outcome=None)
         await restart(w)

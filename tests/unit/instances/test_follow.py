@@ -27,7 +27,7 @@ class Book:
     def needs_row(self, event: EventRow) -> bool:
         return event.job_id not in self.known
 
-    def seen(self, event: EventRow, row: JobRow | None) -> None:
+    def publish(self, event: EventRow, row: JobRow | None) -> None:
         self.told.append((event, row))
         self.changed.set()
 
