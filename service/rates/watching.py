@@ -251,7 +251,8 @@ class WatchOwed:
         try:
             await asyncio.shield(keeping)
         finally:
-            await asyncio.wait({keeping})
+            if not keeping.done():  # a cancellation here would leave memory and disk in disagreement
+                await asyncio.wait({keeping})
             if keeping.exception() is None:
                 self._intervals = dict(intervals)
 

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +15,7 @@ from mavcal.calib.recording import Identity
 from mavcal.service.errors import CommandTimeout, Forbidden, LinkDown, VehicleUnknown, WatchUnknown
 from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.rates.owed import OwedRates
-from mavcal.service.rates.watching import ARMED, SILENT, LiveRates, LiveState, LiveTimes
+from mavcal.service.rates.watching import ARMED, SILENT, LiveRates, LiveState, LiveTimes, WatchOwed
 from tests.unit.jobs.conftest import until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
@@ -263,3 +263,22 @@ async def test_a_watch_is_of_one_vehicle(world: World) -> None:
             live.watch(watch.id, "vehicle-2")
         await until(lambda: live.taken(watch).state == LiveState.GRANTED)
     assert other.requests == []
+
+
+@pytest.mark.parametrize("turns", range(8))
+async def test_memory_and_disk_agree_however_late_a_change_is_cancelled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turns: int
+) -> None:
+    async def at_once(work: Callable[..., None], *what: object) -> None:
+        work(*what)
+
+    kept = OwedRates(tmp_path / "owed.json")
+    owed = WatchOwed("vehicle-1", kept)
+    await owed.owe(BEFORE)
+    monkeypatch.setattr(asyncio, "to_thread", at_once)
+    changing = asyncio.create_task(owed.returned())
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    changing.cancel()
+    await asyncio.gather(changing, return_exceptions=True)
+    assert owed.intervals() == kept.all().get("vehicle-1", {})
