@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Coroutine, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
@@ -134,8 +134,8 @@ class RateLedger:
         return set() if found is None else {found.task}
 
     async def returned(self, user: RateUser) -> None:
-        """Wait until the rates of this user are returned, without waiting for an accept."""
-        with self.hurrying():
+        """Wait until the rates of this user are returned; those of a job do not wait for an accept then."""
+        with self.hurrying() if user is RateUser.JOB else nullcontext():
             while (found := self._under_way(user)) is not None:
                 await asyncio.wait({found.task})
 

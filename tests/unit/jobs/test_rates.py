@@ -13,7 +13,7 @@ from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.rates import JobRates, ask_for_streams, return_streams
-from mavcal.service.rates.ledger import RateLedgers
+from mavcal.service.rates.ledger import RateLedgers, RateUser
 from mavcal.service.store import SqliteStore
 from tests.unit.jobs.conftest import until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
@@ -25,7 +25,8 @@ class Changed:
     def __init__(self, review_s: float = 60.0) -> None:
         self.store = SqliteStore(None)
         self.vehicle = FakeVehicle({}, id="v", message_intervals={27: 500_000})
-        self.rates = JobRates(RateLedgers(FakeRegistry({"v": self.vehicle})), self._found, review_s)
+        self.ledgers = RateLedgers(FakeRegistry({"v": self.vehicle}))
+        self.rates = JobRates(self.ledgers, self._found, review_s)
 
     async def _found(self, _handle: JobHandle) -> FakeVehicle:
         await asyncio.sleep(0)
@@ -75,6 +76,21 @@ async def test_a_review_keeps_its_rates_for_an_accept(changed: Changed) -> None:
     await asyncio.sleep(0.01)
     assert not changed.put_back
     await changed.rates.before_write(handle)
+    assert changed.rates.tasks == set()
+    assert not changed.put_back
+
+
+async def test_a_write_that_waits_for_the_rates_of_a_preflight_keeps_those_of_its_job(changed: Changed) -> None:
+    handle = await changed.asked("one")
+    changed.rates.begin_return(handle)
+    await asyncio.sleep(0)
+    looked = asyncio.Event()
+    changed.ledgers.of("v").begin_return(RateUser.PREFLIGHT, looked.wait())
+    writing = asyncio.create_task(changed.rates.before_write(handle))
+    await asyncio.sleep(0.01)
+    assert not writing.done()
+    looked.set()
+    await writing
     assert changed.rates.tasks == set()
     assert not changed.put_back
 
