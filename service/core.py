@@ -175,7 +175,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = no_crash) -
         else:
             await started.enter_async_context(instance.taking_part(jobs, links, vehicles))
         retention = _retention(store, settings, jobs, links)
-        rotation = Rotation(links.all, settings.retention, retention.grown.set)
+        rotation = Rotation(links.all, settings.retention, retention.sweep_now.set)
         ahead = TrendsAhead(store, lambda: fleet.measured)
         for work in (retention.run(), rotation.run(), give_back_for_ever(), ahead.run(), hands.run()):
             started.push_async_callback(_cancelled, asyncio.create_task(work))

@@ -1,5 +1,5 @@
-"""``python -m mavcal.service.children.nursery FIRST LATER``: forks a limited child for each order and reports how it
-ended.
+"""``python -m mavcal.service.children.fork_server FIRST LATER``: forks a limited child for each order and reports
+how it ended.
 
 Lines of JSON on stdin: ``{"start": id, "task": "module:function", "folder": path, "limits": {...}}``,
 ``{"stop": id}``; on stdout: ``{"id", "progress"}``, ``{"id", "status", "cpu_s", "peak_bytes"}``. A child finds
@@ -35,7 +35,7 @@ _QUIET_S = 2.0
 """After so long without a child and without an order there is nothing else to do."""
 
 
-class Nursery:
+class ForkServer:
     """The loop that starts, watches and ends children."""
 
     def __init__(self, later: Iterable[str] = ()) -> None:
@@ -94,10 +94,10 @@ class Nursery:
 
     def _start(self, order: Json) -> None:
         reading, writing = os.pipe()
-        nursery = os.getpid()
+        fork_server = os.getpid()
         pid = os.fork()
         if pid == 0:
-            _child(order, nursery, writing)
+            _child(order, fork_server, writing)
         os.close(writing)
         os.set_blocking(reading, False)
         self._children[pid] = order["start"]
@@ -139,12 +139,12 @@ class Nursery:
             _say({"id": name, "status": status, "cpu_s": used.ru_utime + used.ru_stime, "peak_bytes": peak})
 
 
-def _child(order: Json, nursery: int, progress: int) -> NoReturn:
+def _child(order: Json, fork_server: int, progress: int) -> NoReturn:
     """One task in this process, which was just forked; never returns."""
     code = DEFECT
     try:
         os.setsid()
-        die_with_parent(nursery)
+        die_with_parent(fork_server)
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         folder = Path(order["folder"])
@@ -215,7 +215,7 @@ def main() -> None:
         importlib.import_module(module)
     gc.freeze()
     with contextlib.suppress(BrokenPipeError):
-        Nursery(later).run()
+        ForkServer(later).run()
 
 
 if __name__ == "__main__":
