@@ -24,8 +24,8 @@ from typing import Any, Final
 from bench.campaign.session import Session, session
 from bench.rows import grid
 from mavcal.calib.firmware.plan import ProofVerdict, SensorVerdict, Verification
-from mavcal.service.jobs.model import Failure, Job
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.model import Failure, Job
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 
 Json = dict[str, Any]

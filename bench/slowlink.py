@@ -19,8 +19,8 @@ from pathlib import Path
 
 from bench.rows import grid
 from mavcal.service.core import Service, running_service
-from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.model import Accept, Job
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.settings import Settings
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store.rows import EventRow, SnapshotPurpose

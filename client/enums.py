@@ -131,7 +131,7 @@ class LinkState(StrEnum):
 
 
 class LiveState(StrEnum):
-    """What has become of the wish to watch."""
+    """State of a watch."""
 
     ASKING = "asking"
     GRANTED = "granted"
@@ -195,7 +195,7 @@ class ProofLevel(StrEnum):
 
 
 class ProofVerdict(StrEnum):
-    """What the stream says of one written parameter."""
+    """Verdict on one written parameter."""
 
     PROVED = "proved"
     CONSISTENT = "consistent"
@@ -241,6 +241,7 @@ class Sensor(StrEnum):
     MIXER = "mixer"
     VOLTAGE = "voltage"
     HEIGHT = "height"
+    AIR = "air"
 
 
 class SensorCheckId(StrEnum):
@@ -271,7 +272,7 @@ class Verdict(StrEnum):
 
 
 class WriteResult(StrEnum):
-    """What the last attempt to write has come to."""
+    """Result of the last attempt to write."""
 
     RUNNING = "running"
     FAILED = "failed"

@@ -380,7 +380,7 @@ class MovementModel(Answer):
 
 
 class SensorCheckModel(Answer):
-    """What a sensor reads after the write beside what it should."""
+    """Reading of one sensor after the write against zero, gravity, another unit's direction, or level."""
 
     id: SensorCheckId
     sensor: Sensor
@@ -426,7 +426,7 @@ class VehicleReadinessModel(Answer):
 
 
 class StandingModel(Answer):
-    """What is known of one parameter that a job has written, or may have."""
+    """What is known of one parameter that a job has written or may have written."""
 
     name: str
     old: Number | None

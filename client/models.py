@@ -616,7 +616,7 @@ class SensorRecordModel(Answer):
 
 
 class SensorStateModel(Answer):
-    """How one kind of calibration stands."""
+    """State of one kind of calibration."""
 
     kind: str
     """The procedure that would calibrate it."""

@@ -13,26 +13,26 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from mavcal.service.campaigns.begin import CampaignDesk, works
+from mavcal.service.campaigns.begin import CampaignDesk, running_campaigns
+from mavcal.service.campaigns.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
 from mavcal.service.fleet.ahead import TrendsAhead
 from mavcal.service.fleet.book import FleetBook
 from mavcal.service.freed import give_back_for_ever
 from mavcal.service.hand import SimulatedHands
-from mavcal.service.jobs.campaigns import CAMPAIGN, uploads_of_campaign
-from mavcal.service.jobs.computing import uploads_of
-from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.core.codec import CODE as UNREADABLE
+from mavcal.service.jobs.core.crashpoints import CrashPoint, no_crash
+from mavcal.service.jobs.core.model import Failure
+from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.live_rates import LiveRates
-from mavcal.service.jobs.model import Failure
-from mavcal.service.jobs.owed_rates import OwedRates
-from mavcal.service.jobs.salvage import CODE as UNREADABLE
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
+from mavcal.service.jobs.uploads.computing import uploads_of
 from mavcal.service.link.allowed import Allowed
 from mavcal.service.link_closing import require_unneeded
 from mavcal.service.link_registry import LinkRegistry
+from mavcal.service.rates.ledger import RateLedgers
+from mavcal.service.rates.owed import OwedRates
+from mavcal.service.rates.watching import LiveRates
 from mavcal.service.recordings import Recordings
 from mavcal.service.retention import Retention
 from mavcal.service.rotation import Rotation
@@ -42,6 +42,7 @@ from mavcal.service.signing_keys import SigningKeys
 from mavcal.service.store import Store
 from mavcal.service.storing import open_store
 from mavcal.service.vehicle import VehicleRegistry
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 
 if TYPE_CHECKING:
     from mavcal.service.instances.instance import Instance
@@ -94,7 +95,7 @@ class Service:
 
 
 @asynccontextmanager
-async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) -> AsyncIterator[Service]:
+async def running_service(settings: Settings, *, reach: CrashPoint = no_crash) -> AsyncIterator[Service]:
     """A service from its data directory to its last closed link; `reach` is the engine's (tests).
 
     Raises
@@ -133,10 +134,10 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     computations = UploadComputations(recordings, workers or children, of_files, of_gaps)
     fleet = FleetBook(store, vehicles)
     doubted = (lambda _: None) if instance is None else instance.jobs.doubted
-    owed = OwedRates(settings.data_dir / "live-rates.json")
-    live = LiveRates(RegistryAdapter(vehicles, doubted), owed, read_only=settings.read_only)
+    ledgers = RateLedgers(VehicleSource(vehicles, doubted), OwedRates(settings.data_dir / "live-rates.json"))
+    live = LiveRates(ledgers, read_only=settings.read_only)
     hands = SimulatedHands(vehicles.all, lambda: jobs.list())
-    source = RegistryAdapter(vehicles, doubted, live.give_way)
+    source = VehicleSource(vehicles, doubted, live.release)
     jobs = JobEngine(
         store,
         source,
@@ -147,9 +148,9 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         read_only=settings.read_only,
         reach=reach,
         record=fleet,
+        ledgers=ledgers,
     )
-    jobs.campaigns.works |= works(jobs, source, computations)
-    campaigns = CampaignDesk(jobs, computations, settings.read_only)
+    campaigns = CampaignDesk(running_campaigns(jobs, source, computations), computations, settings.read_only)
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)
@@ -174,7 +175,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         else:
             await started.enter_async_context(instance.taking_part(jobs, links, vehicles))
         retention = _retention(store, settings, jobs, links)
-        rotation = Rotation(links.all, settings.retention, retention.grown.set)
+        rotation = Rotation(links.all, settings.retention, retention.sweep_now.set)
         ahead = TrendsAhead(store, lambda: fleet.measured)
         for work in (retention.run(), rotation.run(), give_back_for_ever(), ahead.run(), hands.run()):
             started.push_async_callback(_cancelled, asyncio.create_task(work))

@@ -14,7 +14,7 @@ from mavcal.calib.firmware.values import shown
 from mavcal.calib.pages import page
 from mavcal.calib.report import to_json
 from mavcal.service.errors import ExportUnknown, PlanMissing
-from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.core.model import Job
 from mavcal.service.reviews import reviewed
 from mavcal.service.store.protocol import JobStore
 

@@ -13,9 +13,9 @@ import structlog
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.service.errors import HandBusy, LinkDown, NotSimulated
-from mavcal.service.jobs.codec import to_json
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import CAPTURING, ENDED, JobState
+from mavcal.service.jobs.core.codec import to_json
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import CAPTURING, ENDED, JobState
 from mavcal.service.link import Hand, Link
 from mavcal.service.simvehicle import ControlChannel, ControlError, Operator
 from mavcal.service.vehicle import Vehicle

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from mavcal.service.errors import LinkBusy, VehicleUnknown
-from mavcal.service.jobs.admission import WAY
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import WRITING, JobState
+from mavcal.service.jobs.core.admission import WAY
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import WRITING, JobState
 from mavcal.service.link import Link
 from mavcal.service.vehicle import VehicleRegistry
 

@@ -14,9 +14,9 @@ from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.tilt import TiltFilter
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import DiskFull
-from mavcal.service.jobs.digest import field_of
-from mavcal.service.jobs.vehicle_adapter import VehicleAdapter
+from mavcal.service.jobs.calibrate.digest import field_of
 from mavcal.service.vehicle import Vehicle
+from mavcal.service.vehicle.job_vehicle import JobVehicle
 
 BATCH_S = 0.1
 """How often a batch is made, s of the wall's clock."""
@@ -54,7 +54,7 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
     FirmwareError
         If the autopilot is neither ArduPilot nor PX4.
     """
-    adapter = VehicleAdapter(vehicle)
+    adapter = JobVehicle(vehicle)
     known = {name: parameter.value for name, parameter in vehicle.parameters.items()}
     assembler, undo = Assembler(adapter.identity, known), Undo(adapter.identity, known)
     frames: list[Frame] = []

@@ -41,7 +41,7 @@ class Retention:
     needed: Callable[[], Collection[str]]
     open_files: Callable[[], Collection[Path]]
     wall: Callable[[], float] = time.time
-    grown: asyncio.Event = field(default_factory=asyncio.Event)
+    sweep_now: asyncio.Event = field(default_factory=asyncio.Event)
     """Set when there is more to forget than usual: the next sweep comes at once."""
 
     async def run(self) -> None:
@@ -51,10 +51,10 @@ class Retention:
                 await self.sweep()
             except Exception:  # of any kind: one bad row must not end all sweeps until a restart; logged with its trace
                 log.exception("nothing was forgotten this time")
-            self.grown.clear()
+            self.sweep_now.clear()
             with suppress(TimeoutError):
                 async with asyncio.timeout(PERIOD_S):  # no wait_for: that of Python 3.11 can lose a cancellation
-                    await self.grown.wait()
+                    await self.sweep_now.wait()
 
     async def sweep(self) -> None:
         """Forget what is due."""

@@ -21,8 +21,8 @@ from mavcal.calib.review import (
     picture_of,
 )
 from mavcal.service.errors import PlanMissing
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import SnapshotPurpose
 

@@ -9,14 +9,14 @@ from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states
 from mavcal.calib.recording import Recording
 from mavcal.service.core import Service
-from mavcal.service.jobs.vehicle_adapter import VehicleAdapter
-from mavcal.service.jobs.verified import history_of, verified_jobs
+from mavcal.service.jobs.calibrate.history import history_of, verified_jobs
+from mavcal.service.vehicle.job_vehicle import JobVehicle
 
 
 async def states_of(service: Service, vehicle_id: str) -> tuple[SensorState, ...]:
     """The four states; asks the vehicle for nothing, so only parameters that were heard before are compared."""
     vehicle = service.vehicles.get(vehicle_id)
-    identity = VehicleAdapter(vehicle).identity
+    identity = JobVehicle(vehicle).identity
     jobs = verified_jobs(service.jobs.list(), vehicle_id, identity)
     parameters = {name: parameter.value for name, parameter in vehicle.parameters.items()}
     history = await asyncio.to_thread(history_of, jobs, service.store)

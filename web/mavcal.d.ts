@@ -717,7 +717,7 @@ export interface LiveModel {
   watch: WatchStatusModel | null;
 }
 
-/** What has become of the wish to watch. */
+/** State of a watch. */
 export type LiveState = "asking" | "granted" | "waiting";
 
 /** A part of the fit that this firmware cannot hold. */
@@ -1078,7 +1078,7 @@ export type PromptStep = "hold_still" | "pose" | "place" | "rotate" | "turn" | "
 /** How much of what acts on a stream the stream has proved. */
 export type ProofLevel = "full" | "partial" | "none";
 
-/** What the stream says of one written parameter. */
+/** Verdict on one written parameter. */
 export type ProofVerdict = "proved" | "consistent" | "not_observable" | "contradicted";
 
 /** What a trend may leave undetermined. */
@@ -1264,12 +1264,12 @@ export interface SegmentsEvent {
 }
 
 /** What a channel measures; the comment gives the columns and the unit. */
-export type Sensor = "accel" | "gyro" | "mag" | "temperature" | "current" | "throttle" | "motor" | "rotor_speed" | "attitude" | "position" | "velocity" | "place" | "vibration" | "gyro_vibration" | "control" | "mixer" | "voltage" | "height";
+export type Sensor = "accel" | "gyro" | "mag" | "temperature" | "current" | "throttle" | "motor" | "rotor_speed" | "attitude" | "position" | "velocity" | "place" | "vibration" | "gyro_vibration" | "control" | "mixer" | "voltage" | "height" | "air";
 
 /** What a sensor should read after a write. */
 export type SensorCheckId = "gyro_zero" | "accel_gravity" | "accel_direction" | "level" | "attitude";
 
-/** What a sensor reads after the write beside what it should. */
+/** Reading of one sensor after the write against zero, gravity, another unit's direction, or level. */
 export interface SensorCheckModel {
   id: SensorCheckId;
   sensor: Sensor;
@@ -1339,7 +1339,7 @@ export interface SensorRecordModel {
   covered: CoveredModel | null;
 }
 
-/** How one kind of calibration stands. */
+/** State of one kind of calibration. */
 export interface SensorStateModel {
   /** The procedure that would calibrate it. */
   kind: string;
@@ -1449,7 +1449,7 @@ export interface StandingEvent {
   data: StandingData;
 }
 
-/** What is known of one parameter that a job has written, or may have. */
+/** What is known of one parameter that a job has written or may have written. */
 export interface StandingModel {
   name: string;
   /** The value before the write, in the unit of the parameter; null: not known. */
@@ -1716,7 +1716,7 @@ export interface WriteModel {
   sent: number;
 }
 
-/** What the last attempt to write has come to. */
+/** Result of the last attempt to write. */
 export type WriteResult = "running" | "failed" | "in_doubt" | "reverted" | "succeeded";
 
 /** Every operation by its id: what it takes and what it answers with. */

@@ -1,7 +1,7 @@
 """The command line in a process that kills itself at a named instant, as if from outside.
 
 ``python -m bench.campaign.cli_process POINT OCCURRENCE calibrate gyro --apply …``: at the OCCURRENCE-th time that the
-job engine reaches POINT (:class:`service.jobs.crashpoints.At`) the process gets SIGKILL.
+job engine reaches POINT (:class:`service.jobs.core.crashpoints.At`) the process gets SIGKILL.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import partial
 
 import mavcal.service.core
 from mavcal.service.cli import main
-from mavcal.service.jobs.crashpoints import At, CrashPoint
+from mavcal.service.jobs.core.crashpoints import At, CrashPoint
 
 
 def killer(point: At, occurrence: int) -> CrashPoint:

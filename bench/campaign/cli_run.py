@@ -1,6 +1,6 @@
 """SIGKILL runs of the command line: ``mavcal calibrate`` dies at a named instant, the next run has to put it right.
 
-Every instant of :class:`service.jobs.crashpoints.At` that a gyro job leads through is struck, followed by ``mavcal
+Every instant of :class:`service.jobs.core.crashpoints.At` that a gyro job leads through is struck, followed by ``mavcal
 recover`` and, elsewhere, by the next ``mavcal calibrate``. The simulator judges, as in the runs of the service.
 """
 
@@ -22,8 +22,8 @@ from bench.campaign.report import KillReport
 from bench.campaign.scenario import OPTIONS, SPEED
 from bench.campaign.truth import Holding, holding, residuals, true_px4_gyro
 from mavcal.service.api.views import job_model
-from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.salvage import job_of
+from mavcal.service.jobs.core.codec import job_of
+from mavcal.service.jobs.core.crashpoints import At
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store import SqliteStore
 

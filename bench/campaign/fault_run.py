@@ -30,8 +30,8 @@ from bench.campaign.session import POLL_S, Session, session
 from bench.campaign.truth import Holding, holding, residuals
 from mavcal.service.api.views import job_model
 from mavcal.service.errors import LinkBusy, PlanChanged, ServiceError
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import WRITING, JobState
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import WRITING, JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 
 Json = dict[str, Any]

@@ -18,7 +18,7 @@ from bench.campaign.scenario import OPTIONS, SPEED
 from bench.campaign.truth import Holding, holding, residuals
 from bench.running import RunningService
 from mavcal.client import ApiProblem, Client, Unreachable
-from mavcal.service.jobs.journal import JournalStep
+from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 
 SERIES = 1000

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from bench.campaign.judge import Ending
 from bench.campaign.scenario import KINDS
 from bench.rows import Row, grid
-from mavcal.service.jobs.journal import JournalStep
+from mavcal.service.jobs.core.journal import JournalStep
 
 
 @dataclass(frozen=True)

@@ -12,17 +12,17 @@ from typing import Any
 from mavcal.calib.procedures.protocol import Prompt
 from mavcal.calib.report import to_json
 from mavcal.service.errors import ServiceError
+from mavcal.service.jobs.core.model import Accept, Job
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import JobState
-from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link import Link
 from mavcal.service.link_closing import require_unneeded
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.protocol import Store
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 
 POLL_S = 0.01
 FOUND_S = 30.0
@@ -94,7 +94,7 @@ async def session(
     """
     store = store or SqliteStore(folder)
     registry = VehicleRegistry()
-    engine = JobEngine(store, RegistryAdapter(registry), **{"settings": SETTINGS, **engine_options})
+    engine = JobEngine(store, VehicleSource(registry), **{"settings": SETTINGS, **engine_options})
     links: dict[str, Link] = {}
 
     async def more(url: str) -> Link:

@@ -22,7 +22,7 @@ from bench.firmware.truth import drawn, own_temperatures, thermal_truth
 from bench.running import service
 from mavcal.client.enums import JobState
 from mavcal.client.jobs import JobModel
-from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.core.crashpoints import At
 from mavcal.service.lifetime import ending_with_us
 from mavcal.service.simvehicle import Operator
 

@@ -26,12 +26,12 @@ from mavcal.service.api.security import ActorDep, Scope, require
 from mavcal.service.api.views import item_model, job_model
 from mavcal.service.campaigns import outcome as table
 from mavcal.service.campaigns.begin import CalibrationOrder, RestoreOrder
+from mavcal.service.campaigns.items import Item, ItemOutcome, item_from_row
 from mavcal.service.campaigns.selection import Selection
 from mavcal.service.campaigns.vehicles import newest_of_item
 from mavcal.service.core import Service
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.items import Item, ItemOutcome, item_from_row
-from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.core.model import Job
 from mavcal.service.vehicle import Vehicle
 
 router = APIRouter(tags=["campaigns"])

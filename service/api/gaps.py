@@ -12,9 +12,9 @@ from mavcal.service.api.views import document_response, gap_model, gap_summary
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.core import Service
 from mavcal.service.errors import GapUnfinished, GapUnknown, JobUnknown
-from mavcal.service.jobs.computing import GAP
-from mavcal.service.jobs.model import Failure, Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Failure, Job
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.jobs.uploads.computing import GAP
 
 router = APIRouter(tags=["gaps"])
 READ = Depends(require(Scope.READ))

@@ -36,8 +36,8 @@ from mavcal.service.api.views import (
 )
 from mavcal.service.errors import PlanMissing
 from mavcal.service.exports import MEDIA_TYPES, export
-from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Accept, Job
+from mavcal.service.jobs.core.states import JobState
 
 router = APIRouter(tags=["jobs"])
 READ = Depends(require(Scope.READ))

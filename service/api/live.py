@@ -16,8 +16,9 @@ from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models import LiveModel, SamplesModel, WatchModel, WatchRequest
 from mavcal.service.api.security import Scope, require
 from mavcal.service.api.vehicles import VehicleDep
-from mavcal.service.jobs.live_rates import LiveStatus, LiveWatch
 from mavcal.service.live import LiveBatch, live_batches
+from mavcal.service.rates.ledger import LiveWatch
+from mavcal.service.rates.watching import LiveStatus
 
 router = APIRouter(tags=["vehicles"])
 

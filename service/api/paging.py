@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.core.model import Job
 from mavcal.service.store.rows import JobRow
 
 Listed = TypeVar("Listed", Job, JobRow)

@@ -9,7 +9,7 @@ from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models import JobModel, PreflightModel, PreflightRequest, RestoreRequest
 from mavcal.service.api.security import ActorDep, Scope, require
 from mavcal.service.api.views import job_model, preflight_model
-from mavcal.service.jobs.fixing import Fix, Fixable, fixed
+from mavcal.service.fixing import Fix, Fixable, fixed
 
 router = APIRouter(tags=["vehicles"])
 OPERATE = Depends(require(Scope.OPERATE))

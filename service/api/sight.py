@@ -22,7 +22,7 @@ from mavcal.service.errors import (
     UnitUnknown,
     VehicleUnknown,
 )
-from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.core.model import Job
 
 FILTERED: Final = frozenset(
     {

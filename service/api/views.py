@@ -32,14 +32,14 @@ from mavcal.service.api.models import (
     VehicleModel,
     VehicleSensorsModel,
 )
-from mavcal.service.jobs.codec import from_json, to_json
-from mavcal.service.jobs.fixing import Fix
-from mavcal.service.jobs.items import Item
-from mavcal.service.jobs.model import Failure, Job
-from mavcal.service.jobs.preflight import Preflight
-from mavcal.service.jobs.ready import readiness_of
-from mavcal.service.jobs.states import JobState
+from mavcal.service.campaigns.items import Item
+from mavcal.service.fixing import Fix
+from mavcal.service.jobs.core.codec import from_json, to_json
+from mavcal.service.jobs.core.model import Failure, Job
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.jobs.write.readiness import readiness_of
 from mavcal.service.link import Link
+from mavcal.service.preflights import Preflight
 from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
 from mavcal.service.vehicle.encoding import Parameter

@@ -14,22 +14,22 @@ from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.methods import METHODS
+from mavcal.service.campaigns.campaigns import CAMPAIGN, Campaigns, CampaignTask, ItemTurn, ItemWork
 from mavcal.service.campaigns.executors import Workers
+from mavcal.service.campaigns.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
 from mavcal.service.campaigns.worker import computed
 from mavcal.service.children import DIAGNOSE, FIT, Limits
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.admission import require_finite
-from mavcal.service.jobs.book import JobBook
-from mavcal.service.jobs.campaigns import CAMPAIGN, Campaigns, CampaignTask, Errand, ItemWork
-from mavcal.service.jobs.codec import job_from_row
-from mavcal.service.jobs.computing import MOST_STARTS
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.ownership import Alone
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.tasks import JobTasks
+from mavcal.service.jobs.core.admission import require_finite
+from mavcal.service.jobs.core.book import JobBook
+from mavcal.service.jobs.core.codec import job_from_row
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.ports import Alone
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.tasks import JobTasks
+from mavcal.service.jobs.uploads.computing import MOST_STARTS
 from mavcal.service.store import SqliteStore, Store
 from mavcal.service.store.rows import JobDocument
 
@@ -65,16 +65,16 @@ class FolderFits:
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
 
-    async def run(self, errand: Errand) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        method = errand.options["method"]
-        order = {**_part(errand), "method": method, "options": errand.options["options"], "origin": False}
+        method = turn.options["method"]
+        order = {**_part(turn), "method": method, "options": turn.options["options"], "origin": False}
         answer = await _on(self.workers, FIT, order, self.limits)
         if "error" in answer:
-            return _failed(answer["error"], errand)
+            return _failed(answer["error"], turn)
         return of_fits(answer["done"]["fits"], method, sha256=answer["sha256"], seconds=answer["seconds"])
 
-    async def cancelled(self, errand: Errand) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
         return "The campaign was cancelled."
 
@@ -88,19 +88,19 @@ class FolderGaps:
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
 
-    async def run(self, errand: Errand) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        options, part = errand.options, _part(errand)
+        options, part = turn.options, _part(turn)
         order: Json = {
             "path": part["path"],
             "real": part,
             "sim": None if options["sim"] is None else {**part, "path": options["sim"]},
             "nominal": [{**part, "path": path} for path in options["nominal"]],
-            "title": f"Sim-to-real gap of {Path(errand.item.subject).name}",
+            "title": f"Sim-to-real gap of {Path(turn.item.subject).name}",
         }
         answer = await _on(self.workers, DIAGNOSE, order, self.limits)
         if "error" in answer:
-            return _failed(answer["error"], errand)
+            return _failed(answer["error"], turn)
         done = answer["done"]
         report, page = json.dumps(done["report"], allow_nan=False), str(done["page"])
         documents = (
@@ -108,9 +108,9 @@ class FolderGaps:
             JobDocument(PAGE, "text/html", page.encode()),
         )
         more = {"sha256": answer["sha256"], "seconds": answer["seconds"]}
-        return of_diagnosis(errand.item, done["summary"], done["report"], documents, **more)
+        return of_diagnosis(turn.item, done["summary"], done["report"], documents, **more)
 
-    async def cancelled(self, errand: Errand) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
         return "The campaign was cancelled."
 
@@ -137,7 +137,7 @@ class Archive:
 
     async def resume(self, job_id: str) -> Job:
         """Go on with a campaign, whatever stopped it. Raises JobUnknown, IllegalTransition."""
-        self.campaigns.take_up(self.book.handle(job_id))
+        self.campaigns.resume_at_start(self.book.handle(job_id))
         return await self.campaigns.resume(job_id)
 
     async def _begin(self, task: CampaignTask, folder: Path, pattern: str, options: Mapping[str, Any]) -> Job:
@@ -196,12 +196,12 @@ async def _on(given: Workers, task: str, order: Json, limits: Limits) -> Json:
     return await asyncio.get_running_loop().run_in_executor(given.executor, computed, task, order, limits)
 
 
-def _part(errand: Errand) -> Json:
-    path = Path(errand.options[FOLDER]) / errand.item.subject
-    return {"path": str(path), "reading": dict(errand.options.get("reading") or {})}
+def _part(turn: ItemTurn) -> Json:
+    path = Path(turn.options[FOLDER]) / turn.item.subject
+    return {"path": str(path), "reading": dict(turn.options.get("reading") or {})}
 
 
-def _failed(error: Mapping[str, str], errand: Errand) -> ItemEnd:
+def _failed(error: Mapping[str, str], turn: ItemTurn) -> ItemEnd:
     """How an item ends whose file could not be fitted; the folder is no part of the reason."""
-    text = error["text"].replace(f"{errand.options[FOLDER]}/", "")
+    text = error["text"].replace(f"{turn.options[FOLDER]}/", "")
     return ItemEnd(ItemOutcome.FAILED, text[:1].upper() + text[1:], error["code"])

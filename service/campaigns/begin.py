@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.procedures.registry import specification, validate_options
+from mavcal.service.campaigns.campaigns import CAMPAIGN, Campaigns, CampaignTask, ItemWork
 from mavcal.service.campaigns.selection import Selectable, Selection, selected
 from mavcal.service.campaigns.uploads import UploadFits, UploadGaps
 from mavcal.service.campaigns.vehicles import VEHICLES_AT_ONCE, CalibrationWork, Patience, PreflightWork, RestoreWork
 from mavcal.service.errors import Forbidden
-from mavcal.service.jobs.admission import require_finite
-from mavcal.service.jobs.campaigns import CampaignTask, ItemWork
+from mavcal.service.jobs.calibrate.planning import checked_plan_options, confirmed, require_sensors_of
+from mavcal.service.jobs.core.admission import require_finite
+from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.planning import checked_plan_options, confirmed, require_sensors_of
-from mavcal.service.jobs.port import Computations, VehicleSource
+from mavcal.service.jobs.uploads.computations import Computations
 from mavcal.service.store.rows import RecordingRow
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 
 
-def works(engine: JobEngine, source: VehicleSource, computations: Computations) -> dict[CampaignTask, ItemWork]:
+def running_campaigns(engine: JobEngine, source: VehicleSource, computations: Computations) -> Campaigns:
+    """The campaigns of an engine that has not started; it resumes them with its other jobs."""
+    campaigns = Campaigns(engine.book, engine.tasks, time.monotonic, time.time)
+    campaigns.works |= _works(engine, source, computations)
+    engine.resumed_by[CAMPAIGN] = campaigns.resume_at_start
+    return campaigns
+
+
+def _works(engine: JobEngine, source: VehicleSource, computations: Computations) -> dict[CampaignTask, ItemWork]:
     """What a running service does for each task; diagnoses go one after the other, so that fits find a free child."""
     vehicles, patience = asyncio.Semaphore(VEHICLES_AT_ONCE), Patience(source, engine.settings.return_limit_s)
     return {
@@ -62,7 +72,7 @@ class RestoreOrder:
 class CampaignDesk:
     """Where campaigns are asked for. `at_once` bounds the items of one campaign; None: its queue alone does."""
 
-    engine: JobEngine
+    campaigns: Campaigns
     computations: Computations
     read_only: bool = False
 
@@ -185,4 +195,4 @@ class CampaignDesk:
     ) -> Job:
         named = [(subject, (names or {}).get(subject, "")) for subject in subjects]
         chosen = {**options, "at_once": at_once}
-        return await self.engine.campaigns.begin(task, chosen, named, attended=attended)
+        return await self.campaigns.begin(task, chosen, named, attended=attended)

@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
-from mavcal.service.jobs.items import Item
+from mavcal.service.campaigns.items import Item
 
 COLUMNS = ("item", "subject", "name", "outcome", "code", "text", "job", "begun_utc", "ended_utc", "seconds")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")

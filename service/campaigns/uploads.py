@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from mavcal.calib.report import to_json
+from mavcal.service.campaigns.campaigns import ItemTurn
+from mavcal.service.campaigns.items import ItemEnd, of_diagnosis, of_fits
 from mavcal.service.computations import REPORT
 from mavcal.service.errors import ChildrenBusy
-from mavcal.service.jobs.campaigns import Errand
-from mavcal.service.jobs.computing import MOST_STARTS
-from mavcal.service.jobs.items import ItemEnd, of_diagnosis, of_fits
-from mavcal.service.jobs.port import Computations
+from mavcal.service.jobs.uploads.computations import Computations
+from mavcal.service.jobs.uploads.computing import MOST_STARTS
 
 T = TypeVar("T")
 
@@ -30,13 +30,13 @@ class UploadFits:
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
 
-    async def run(self, errand: Errand) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        method, options = errand.options["method"], errand.options["options"]
-        fits = await _patiently(lambda: self.computations.fit(errand.item.subject, method, options))
+        method, options = turn.options["method"], turn.options["options"]
+        fits = await _patiently(lambda: self.computations.fit(turn.item.subject, method, options))
         return of_fits(to_json(fits), method)
 
-    async def cancelled(self, errand: Errand) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
         return _CANCELLED
 
@@ -49,14 +49,14 @@ class UploadGaps:
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
 
-    async def run(self, errand: Errand) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        sim, nominal = errand.options["sim"], errand.options["nominal"]
-        found = await _patiently(lambda: self.computations.diagnose(errand.item.subject, sim, nominal))
+        sim, nominal = turn.options["sim"], turn.options["nominal"]
+        found = await _patiently(lambda: self.computations.diagnose(turn.item.subject, sim, nominal))
         report = json.loads(next(d.body for d in found.documents if d.name == REPORT))
-        return of_diagnosis(errand.item, found.summary, report, found.documents)
+        return of_diagnosis(turn.item, found.summary, report, found.documents)
 
-    async def cancelled(self, errand: Errand) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
         return _CANCELLED
 

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from mavcal.calib.preflight.check import Verdict
+from mavcal.service.campaigns.campaigns import ItemTurn
+from mavcal.service.campaigns.items import Item, ItemEnd, ItemOutcome
 from mavcal.service.errors import ServiceError, VehicleUnknown
-from mavcal.service.jobs.campaigns import Errand
-from mavcal.service.jobs.codec import to_json
+from mavcal.service.jobs.core.codec import to_json
+from mavcal.service.jobs.core.model import Accept, Failure, Job, Unwritten
+from mavcal.service.jobs.core.states import CANCELLABLE, ENDED, WRITING, JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.items import Item, ItemEnd, ItemOutcome
-from mavcal.service.jobs.model import Accept, Failure, Job, Unwritten
-from mavcal.service.jobs.port import VehicleSource
-from mavcal.service.jobs.preflight import Preflight
-from mavcal.service.jobs.states import CANCELLABLE, ENDED, WRITING, JobState
+from mavcal.service.preflights import Preflight
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 
 VEHICLES_AT_ONCE = 32
 """Vehicles that all campaigns together work with at a time."""
@@ -63,14 +63,14 @@ class PreflightWork:
     lane: asyncio.Semaphore
     most_starts: int | None = None
 
-    async def run(self, errand: Errand) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        vehicle_id = errand.item.subject
-        if errand.again:
+        vehicle_id = turn.item.subject
+        if turn.again:
             await self.patience.back(vehicle_id)
         return of_preflight(await self.engine.preflight(vehicle_id))
 
-    async def cancelled(self, errand: Errand) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
         return "The campaign was cancelled. Nothing was written."
 
@@ -95,17 +95,17 @@ class CalibrationWork:
     most_starts: int | None = None
     doubt_s: float = DOUBT_S
 
-    async def run(self, errand: Errand) -> ItemEnd:
+    async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
-        job = self._begun(errand) if errand.again else None
+        job = self._begun(turn) if turn.again else None
         if job is None or job.state in _LOST:
-            job = await self._begin(errand)
-        job = await self._settled(job.id, errand)
-        return await self._written(job, errand) if errand.options.get("apply") else of_job(job)
+            job = await self._begin(turn)
+        job = await self._settled(job.id, turn)
+        return await self._written(job, turn) if turn.options.get("apply") else of_job(job)
 
-    async def cancelled(self, errand: Errand) -> str:
+    async def cancelled(self, turn: ItemTurn) -> str:
         """See ItemWork."""
-        job = self._begun(errand)
+        job = self._begun(turn)
         if job is None:
             return "The campaign was cancelled. Nothing was begun."
         if job.state in CANCELLABLE - {JobState.REVIEW}:
@@ -114,23 +114,23 @@ class CalibrationWork:
         goes_on = ": it goes on by itself" if job.state in WRITING else ""
         return f"The campaign was cancelled. Job {job.id} is {_worded(job.state)}{goes_on}."
 
-    async def _begin(self, errand: Errand) -> Job:
-        order = errand.options
-        if errand.again:
-            await self.patience.back(errand.item.subject)
+    async def _begin(self, turn: ItemTurn) -> Job:
+        order = turn.options
+        if turn.again:
+            await self.patience.back(turn.item.subject)
         options, plan_options = order.get("options", {}), order.get("plan_options", {})
-        kind, begun_by = order["kind"], _begun_by(errand)
-        return await self.engine.submit(errand.item.subject, kind, options, plan_options, begun_by=begun_by)
+        kind, begun_by = order["kind"], _begun_by(turn)
+        return await self.engine.submit(turn.item.subject, kind, options, plan_options, begun_by=begun_by)
 
-    def _begun(self, errand: Errand) -> Job | None:
-        return newest_of_item(self.engine.list(), errand.campaign.id, errand.item)
+    def _begun(self, turn: ItemTurn) -> Job | None:
+        return newest_of_item(self.engine.list(), turn.campaign.id, turn.item)
 
-    async def _settled(self, job_id: str, errand: Errand) -> Job:
+    async def _settled(self, job_id: str, turn: ItemTurn) -> Job:
         """The job, once it has ended, or waits in review, or has been in doubt for long."""
         doubtful: float | None = None
         while (job := self.engine.get(job_id)).state not in ENDED | {JobState.REVIEW}:
             if job.state in _FOR_A_PERSON:
-                await errand.place.wait_for_person()
+                await turn.place.wait_for_person()
             if job.state != JobState.IN_DOUBT:
                 doubtful = None
             elif doubtful is None:
@@ -140,33 +140,33 @@ class CalibrationWork:
             await asyncio.sleep(_LOOK_S)
         return job
 
-    async def _written(self, job: Job, errand: Errand) -> ItemEnd:
+    async def _written(self, job: Job, turn: ItemTurn) -> ItemEnd:
         """Accept the plan of a job in review, once, and once more after a kill before anything was sent; its end."""
-        reason = _unwritten(job, reboot=bool(errand.options.get("reboot")))
-        tried = job.last_write is not None and not (errand.again and _was_cut_short(job))
+        reason = _unwritten(job, reboot=bool(turn.options.get("reboot")))
+        tried = job.last_write is not None and not (turn.again and _was_cut_short(job))
         if job.state != JobState.REVIEW or tried or reason:
             return of_job(job, reason)
         assert job.plan is not None
-        reboot, actor = bool(errand.options.get("reboot")), str(errand.options.get("actor", "operator"))
+        reboot, actor = bool(turn.options.get("reboot")), str(turn.options.get("actor", "operator"))
         accept = Accept(job.plan.sha256, reboot=reboot, prove_s=0.0, actor=actor)
-        if errand.again:
-            await self.patience.back(errand.item.subject, writable=True)
+        if turn.again:
+            await self.patience.back(turn.item.subject, writable=True)
         try:
             await self.engine.apply(job.id, accept)
         except ServiceError as error:
             return of_job(self.engine.get(job.id), f"Not written: {error}")
-        return of_job(await self._settled(job.id, errand))
+        return of_job(await self._settled(job.id, turn))
 
 
 @dataclass
 class RestoreWork(CalibrationWork):
     """The last verified calibration of each vehicle put back; options `plan_options`, `apply`, `reboot`, `actor`."""
 
-    async def _begin(self, errand: Errand) -> Job:
-        if errand.again:
-            await self.patience.back(errand.item.subject)
-        plan_options = errand.options.get("plan_options", {})
-        return await self.engine.restore(errand.item.subject, plan_options, begun_by=_begun_by(errand))
+    async def _begin(self, turn: ItemTurn) -> Job:
+        if turn.again:
+            await self.patience.back(turn.item.subject)
+        plan_options = turn.options.get("plan_options", {})
+        return await self.engine.restore(turn.item.subject, plan_options, begun_by=_begun_by(turn))
 
 
 def newest_of_item(jobs: Sequence[Job], campaign_id: str, item: Item) -> Job | None:
@@ -175,8 +175,8 @@ def newest_of_item(jobs: Sequence[Job], campaign_id: str, item: Item) -> Job | N
     return next((job for job in reversed(jobs) if job.context.get(BEGUN_BY) == ours), None)
 
 
-def _begun_by(errand: Errand) -> dict[str, Any]:
-    return {BEGUN_BY: {"id": errand.campaign.id, "item": errand.item.number}}
+def _begun_by(turn: ItemTurn) -> dict[str, Any]:
+    return {BEGUN_BY: {"id": turn.campaign.id, "item": turn.item.number}}
 
 
 def of_job(job: Job, reason: str = "") -> ItemEnd:

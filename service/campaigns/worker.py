@@ -1,6 +1,6 @@
 """What runs inside an executor's worker, wherever that is: one log, read in a child process with limits.
 
-Every process that does such work has a nursery of its own, whether its executor has threads, processes or machines.
+Every process that does such work has a fork server of its own, whether its executor has threads, processes or machines.
 What comes back is data that any executor can carry.
 """
 
@@ -92,7 +92,7 @@ class _Worker:
         return asyncio.run_coroutine_threadsafe(self._children.run(task, order, limits), self._loop).result()
 
     def stop(self) -> None:
-        """End every child, the nursery and the thread."""
+        """End every child, the fork server and the thread."""
         if self.pid != os.getpid():  # of the process that this one was forked from
             return
         asyncio.run_coroutine_threadsafe(self._stopped(), self._loop).result(2 * STOP_S)

@@ -1,9 +1,9 @@
 """Work on untrusted files, in child processes that can be limited and ended.
 
-A *nursery* is one small process, started when it is first needed. It has imported what reading, fitting and diagnosing
-need, and forks a child for each order. The child sets its own limits, does one task, writes its result as JSON and
-ends. Only the nursery's pipes connect it to the service: when the service ends, however it ends, the nursery sees its
-input close and kills what it started; a child dies with the nursery.
+A *fork server* is one small process, started when it is first needed. It has imported what reading, fitting and
+diagnosing need, and forks a child for each order. The child sets its own limits, does one task, writes its result as
+JSON and ends. Only the fork server's pipes connect it to the service: when the service ends, however it ends, the fork
+server sees its input close and kills what it started; a child dies with the fork server.
 """
 
 from __future__ import annotations

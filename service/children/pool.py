@@ -33,7 +33,7 @@ MOST_WAITING = 32
 LARGEST_RESULT = 1 << 26
 """Bytes of a result that are taken."""
 STOP_S = 5.0
-"""How long the nursery may take to end."""
+"""How long the fork server may take to end."""
 _STDERR_TOLD = 4000
 
 
@@ -66,7 +66,7 @@ class Children:
     most
         Children at a time.
     first, later
-        Modules that the nursery imports for its children before it serves, and while it is idle.
+        Modules that the fork server imports for its children before it serves, and while it is idle.
     """
 
     def __init__(self, folder: Path, *, most: int, first: Sequence[str] = FIRST, later: Sequence[str] = LATER) -> None:
@@ -77,7 +77,7 @@ class Children:
         self._slots = asyncio.Semaphore(most)
         self._asked = 0
         self._running: dict[str, _Running] = {}
-        self._nursery: asyncio.subprocess.Process | None = None
+        self._fork_server: asyncio.subprocess.Process | None = None
         self._listening: asyncio.Task[None] | None = None
         self._starting = asyncio.Lock()
         self._files = ThreadPoolExecutor(1, thread_name_prefix="children")
@@ -85,9 +85,9 @@ class Children:
         self._swept = False
 
     @property
-    def nursery_pid(self) -> int | None:
+    def fork_server_pid(self) -> int | None:
         """The process that starts children; None while there is none."""
-        return None if self._nursery is None else self._nursery.pid
+        return None if self._fork_server is None else self._fork_server.pid
 
     async def run(self, task: str, order: Mapping[str, Any], limits: Limits, *, told: Told | None = None) -> Json:
         """The result of one task; `told` hears its progress. When this is cancelled the child is killed.
@@ -113,18 +113,18 @@ class Children:
             self._asked -= 1
 
     async def stop(self) -> None:
-        """Kill every child and end the nursery."""
+        """Kill every child and end the fork server."""
         self._stopped = True
-        nursery, self._nursery = self._nursery, None
-        if nursery is not None:
-            assert nursery.stdin is not None
-            nursery.stdin.close()
+        fork_server, self._fork_server = self._fork_server, None
+        if fork_server is not None:
+            assert fork_server.stdin is not None
+            fork_server.stdin.close()
             try:
                 async with asyncio.timeout(STOP_S):
-                    await nursery.wait()
+                    await fork_server.wait()
             except TimeoutError:
-                nursery.kill()
-                await nursery.wait()
+                fork_server.kill()
+                await fork_server.wait()
         if self._listening is not None:
             await self._listening
         self._files.shutdown(wait=True)
@@ -151,9 +151,9 @@ class Children:
 
     async def _end(self, name: str, running: _Running) -> None:
         """Kill the child if it still runs; its place is free only when it is gone."""
-        if name in self._running and self._nursery is not None:
+        if name in self._running and self._fork_server is not None:
             with contextlib.suppress(OSError):
-                self._write(self._nursery, {"stop": name})
+                self._write(self._fork_server, {"stop": name})
             with contextlib.suppress(ChildEnded):
                 await running.ended
         self._running.pop(name, None)
@@ -162,24 +162,24 @@ class Children:
         async with self._starting:
             if self._stopped:  # meanwhile
                 raise ChildEnded("the service is stopping")
-            if self._nursery is None:
-                self._nursery = await asyncio.create_subprocess_exec(
-                    *(sys.executable, "-m", "mavcal.service.children.nursery", *self._modules),
+            if self._fork_server is None:
+                self._fork_server = await asyncio.create_subprocess_exec(
+                    *(sys.executable, "-m", "mavcal.service.children.fork_server", *self._modules),
                     stdin=asyncio.subprocess.PIPE,
                     stdout=asyncio.subprocess.PIPE,
                 )
-                self._listening = asyncio.create_task(self._listen(self._nursery), name="nursery")
+                self._listening = asyncio.create_task(self._listen(self._fork_server), name="fork server")
             self._running[line["start"]] = running
-            self._write(self._nursery, line)
+            self._write(self._fork_server, line)
 
-    def _write(self, nursery: asyncio.subprocess.Process, line: Json) -> None:
-        assert nursery.stdin is not None
-        nursery.stdin.write(json.dumps(line).encode() + b"\n")
+    def _write(self, fork_server: asyncio.subprocess.Process, line: Json) -> None:
+        assert fork_server.stdin is not None
+        fork_server.stdin.write(json.dumps(line).encode() + b"\n")
 
-    async def _listen(self, nursery: asyncio.subprocess.Process) -> None:
-        """Pass on what the nursery says; when it ends, so have its children."""
-        assert nursery.stdout is not None
-        while line := await nursery.stdout.readline():
+    async def _listen(self, fork_server: asyncio.subprocess.Process) -> None:
+        """Pass on what the fork server says; when it ends, so have its children."""
+        assert fork_server.stdout is not None
+        while line := await fork_server.stdout.readline():
             said = json.loads(line)
             running = self._running.get(said["id"])
             if running is None:
@@ -191,10 +191,10 @@ class Children:
             del self._running[said["id"]]
             if not running.ended.done():
                 running.ended.set_result(said)
-        await nursery.wait()
-        if self._nursery is nursery:
-            self._nursery = None
-            log.error("nursery ended", returncode=nursery.returncode)
+        await fork_server.wait()
+        if self._fork_server is fork_server:
+            self._fork_server = None
+            log.error("fork server ended", returncode=fork_server.returncode)
         for running in self._running.values():
             if not running.ended.done():
                 running.ended.set_exception(ChildEnded("the process that reads files ended; try again"))

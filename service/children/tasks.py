@@ -37,7 +37,7 @@ LATER = (
     ),  # what `calib` computes with
     *(*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report"),
 )
-"""What the nursery imports for its children, before it serves and while it is idle."""
+"""What the fork server imports for its children, before it serves and while it is idle."""
 
 
 _EVERY_S = 0.5

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mavcal.client.jobs import JobModel
     from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
-    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.vehicle import Vehicle
 
 

@@ -17,7 +17,7 @@ from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
     from mavcal.service.core import Service
-    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.vehicle import Vehicle
 
 KINDS = (
@@ -26,7 +26,7 @@ KINDS = (
 )
 """Those of ``calib.procedures.registry``, stated here so that help does without numpy (a test compares them)."""
 HANDS_FREE = ("gyro", "level")
-"""Those of ``service.jobs.fixing``, which want nothing but a vehicle at rest (a test compares them)."""
+"""Those of ``service.fixing``, which want nothing but a vehicle at rest (a test compares them)."""
 
 
 @click.command()
@@ -87,9 +87,9 @@ def command(
 
 async def _hands_free(kind: str, service: Service, vehicle: Vehicle) -> Acted:
     """Calibrate and write; whether it would arm afterwards is told too."""
-    from mavcal.service.jobs.fixing import Fixable, fixed
-    from mavcal.service.jobs.ready import readiness_of
-    from mavcal.service.jobs.states import JobState
+    from mavcal.service.fixing import Fixable, fixed
+    from mavcal.service.jobs.core.states import JobState
+    from mavcal.service.jobs.write.readiness import readiness_of
 
     [fix] = await fixed(service.jobs, vehicle.id, [Fixable(kind)], actor="command line", look=True)
     job = service.jobs.get(fix.job_id)

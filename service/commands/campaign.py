@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mavcal.service.campaigns.archive import Archive
     from mavcal.service.commands.campaign_run import VehicleWish
     from mavcal.service.core import Service
-    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.core.model import Job
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -26,7 +26,7 @@ OUTCOMES = (
     *("waiting", "running", "done", "warned", "review"),
     *("refused", "skipped", "failed", "in_doubt", "cancelled"),
 )
-"""Those of ``service.jobs.items``, stated here so that help does without them (a test compares them)."""
+"""Those of ``service.campaigns.items``, stated here so that help does without them (a test compares them)."""
 
 at_once_option = click.option("--at-once", type=click.IntRange(1, 1000), default=None, help="Most items at a time.")
 data_dir_option = click.option(

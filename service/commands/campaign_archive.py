@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mavcal.service.campaigns.archive import Archive
     from mavcal.service.campaigns.executors import Workers
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.settings import Settings
 
     Begin = Callable[[Archive], Awaitable[Job]]
@@ -37,8 +37,8 @@ def run_archive(settings: Settings, executor: str, begin: Begin, telling: Tellin
 def is_of_folder(data_dir: Path, job_id: str) -> bool:
     """Whether a job is a campaign through files. Raises JobUnknown, StoreError."""
     from mavcal.service.campaigns.archive import FOLDER
+    from mavcal.service.campaigns.campaigns import CAMPAIGN
     from mavcal.service.errors import JobUnknown
-    from mavcal.service.jobs.campaigns import CAMPAIGN
     from mavcal.service.store.sqlite import jobs_of
 
     for row in jobs_of(data_dir):

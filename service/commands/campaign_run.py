@@ -17,7 +17,7 @@ from mavcal.service.errors import VehicleSilent
 if TYPE_CHECKING:
     from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
-    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.settings import Settings
 
     Begin = Callable[[Service, tuple[str, ...]], Awaitable[Job]]
@@ -51,13 +51,13 @@ def resumed(job_id: str) -> Begin:
     """Goes on with a campaign that was stopped, or follows one that goes on by itself."""
 
     async def begin(service: Service, _chosen: tuple[str, ...]) -> Job:
-        from mavcal.service.jobs.campaigns import CAMPAIGN
-        from mavcal.service.jobs.states import JobState
+        from mavcal.service.campaigns.campaigns import CAMPAIGN
+        from mavcal.service.jobs.core.states import JobState
 
         job = service.jobs.get(job_id)
         if job.kind == CAMPAIGN and job.state == JobState.RUNNING:
             return job
-        return await service.jobs.campaigns.resume(job_id)
+        return await service.campaigns.campaigns.resume(job_id)
 
     return begin
 
@@ -117,9 +117,9 @@ async def _heard(service: Service, wish: VehicleWish, screen: Screen) -> tuple[s
 async def _put_down(service: Service, campaign_id: str) -> None:
     """Leave a campaign because this process has to stop; captures end with it, writes are finished later."""
     from mavcal.service.campaigns.vehicles import BEGUN_BY
-    from mavcal.service.jobs.states import CANCELLABLE, JobState
+    from mavcal.service.jobs.core.states import CANCELLABLE, JobState
 
-    await service.jobs.campaigns.interrupt(campaign_id)
+    await service.campaigns.campaigns.interrupt(campaign_id)
     for job in service.jobs.list():
         ours = (job.context.get(BEGUN_BY) or {}).get("id") == campaign_id
         if ours and job.state in CANCELLABLE - {JobState.REVIEW}:

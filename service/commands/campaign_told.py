@@ -14,9 +14,9 @@ import click
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json
 
 if TYPE_CHECKING:
+    from mavcal.service.campaigns.items import Item
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.jobs.items import Item
-    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.store.rows import ItemRow
 
 _LOOK_S = 0.1
@@ -34,8 +34,8 @@ class Telling:
 
 async def followed(job_of: Callable[[], Job], screen: Screen) -> Job:
     """The campaign once it goes on no more; meanwhile `screen` shows how far it is."""
-    from mavcal.service.jobs.codec import to_json
-    from mavcal.service.jobs.states import ENDED
+    from mavcal.service.jobs.core.codec import to_json
+    from mavcal.service.jobs.core.states import ENDED
 
     while (job := job_of()).state not in ENDED:
         if job.progress is not None:
@@ -46,9 +46,9 @@ async def followed(job_of: Callable[[], Job], screen: Screen) -> Job:
 
 def tell(job: Job, rows: Sequence[ItemRow], telling: Telling, screen: Screen) -> int:
     """Show a campaign that has ended, and its exit code."""
-    from mavcal.service.jobs.codec import to_json
-    from mavcal.service.jobs.items import ItemOutcome, item_from_row
-    from mavcal.service.jobs.model import Failure
+    from mavcal.service.campaigns.items import ItemOutcome, item_from_row
+    from mavcal.service.jobs.core.codec import to_json
+    from mavcal.service.jobs.core.model import Failure
 
     found = [item_from_row(row) for row in rows]
     if telling.table is not None:
@@ -81,11 +81,11 @@ def exit_code(options: Mapping[str, Any], outcomes: Iterable[str]) -> int:
 
 def show_items(data_dir: Path, job_id: str, outcomes: Sequence[str], table: Path | None, *, as_json: bool) -> int:
     """The items of a campaign of a data directory, whoever runs it; results are in the JSON."""
+    from mavcal.service.campaigns.campaigns import CAMPAIGN
+    from mavcal.service.campaigns.items import item_from_row
     from mavcal.service.commands.jobs import table as aligned
     from mavcal.service.errors import JobUnknown
-    from mavcal.service.jobs.campaigns import CAMPAIGN
-    from mavcal.service.jobs.codec import to_json
-    from mavcal.service.jobs.items import item_from_row
+    from mavcal.service.jobs.core.codec import to_json
     from mavcal.service.store.sqlite import items_of, jobs_of
 
     if not any(row.id == job_id and row.kind == CAMPAIGN for row in jobs_of(data_dir)):
@@ -105,7 +105,7 @@ def show_items(data_dir: Path, job_id: str, outcomes: Sequence[str], table: Path
 
 def _short(item: Item) -> dict[str, Any]:
     """An item without what was found: `mavcal campaign items --json` has that too."""
-    from mavcal.service.jobs.codec import to_json
+    from mavcal.service.jobs.core.codec import to_json
 
     told: dict[str, Any] = to_json(item)
     return {name: value for name, value in told.items() if name not in {"result", "starts"}}

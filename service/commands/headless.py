@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
-    from mavcal.service.jobs.model import Job
-    from mavcal.service.jobs.recovery import Unfinished
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.link import Link
+    from mavcal.service.unfinished import Unfinished
     from mavcal.service.vehicle import Vehicle
 
 QUIET_S = 3.0
@@ -64,8 +64,8 @@ async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, 
 
     What is in doubt is said once, however often the vehicle falls silent and comes back.
     """
-    from mavcal.service.jobs.recovery import ending, unfinished
-    from mavcal.service.jobs.states import ENDED, JobState
+    from mavcal.service.jobs.core.states import ENDED, JobState
+    from mavcal.service.unfinished import ending, unfinished
 
     loop = asyncio.get_running_loop()
     told: set[str] = set()
@@ -112,7 +112,7 @@ class Earlier:
 
 def earlier(service: Service) -> Earlier:
     """To be asked before the vehicle is heard: from then on the engine goes on with these jobs by itself."""
-    from mavcal.service.jobs.recovery import left_over
+    from mavcal.service.unfinished import left_over
 
     return Earlier(left_over(service.store, service.jobs.list()), service.store.last_event_id())
 
@@ -121,7 +121,7 @@ async def recovered(
     service: Service, vehicle: Vehicle, left: Earlier, screen: Screen, *, doubt_s: float = DOUBT_S
 ) -> tuple[Unfinished, ...]:
     """Bring to an end what earlier runs left unfinished on this vehicle; every such job, as it stands afterwards."""
-    from mavcal.service.jobs.recovery import beginning, ending, unfinished
+    from mavcal.service.unfinished import beginning, ending, unfinished
 
     told = []
     for found in left.found:
@@ -152,7 +152,7 @@ def is_of(service: Service, job: Job, vehicle: Vehicle) -> bool:
 
 def told_of(found: Unfinished) -> dict[str, Any]:
     """A job that was recovered, or could not be, as JSON."""
-    from mavcal.service.jobs.codec import to_json
+    from mavcal.service.jobs.core.codec import to_json
 
     return {
         "id": found.job.id,
@@ -173,8 +173,8 @@ async def tidied(service: Service, seconds: float = TIDY_S) -> None:
 
 async def put_down(service: Service, job_id: str, screen: Screen) -> None:
     """Leave a job because this process has to stop: cancel what wrote nothing, say what a write leaves behind."""
-    from mavcal.service.jobs.recovery import unfinished
-    from mavcal.service.jobs.states import CANCELLABLE, WRITING, JobState
+    from mavcal.service.jobs.core.states import CANCELLABLE, WRITING, JobState
+    from mavcal.service.unfinished import unfinished
 
     job = service.jobs.get(job_id)
     if job.state in CANCELLABLE - {JobState.REVIEW}:

@@ -81,7 +81,7 @@ def table(rows: list[tuple[str, ...]]) -> list[str]:
 
 
 def _state(name: str | None) -> str | None:
-    from mavcal.service.jobs.states import JobState
+    from mavcal.service.jobs.core.states import JobState
 
     if name is not None and name not in list(JobState):
         raise click.UsageError(f"--state {name!r} is none of {', '.join(JobState)}")
@@ -115,9 +115,9 @@ def _told(row: JobRow) -> dict[str, Any]:
     """As over HTTP. A row whose body is damaged says what its columns say."""
     from mavcal.calib.errors import CalibError
     from mavcal.service.api.views import job_summary
-    from mavcal.service.jobs.codec import job_from_row
-    from mavcal.service.jobs.model import Job
-    from mavcal.service.jobs.states import JobState
+    from mavcal.service.jobs.core.codec import job_from_row
+    from mavcal.service.jobs.core.model import Job
+    from mavcal.service.jobs.core.states import JobState
 
     try:
         job = job_from_row(row)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mavcal.service.vehicle import Vehicle
 
 FIXABLE = ("gyro", "level")
-"""Those of ``service.jobs.fixing``, stated here so that help does without it (a test compares them)."""
+"""Those of ``service.fixing``, stated here so that help does without it (a test compares them)."""
 
 STILL_LOOKING_S = (9.5, 19.0)
 """A healthy vehicle on a good link is answered before the first of these; no command is silent for longer than 10 s."""
@@ -97,7 +97,7 @@ Answer = tuple["Found", "PreflightModel | ServiceError"]
 
 async def _checked(service: Service, vehicle: Vehicle, *, wish: _Wish, screen: Screen) -> PreflightModel:
     from mavcal.service.api.views import preflight_model
-    from mavcal.service.jobs.fixing import Fixable, fixed
+    from mavcal.service.fixing import Fixable, fixed
 
     screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
     mended = await fixed(service.jobs, vehicle.id, [Fixable(kind) for kind in wish.kinds], actor="command line")

@@ -57,7 +57,7 @@ async def _recovered(settings: Any, wait: float, screen: Screen, as_json: bool) 
     from mavcal.service.commands.headless import earlier, heard, recovered, tidied, told_of
     from mavcal.service.core import running_service
     from mavcal.service.errors import VehicleSilent
-    from mavcal.service.jobs.recovery import ending, left_over
+    from mavcal.service.unfinished import ending, left_over
 
     async with running_service(settings) as service:
         left = earlier(service)

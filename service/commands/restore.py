@@ -13,7 +13,7 @@ from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
     from mavcal.service.core import Service
-    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.vehicle import Vehicle
 
 

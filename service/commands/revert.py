@@ -18,7 +18,7 @@ from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
     from mavcal.service.core import Service
-    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.vehicle import Vehicle
 
 
@@ -100,8 +100,8 @@ async def _all_writes(service: Service, vehicle: Vehicle, wait: float) -> Acted:
     """Take back every job that has written to this vehicle, the newest first: each finds the values that it wrote."""
     from mavcal.service.commands.headless import is_of
     from mavcal.service.commands.review import taken_back, writable
-    from mavcal.service.jobs.fixing import settled
-    from mavcal.service.jobs.states import JobState
+    from mavcal.service.fixing import wait_for_job
+    from mavcal.service.jobs.core.states import JobState
 
     written = [job for job in service.jobs.list() if job.state is JobState.SUCCEEDED and job.accept is not None]
     ours = sorted((job for job in written if is_of(service, job, vehicle)), key=lambda j: j.updated_at, reverse=True)
@@ -112,7 +112,7 @@ async def _all_writes(service: Service, vehicle: Vehicle, wait: float) -> Acted:
     for job in ours:
         await writable(vehicle, wait)
         await service.jobs.revert(job.id)
-        done.append(await settled(service.jobs, job.id))
+        done.append(await wait_for_job(service.jobs, job.id))
         if not taken_back(done[-1]):
             break  # an older one must not put values back over what is in doubt
     told = [{"job": job.id, "kind": job.kind, "state": job.state.value, "text": _said(job)} for job in done]

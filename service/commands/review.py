@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from mavcal.service.commands.keyboard import Keyboard
     from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
-    from mavcal.service.jobs.model import Job
-    from mavcal.service.jobs.recovery import Unfinished
+    from mavcal.service.jobs.core.model import Job
     from mavcal.service.settings import Settings
+    from mavcal.service.unfinished import Unfinished
     from mavcal.service.vehicle import Vehicle
 
     Begin = Callable[[Service, Vehicle], Awaitable[Job]]
@@ -79,7 +79,7 @@ async def _job(settings: Settings, begin: Begin, wish: JobWish, screen: Screen) 
 def _require_resolved(resolved: Sequence[Unfinished]) -> None:
     """Raise PhysicalJobRunning, with every parameter, if an earlier job is still in doubt."""
     from mavcal.service.errors import PhysicalJobRunning
-    from mavcal.service.jobs.recovery import ending
+    from mavcal.service.unfinished import ending
 
     for found in resolved:
         if not found.ended:
@@ -129,8 +129,8 @@ class _Run:
     async def _carried(self, job: Job, after: int, typed: Keyboard) -> Job:
         """The job, once nothing goes on with it by itself."""
         from mavcal.service.commands.headless import follow
-        from mavcal.service.jobs.model import Accept
-        from mavcal.service.jobs.states import ENDED, JobState
+        from mavcal.service.jobs.core.model import Accept
+        from mavcal.service.jobs.core.states import ENDED, JobState
 
         jobs = self.service.jobs
         if job.state not in ENDED | {JobState.REVIEW}:
@@ -175,9 +175,9 @@ async def writable(vehicle: Vehicle, wait: float) -> None:
 
 def good(job: Job, write: bool, require_proof: bool) -> bool:
     """Whether the job has reached what was asked for."""
-    from mavcal.service.jobs.model import Result
-    from mavcal.service.jobs.proof import ProofLevel
-    from mavcal.service.jobs.states import JobState
+    from mavcal.service.jobs.core.model import Result
+    from mavcal.service.jobs.core.proof import ProofLevel
+    from mavcal.service.jobs.core.states import JobState
 
     if job.plan is not None and job.plan.blockers:
         return False
@@ -190,8 +190,8 @@ def good(job: Job, write: bool, require_proof: bool) -> bool:
 
 def exit_code(job: Job, wish: JobWish) -> int:
     """0 done, 1 the answer is no, 3 done in part: not of every sensor, or not with the whole proof."""
-    from mavcal.service.jobs.model import Result
-    from mavcal.service.jobs.proof import ProofLevel
+    from mavcal.service.jobs.core.model import Result
+    from mavcal.service.jobs.core.proof import ProofLevel
 
     if wish.revert:
         return 0 if taken_back(job) else EXIT_NO
@@ -203,7 +203,7 @@ def exit_code(job: Job, wish: JobWish) -> int:
 
 def taken_back(job: Job) -> bool:
     """Whether what the job had written is gone."""
-    from mavcal.service.jobs.states import JobState
+    from mavcal.service.jobs.core.states import JobState
 
     return job.state is JobState.REVERTED
 
@@ -226,9 +226,9 @@ def show_plan(plan: WritePlan | PlanModel, screen: Screen) -> None:
 
 def show_end(job: Job, screen: Screen, *, written: bool) -> None:
     """How the job ended; for one in review, how it is written later."""
-    from mavcal.service.jobs.model import Failure
-    from mavcal.service.jobs.ready import readiness_of
-    from mavcal.service.jobs.states import JobState
+    from mavcal.service.jobs.core.model import Failure
+    from mavcal.service.jobs.core.states import JobState
+    from mavcal.service.jobs.write.readiness import readiness_of
 
     if isinstance(job.outcome, Failure):
         screen.line(f"{job.state.value}: {job.outcome.cause} {job.outcome.remedy}", bold=True)

@@ -55,7 +55,7 @@ async def _status(settings: Settings, whom: Whom, screen: Screen) -> list[dict[s
 
 def _one(service: Service, found: Found) -> dict[str, Any]:
     from mavcal.service.api.views import job_summary, vehicle_model
-    from mavcal.service.jobs.states import JobState
+    from mavcal.service.jobs.core.states import JobState
 
     vehicle = found.vehicle
     if vehicle is None:

@@ -12,9 +12,9 @@ import structlog
 
 from mavcal.service.errors import StoreError, UnitUnknown
 from mavcal.service.fleet.records import preflight_row, records_of_job, records_of_preflight, sensor_row
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.preflight import Preflight
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.preflights import Preflight
 from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import UnitRow
 from mavcal.service.vehicle import VehicleRegistry

@@ -17,10 +17,10 @@ from mavcal.calib.preflight.history import calibrates_gyros, covered_by
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Sensor
 from mavcal.calib.report import from_json, to_json
-from mavcal.service.jobs.model import Job, Result
-from mavcal.service.jobs.preflight import Preflight
-from mavcal.service.jobs.proof import ProofLevel
-from mavcal.service.jobs.verified import history_of
+from mavcal.service.jobs.calibrate.history import history_of
+from mavcal.service.jobs.core.model import Job, Result
+from mavcal.service.jobs.core.proof import ProofLevel
+from mavcal.service.preflights import Preflight
 from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import PreflightRow, SensorRow
 

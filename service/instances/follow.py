@@ -8,7 +8,7 @@ from contextlib import suppress
 import structlog
 
 from mavcal.service.errors import StoreError
-from mavcal.service.jobs.book import JobBook
+from mavcal.service.jobs.core.book import JobBook
 from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import EventRow, JobRow
 
@@ -49,10 +49,10 @@ class Follower:
     async def _page(self, book: JobBook) -> bool:
         def read() -> tuple[tuple[EventRow, ...], dict[str, JobRow | None]]:
             events = self._store.events(after=self._after, limit=PAGE)
-            return events, {event.job_id: self._store.job(event.job_id) for event in events if book.asks_for(event)}
+            return events, {event.job_id: self._store.job(event.job_id) for event in events if book.needs_row(event)}
 
         events, rows = await self._store.do(read)
         for event in events:
             self._after = event.id
-            book.seen(event, rows.get(event.job_id))
+            book.publish(event, rows.get(event.job_id))
         return len(events) == PAGE

@@ -35,7 +35,7 @@ class Instance:
         self._leases = Leases(url, owner_of(settings), settings.fleet.lease_s)
         self._follower = Follower(store)
         self.jobs = LeasedJobs(self._leases, store, self._follower.news)
-        """See :class:`service.jobs.ownership.Ownership`."""
+        """See :class:`service.jobs.core.ports.Ownership`."""
         self.links = LeasedLinks(self._leases)
         """See :class:`service.link_registry.LinkOwnership`."""
 

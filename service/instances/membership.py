@@ -16,8 +16,8 @@ import structlog
 from mavcal.service.errors import StoreError
 from mavcal.service.instances.leases import EVERY_INSTANCE, Leases, Owner
 from mavcal.service.instances.ownership import job_subject, link_subject, vehicle_subject
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.states import ENDED, JobState
 from mavcal.service.link_registry import LinkRegistry, link_id_of
 from mavcal.service.store.protocol import Store
 from mavcal.service.vehicle import VehicleRegistry

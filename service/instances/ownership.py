@@ -8,8 +8,8 @@ from contextlib import suppress
 
 from mavcal.service.errors import LeaseLost, StoreError
 from mavcal.service.instances.leases import Leases
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import ENDED
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import ENDED
 from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.sql import SqlStore
 
@@ -30,7 +30,7 @@ def job_subject(job: Job) -> str:
 
 
 class LeasedJobs:
-    """See :class:`service.jobs.ownership.Ownership`.
+    """See :class:`service.jobs.core.ports.Ownership`.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ import asyncio
 import dataclasses
 import time
 import uuid
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -14,54 +14,34 @@ from typing import Any
 from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.procedures.registry import specification, validate_options
-from mavcal.calib.report import to_json
 from mavcal.service.errors import AnswerRefused, Forbidden, IllegalTransition, NotCancellable, NotRevertible
-from mavcal.service.jobs.acceptance import Acceptance
-from mavcal.service.jobs.admission import (
-    WAY,
-    request_digest,
-    require_acceptable,
-    require_finite,
-    require_free,
-    require_ready,
-    require_vehicle,
-    require_whole,
-)
-from mavcal.service.jobs.adoption import adopted, composed
-from mavcal.service.jobs.book import JobBook
-from mavcal.service.jobs.campaigns import CAMPAIGN, Campaigns
-from mavcal.service.jobs.claims import TAKING_UP, claim_of, named_now
-from mavcal.service.jobs.computing import COMPUTED, FIT, GAP, Computing
-from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
-from mavcal.service.jobs.ending import INTERRUPTED, doubt
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
-from mavcal.service.jobs.model import Accept, Attempt, Job, WriteResult, cancelled
-from mavcal.service.jobs.ownership import Alone, Ownership
-from mavcal.service.jobs.planning import (
-    FROM_RECORDING,
-    RESTORE,
-    checked_plan_options,
-    confirmed,
-    keep_plan,
-    keys_without_row,
-    require_sensors_of,
-)
-from mavcal.service.jobs.port import Computations, JobVehicle, NoUploads, VehicleSource
-from mavcal.service.jobs.preflight import Preflight, Preflights
-from mavcal.service.jobs.record import JobRecord, NoRecord
-from mavcal.service.jobs.restoring import planned_restore, require_restorable, restored
-from mavcal.service.jobs.resumption import Resumption
-from mavcal.service.jobs.runner import Runner
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, JobState
-from mavcal.service.jobs.tasks import JobTasks, Work
-from mavcal.service.jobs.tidying import Tidying
-from mavcal.service.jobs.verified import history_of, verified_jobs
-from mavcal.service.jobs.write import check_plan
-from mavcal.service.jobs.writes import Writes
+from mavcal.service.jobs.calibrate import without_capture
+from mavcal.service.jobs.calibrate.history import history_of, verified_jobs
+from mavcal.service.jobs.calibrate.planning import checked_plan_options, confirmed, require_sensors_of
+from mavcal.service.jobs.calibrate.runner import Runner
+from mavcal.service.jobs.core import admission
+from mavcal.service.jobs.core.book import JobBook
+from mavcal.service.jobs.core.crashpoints import At, CrashPoint, no_crash
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.journal import BY_OPERATOR, JournalStep
+from mavcal.service.jobs.core.model import FROM_RECORDING, RESTORE, Accept, Attempt, Job, WriteResult, cancelled
+from mavcal.service.jobs.core.ports import Alone, JobRecord, Ownership
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import CANCELLABLE, CAPTURING, ENDED, JobState
+from mavcal.service.jobs.core.tasks import JobTasks, Work
+from mavcal.service.jobs.rates import STARTING, JobRates, with_present_vehicles
+from mavcal.service.jobs.uploads.computations import Computations, NoUploads
+from mavcal.service.jobs.uploads.computing import COMPUTED, FIT, GAP, Computing
+from mavcal.service.jobs.write.accept import Acceptance, request_digest, require_acceptable
+from mavcal.service.jobs.write.outcome import INTERRUPTED, settle_lost_write
+from mavcal.service.jobs.write.readiness import keep_readiness
+from mavcal.service.jobs.write.steps import check_plan
+from mavcal.service.jobs.write.transaction import Transactions
+from mavcal.service.preflights import History, Preflight, Preflights
+from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import EventRow, JobDocument, JobRow
+from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
 
 
 class JobEngine:
@@ -85,6 +65,8 @@ class JobEngine:
         Monotonic time for time-outs; wall time for stamps.
     reach, record
         Called where a crash would leave another state behind (tests); told of what jobs and preflights came to.
+    ledgers
+        The message rates of all vehicles; None: nobody watches any.
     """
 
     def __init__(
@@ -99,33 +81,32 @@ class JobEngine:
         read_only: bool = False,
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
-        reach: CrashPoint = nowhere,
+        reach: CrashPoint = no_crash,
         record: JobRecord | None = None,
+        ledgers: RateLedgers | None = None,
     ) -> None:
         self.settings = settings or JobSettings()
         self._store, self._vehicles, self._read_only = store, vehicles, read_only
-        self._wall, self._clock, self._reach, self._record = wall, clock, reach, record or NoRecord()
-        self._own_executor = ThreadPoolExecutor(2, thread_name_prefix="fit") if executor is None else None
-        pool = executor or self._own_executor
-        assert pool is not None
+        self._wall, self._clock, self._reach, self._record = wall, clock, reach, record
+        self._pool, self._owns_pool = executor or ThreadPoolExecutor(2, thread_name_prefix="fit"), executor is None
         self._ownership = ownership or Alone(store)
         self.book = JobBook(store, self._ownership, self.settings.progress_s, clock, wall)
         """Every job; one of several instances tells it what the others have done."""
-        self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
-        self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
-        self._tidying = Tidying(self._runner.vehicle, self.settings.review_s, self._tasks.leaving)
+        self._runner = Runner(vehicles, self.settings, self._pool, self.list, reach, clock, wall)
+        self.tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
+        self._ledgers = ledgers or RateLedgers(vehicles)
+        self._rates = JobRates(self._ledgers, self._runner.vehicle, self.settings.review_s, self.tasks.ending_tasks)
         self._computations = computations or NoUploads()
         lanes = {FIT: self.settings.fits_at_once, GAP: self.settings.diagnoses_at_once}
-        self.computing = Computing(self._computations, self.book, self._tasks, self.cancel, wall, lanes=lanes)
+        self.computing = Computing(self._computations, self.book, self.tasks, self.cancel, wall, lanes=lanes)
         """Fits and diagnoses of uploads."""
-        self.campaigns = Campaigns(self.book, self._tasks, clock, wall)
-        """Jobs for many vehicles or logs; what they do is put in before :meth:`start`."""
-        self._preflights = Preflights(self.settings, wall, clock)
-        self._writes = Writes(vehicles, self.settings, clock=clock, reach=reach)
-        self._acceptance = Acceptance(store, wall)
-        self._resumption = Resumption(
-            self._tasks, self.settings.recovery_alone_s, recover=self._recover, resume=self._resume
+        self.resumed_by: dict[str, Callable[[JobHandle], None]] = dict.fromkeys(
+            COMPUTED, self.computing.resume_at_start
         )
+        """How jobs of kinds that others run are resumed; entered before :meth:`start`."""
+        self._preflights = Preflights(self.settings.preflight_s, self._ledgers, wall, clock)
+        self._transactions = Transactions(vehicles, self.settings, clock=clock, reach=reach)
+        self._acceptance = Acceptance(store, wall)
 
     async def start(self) -> None:
         """Take up every job of the store where it was left, however the service ended.
@@ -136,58 +117,58 @@ class JobEngine:
         if self._ownership.shared:
             self.book.watch()
         else:
-            self._resumption.begin(self.book.load())
+            self._resume_all(self.book.load())
 
     def take_over(self, rows: Iterable[JobRow]) -> None:
         """Take up jobs that this instance owns from now on."""
-        self._resumption.begin(self.book.take(rows))
+        self._resume_all(self.book.take(rows))
 
     def give_up(self, of: Callable[[Job], bool]) -> None:
         """Stop what is done for these jobs, which are not ours any more; nothing more is sent or kept for them."""
         for handle in self.book.drop(of):
-            self._tasks.cancel(handle.id)
+            self.tasks.cancel(handle.id)
+
+    def _resume_all(self, handles: Sequence[JobHandle]) -> None:
+        self.tasks.resume(handles, self._recover, self._resume, alone_s=self.settings.recovery_alone_s)
 
     def _recover(self, handle: JobHandle) -> None:
         """Finish or take back an interrupted write: the journal and the vehicle decide."""
         if handle.job.plan is not None:
-            self._tasks.spawn(handle, partial(self._recovered, handle, INTERRUPTED))
+            self.tasks.spawn(handle, partial(self._recovered, handle, INTERRUPTED))
 
     async def _recovered(self, handle: JobHandle, reason: str) -> None:
-        await doubt(handle, reason)
-        await self._writes.transaction(handle).resolve()
+        await settle_lost_write(handle, reason)
+        await self._transactions.of(handle).resolve()
 
     def _resume(self, handle: JobHandle) -> None:
         state, kind = handle.job.state, handle.job.kind
-        if kind in COMPUTED and state not in ENDED:
-            self.computing.take_up(handle)
-        elif kind == CAMPAIGN:
-            self.campaigns.take_up(handle)
+        if kind in self.resumed_by:
+            self.resumed_by[kind](handle)
         elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
-            self._tasks.spawn(handle, partial(self._captured, handle))
+            self.tasks.spawn(handle, partial(self._capture, handle))
         elif state == JobState.FITTING and kind in (FROM_RECORDING, RESTORE):
-            self._tasks.spawn(handle, self._adoption(handle))
+            self.tasks.spawn(handle, self._planning(handle))
         elif state == JobState.FITTING:
-            self._tasks.spawn(handle, partial(self._runner.fit, handle))
+            self.tasks.spawn(handle, partial(self._runner.fit, handle))
         else:
-            self._tidy(handle)
+            self._return_rates(handle)
 
     async def stop(self) -> None:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
-        self._tasks.stopping = True
+        self.tasks.stopping = True
         self.book.close()
-        tasks = [*self._tasks.running.values(), *self._tidying.tasks, *self._resumption.waiting]
+        tasks = [*self.tasks.running.values(), *self._rates.tasks, *self.tasks.resuming]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         await self.book.kept(self.settings.last_save_s)
         await self._preflights.stop()
-        if self._own_executor is not None:
-            self._own_executor.shutdown(wait=False, cancel_futures=True)
+        if self._owns_pool:
+            self._pool.shutdown(wait=False, cancel_futures=True)
 
     async def tidied(self) -> None:
         """Wait until jobs that are over have put the vehicle's message rates back."""
-        over, running = ENDED | {JobState.REVIEW}, self._tasks.running
-        await self._tidying.finished(lambda: {task for key, task in running.items() if self.get(key).state in over})
+        await self._rates.all_returned()
 
     def list(self) -> tuple[Job, ...]:
         """Every job, oldest first."""
@@ -198,11 +179,11 @@ class JobEngine:
         return self.book.job(job_id)
 
     def claim(self, vehicle_id: str) -> str | None:
-        """See :func:`service.jobs.claims.claim_of`."""
-        if self._resumption.waiting:
-            return TAKING_UP
-        jobs = named_now(self.list(), self._vehicles)
-        return claim_of(vehicle_id, jobs, self._tasks.running, self._tidying, self._preflights)
+        """Who has the message rates of a vehicle, in a sentence for whoever would like to watch; None: nobody."""
+        if self.tasks.resuming:
+            return STARTING
+        jobs = with_present_vehicles(self.list(), self._vehicles)
+        return self._rates.user(vehicle_id, jobs, self.tasks.running, looked_at=self._preflights.holds(vehicle_id))
 
     async def document(self, job_id: str, name: str) -> JobDocument:
         """A document that the job has made. Raises JobUnknown, DocumentUnknown."""
@@ -225,11 +206,11 @@ class JobEngine:
         """
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
-        require_ready(vehicle, busy=True)  # which is one of the checks
+        admission.require_ready(vehicle, busy=True)  # which is one of the checks
         with self._preflights.claimed(vehicle.id):
-            await self._tidying.before_capture(vehicle.id)
+            await self._rates.before_preflight(vehicle.id)
             found = await self._preflights.run(vehicle, self._history, heading=heading)
-            return await self._record.keep_preflight(found)
+            return found if self._record is None else await self._record.keep_preflight(found)
 
     async def restore(
         self,
@@ -251,10 +232,10 @@ class JobEngine:
         """
         context = {"plan_options": checked_plan_options(plan_options or {}), **(begun_by or {})}
         vehicle = self._vehicles.vehicle(vehicle_id)
-        require_ready(vehicle)
-        await require_restorable(vehicle, self._history)
+        admission.require_ready(vehicle)
+        await without_capture.require_restorable(vehicle, self._history)
         self._require_free(vehicle.id)
-        return await self._begun(self._made(vehicle, RESTORE, {}, context), self._adoption)
+        return await self._begin(self._new_job(vehicle, RESTORE, {}, context), self._planning)
 
     async def submit(
         self,
@@ -283,16 +264,16 @@ class JobEngine:
         chosen = validate_options(kind, options or {})
         context = {**(begun_by or {}), "plan_options": checked_plan_options(plan_options or {})}
         require_sensors_of(spec, plan_options or {})
-        require_whole(self._store)  # a calibration that could never be written is not begun
+        admission.require_whole(self._store)  # a calibration that could never be written is not begun
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
-        require_ready(vehicle, busy=True)  # which is waited for
+        admission.require_ready(vehicle, busy=True)  # which is waited for
         requested_streams(vehicle.identity.autopilot or "", spec.sensors)
         if vehicle.identity.firmware is None:
             await vehicle.identify()
             self._require_free(vehicle.id)
-        job = dataclasses.replace(self._made(vehicle, spec.kind, chosen, context), state=JobState.QUEUED)
-        return await self._begun(job, lambda handle: partial(self._captured, handle))
+        job = dataclasses.replace(self._new_job(vehicle, spec.kind, chosen, context), state=JobState.QUEUED)
+        return await self._begin(job, lambda handle: partial(self._capture, handle))
 
     async def adopt(
         self,
@@ -311,14 +292,14 @@ class JobEngine:
         VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, VehicleConflict, PhysicalJobRunning
             As for :meth:`submit`.
         """
-        require_finite(options)
+        admission.require_finite(options)
         self._computations.check(recording, method)
         context = {"plan_options": checked_plan_options(plan_options or {})}
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
-        require_ready(vehicle)
+        admission.require_ready(vehicle)
         chosen = {"recording": recording, "method": method, "options": dict(options)}
-        return await self._begun(self._made(vehicle, FROM_RECORDING, chosen, context), self._adoption)
+        return await self._begin(self._new_job(vehicle, FROM_RECORDING, chosen, context), self._planning)
 
     async def cancel(self, job_id: str) -> Job:
         """Cancel a job that has written nothing; what it recorded is kept. Raises NotCancellable."""
@@ -327,7 +308,7 @@ class JobEngine:
         if state not in CANCELLABLE:
             raise NotCancellable(f"job {job_id} is {state}: it cannot be cancelled now")
         handle.move(JobState.CANCELLED, prompt=None, outcome=cancelled(handle.job))
-        self._tasks.cancel(job_id)
+        self.tasks.cancel(job_id)
         return handle.job
 
     async def answer(self, job_id: str, value: str) -> Job:
@@ -346,10 +327,8 @@ class JobEngine:
         if handle.job.state != JobState.INTERRUPTED:
             raise IllegalTransition(f"job {job_id} is {handle.job.state}: only an interrupted job is fitted again")
         handle.move(JobState.FITTING, outcome=None)
-        self._tasks.spawn(handle, partial(self._runner.fit, handle))
+        self.tasks.spawn(handle, partial(self._runner.fit, handle))
         return handle.job
-
-    # --- writing
 
     async def plan_again(self, job_id: str, options: Mapping[str, Any] | None = None) -> Job:
         """Compose the plan of a job in review again, on the vehicle's present parameters.
@@ -359,24 +338,12 @@ class JobEngine:
         """
         handle = self.book.handle(job_id)
         job = handle.job
-        if job.state != JobState.REVIEW:
-            raise IllegalTransition(f"job {job_id} is {job.state}: only a job in review can be planned again")
+        without_capture.require_review(job)
         results = None if job.kind == RESTORE else job.results
         chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options, results)
-        vehicle = self._vehicles.vehicle(require_vehicle(job))
-        require_ready(vehicle)
-        if job.kind == RESTORE:
-            identity, planned = await planned_restore(vehicle, await self._history(vehicle), chosen)
-        else:
-            origin, rowless = job.context.get("origin"), keys_without_row(job.context)
-            identity, planned = await composed(vehicle, job.results, chosen, origin, self.list(), rowless)
-        await keep_plan(handle, planned)
-        if handle.job.state != JobState.REVIEW:
-            raise IllegalTransition(f"job {job_id} is {handle.job.state}: only a job in review can be planned again")
-        context = {**handle.job.context, "identity": to_json(identity), "plan_options": chosen}
-        data = {"sha256": planned.plan.sha256}
-        fingerprint = planned.plan.fingerprint
-        handle.change("plan", data, plan=planned.plan, fingerprint=fingerprint, context=context, outcome=None)
+        vehicle = self._vehicles.vehicle(admission.require_vehicle(job))
+        admission.require_ready(vehicle)
+        await without_capture.plan_again(handle, vehicle, chosen, self._history, self.list())
         return handle.job
 
     async def apply(
@@ -401,13 +368,11 @@ class JobEngine:
         if await self._acceptance.known(idempotency_key, digest, lambda: handle.job):
             return handle.job
         self._require_writing()
-        require_acceptable(handle.job, accept)
-        self._require_free(require_vehicle(handle.job), besides=job_id)
-        vehicle = self._vehicles.vehicle(require_vehicle(handle.job))
-        require_ready(vehicle, busy=True)
-        await check_plan(self._writes.attempt(dataclasses.replace(handle.job, accept=accept), handle))
-        require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
-        self._require_free(require_vehicle(handle.job), besides=job_id)
+        self._require_acceptable(handle.job, accept)
+        vehicle = self._vehicles.vehicle(admission.require_vehicle(handle.job))
+        admission.require_ready(vehicle, busy=True)
+        await check_plan(self._transactions.attempt(dataclasses.replace(handle.job, accept=accept), handle))
+        self._require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
         said = {"plan_sha256": accept.plan_sha256, "confirmed": confirmed(handle.job.context.get("plan_options", {}))}
         with self._acceptance.claimed(job_id):
             await self._acceptance.note(accept.actor, "apply", job_id, said)
@@ -416,14 +381,12 @@ class JobEngine:
                 JournalStep.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot
             )
             await self._acceptance.use(idempotency_key, digest, job_id)
-            require_acceptable(handle.job, accept)
-            self._require_free(require_vehicle(handle.job), besides=job_id)
+            self._require_acceptable(handle.job, accept)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
-        context = {**handle.job.context, WAY: vehicle.condition().way}
+        context = {**handle.job.context, admission.WAY: vehicle.condition().way}
         fresh: dict[str, Any] = {"outcome": None, "verification": None, "standing": ()}
         handle.move(JobState.APPLYING, accept=accept, context=context, last_write=attempt, **fresh)
-        known = self._history if look else None
-        self._tasks.spawn(handle, partial(self._writes.applied, handle, self._preflights, self._tidying, known))
+        self.tasks.spawn(handle, partial(self._write, handle, self._history if look else None))
         self._reach(At.ACCEPTED)
         return handle.job
 
@@ -438,62 +401,76 @@ class JobEngine:
         self._require_writing()
         if handle.job.accept is None:
             raise NotRevertible(f"job {job_id} found nothing to write: there is nothing to take back")
-        self._require_free(require_vehicle(handle.job), besides=job_id)
-        require_ready(self._vehicles.vehicle(require_vehicle(handle.job)))
+        self._require_free(admission.require_vehicle(handle.job), besides=job_id)
+        admission.require_ready(self._vehicles.vehicle(admission.require_vehicle(handle.job)))
         with self._acceptance.claimed(job_id):
             await self._acceptance.note(actor, "revert", job_id, {})
             await handle.record(JournalStep.ROLL_BACK, because=BY_OPERATOR)
-            self._require_free(require_vehicle(handle.job), besides=job_id)
+            self._require_free(admission.require_vehicle(handle.job), besides=job_id)
         handle.move(JobState.ROLLING_BACK, prompt=None)
-        self._tasks.spawn(handle, self._writes.transaction(handle).revert)
+        self.tasks.spawn(handle, self._transactions.of(handle).revert)
         return handle.job
 
-    def _made(self, vehicle: JobVehicle, kind: str, options: Mapping[str, Any], context: Mapping[str, Any]) -> Job:
+    def _new_job(self, vehicle: JobVehicle, kind: str, options: Mapping[str, Any], context: Mapping[str, Any]) -> Job:
         """A new job of a vehicle, whose fits are to come."""
         now, new_id = self._wall(), uuid.uuid4().hex[:12]
         return Job(new_id, vehicle.id, kind, dict(options), JobState.FITTING, now, now, context=dict(context))
 
-    async def _begun(self, job: Job, work: Callable[[JobHandle], Work]) -> Job:
+    async def _begin(self, job: Job, work: Callable[[JobHandle], Work]) -> Job:
         handle = await self.book.new(job)
-        self._tasks.spawn(handle, work(handle))
+        self.tasks.spawn(handle, work(handle))
         return handle.job
 
     def _require_free(self, vehicle_id: str, *, besides: str = "") -> None:
         """Raise PhysicalJobRunning or PreflightRunning if something else claims this vehicle."""
-        require_free(vehicle_id, named_now(self.list(), self._vehicles), besides=besides)
+        admission.require_free(vehicle_id, with_present_vehicles(self.list(), self._vehicles), besides=besides)
         self._preflights.require_idle(vehicle_id)
+
+    def _require_acceptable(self, job: Job, accept: Accept) -> None:
+        require_acceptable(job, accept)
+        self._require_free(admission.require_vehicle(job), besides=job.id)
 
     def _require_writing(self) -> None:
         if self._read_only:
             raise Forbidden("this service runs with --read-only and never writes: export the plan instead")
-        require_whole(self._store)
+        admission.require_whole(self._store)
 
     async def _history(self, vehicle: JobVehicle) -> tuple[VerifiedCalibration, ...]:
         jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)
         return await self._store.do(partial(history_of, jobs, self._store))
 
-    def _adoption(self, handle: JobHandle) -> Work:
+    def _planning(self, handle: JobHandle) -> Work:
         if handle.job.kind == RESTORE:
-            return partial(restored, handle, self._runner.vehicle, self._history)
-        return partial(adopted, handle, self._runner.vehicle, self._computations, self.list)
+            return partial(without_capture.plan_restore, handle, self._runner.vehicle, self._history)
+        return partial(without_capture.plan_from_recording, handle, self._runner.vehicle, self._computations, self.list)
 
-    async def _captured(self, handle: JobHandle) -> None:
+    async def _capture(self, handle: JobHandle) -> None:
         """A capture, after message rates of an earlier job of this vehicle are back, and with its own put back."""
-        await self._preflights.restored(require_vehicle(handle.job))
-        await self._tidying.before_capture(require_vehicle(handle.job))
+        await self._rates.before_capture(admission.require_vehicle(handle.job))
         await self._runner.calibrate(handle)
 
+    async def _write(self, handle: JobHandle, look: History | None) -> None:
+        """A write, once no other message rates are being returned: it needs those of its capture.
+
+        `look`: what is known of the vehicle, with which it is looked at afterwards; None: it is not.
+        """
+        await self._rates.before_write(handle)
+        await self._transactions.of(handle).apply()
+        if look is not None:
+            await keep_readiness(handle, self._vehicles, self._preflights, look)
+
     def _ended(self, handle: JobHandle) -> None:
-        """A job's task is over; one that was given up is another's to tidy."""
+        """A job's task is over; the rates of one that was given up are another instance's to return."""
         if not self.book.holds(handle):
             return
         self._ownership.ended(handle.job)
-        self._record.job_ended(handle.job)
+        if self._record is not None:
+            self._record.job_ended(handle.job)
         if handle.job.state in ENDED | {JobState.REVIEW}:
-            self._tidy(handle)
+            self._return_rates(handle)
             self._store.soon(partial(self._store.drop_events, handle.id, "progress", keep=1))
 
-    def _tidy(self, handle: JobHandle) -> None:
-        """Put message rates back that a job has left changed; a stopping service leaves that to its next start."""
-        if not self._tasks.stopping:
-            self._tidying.begin(handle)
+    def _return_rates(self, handle: JobHandle) -> None:
+        """Return the message rates that a job owes; a stopping service leaves that to its next start."""
+        if not self.tasks.stopping:
+            self._rates.begin_return(handle)

@@ -14,7 +14,7 @@ from mavcal.service.store.sqlitems import SqlItems
 from mavcal.service.store.sqljobs import SqlJobs
 
 ENDED = ("succeeded", "reverted", "failed", "cancelled", "interrupted")
-"""States of jobs in which nothing goes on by itself; as in :mod:`service.jobs.states`, which a test compares."""
+"""States of jobs in which nothing goes on by itself; as in :mod:`service.jobs.core.states`, which a test compares."""
 
 
 class SqlStore(SqlJobs, SqlItems, FleetTables):

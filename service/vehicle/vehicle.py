@@ -23,10 +23,10 @@ from mavcal.service.vehicle.channels import Channels, LinkChannel
 from mavcal.service.vehicle.events import VehicleEventKind
 from mavcal.service.vehicle.heard import STATE_IDS, VERSION_ID
 from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
-from mavcal.service.vehicle.ledger import StreamLedger
 from mavcal.service.vehicle.listing import ParameterSet, Progress, list_all
 from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.parameters import Parameters
+from mavcal.service.vehicle.port_rates import PortRates
 from mavcal.service.vehicle.refusal import refuse
 from mavcal.service.vehicle.state import (
     Refusal,
@@ -108,7 +108,7 @@ class Vehicle:
         """The vehicle that this one turned out to be, over another link."""
         self.gone = False
         """Whether it was closed."""
-        self.streams = StreamLedger()
+        self.streams = PortRates()
         self._replaced = ""
         self.heartbeat = heartbeat
         """The last one heard at this address, be it of another unit."""

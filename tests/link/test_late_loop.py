@@ -11,11 +11,11 @@ import pytest
 
 from mavcal.calib.wire import ParamType
 from mavcal.service.errors import VehicleArmed, WriteStopped
-from mavcal.service.jobs.guard import WriteGuard
-from mavcal.service.jobs.vehicle_adapter import VehicleAdapter
+from mavcal.service.jobs.write.guard import WriteGuard
 from mavcal.service.link import Link
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.vehicle import Vehicle, VehicleEventKind, VehicleRegistry
+from mavcal.service.vehicle.job_vehicle import JobVehicle
 from mavcal.service.vehicle.state import SILENT_S
 from tests.patience import scaled
 
@@ -55,7 +55,7 @@ async def vehicle(sim: SimulatedVehicle, told: list[VehicleEventKind], tmp_path:
 async def test_a_healthy_vehicle_is_written_to_although_the_loop_is_late(
     sim: SimulatedVehicle, vehicle: Vehicle, told: list[VehicleEventKind]
 ) -> None:
-    guard = WriteGuard(VehicleAdapter(vehicle), 0.05)
+    guard = WriteGuard(JobVehicle(vehicle), 0.05)
 
     async def write() -> None:
         for step in range(3):
@@ -86,7 +86,7 @@ async def test_nothing_is_sent_to_a_vehicle_that_armed_while_the_loop_was_late(
 async def test_what_came_and_went_while_the_loop_was_late_stops_a_write(
     sim: SimulatedVehicle, vehicle: Vehicle, what: str, said: str
 ) -> None:
-    guard = WriteGuard(VehicleAdapter(vehicle), 0.05)
+    guard = WriteGuard(JobVehicle(vehicle), 0.05)
     if what == "arm":
         sim.call("arm")
         sim.wait(4.0)
@@ -104,7 +104,7 @@ async def test_a_restart_while_the_loop_was_late_stops_a_write(sim: SimulatedVeh
     async with asyncio.timeout(scaled(30)):
         while (vehicle.state.boot_time or 0.0) < 12.0:  # noqa: ASYNC110 - up for longer than the loop is late
             await asyncio.sleep(0.05)
-    guard = WriteGuard(VehicleAdapter(vehicle), 0.05)
+    guard = WriteGuard(JobVehicle(vehicle), 0.05)
     sim.call("reboot")
     time.sleep(2.0)  # noqa: ASYNC251
     with pytest.raises(WriteStopped, match="restarted by itself"):

@@ -2,7 +2,7 @@
 
 ``python -m tests.service.instance_process DATA_DIR DATABASE_URL LINK ACTION POINT OCCURRENCE HOW``. ACTION is ``apply``
 (calibrate the gyroscopes and accept the plan) or ``own`` (only take part). POINT is one of
-:class:`service.jobs.crashpoints.At`; at its OCCURRENCE the process gets the signal HOW, as from outside.
+:class:`service.jobs.core.crashpoints.At`; at its OCCURRENCE the process gets the signal HOW, as from outside.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import sys
 from pathlib import Path
 
 from mavcal.service.core import Service, running_service
-from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.model import Accept
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.crashpoints import At
+from mavcal.service.jobs.core.model import Accept
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.settings import Settings
 from tests.patience import scaled
 from tests.service.jobs_bench import eventually

@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.core.crashpoints import CrashPoint, no_crash
+from mavcal.service.jobs.core.model import Accept, Job
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import JobState
-from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link import Link
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store import SqliteStore
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
+from mavcal.service.vehicle.job_vehicle import VehicleSource
 from tests.patience import scaled
 
 SPEED = 10.0
@@ -63,14 +63,14 @@ async def eventually(condition: Callable[[], bool], seconds: float = 20.0) -> No
 
 @asynccontextmanager
 async def session(
-    folder: Path, url: str, *, reach: CrashPoint = nowhere, settings: JobSettings = QUICK, yield_s: float = 30.0
+    folder: Path, url: str, *, reach: CrashPoint = no_crash, settings: JobSettings = QUICK, yield_s: float = 30.0
 ) -> AsyncIterator[Session]:
     """The service on a data directory, until its vehicle is known; stopped in an orderly way at the end."""
     store = SqliteStore(folder)
     registry = VehicleRegistry(yield_s=yield_s)
     link = Link("bench", url, tlog_dir=folder / "tlogs")
     registry.attach(link)
-    engine = JobEngine(store, RegistryAdapter(registry), reach=reach, settings=settings)
+    engine = JobEngine(store, VehicleSource(registry), reach=reach, settings=settings)
     try:
         await link.open()
         await engine.start()

@@ -2,7 +2,7 @@
 
 ``python -m tests.service.jobs_process DATA_DIR URL ACTION POINT OCCURRENCE``. ACTION is ``capture`` (start a gyro job),
 ``apply`` (accept the plan of the newest job), ``revert`` or ``resume`` (only what the store holds). POINT is one
-of :class:`service.jobs.crashpoints.At`; at its OCCURRENCE the process gets SIGKILL, as from outside.
+of :class:`service.jobs.core.crashpoints.At`; at its OCCURRENCE the process gets SIGKILL, as from outside.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 
 from bench.campaign.cli_process import killer
-from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.crashpoints import At
+from mavcal.service.jobs.core.states import ENDED, JobState
 
 from .jobs_bench import Session, session
 

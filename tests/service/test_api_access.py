@@ -15,9 +15,9 @@ import structlog
 
 from mavcal.service.api.throttle import AT_ONCE
 from mavcal.service.app import create_app
-from mavcal.service.jobs.codec import row_from_job
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.codec import row_from_job
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.store import SqliteStore
 from tests.patience import scaled
 

@@ -148,23 +148,23 @@ async def test_stopping_kills_what_runs(tmp_path):
     async with children(tmp_path) as c:
         running = asyncio.create_task(c.run(f"{TASKS}:spin_in_c", {"pid": str(tmp_path / "pid")}, PLENTY))
         pid = await pid_in(tmp_path / "pid")
-        nursery = c.nursery_pid
-        assert nursery is not None
+        fork_server = c.fork_server_pid
+        assert fork_server is not None
         await c.stop()
         await gone(pid)
-        assert not alive(nursery)
+        assert not alive(fork_server)
         with pytest.raises(ChildEnded):
             await running
         with pytest.raises(ChildEnded):
             await c.run(f"{TASKS}:echo", {}, PLENTY)
 
 
-async def test_children_die_with_their_nursery_and_a_new_one_serves(tmp_path):
+async def test_children_die_with_their_fork_server_and_a_new_one_serves(tmp_path):
     async with children(tmp_path) as c:
         running = asyncio.create_task(c.run(f"{TASKS}:spin_in_c", {"pid": str(tmp_path / "pid")}, PLENTY))
         pid = await pid_in(tmp_path / "pid")
-        assert c.nursery_pid is not None
-        os.kill(c.nursery_pid, signal.SIGKILL)
+        assert c.fork_server_pid is not None
+        os.kill(c.fork_server_pid, signal.SIGKILL)
         with pytest.raises(ChildEnded, match="ended"):
             await running
         await gone(pid)

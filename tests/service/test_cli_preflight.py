@@ -15,7 +15,7 @@ import pytest
 
 from mavcal.service.commands.output import EXIT_PART
 from mavcal.service.commands.preflight import FIXABLE
-from mavcal.service.jobs.fixing import Fixable
+from mavcal.service.fixing import Fixable
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from mavcal.calib.firmware.values import shown
-from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.core.crashpoints import At
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 

@@ -16,7 +16,7 @@ from bench.running import RunningService
 from mavcal.client import Client
 from mavcal.client.jobs import JobModel, ResultModel
 from mavcal.service.cli import cli
-from mavcal.service.jobs.states import ENDED
+from mavcal.service.jobs.core.states import ENDED
 from mavcal.service.store.sqlite import SqliteStore
 from tests.patience import scaled
 from tests.service.gap_tables import write_table

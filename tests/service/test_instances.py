@@ -17,9 +17,9 @@ from mavcal.service.core import Service, running_service
 from mavcal.service.errors import JobElsewhere, LinkElsewhere, VehicleConflict
 from mavcal.service.instances.leases import Leases, Owner
 from mavcal.service.instances.ownership import vehicle_subject
-from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.crashpoints import At
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 

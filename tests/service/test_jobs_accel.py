@@ -8,7 +8,7 @@ import pytest
 
 from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.calib.report import to_json
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from tests.patience import scaled
 

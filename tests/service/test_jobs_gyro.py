@@ -7,9 +7,9 @@ import pytest
 
 from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.service.errors import PhysicalJobRunning, PlanChanged, VehicleArmed
-from mavcal.service.jobs.digest import JobFitRequest, fit_segments
-from mavcal.service.jobs.model import Accept, Failure, Result
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.calibrate.digest import JobFitRequest, fit_segments
+from mavcal.service.jobs.core.model import Accept, Failure, Result
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 
 from .jobs_bench import GYRO_OFFSETS, SPEED, Session, eventually, session, stored, zero_gyro_offsets
@@ -69,8 +69,8 @@ async def test_gyro_from_start_to_proof_and_back(tmp_path: Path, sim: SimulatedV
         assert stored(sim) == before
 
         # Nothing is left switched on that was off before.
-        await eventually(lambda: not bench.engine._tidying.tasks)
-        assert bench.engine.book.handle(job.id).written().intervals == {}
+        await eventually(lambda: not bench.engine._rates.tasks)
+        assert bench.engine.book.handle(job.id).write_record().intervals == {}
 
 
 async def test_accepted_but_not_applied_is_caught_and_taken_back(tmp_path: Path, sim: SimulatedVehicle) -> None:
@@ -166,12 +166,12 @@ async def cancelled(bench: Session) -> float:
     with pytest.raises(PhysicalJobRunning):
         await bench.engine.submit(bench.vehicle.id, "gyro")
     await eventually(lambda: bench.engine.get(job.id).prompt is not None)
-    changed = set(bench.engine.book.handle(job.id).written().intervals)
+    changed = set(bench.engine.book.handle(job.id).write_record().intervals)
     assert changed
     loop_time = bench.vehicle.clock()
     job = await bench.engine.cancel(job.id)
     assert job.state == JobState.CANCELLED
-    await eventually(lambda: not bench.engine.book.handle(job.id).written().intervals)
+    await eventually(lambda: not bench.engine.book.handle(job.id).write_record().intervals)
     took = bench.vehicle.clock() - loop_time
     await eventually(lambda: bool(bench.engine.get(job.id).segments))
     return took

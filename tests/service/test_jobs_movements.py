@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.calib.fit import FitResult
 from mavcal.calib.report import to_json
-from mavcal.service.jobs.digest import JobFitRequest, fit_segments
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.calibrate.digest import JobFitRequest, fit_segments
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from tests.patience import scaled
 

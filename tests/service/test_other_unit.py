@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.simvehicle import SimulatedVehicle, free_udp_port
 from tests.patience import scaled
 

@@ -18,9 +18,9 @@ from mavcal.calib.preflight.check import CheckId, Report, Verdict
 from mavcal.calib.recording import Sensor
 from mavcal.calib.report import to_json
 from mavcal.service.errors import PhysicalJobRunning, PreflightRunning, VehicleArmed
-from mavcal.service.jobs.codec import row_from_job
-from mavcal.service.jobs.model import Job, Result
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.codec import row_from_job
+from mavcal.service.jobs.core.model import Job, Result
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store.rows import SnapshotPurpose
 

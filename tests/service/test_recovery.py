@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.crashpoints import At
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 
@@ -61,7 +61,7 @@ async def test_killed_in_the_capture_and_in_the_write(tmp_path: Path, sim: Simul
     assert steps[-1] == JournalStep.CLOSED
 
     async with session(tmp_path, sim.url) as bench:
-        assert bench.engine.book.handle(bench.engine.list()[-1].id).written().intervals == {}
+        assert bench.engine.book.handle(bench.engine.list()[-1].id).write_record().intervals == {}
 
 
 @pytest.mark.long

@@ -8,9 +8,9 @@ import pytest
 
 from mavcal.calib.preflight.check import CheckId, Verdict
 from mavcal.service.errors import NothingVerified
-from mavcal.service.jobs.model import Accept
-from mavcal.service.jobs.ready import readiness_of
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Accept
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.jobs.write.readiness import readiness_of
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 

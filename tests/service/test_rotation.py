@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mavcal.service import rotation
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 
 from .api_bench import Api, api

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bench.sequence import KINDS, sequence, table
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 
 
 @pytest.mark.long

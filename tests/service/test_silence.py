@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 
 from .jobs_bench import eventually, session

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bench.slowlink import LIMIT_S, WIRES, timed
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 from tests.patience import scaled
 
 pytestmark = pytest.mark.timeout(240)

@@ -16,7 +16,7 @@ import pytest
 
 from mavcal.calib.errors import CalibError
 from mavcal.service.core import Service, running_service
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.lifetime import ending_with_us
 from mavcal.service.workers.paths import moved
 from mavcal.service.workers.queue import lock_of
@@ -101,7 +101,7 @@ async def test_a_worker_fits_and_diagnoses_and_says_what_it_refuses(tmp_path: Pa
             await until(service, gap.id, *ENDED)
             assert service.jobs.get(gap.id).state == JobState.SUCCEEDED
             assert b"verdict" in (await service.jobs.document(gap.id, "report.json")).body
-            assert service.children.nursery_pid is not None  # uploads are read here; nothing else was
+            assert service.children.fork_server_pid is not None  # uploads are read here; nothing else was
     assert rows(database_url, "SELECT id FROM computations") == []
     assert rows(database_url, "SELECT id FROM procrastinate_jobs") == []
 

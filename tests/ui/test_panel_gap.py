@@ -10,10 +10,10 @@ from playwright.sync_api import expect
 from mavcal.calib.gap.schema import as_json
 from mavcal.calib.gap_report import gap_to_html, verdict_sentence
 from mavcal.service.computations import PAGE, REPORT
-from mavcal.service.jobs.codec import row_from_job
-from mavcal.service.jobs.computing import GAP
-from mavcal.service.jobs.model import Job, Result
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.codec import row_from_job
+from mavcal.service.jobs.core.model import Job, Result
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.jobs.uploads.computing import GAP
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import JobDocument
 from tests.unit.gap_report.flown import drag_flight, weak_motor, windy_null

@@ -10,13 +10,13 @@ from mavcal.calib.firmware.plan import Change, Loss, ParameterKind, WritePlan
 from mavcal.calib.recording import Sensor
 from mavcal.calib.review import effects_of, headline_of, picture_of
 from mavcal.service.exports import export
-from mavcal.service.jobs.codec import row_from_job
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.codec import row_from_job
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.store.rows import SnapshotPurpose
 from tests.stores import new_store
 from tests.unit.firmware.conftest import *  # noqa: F403 - the parameters and fits of the firmware's tests
-from tests.unit.jobs.test_codec import FINGERPRINT, VERIFICATION
+from tests.unit.jobs.core.test_codec import FINGERPRINT, VERIFICATION
 
 EVIL = '<script>alert("x")</script>'
 

@@ -11,7 +11,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.service import hand as module
 from mavcal.service.errors import HandBusy, LinkDown, NotSimulated
 from mavcal.service.hand import MOMENT_S, SimulatedHands
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.link import Hand
 from mavcal.service.simvehicle import ControlError
 from tests.unit.api import samples

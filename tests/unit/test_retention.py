@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.jobs import states
+from mavcal.service.jobs.core import states
 from mavcal.service.retention import DAY_S, Retention
 from mavcal.service.settings import RetentionSettings
 from mavcal.service.store import SqliteStore, sql
@@ -97,7 +97,7 @@ async def test_a_sweep_that_is_asked_for_comes_at_once(store: SqliteStore, tmp_p
     running = asyncio.create_task(swept.run())
     await asyncio.sleep(0.05)
     swept.open_files = lambda: ()
-    swept.grown.set()
+    swept.sweep_now.set()
     async with asyncio.timeout(scaled(5)):
         while old.exists():  # noqa: ASYNC110 - another thread removes it
             await asyncio.sleep(0.01)
@@ -153,7 +153,7 @@ async def test_a_file_that_grew_at_the_moment_of_the_stop_does_not_keep_it_going
     await swept.wait()
     for _ in range(10):  # it waits for the next time
         await asyncio.sleep(0)
-    kept.grown.set()
+    kept.sweep_now.set()
     for _ in range(steps):
         await asyncio.sleep(0)
     task.cancel()

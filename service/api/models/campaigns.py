@@ -12,9 +12,9 @@ from mavcal.service.api.models.fleet import Tag
 from mavcal.service.api.models.jobs import DocumentModel
 from mavcal.service.api.models.plans import PlanOptions
 from mavcal.service.api.models.preflight import PreflightModel
-from mavcal.service.jobs.campaigns import MOST_ITEMS
-from mavcal.service.jobs.items import ItemOutcome
-from mavcal.service.jobs.states import JobState
+from mavcal.service.campaigns.campaigns import MOST_ITEMS
+from mavcal.service.campaigns.items import ItemOutcome
+from mavcal.service.jobs.core.states import JobState
 
 Ids = Annotated[list[Annotated[str, Field(max_length=100)]], Field(min_length=1, max_length=MOST_ITEMS)]
 VEHICLES = "ids of `/vehicles`, or `all` that are heard now"

@@ -12,9 +12,9 @@ from mavcal.service.api.models.jobs import OutcomeModel, VehicleReadinessModel, 
 from mavcal.service.api.models.links import LinkModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
 from mavcal.service.api.models.vehicles import VehicleModel
-from mavcal.service.jobs.items import ItemOutcome
-from mavcal.service.jobs.proof import ProofLevel
-from mavcal.service.jobs.states import JobState
+from mavcal.service.campaigns.items import ItemOutcome
+from mavcal.service.jobs.core.proof import ProofLevel
+from mavcal.service.jobs.core.states import JobState
 
 
 class _Event(BaseModel):

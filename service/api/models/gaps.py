@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import BaseModel, Field
 
 from mavcal.service.api.models.base import Json, Request, Stamp
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 
 
 class GapRequest(Request):

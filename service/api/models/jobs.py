@@ -13,9 +13,9 @@ from mavcal.service.api.models.fits import FitModel
 from mavcal.service.api.models.plans import LeftOutModel, PlanModel, PlanOptions, VerificationModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
 from mavcal.service.api.models.wire import Wire
-from mavcal.service.jobs.model import Attempt, Standing
-from mavcal.service.jobs.proof import ProofLevel
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Attempt, Standing
+from mavcal.service.jobs.core.proof import ProofLevel
+from mavcal.service.jobs.core.states import JobState
 
 
 class JobRequest(Request):

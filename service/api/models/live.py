@@ -10,7 +10,7 @@ from mavcal.calib.firmware.stream.rates import INERTIAL_HZ, LIVE_MOST_HZ
 from mavcal.calib.recording import Sensor
 from mavcal.service.api.models.base import Attitude, Number, Request
 from mavcal.service.api.models.wire import Wire
-from mavcal.service.jobs.live_rates import LiveStatus
+from mavcal.service.rates.watching import LiveStatus
 
 
 class WatchRequest(Request):

@@ -9,8 +9,8 @@ from pydantic import BaseModel, Field
 from mavcal.calib.preflight.check import Check, Verdict
 from mavcal.service.api.models.base import Json, Request, Stamp
 from mavcal.service.api.models.wire import Wire
-from mavcal.service.jobs.fixing import Fixable
-from mavcal.service.jobs.states import JobState
+from mavcal.service.fixing import Fixable
+from mavcal.service.jobs.core.states import JobState
 
 
 class PreflightRequest(Request):

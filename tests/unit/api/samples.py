@@ -27,9 +27,9 @@ from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
-from mavcal.service.jobs.model import Accept, Attempt, Failure, Holds, Job, LogSpan, Result, Standing, WriteResult
-from mavcal.service.jobs.proof import ProofLevel, Unproved
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Accept, Attempt, Failure, Holds, Job, LogSpan, Result, Standing, WriteResult
+from mavcal.service.jobs.core.proof import ProofLevel, Unproved
+from mavcal.service.jobs.core.states import JobState
 
 FINGERPRINT = Fingerprint("px4", "0002aa", "1.17.0", (("CAL_GYRO0_ID", 7), ("CAL_ACC0_ID", 8)))
 PROMPT = Prompt(

@@ -23,9 +23,9 @@ from mavcal.service.api.models import (
 )
 from mavcal.service.api.models.base import Number
 from mavcal.service.api.views import job_model, job_summary, plan_model, procedure_model
-from mavcal.service.jobs.codec import to_json
-from mavcal.service.jobs.model import Unwritten
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.codec import to_json
+from mavcal.service.jobs.core.model import Unwritten
+from mavcal.service.jobs.core.states import JobState
 
 from . import samples
 

@@ -4,8 +4,8 @@ import pytest
 
 from mavcal.service.api.paging import page_of
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import JobState
 
 JOBS = [Job(f"j{i}", "v", "gyro", {}, JobState.FAILED, float(i), float(i)) for i in range(7)]
 

@@ -23,8 +23,8 @@ from mavcal.service.errors import (
     ServiceError,
     VehicleUnknown,
 )
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.link import LinkState
 from mavcal.service.settings import ApiKey, Settings
 from mavcal.service.store import SqliteStore

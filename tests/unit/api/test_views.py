@@ -31,9 +31,9 @@ from mavcal.service.api.views import (
     sensors_model,
     vehicle_model,
 )
-from mavcal.service.jobs.items import Item, ItemOutcome
-from mavcal.service.jobs.model import Failure
-from mavcal.service.jobs.states import JobState
+from mavcal.service.campaigns.items import Item, ItemOutcome
+from mavcal.service.jobs.core.model import Failure
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.link.types import LinkState, LinkStatistics
 from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow

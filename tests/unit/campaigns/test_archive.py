@@ -13,16 +13,16 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.service.campaigns import archive as module
 from mavcal.service.campaigns import uploads, worker
 from mavcal.service.campaigns.archive import FolderFits, FolderGaps, archive, campaign_of
+from mavcal.service.campaigns.campaigns import CAMPAIGN, ItemTurn
 from mavcal.service.campaigns.executors import Workers
+from mavcal.service.campaigns.items import Item, ItemOutcome, item_from_row
 from mavcal.service.campaigns.uploads import UploadFits, UploadGaps
 from mavcal.service.children import DIAGNOSE, FIT, Limits
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.errors import ChildEnded, ChildrenBusy, JobUnknown
-from mavcal.service.jobs.campaigns import CAMPAIGN, Errand
-from mavcal.service.jobs.items import Item, ItemOutcome, item_from_row
-from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.port import Diagnosis
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.jobs.uploads.computations import Diagnosis
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import JobDocument, JobRow
 from tests.unit.api import samples
@@ -46,9 +46,9 @@ class Inline(Executor):
         return future
 
 
-def errand(options: dict[str, Any], subject: str = "a/b.bin", number: int = 3) -> Errand:
+def turn(options: dict[str, Any], subject: str = "a/b.bin", number: int = 3) -> ItemTurn:
     campaign = Job("c", None, CAMPAIGN, {"folder": "/logs", **options}, JobState.RUNNING, 0.0, 0.0)
-    return Errand(campaign, Item(number, subject), None, again=False)  # type: ignore[arg-type]
+    return ItemTurn(campaign, Item(number, subject), None, again=False)  # type: ignore[arg-type]
 
 
 def work(kind: Any, answer: Any) -> tuple[Any, Inline]:
@@ -61,7 +61,7 @@ FIT_OPTIONS = {"method": "gyro-rest", "options": {"instance": 0}, "reading": {"u
 
 async def test_a_method_is_run_on_the_file_of_the_item() -> None:
     fits, executor = work(FolderFits, {"done": {"fits": FITS}, "sha256": "ab", "seconds": 1.5})
-    end = await fits.run(errand(FIT_OPTIONS))
+    end = await fits.run(turn(FIT_OPTIONS))
     [(task, order, limits)] = executor.asked
     assert (task, limits) == (FIT, LIMITS)
     assert (order["path"], order["reading"]) == ("/logs/a/b.bin", {"unit_accel": "g"})
@@ -74,14 +74,14 @@ async def test_a_method_is_run_on_the_file_of_the_item() -> None:
 async def test_a_file_that_cannot_be_computed_fails_without_its_folder(kind: Any) -> None:
     error = {"code": "invalid-input", "text": "in /logs/a/b.bin"}
     failing, _ = work(kind, {"error": error})
-    end = await failing.run(errand({**FIT_OPTIONS, "sim": None, "nominal": []}))
+    end = await failing.run(turn({**FIT_OPTIONS, "sim": None, "nominal": []}))
     assert (end.outcome, end.code, end.text) == (ItemOutcome.FAILED, "invalid-input", "In a/b.bin")
 
 
 async def test_a_file_is_diagnosed_beside_the_same_files_as_all_others() -> None:
     done = {"report": REPORT_OF, "page": "<html>", "summary": "It is explained."}
     gaps, executor = work(FolderGaps, {"done": done, "sha256": "ab", "seconds": 2.0})
-    end = await gaps.run(errand({"sim": "/sim.csv", "nominal": ["/n1.csv", "/n2.csv"], "reading": None}))
+    end = await gaps.run(turn({"sim": "/sim.csv", "nominal": ["/n1.csv", "/n2.csv"], "reading": None}))
     [(task, order, _)] = executor.asked
     assert task == DIAGNOSE
     assert [order[role]["path"] for role in ("real", "sim")] == ["/logs/a/b.bin", "/sim.csv"]
@@ -94,7 +94,7 @@ async def test_a_file_is_diagnosed_beside_the_same_files_as_all_others() -> None
     }
     assert json.loads(end.documents[0].body) == REPORT_OF
     alone, executor = work(FolderGaps, {"done": done, "sha256": "ab", "seconds": 2.0})
-    await alone.run(errand({"sim": None, "nominal": []}))
+    await alone.run(turn({"sim": None, "nominal": []}))
     assert executor.asked[0][1]["sim"] is None
 
 
@@ -196,14 +196,14 @@ class Computes:
 async def test_an_upload_waits_until_a_child_is_free(monkeypatch: pytest.MonkeyPatch, busy: int) -> None:
     monkeypatch.setattr(uploads, "_PAUSE_S", 0.0)
     computes = Computes(busy)
-    end = await UploadFits(computes, asyncio.Semaphore(1)).run(errand(FIT_OPTIONS, "r1"))  # type: ignore[arg-type]
+    end = await UploadFits(computes, asyncio.Semaphore(1)).run(turn(FIT_OPTIONS, "r1"))  # type: ignore[arg-type]
     assert computes.asked == [("r1", "gyro-rest", {"instance": 0})] * (busy + 1)
     assert end.outcome is ItemOutcome.DONE
     assert end.result is not None
     assert end.result["fits"][0]["method"] == "thermal-poly"
     computes = Computes(busy)
     options = {"sim": "s", "nominal": ["n"]}
-    end = await UploadGaps(computes, asyncio.Semaphore(1)).run(errand(options, "r1"))  # type: ignore[arg-type]
+    end = await UploadGaps(computes, asyncio.Semaphore(1)).run(turn(options, "r1"))  # type: ignore[arg-type]
     assert computes.asked == [("r1", "s", ["n"])] * (busy + 1)
     assert (end.text, [d.name for d in end.documents]) == ("So it is.", [f"item-3-{PAGE}", f"item-3-{REPORT}"])
 

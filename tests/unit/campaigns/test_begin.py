@@ -9,9 +9,9 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.service.campaigns.begin import CampaignDesk
+from mavcal.service.campaigns.campaigns import CampaignTask
 from mavcal.service.campaigns.selection import Selection
 from mavcal.service.errors import RecordingUnknown
-from mavcal.service.jobs.campaigns import CampaignTask
 from mavcal.service.store.rows import RecordingRow
 
 UPLOADS = [RecordingRow(f"r{k}", 1.0, f"flight {k}.bin", Path(f"/up/r{k}"), 1, "ab", {}) for k in range(4)]
@@ -22,8 +22,7 @@ class Desk:
 
     def __init__(self):
         self.begun, self.checked = [], []
-        engine = SimpleNamespace(campaigns=SimpleNamespace(begin=self.begin))
-        self.desk = CampaignDesk(engine, SimpleNamespace(check=self.check))
+        self.desk = CampaignDesk(SimpleNamespace(begin=self.begin), SimpleNamespace(check=self.check))
 
     async def begin(self, task, options, subjects, *, attended):
         self.begun.append((task, options, subjects, attended))

@@ -4,11 +4,11 @@ import csv
 import io
 from dataclasses import dataclass
 
+from mavcal.service.campaigns.items import Item, ItemOutcome
 from mavcal.service.campaigns.outcome import COLUMNS, head, lines
 from mavcal.service.campaigns.selection import Selection, selected
 from mavcal.service.commands.campaign import OUTCOMES
 from mavcal.service.commands.campaign_told import exit_code
-from mavcal.service.jobs.items import Item, ItemOutcome
 
 
 def read(text: str) -> list[dict[str, str]]:

@@ -12,18 +12,18 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict
-from mavcal.service.campaigns.begin import CalibrationOrder, CampaignDesk, works
+from mavcal.service.campaigns.begin import CalibrationOrder, CampaignDesk, running_campaigns
+from mavcal.service.campaigns.campaigns import CAMPAIGN, CampaignTask
+from mavcal.service.campaigns.items import Item, ItemOutcome, item_from_row, row_from_item
 from mavcal.service.campaigns.selection import Selection
 from mavcal.service.campaigns.vehicles import BEGUN_BY, of_preflight
 from mavcal.service.errors import Forbidden, VehicleArmed
-from mavcal.service.jobs.campaigns import CAMPAIGN, CampaignTask
-from mavcal.service.jobs.codec import from_json, row_from_job
+from mavcal.service.jobs.core.codec import from_json, row_from_job
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.model import Accept, Attempt, Failure, Job, Result, Unwritten, WriteResult
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.items import Item, ItemOutcome, item_from_row, row_from_item
-from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, Result, Unwritten, WriteResult
-from mavcal.service.jobs.preflight import Preflight
-from mavcal.service.jobs.states import JobState
+from mavcal.service.preflights import Preflight
 from mavcal.service.store import SqliteStore
 from tests.unit.jobs.conftest import OLD, QUICK, make_plan, until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
@@ -116,11 +116,11 @@ async def life(
     engine._runner.calibrate = work  # type: ignore[method-assign]
     applies = Applies(engine)
     engine.apply = applies  # type: ignore[method-assign, assignment]
-    engine.campaigns.works |= works(engine, registry, engine._computations)
+    campaigns = running_campaigns(engine, registry, engine._computations)
     before(engine)
     await engine.start()
     try:
-        yield Life(engine, CampaignDesk(engine, engine._computations), vehicles, work, applies)
+        yield Life(engine, CampaignDesk(campaigns, engine._computations), vehicles, work, applies)
     finally:
         await engine.stop()
         store.close()
@@ -184,7 +184,7 @@ async def test_a_vehicle_that_is_armed_when_its_plan_is_written_keeps_the_plan()
 async def test_a_write_in_doubt_is_told_and_not_waited_for_for_ever() -> None:
     async with life("a", "b") as at:
         at.applies.to = JobState.IN_DOUBT
-        work: Any = at.engine.campaigns.works[CampaignTask.CALIBRATE]
+        work: Any = at.desk.campaigns.works[CampaignTask.CALIBRATE]
         work.doubt_s = 0.2
         items = await at.ended(await at.calibrate(APPLY))
         assert [i.outcome.value for i in items] == ["in_doubt", "in_doubt"]
@@ -207,7 +207,7 @@ async def test_cancelling_ends_captures_and_leaves_reviews() -> None:
         job = await at.calibrate()
         await until(lambda: at.items(job)[2].outcome == ItemOutcome.REVIEW)
         await at.engine.cancel(job.id)
-        await until(lambda: not at.engine._tasks.running)
+        await until(lambda: not at.engine.tasks.running)
         items = at.items(job)
         assert [i.outcome.value for i in items] == ["review", "cancelled", "review"]
         (ended,) = (j for j in at.engine.list() if j.vehicle_id == "b")
@@ -287,7 +287,7 @@ async def test_what_makes_no_sense_is_refused_before_anything_begins() -> None:
         ):
             with pytest.raises(InvalidInputError):
                 await at.calibrate(order)
-        never = CampaignDesk(at.engine, at.engine._computations, read_only=True)
+        never = CampaignDesk(at.desk.campaigns, at.engine._computations, read_only=True)
         with pytest.raises(Forbidden, match="--read-only"):
             await never.calibrate(at.vehicles.values(), Selection(), APPLY)
         with pytest.raises(InvalidInputError, match="no vehicle is selected"):

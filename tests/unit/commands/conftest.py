@@ -8,7 +8,7 @@ import pytest
 
 from mavcal.service import core
 from mavcal.service.commands import headless
-from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.core.model import Job
 from tests.unit.commands.doubles import FakeService, KeptScreen
 
 

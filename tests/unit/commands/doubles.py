@@ -13,8 +13,8 @@ from mavcal.client.jobs import JobModel
 from mavcal.service.api.views import job_model
 from mavcal.service.commands.screen import Screen
 from mavcal.service.errors import JobUnknown, VehicleUnknown
-from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Accept, Job
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.link_registry import link_id_of
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import EventRow, JobRow

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 from mavcal.client.enums import JobState as ClientState
 from mavcal.service.commands import accept, answer, cancel, follow, revert
 from mavcal.service.commands.review import JobWish
-from mavcal.service.jobs.model import Accept, Failure, Result
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Accept, Failure, Result
+from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import FakeVehicle, of_service, plain
 from tests.unit.commands.test_review import BLOCKED, EMPTY, FULL, HALF, PLAN
 
@@ -155,7 +155,7 @@ def settled(monkeypatch):
     async def at_once(jobs, job_id):
         return jobs.get(job_id)
 
-    monkeypatch.setattr("mavcal.service.jobs.fixing.settled", at_once)
+    monkeypatch.setattr("mavcal.service.fixing.wait_for_job", at_once)
 
 
 @pytest.mark.usefixtures("settled")
@@ -195,7 +195,7 @@ async def test_an_older_write_waits_for_a_newer_one_that_is_not_taken_back(make_
     async def stuck(_jobs, job_id):
         return plain(job_id, JobState.IN_DOUBT, outcome=Failure("in-doubt", "It fell silent", "Switch it on"))
 
-    monkeypatch.setattr("mavcal.service.jobs.fixing.settled", stuck)
+    monkeypatch.setattr("mavcal.service.fixing.wait_for_job", stuck)
     acted = await revert._all_writes(service, service.vehicles.get("v1"), 1.0)
     assert service.jobs.done == [("revert", "new")]
     assert not acted.good

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from mavcal.service.commands.review import JobWish
 from mavcal.service.errors import OtherVehicle
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import FakeVehicle, plain
 from tests.unit.commands.test_review import PLAN
 

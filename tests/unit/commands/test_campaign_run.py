@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import click
 import pytest
 
+from mavcal.service.campaigns.campaigns import CAMPAIGN
+from mavcal.service.campaigns.items import Item, ItemOutcome, row_from_item
 from mavcal.service.campaigns.vehicles import BEGUN_BY
 from mavcal.service.commands import campaign_run
 from mavcal.service.commands.campaign_run import VehicleWish, resumed
 from mavcal.service.errors import EndpointError, JobUnknown
-from mavcal.service.jobs.campaigns import CAMPAIGN
-from mavcal.service.jobs.items import Item, ItemOutcome, row_from_item
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import plain
 
 A, B = "udpin:0.0.0.0:14550", "tcp:b:5760"
@@ -95,9 +95,9 @@ class Campaigns:
 )
 async def test_a_stopped_campaign_is_resumed_and_a_running_one_followed(make_service, job, asked):
     service = make_service(job)
-    service.jobs.campaigns = Campaigns()
+    service.campaigns = SimpleNamespace(campaigns=Campaigns())
     assert (await resumed("c")(service, ())).id == "c"
-    assert service.jobs.campaigns.asked == asked
+    assert service.campaigns.campaigns.asked == asked
 
 
 async def test_a_campaign_that_there_is_not_is_an_error(make_service):
@@ -115,9 +115,9 @@ async def test_a_stopped_campaign_takes_its_captures_with_it_and_nothing_else(ma
         plain("foreign", JobState.RUNNING, context=others),
         plain("nobody's", JobState.RUNNING, context=SimpleNamespace(get=lambda _: None)),
     )
-    service.jobs.campaigns = Campaigns()
+    service.campaigns = SimpleNamespace(campaigns=Campaigns())
     await campaign_run._put_down(service, "c")
-    assert service.jobs.campaigns.asked == [("interrupt", "c")]
+    assert service.campaigns.campaigns.asked == [("interrupt", "c")]
     assert service.jobs.done == [("cancel", "capture")]
 
 
@@ -141,7 +141,7 @@ def run(make_service, screen, runs):
     async def of(begin):
         service = make_service()
         service.joined(A, "v1")
-        service.jobs.campaigns, service.store = Campaigns(), Ending(service.store)
+        service.campaigns, service.store = SimpleNamespace(campaigns=Campaigns()), Ending(service.store)
         runs(service)
         return service, await campaign_run._run(None, lambda *given: begin(service, *given), VehicleWish((A,)), screen)
 
@@ -172,7 +172,7 @@ async def test_a_campaign_that_a_signal_stops_can_be_resumed(run, screen, monkey
     monkeypatch.setattr(campaign_run, "followed", stopped)
     service, code = await run(begun(JobState.RUNNING))
     assert code == 128 + 15
-    assert service.jobs.campaigns.asked == [("interrupt", "c")]
+    assert service.campaigns.campaigns.asked == [("interrupt", "c")]
     assert screen.lines[-1] == "stopped: `mavcal campaign resume c` goes on with it"
     assert ("tidied",) in service.jobs.done
 

@@ -8,14 +8,14 @@ import click
 import pytest
 
 from mavcal.calib.procedures.protocol import Progress
+from mavcal.service.campaigns.campaigns import CAMPAIGN
+from mavcal.service.campaigns.items import Item, ItemOutcome, row_from_item
 from mavcal.service.commands import campaign_told
 from mavcal.service.commands.campaign_archive import is_of_folder
 from mavcal.service.commands.campaign_told import Telling, followed, show_items, tell
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.campaigns import CAMPAIGN
-from mavcal.service.jobs.items import Item, ItemOutcome, row_from_item
-from mavcal.service.jobs.model import Failure, Result
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Failure, Result
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import JobRow
 from tests.unit.commands.doubles import plain

@@ -14,7 +14,7 @@ from mavcal.service.cli import COMMANDS, main
 from mavcal.service.commands import audit, jobs
 from mavcal.service.commands.output import AnsweredNo
 from mavcal.service.errors import DataDirLocked, JobUnknown, LinkDown, VehicleSilent
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import of_service, plain
 
 

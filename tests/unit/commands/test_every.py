@@ -11,7 +11,7 @@ import pytest
 from mavcal.service.commands import every
 from mavcal.service.commands.every import Acted, Found, Whom, one_of, run_every, vehicles_of, with_each
 from mavcal.service.errors import VehicleArmed, VehicleSilent
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import FakeVehicle, plain
 
 A, B = "udpin:0.0.0.0:14550", "tcp:b:5760"

@@ -19,10 +19,10 @@ from mavcal.service.commands.headless import (
     told_of,
 )
 from mavcal.service.errors import VehicleSilent
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.model import Failure, Result
-from mavcal.service.jobs.recovery import unfinished
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.model import Failure, Result
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.unfinished import unfinished
 from tests.unit.commands.doubles import FakeVehicle, plain
 
 URL = "udpin:0.0.0.0:14550"

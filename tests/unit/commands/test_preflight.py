@@ -144,7 +144,7 @@ async def test_what_is_to_be_fixed_is_fixed_before_the_check(monkeypatch, screen
         asked.append(("preflight", vehicle_id, heading))
         return "report"
 
-    monkeypatch.setattr("mavcal.service.jobs.fixing.fixed", fixed)
+    monkeypatch.setattr("mavcal.service.fixing.fixed", fixed)
     monkeypatch.setattr("mavcal.service.api.views.preflight_model", lambda found, mended: (found, len(mended)))
     service = SimpleNamespace(jobs=SimpleNamespace(preflight=checked))
     wish = preflight._Wish(("gyro", "level"), 90.0)

@@ -14,8 +14,8 @@ from mavcal.client.events import StateData, StateEvent
 from mavcal.service.commands import keyboard, remote
 from mavcal.service.commands.output import AnsweredNo
 from mavcal.service.commands.remote import came_well, followed, one_of, rests, service_at, show_came_of
-from mavcal.service.jobs.model import Failure, Result
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.model import Failure, Result
+from mavcal.service.jobs.core.states import ENDED, JobState
 from tests.unit.api.samples import PLAN
 from tests.unit.commands.doubles import of_service, plain
 from tests.unit.commands.test_review import BLOCKED

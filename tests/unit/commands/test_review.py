@@ -16,10 +16,10 @@ from mavcal.service.commands import keyboard, review
 from mavcal.service.commands.keyboard import Keyboard
 from mavcal.service.commands.review import JobWish, exit_code, good, run_job, show_end, show_plan, taken_back, writable
 from mavcal.service.errors import AnswerRefused, PhysicalJobRunning
-from mavcal.service.jobs.model import Accept, Failure, Result
-from mavcal.service.jobs.proof import ProofLevel, Unproved
-from mavcal.service.jobs.recovery import unfinished
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Accept, Failure, Result
+from mavcal.service.jobs.core.proof import ProofLevel, Unproved
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.unfinished import unfinished
 from tests.unit.api.samples import FINGERPRINT
 from tests.unit.commands.doubles import FakeVehicle, plain
 

@@ -9,8 +9,8 @@ from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, Write
 from mavcal.service.commands.place import CommandPlace
 from mavcal.service.commands.review import show_end, show_plan
 from mavcal.service.commands.screen import Screen
-from mavcal.service.jobs.model import Failure, Job
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Failure, Job
+from mavcal.service.jobs.core.states import JobState
 
 
 def test_an_id_is_shown_with_all_its_digits(capsys: pytest.CaptureFixture[str]) -> None:

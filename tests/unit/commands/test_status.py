@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from mavcal.service.commands import recover, status
 from mavcal.service.commands.every import Found
 from mavcal.service.errors import VehicleSilent
-from mavcal.service.jobs.model import Result
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.model import Result
+from mavcal.service.jobs.core.states import JobState
 from tests.unit.api.test_views import a_vehicle
 from tests.unit.commands.doubles import plain
 

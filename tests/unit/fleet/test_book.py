@@ -19,11 +19,11 @@ from mavcal.calib.triad import TriadModel
 from mavcal.service.errors import StoreError, UnitUnknown
 from mavcal.service.fleet.book import PREFLIGHTS_KEPT, FleetBook, renamed
 from mavcal.service.fleet.records import last_preflight, records_of_job, records_of_rows
-from mavcal.service.jobs.codec import row_from_job
-from mavcal.service.jobs.model import Failure, Job, Result
-from mavcal.service.jobs.preflight import Preflight
-from mavcal.service.jobs.proof import ProofLevel
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.core.codec import row_from_job
+from mavcal.service.jobs.core.model import Failure, Job, Result
+from mavcal.service.jobs.core.proof import ProofLevel
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.preflights import Preflight
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.vehicle import VehicleRegistry

@@ -24,10 +24,10 @@ class Book:
         self.told: list[tuple[EventRow, JobRow | None]] = []
         self.changed = asyncio.Event()
 
-    def asks_for(self, event: EventRow) -> bool:
+    def needs_row(self, event: EventRow) -> bool:
         return event.job_id not in self.known
 
-    def seen(self, event: EventRow, row: JobRow | None) -> None:
+    def publish(self, event: EventRow, row: JobRow | None) -> None:
         self.told.append((event, row))
         self.changed.set()
 

@@ -13,7 +13,7 @@ import pytest
 from mavcal.service.errors import PortBusy, StoreError
 from mavcal.service.instances.leases import EVERY_INSTANCE, Owner
 from mavcal.service.instances.membership import ROUNDS_A_LEASE, Membership
-from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import JobRow, LinkRow
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind

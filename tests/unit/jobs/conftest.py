@@ -20,19 +20,19 @@ from mavcal.calib.firmware.plan import (
     snapshot_sha256,
 )
 from mavcal.calib.recording import Sensor
-from mavcal.service.jobs.crashpoints import At, nowhere
-from mavcal.service.jobs.guard import WriteGuard
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.port import ParameterReading
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import JobState
-from mavcal.service.jobs.transaction import Transaction
-from mavcal.service.jobs.write import Writing
+from mavcal.service.jobs.core.crashpoints import At, no_crash
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.model import Accept, Job
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import JobState
+from mavcal.service.jobs.write.context import WriteContext
+from mavcal.service.jobs.write.guard import WriteGuard
+from mavcal.service.jobs.write.transaction import Transaction
 from mavcal.service.store.postgres import PostgresStore
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.store.sql import SqlStore
+from mavcal.service.vehicle.job_vehicle import ParameterReading
 from tests.patience import scaled
 from tests.postgres import Server
 from tests.stores import made_by, new_store
@@ -141,15 +141,15 @@ class Bench:
     handle: JobHandle
     accept: Accept
     check: FakeCheck
-    reach: Callable[[At], None] = nowhere
+    reach: Callable[[At], None] = no_crash
     settings: JobSettings = QUICK
     before: dict[str, ParameterReading] = field(init=False)
 
     def __post_init__(self) -> None:
         self.before = dict(self.vehicle.parameters)
 
-    def attempt(self) -> Writing:
-        return Writing(self.handle, self.vehicle, self.plan, self.accept, self.check, self.settings, self.reach)
+    def attempt(self) -> WriteContext:
+        return WriteContext(self.handle, self.vehicle, self.plan, self.accept, self.check, self.settings, self.reach)
 
     @property
     def transaction(self) -> Transaction:
@@ -167,7 +167,7 @@ class Bench:
         """The service after a crash: only the store and the vehicle are left."""
         row = self.store.job(self.handle.id)
         assert row is not None
-        from mavcal.service.jobs.codec import job_from_row
+        from mavcal.service.jobs.core.codec import job_from_row
 
         handle = JobHandle(job_from_row(row), self.store, lambda _: None)
         return Bench(self.vehicle, self.store, self.plan, handle, self.accept, self.check)

@@ -14,7 +14,7 @@ from mavcal.calib.firmware.plan import ParameterKind, Value
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import CommandRefused, ParameterMissing, ParameterRejected, ParameterTimeout, VehicleUnknown
-from mavcal.service.jobs.port import Condition, FramesCallback, JobVehicle, ParameterReading, TlogPosition
+from mavcal.service.vehicle.job_vehicle import Condition, FramesCallback, JobVehicle, ParameterReading, TlogPosition
 
 FINE = Condition(armed=False, silent=False, reboots=0, calibrating=False, obstacles=(), conflict=None)
 

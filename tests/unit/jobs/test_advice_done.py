@@ -10,14 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.jobs.account import reverted
+from mavcal.service.jobs.core.model import Accept, Failure, Job
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.model import Accept, Failure, Job
-from mavcal.service.jobs.states import JobState
-
-from .conftest import OLD
-from .fakes import FakeVehicle
-from .test_engine import reviewed, running
+from mavcal.service.jobs.write.outcome import reverted
+from tests.unit.jobs.conftest import OLD
+from tests.unit.jobs.fakes import FakeVehicle
+from tests.unit.jobs.test_engine import reviewed, running
 
 ROOT = Path(__file__).resolve().parents[3]
 ADVICE = re.compile(
@@ -34,13 +33,13 @@ async def start(engine: JobEngine, job: Job) -> object:
 
 async def plan(engine: JobEngine, job: Job) -> object:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mavcal.service.jobs.engine.composed", _same_plan(job))
+        patch.setattr("mavcal.service.jobs.calibrate.without_capture.compose_plan", _same_plan(job))
         return await engine.plan_again(job.id)
 
 
 def _same_plan(job: Job) -> Callable[..., Awaitable[object]]:
     from mavcal.calib.recording import Identity
-    from mavcal.service.jobs.planning import Planned
+    from mavcal.service.jobs.calibrate.planning import Planned
 
     async def composed(*_: object) -> object:
         assert job.plan is not None
@@ -61,21 +60,20 @@ async def refit(engine: JobEngine, job: Job) -> object:
 R, F, N, V = JobState.REVIEW, JobState.FAILED, JobState.INTERRUPTED, JobState.REVERTED
 PLACES: dict[str, tuple[tuple[Do, tuple[JobState, ...]], ...]] = {
     # file: what its sentences advise, and the states in which they are read
-    "service/jobs/account.py": ((start, (V,)),),
-    "service/jobs/admission.py": ((apply, (R,)),),
-    "service/jobs/digest.py": ((start, (F,)),),
-    "service/jobs/ending.py": ((apply, (R,)),),
-    "service/jobs/needs.py": ((start, (R,)),),
-    "service/jobs/planning.py": ((start, (F,)),),
-    "service/jobs/salvage.py": ((start, (F,)),),
-    "service/jobs/runner.py": ((start, (F, N)), (refit, (N,))),
-    "service/jobs/transaction.py": ((apply, (R,)),),
-    "service/jobs/watch.py": ((start, (F, N)),),
-    "service/jobs/write.py": ((plan, (R,)),),
+    "service/jobs/write/outcome.py": ((start, (V,)), (apply, (R,))),
+    "service/jobs/write/accept.py": ((apply, (R,)),),
+    "service/jobs/calibrate/digest.py": ((start, (F,)),),
+    "service/jobs/core/parameters.py": ((start, (R,)),),
+    "service/jobs/calibrate/planning.py": ((start, (F,)),),
+    "service/jobs/core/codec.py": ((start, (F,)),),
+    "service/jobs/calibrate/runner.py": ((start, (F, N)), (refit, (N,))),
+    "service/jobs/write/transaction.py": ((apply, (R,)),),
+    "service/jobs/calibrate/watch.py": ((start, (F, N)),),
+    "service/jobs/write/steps.py": ((plan, (R,)),),
     "service/errors/jobs.py": ((plan, (R,)),),
     "calib/procedures/intake.py": ((start, (F,)),),
 }
-NAMES_A_COMMAND = {"service/jobs/campaigns.py"}
+NAMES_A_COMMAND = {"service/campaigns/campaigns.py"}
 """Tried on the command line (tests/service/test_campaigns_killed.py)."""
 
 
@@ -93,8 +91,8 @@ def texts(tree: ast.AST) -> Iterator[str]:
 
 def test_every_place_that_advises_is_tried_here() -> None:
     found = set()
-    for folder in ("service/jobs", "service/errors", "calib/procedures"):
-        for path in sorted((ROOT / folder).glob("*.py")):
+    for folder in ("service/jobs", "service/campaigns", "service/errors", "calib/procedures"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
             if any(ADVICE.search(text) for text in texts(ast.parse(path.read_text(encoding="utf-8")))):
                 found.add(str(path.relative_to(ROOT)))
     procedures = {name for name in found if name.startswith("calib/procedures/")}  # a job that gave up has failed

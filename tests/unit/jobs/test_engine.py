@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
@@ -29,18 +29,17 @@ from mavcal.service.errors import (
     VehicleSilent,
     VehicleUnknown,
 )
-from mavcal.service.jobs.codec import job_from_row, row_from_job
+from mavcal.service.jobs.core.codec import job_from_row, row_from_job
+from mavcal.service.jobs.core.journal import BY_OPERATOR, JournalStep
+from mavcal.service.jobs.core.model import Accept, Failure, Job, WriteResult
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
-from mavcal.service.jobs.model import Accept, Failure, Job, WriteResult
-from mavcal.service.jobs.states import JobState
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.store.sql import SqlStore
 from tests.stores import new_store
+from tests.unit.jobs.computations import FakeComputations
+from tests.unit.jobs.conftest import OLD, QUICK, make_plan, until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
-
-from .computations import FakeComputations
-from .conftest import OLD, QUICK, make_plan, until
 
 CONTEXT = {"identity": to_json(Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1))}
 
@@ -52,6 +51,7 @@ async def running(
     read_only: bool = False,
     store: SqlStore | None = None,
     computations: FakeComputations | None = None,
+    before: Callable[[JobEngine], None] = lambda _: None,
 ) -> AsyncIterator[JobEngine]:
     store = store or new_store()
     for job in jobs:
@@ -60,6 +60,7 @@ async def running(
             digest = job.plan.snapshot_sha256
             store.add_snapshot(job.id, 0.0, SnapshotPurpose.COMPOSED_ON, digest, vehicle.values())
     engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle}), computations, settings=QUICK, read_only=read_only)
+    before(engine)
     await engine.start()
     try:
         yield engine

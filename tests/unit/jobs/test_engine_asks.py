@@ -27,20 +27,19 @@ from mavcal.service.errors import (
     RecordingUnknown,
     VehicleArmed,
 )
-from mavcal.service.jobs import adoption
 from mavcal.service.jobs import engine as engine_module
+from mavcal.service.jobs.calibrate import without_capture as adoption
+from mavcal.service.jobs.calibrate.planning import Planned
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.model import FROM_RECORDING, Accept, Failure, Result, cancelled
+from mavcal.service.jobs.core.states import WRITING, JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.model import Accept, Failure, Result, cancelled
-from mavcal.service.jobs.planning import FROM_RECORDING, Planned
-from mavcal.service.jobs.states import WRITING, JobState
 from mavcal.service.store.rows import SnapshotPurpose
+from tests.unit.jobs.computations import FakeComputations
+from tests.unit.jobs.conftest import OLD, make_plan, until
 from tests.unit.jobs.fakes import FakeVehicle
-
-from .computations import FakeComputations
-from .conftest import OLD, make_plan, until
-from .test_engine import CONTEXT, reviewed, running
-from .test_engine_life import Idle, bare, kept, started
+from tests.unit.jobs.test_engine import CONTEXT, reviewed, running
+from tests.unit.jobs.test_engine_life import Idle, bare, kept, started
 
 UNKNOWN = Identity("ardupilot", 2, None, None, 1, 1)
 KNOWN = Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1)
@@ -124,7 +123,7 @@ async def test_a_cancelled_job_asks_for_nothing_and_has_no_task(vehicle: FakeVeh
         job = await engine.cancel("j1")
         assert (job.state, job.prompt) == (JobState.CANCELLED, None)
         assert job.outcome == cancelled(bare(JobState.QUEUED))
-        await until(lambda: engine._tasks.running == {})
+        await until(lambda: engine.tasks.running == {})
 
 
 @pytest.mark.parametrize("state", sorted(set(JobState) - {JobState.INTERRUPTED} - WRITING))
@@ -133,7 +132,7 @@ async def test_only_an_interrupted_job_is_fitted_again(vehicle: FakeVehicle, sta
         engine.book._hold(bare(state))
         with pytest.raises(IllegalTransition, match="only an interrupted job"):
             await engine.refit("j1")
-        assert engine._tasks.running == {}
+        assert engine.tasks.running == {}
         assert engine.get("j1").state == state
 
 
@@ -175,7 +174,7 @@ async def test_two_accepts_at_once_are_one_write(vehicle: FakeVehicle) -> None:
     assert job.plan is not None
     accept = Accept(job.plan.sha256)
     async with started(kept(vehicle, job), vehicle) as engine:
-        engine._writes.applied = Idle()  # type: ignore[method-assign]
+        engine._write = Idle()  # type: ignore[method-assign]
         both = await asyncio.gather(engine.apply("j1", accept), engine.apply("j1", accept), return_exceptions=True)
         assert sorted(type(one).__name__ for one in both) == ["IllegalTransition", "Job"]
         assert [row.step for row in engine._store.journal("j1")].count(JournalStep.ACCEPTED) == 1
@@ -251,7 +250,7 @@ async def test_another_job_that_begins_meanwhile_has_the_vehicle(
         assert engine.get("j1").state == state
         assert [row.step for row in engine._store.journal("j1")] == steps
         assert len(engine._store.audit()) == len(steps)
-        assert engine._tasks.running == {}
+        assert engine.tasks.running == {}
 
 
 async def test_what_wrote_nothing_cannot_be_taken_back(vehicle: FakeVehicle) -> None:

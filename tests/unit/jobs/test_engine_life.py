@@ -11,22 +11,20 @@ from typing import Any
 import pytest
 
 from mavcal.service.errors import JobUnknown
-from mavcal.service.jobs.codec import row_from_job
+from mavcal.service.jobs.core.codec import row_from_job
+from mavcal.service.jobs.core.handle import JobHandle
+from mavcal.service.jobs.core.journal import JournalStep
+from mavcal.service.jobs.core.model import FROM_RECORDING, Accept, Failure, Job
+from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import JournalStep
-from mavcal.service.jobs.model import Accept, Failure, Job
-from mavcal.service.jobs.planning import FROM_RECORDING
-from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import JobState
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.store.sql import SqlStore
 from tests.stores import new_store
+from tests.unit.jobs.computations import FakeComputations
+from tests.unit.jobs.conftest import OLD, QUICK, until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
-
-from .computations import FakeComputations
-from .conftest import OLD, QUICK, until
-from .test_engine import CONTEXT, reviewed, sent_one
+from tests.unit.jobs.test_engine import CONTEXT, reviewed, sent_one
 
 
 class Idle:
@@ -145,7 +143,7 @@ async def test_writes_come_first_and_the_others_when_they_have_ended(vehicle: Fa
         await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
         await asyncio.sleep(0.01)
         assert capturing.begun == []
-        assert set(engine._tasks.running) == {"j1"}
+        assert set(engine.tasks.running) == {"j1"}
         vehicle.change_state(armed=False)
         await until(lambda: capturing.begun == ["j2"])
         assert engine.get("j1").state == JobState.REVERTED
@@ -172,14 +170,14 @@ async def test_a_job_that_cannot_be_taken_up_does_not_strand_the_next_one(vehicl
 
     def prepare(engine: JobEngine) -> None:
         engine._runner.calibrate = capturing  # type: ignore[method-assign]
-        resume = engine._resumption._resume
+        resume = engine._resume
 
         def broken(handle: JobHandle) -> None:
             if handle.id == "j1":
                 raise RuntimeError("of any kind")
             resume(handle)
 
-        engine._resumption._resume = broken  # type: ignore[method-assign]
+        engine._resume = broken  # type: ignore[method-assign]
 
     async with started(kept(vehicle, first, second), vehicle, prepare) as engine:
         await until(lambda: capturing.begun == ["j2"])
@@ -188,7 +186,7 @@ async def test_a_job_that_cannot_be_taken_up_does_not_strand_the_next_one(vehicl
 
 async def test_a_write_without_a_plan_stays_in_doubt_and_has_no_task(vehicle: FakeVehicle) -> None:
     async with started(kept(vehicle, bare(JobState.IN_DOUBT)), vehicle) as engine:
-        assert engine._tasks.running == {}
+        assert engine.tasks.running == {}
         assert engine.get("j1").state == JobState.IN_DOUBT
 
 
@@ -200,15 +198,14 @@ async def test_a_stopped_service_leaves_its_jobs_as_they_are(vehicle: FakeVehicl
     engine._runner.calibrate = capturing  # type: ignore[method-assign]
     await engine.start()
     await until(lambda: capturing.begun == ["j1"])
-    (task,) = engine._tasks.running.values()
+    (task,) = engine.tasks.running.values()
     await engine.stop()
     assert task.cancelled()
     assert engine.get("j1").state == JobState.RUNNING
-    assert engine._tidying.tasks == set()
+    assert engine._rates.tasks == set()
     assert vehicle.message_intervals == {}
-    assert engine._own_executor is not None
     with pytest.raises(RuntimeError):
-        engine._own_executor.submit(print)
+        engine._pool.submit(print)
     store.close()
 
 
@@ -221,7 +218,7 @@ async def test_a_service_that_stops_while_writes_are_alone_takes_nothing_else_up
     capturing = Idle()
     engine._runner.calibrate = capturing  # type: ignore[method-assign]
     await engine.start()
-    (following,) = engine._resumption.waiting
+    (following,) = engine.tasks.resuming
     await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
     await engine.stop()
     assert following.cancelled()
@@ -241,7 +238,7 @@ async def test_progress_of_a_job_that_is_over_is_dropped_but_for_the_last(vehicl
         engine._runner.calibrate = at_once  # type: ignore[method-assign]
 
     async with started(store, vehicle, prepare) as engine:
-        await until(lambda: not engine._tasks.running)
+        await until(lambda: not engine.tasks.running)
         await engine.book.handle("j1").kept()
         left = [event.data for event in store.events("j1") if event.kind == "progress"]
         assert left == [{"current": 4}]
@@ -254,7 +251,7 @@ async def test_an_accepted_write_begins_with_an_attempt_that_runs(vehicle: FakeV
     applying = Idle()
 
     def prepare(engine: JobEngine) -> None:
-        engine._writes.applied = applying  # type: ignore[method-assign]
+        engine._write = applying  # type: ignore[method-assign]
         engine._wall = engine._acceptance._wall = lambda: 77.0
 
     async with started(store, vehicle, prepare) as engine:
@@ -309,6 +306,6 @@ async def test_a_job_that_is_not_on_the_disk_does_not_exist(
         with pytest.raises(OSError, match="full"):
             await engine.submit(vehicle.id, "gyro")
         assert engine.list() == ()
-        assert engine._tasks.running == {}
+        assert engine.tasks.running == {}
         with pytest.raises(JobUnknown):
             engine.get("j1")

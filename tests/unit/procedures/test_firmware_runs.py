@@ -13,7 +13,7 @@ from mavcal.calib.methods import METHODS
 from mavcal.calib.procedures.protocol import Done
 from mavcal.calib.procedures.registry import create, replay
 from mavcal.calib.recording import ParameterTimeline, Recording
-from mavcal.service.jobs.digest import context_of, field_of
+from mavcal.service.jobs.calibrate.digest import context_of, field_of
 from tests.unit.mag.turned import deviations
 
 pytestmark = pytest.mark.shared

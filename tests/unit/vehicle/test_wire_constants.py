@@ -8,7 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire import ParameterEncoding, ParamType
 from mavcal.service.errors import ParameterRejected
-from mavcal.service.jobs import guard, restart
+from mavcal.service.jobs.write import guard
+from mavcal.service.jobs.write import steps as restart
 from mavcal.service.vehicle.encoding import bits_from_value
 
 DTYPES = {

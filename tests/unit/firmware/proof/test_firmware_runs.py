@@ -19,7 +19,7 @@ from mavcal.calib.logs import read
 from mavcal.calib.procedures.protocol import Done
 from mavcal.calib.procedures.registry import replay
 from mavcal.calib.recording import ParameterTimeline, Recording, Sensor
-from mavcal.service.jobs.digest import context_of, field_of
+from mavcal.service.jobs.calibrate.digest import context_of, field_of
 
 pytestmark = pytest.mark.shared
 

@@ -1,0 +1,117 @@
+"""What a preflight can fix by itself: runs and writes calibrations that need no hands, one after the other."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from mavcal.calib.firmware.options import key_text
+from mavcal.service.jobs.core.model import Accept, Failure, Job
+from mavcal.service.jobs.core.states import ENDED, JobState
+from mavcal.service.jobs.engine import JobEngine
+
+
+class Fixable(StrEnum):
+    """Kinds of jobs that want nothing but a vehicle at rest."""
+
+    GYRO = "gyro"
+    LEVEL = "level"
+
+
+WAIT_S = 120.0
+"""How long a calibration at rest, or its write, may take."""
+
+
+_LOOK_S = 0.1
+
+
+_LEFT = ENDED | {JobState.REVIEW, JobState.IN_DOUBT, JobState.WAITING_FOR_REBOOT}
+"""States from which a job does not go on without somebody."""
+
+
+@dataclass(frozen=True)
+class Fix:
+    """What came of one calibration."""
+
+    kind: Fixable
+    job_id: str
+    state: JobState
+    text: str
+    late: tuple[str, ...] = ()
+    """Sensors that stay as they are: their change would act only after a restart."""
+
+
+async def fixed(
+    engine: JobEngine, vehicle_id: str, kinds: Sequence[Fixable], *, actor: str, look: bool = False
+) -> tuple[Fix, ...]:
+    """Run and write each kind once; the first one that does not succeed is the last.
+
+    `look`: look at the vehicle after each write (:func:`service.jobs.write.readiness.readiness_of`).
+
+    Raises
+    ------
+    VehicleError, PhysicalJobRunning, PreflightRunning, Forbidden
+        As for :meth:`service.jobs.engine.JobEngine.submit` and ``apply``.
+    """
+    done: list[Fix] = []
+    for kind in dict.fromkeys(kinds):
+        job = await engine.submit(vehicle_id, kind.value)
+        job, left = await _without_restart(engine, await wait_for_job(engine, job.id))
+        if job.state == JobState.REVIEW and job.plan is not None and not job.plan.blockers and not left.all:
+            accept = Accept(job.plan.sha256, prove_s=0.0, actor=actor)
+            await engine.apply(job.id, accept, look=look)
+            job = await wait_for_job(engine, job.id)
+        done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_told(job, left), left.text))), left.keys))
+        if job.state != JobState.SUCCEEDED:
+            break
+    await engine.tidied()
+    return tuple(done)
+
+
+@dataclass(frozen=True)
+class _LeftOut:
+    """Sensors that stay as they are, because their change would act only after a restart of the vehicle."""
+
+    keys: tuple[str, ...] = ()
+    all: bool = False
+
+    @property
+    def text(self) -> str:
+        if not self.keys:
+            return ""
+        stays = "stays as it is: its" if len(self.keys) == 1 else "stay as they are: their"
+        return f"{', '.join(self.keys)} {stays} change would act only after a restart."
+
+
+async def _without_restart(engine: JobEngine, job: Job) -> tuple[Job, _LeftOut]:
+    """The job, planned for those sensors alone whose change acts at once: nobody is there to restart a vehicle."""
+    if job.state != JobState.REVIEW or job.plan is None or not job.plan.needs_reboot:
+        return job, _LeftOut()
+    sensors = {(c.sensor, c.instance): key_text(c.sensor, c.instance) for c in job.plan.changes if c.sensor is not None}
+    late = {(c.sensor, c.instance) for c in job.plan.changes if c.needs_reboot}
+    at_once = [text for key, text in sensors.items() if key not in late]
+    left = _LeftOut(tuple(text for key, text in sensors.items() if key in late), all=not at_once)
+    if at_once:
+        job = await engine.plan_again(job.id, {**job.context.get("plan_options", {}), "only": at_once})
+    return job, left
+
+
+async def wait_for_job(engine: JobEngine, job_id: str) -> Job:
+    """The job, once nothing goes on with it by itself. Raises TimeoutError after :data:`WAIT_S`."""
+    async with asyncio.timeout(WAIT_S):
+        while engine.get(job_id).state not in _LEFT:  # noqa: ASYNC110 - the engine wakes nobody for a state
+            await asyncio.sleep(_LOOK_S)
+    return engine.get(job_id)
+
+
+def _told(job: Job, left: _LeftOut) -> str:
+    if left.all:
+        return "Nothing was written."
+    if isinstance(job.outcome, Failure):
+        return f"{job.outcome.cause} {job.outcome.remedy}".strip()
+    if job.outcome is not None:
+        return job.outcome.text
+    blockers = job.plan.blockers if job.plan is not None else ()
+    return f"not written: {'; '.join(blockers)}" if blockers else f"the job is {job.state.value}"

@@ -1,0 +1,1 @@
+"""The job as a value, its journal, its store and its task."""

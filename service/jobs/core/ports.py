@@ -1,0 +1,66 @@
+"""What the engine asks of its surroundings: which jobs are ours, and who keeps a record of ended ones."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.preflights import Preflight
+from mavcal.service.store.protocol import JobStore
+
+
+class Ownership(Protocol):
+    """Says which jobs are ours, and lets only us change them."""
+
+    shared: bool
+    """Whether there may be other instances."""
+
+    async def begin(self, job: Job) -> None:
+        """Make a new job ours before anything of it is kept. Raises LeaseLost if that cannot be."""
+        ...
+
+    def store_of(self, job: Job) -> JobStore:
+        """The store in which this job is changed: it refuses once the job is not ours any more. Raises LeaseLost."""
+        ...
+
+    def ended(self, job: Job) -> None:
+        """The task of a job is over."""
+        ...
+
+    def changed(self) -> None:
+        """An event of a job of ours was kept; from any thread."""
+        ...
+
+
+class Alone:
+    """One process owns every job of its store."""
+
+    shared = False
+
+    def __init__(self, store: JobStore) -> None:
+        self._store = store
+
+    async def begin(self, job: Job) -> None:
+        """Nothing: every job is ours."""
+
+    def store_of(self, _job: Job) -> JobStore:
+        """The store itself."""
+        return self._store
+
+    def ended(self, job: Job) -> None:
+        """Nothing."""
+
+    def changed(self) -> None:
+        """Nothing: who watches was told."""
+
+
+class JobRecord(Protocol):
+    """Keeps a record beside the jobs; it fails without harm to them."""
+
+    def job_ended(self, job: Job) -> None:
+        """A job's task is over, whatever came of it."""
+        ...
+
+    async def keep_preflight(self, found: Preflight) -> Preflight:
+        """The report as it is told, with a note if it could not be kept."""
+        ...

@@ -1,0 +1,1 @@
+"""Fits and diagnoses of uploaded recordings, as jobs without a vehicle."""

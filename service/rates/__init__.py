@@ -1,0 +1,1 @@
+"""Message rates of vehicles: who uses them, and what is owed back."""
