@@ -15,7 +15,7 @@ from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands, 
 from mavcal.calib.airframe.commands import commands_of
 from mavcal.calib.airframe.density import Densities, Density, densities, density_of
 from mavcal.calib.airframe.effects import ODDS, AirframeEffect, catalogue, nameless, of_density
-from mavcal.calib.airframe.fit import FlightLikelihood, expanded
+from mavcal.calib.airframe.fit import SAG_SPAN, FlightLikelihood, expanded
 from mavcal.calib.airframe.flown import FlownFlight, Unflown, flown, needed_log
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, NoAirframe
 from mavcal.calib.airframe.geometry import geometry_of
@@ -29,7 +29,7 @@ from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
-from mavcal.calib.airframe.told import doubtful, effects_of, needed_manoeuvres, probabilities
+from mavcal.calib.airframe.told import doubtful, effects_of, needed_manoeuvres, probabilities, with_untested_sag
 from mavcal.calib.inference.search import Answer, search
 from mavcal.calib.recording import Recording
 
@@ -231,6 +231,8 @@ def _answer(
         untestable = (*untestable, ground)
     beside = () if isinstance(ground, Missing) else (ground.told(),)
     found = effects_of(answer, evidence, slew, least=LIKELY, beside=beside)
+    if side.likelihood.airframe.voltage_span >= SAG_SPAN:
+        found = with_untested_sag(found, untestable)
     parted = held_out(answer, evidence, found) if held else Parted((), None)
     loud = turbulence(real.flight, side.fit.residual[:, :3], sim.flight, evidence.sim.fit.residual[:, :3])
     unknown, share, chance = _unnamed(answer, found)

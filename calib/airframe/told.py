@@ -87,6 +87,14 @@ def effects_of(
     return tuple(sorted((replace(f, share=f.nats / total) for f in found), key=lambda f: -f.nats))
 
 
+def with_untested_sag(found: Sequence[FoundEffect], untestable: Sequence[Missing]) -> tuple[FoundEffect, ...]:
+    """A battery that sags too little to be tested may be what the thrust lacks: its rival, as likely as itself."""
+    if all(m.id != "battery_sag" for m in untestable):
+        return tuple(found)
+    rival = FoundRival("battery_sag", 0.5, 0.0, FIXES["battery_sag"])
+    return tuple(replace(f, rivals=(*f.rivals, rival)) if f.id == "thrust_scale" else f for f in found)
+
+
 def probabilities(
     answer: Answer, effects: Sequence[AirframeEffect], beside: Sequence[FoundEffect] = ()
 ) -> dict[str, float]:

@@ -114,6 +114,28 @@ def test_every_effect_is_said_in_plain_words_with_its_size(id_):
     assert "_" not in plain_name(id_)
 
 
+@pytest.mark.parametrize(
+    ("forms", "said"),
+    [
+        ({"thrust": 0.97, "mass": 0.03}, ": its thrust differs, not its mass (probability 97 %)"),
+        ({"thrust": 0.02, "mass": 0.98}, ": it is 1.10 times as heavy (probability 98 %)"),
+        ({"thrust": 0.3, "mass": 0.7}, "; the flight does not tell thrust from mass (70 % mass)"),
+    ],
+)
+def test_a_thrust_scale_says_whether_thrust_or_mass_differs(forms, said):
+    params = (relative("s", 1.0 / 1.1, 1.0, 0.003),)
+    told = phrase(replace(flown("thrust_scale", *params), forms=forms))
+    assert told.startswith("the real vehicle has 0.909 times the thrust for its mass")
+    assert told.endswith(said)
+
+
+def test_thin_air_says_where_a_simulator_has_it():
+    params = (relative("s", 0.87, 1.0, 0.003), stated("altitude", 2010.0))
+    assert phrase(flown("air_density", *params)).endswith(
+        "times as dense (0.867 to 0.873), as at 2010 m in the standard atmosphere"
+    )
+
+
 @pytest.mark.parametrize("id_", DOMAINS)
 def test_what_belongs_to_the_day_says_that_it_is_not_exported(id_):
     said = effect_phrase(found(id_))

@@ -48,6 +48,7 @@ def test_the_reader_finds_everything_that_a_diagnosis_needs(default: Path) -> No
     assert dynamics == {
         Sensor.CONTROL: pytest.approx(400.0), Sensor.MIXER: pytest.approx(10.0), Sensor.VOLTAGE: pytest.approx(10.0),
         Sensor.VELOCITY: pytest.approx(25.0), Sensor.PLACE: pytest.approx(25.0), Sensor.ATTITUDE: pytest.approx(25.0),
+        Sensor.AIR: pytest.approx(10.0),
     }  # fmt: skip
     assert recording.identity.autopilot == "ardupilot"
     assert recording.parameters.final()["FRAME_CLASS"] == 1

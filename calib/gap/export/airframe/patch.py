@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -81,8 +81,18 @@ def airframe_patch(
         stock = frame_of(frame, simulator, geometry)
         reasons = sitl.REASONS
         made = sitl.sitl_settings(wanted, stock, simulator, mass=mass, capacity=charge if charge > 0.0 else None)
+    notes = (*made.notes, *_of_mass(chosen, mass))
     lost = tuple(dict.fromkeys((*missing(chosen, reasons), *made.lost)))
-    return Patch(made.frame, made.parameters, lost, tuple(made.notes))
+    return Patch(made.frame, made.parameters, lost, notes)
+
+
+def _of_mass(effects: Iterable[EffectEstimate], mass: float | None) -> Iterator[str]:
+    """Which of thrust and mass a thrust scale was found to be."""
+    for effect in effects:
+        if effect.forms:
+            cause, chance = max(effect.forms.items(), key=lambda form: form[1])
+            asks = "" if mass is not None else "; weigh the vehicle and state --mass"
+            yield f"{effect.id}: another {cause} (probability {chance:.2f}){asks if cause == 'mass' else ''}"
 
 
 def own_patches(

@@ -123,7 +123,7 @@ class _Reader:
 
     @property
     def by_mass(self) -> bool:
-        """Whether another mass is the likelier cause of another thrust for its mass."""
+        """Whether another mass is the likelier cause of the thrust scale."""
         effect = self.effect("thrust_scale")
         return effect is not None and effect.forms.get("mass", 0.0) > _EVEN
 

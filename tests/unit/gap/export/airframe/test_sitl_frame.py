@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -41,6 +42,21 @@ def test_the_stock_frame_is_that_of_the_reference_flights() -> None:
     assert STOCK["body_drag.c2"] == pytest.approx(0.03361, abs=2e-5)
     assert STOCK["gain.x"] == pytest.approx(4 * 287.4, rel=1e-3)  # of all four motors; the mixer's ones are a quarter
     assert STOCK["angular_damping.x"] == pytest.approx(1.99, abs=0.01)
+
+
+def test_a_lighter_vehicle_keeps_its_turns_and_changes_all_forces_by_its_mass() -> None:
+    lighter = replace(airframe("thrust_scale", s=1.21), forms={"mass": 0.98, "thrust": 0.02})
+    made, shown = patched(lighter)
+    after = ratios(shown)
+    assert "thrust_scale: another mass (probability 0.98); weigh the vehicle and state --mass" in made.notes
+    assert after["thrust_scale.s"] == pytest.approx(1.21)
+    assert after["rotor_drag.c1"] == pytest.approx(1.1)
+    assert after["body_drag.c2"] == pytest.approx(1.21)
+    assert [after[f"gain.{axis}"] for axis in "xyz"] == pytest.approx([1.0] * 3)
+    stronger = replace(lighter, forms={"mass": 0.02, "thrust": 0.98})
+    made, _ = patched(stronger)
+    assert made.frame_json == patched(airframe("thrust_scale", s=1.21))[0].frame_json
+    assert "thrust_scale: another thrust (probability 0.98)" in made.notes
 
 
 SINGLE: dict[str, tuple[EffectEstimate, dict[str, float]]] = {
