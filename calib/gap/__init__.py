@@ -16,7 +16,7 @@ from mavcal.calib.airframe.answer import AirframePart
 from mavcal.calib.airframe.diagnose import airframe_alone, airframe_gap
 from mavcal.calib.airframe.effects import IDS as AIRFRAME_IDS
 from mavcal.calib.errors import IncomparableError, InvalidInputError
-from mavcal.calib.gap.companion.compensation import problem_of
+from mavcal.calib.gap.companion.baselines import problem_of
 from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches

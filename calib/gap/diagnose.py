@@ -32,23 +32,25 @@ from mavcal.calib.gap.schema import (
     NotTestable,
     Unknown,
 )
-from mavcal.calib.gap.search.added_noise import unsteady_line
+from mavcal.calib.gap.search.added_noise import nominal_has_tone, unsteady_line
 from mavcal.calib.gap.search.contest import Contest, ContestScore
 from mavcal.calib.gap.search.exchange import SettledModel, settled, steadily
 from mavcal.calib.gap.search.lattice_effects import Lattice, covered_by, lattice_of
-from mavcal.calib.gap.search.nominal_check import nominal_has_tone
 from mavcal.calib.gap.search.power import powers_of
 from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.search.wander import WanderFit, wandering
 from mavcal.calib.gap.telling.effect_report import effect_of, on_either_unit, on_late_unit, wandering_reference
-from mavcal.calib.gap.telling.equals import with_equals
-from mavcal.calib.gap.telling.inputs import inputs_of
+from mavcal.calib.gap.telling.identifiability import (
+    bounded,
+    inseparable,
+    inseparable_notice,
+    undetermined,
+    with_equals,
+    without_a_name,
+)
 from mavcal.calib.gap.telling.locate import located
-from mavcal.calib.gap.telling.overstated_noise import overstated_noise
-from mavcal.calib.gap.telling.separability import inseparable, inseparable_notice
-from mavcal.calib.gap.telling.series import series_of
-from mavcal.calib.gap.telling.undetermined import bounded, undetermined, without_a_name
+from mavcal.calib.gap.telling.recordings import inputs_of, overstated_noise, series_of
 from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
 from mavcal.calib.gap.unknown.plausibility import nameless, unresponsive_sensors, without_sensors
 from mavcal.calib.gap.unknown.shape_search import explained
@@ -144,10 +146,18 @@ def diagnose(
     """
     effects, pace = catalogue() if effects is None else effects, pace or GapPace()
     pace.begin(GapStage.SELECTION)
-    problem, begun = _begun(problem, effects, alpha, pace)
-    if begun is None:
-        return _nothing(problem)
-    task, chosen = begun
+    left_out: tuple[JumpSpan, ...] = ()
+    rounds = 0
+    while True:
+        task = _task_of(problem, effects, pace)
+        if task is None:
+            return _nothing(problem)
+        chosen = _with_steps(task, select(task.bare, task.contest, alpha), alpha)
+        problem, events = _without_unusable(task, chosen, rounds)
+        if problem is task.problem:
+            break
+        left_out, rounds = (*left_out, *events), rounds + bool(events)
+    task = replace(task, left_out=left_out)
     pace.begin(GapStage.RIVALS)
     answer = _settled(task, chosen, alpha, frozenset(e.id for e in effects))
     pace.begin(GapStage.HELD_OUT)
@@ -158,32 +168,25 @@ def diagnose(
     return with_limit(_report(task, confirmed, alpha, nested=nested and GapStage.BLOCKS not in pace.left_out), pace)
 
 
-def _begun(
-    problem: GapProblem, effects: tuple[CatalogueEffect, ...], alpha: float, pace: GapPace
-) -> tuple[GapProblem, tuple[_Task, ChosenModel] | None]:
-    """The problem without what says nothing, and the effects that are selected for it; None: no series is left.
+def _with_steps(task: _Task, chosen: ChosenModel, alpha: float) -> ChosenModel:
+    """The selected model with level shifts, unless the error of a re-estimated attitude looks like them."""
+    if any(view.att_sd > 0.0 for view in task.bare.setting.views):
+        return chosen
+    problem = task.problem
+    return with_level_shifts(chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1))
 
-    A selection tells of sensors that do not follow their reference, and of samples during events that take time.
-    Neither belongs to any model: they are left out, and it is selected again.
+
+def _without_unusable(task: _Task, chosen: ChosenModel, rounds: int) -> tuple[GapProblem, tuple[JumpSpan, ...]]:
+    """The problem without unresponsive sensors or, if there are none, without samples during events, and these.
+
+    The problem of `task` itself if everything in it is usable, time is over, or `rounds` of removal were made.
     """
-    left_out: tuple[JumpSpan, ...] = ()
-    rounds = 0
-    while True:
-        task = _task_of(problem, effects, pace)
-        if task is None:
-            return problem, None
-        chosen = select(task.bare, task.contest, alpha)
-        if all(view.att_sd == 0.0 for view in task.bare.setting.views):
-            chosen = with_level_shifts(
-                chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1)
-            )
-        if (unresponsive := unresponsive_sensors(chosen.model)) and not pace.ended:
-            problem = without_sensors(problem, unresponsive)
-        elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))) and not pace.ends():
-            problem, rounds = without_transitions(problem, taking), rounds + 1
-            left_out = (*left_out, *taking)
-        else:
-            return problem, (replace(task, left_out=left_out), chosen)
+    pace = task.contest.pace
+    if (unresponsive := unresponsive_sensors(chosen.model)) and not pace.ended:
+        return without_sensors(task.problem, unresponsive), ()
+    if rounds < _ROUNDS and (events := transitions(chosen.model, _gains(chosen))) and not pace.ends():
+        return without_transitions(task.problem, events), events
+    return task.problem, ()
 
 
 def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: GapPace | None = None) -> _Task | None:

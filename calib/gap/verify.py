@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap import run
-from mavcal.calib.gap.companion.compensation import problem_of
+from mavcal.calib.gap.companion.baselines import problem_of
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects.replay import with_effects
 from mavcal.calib.gap.export.airframe import airframe_effects

@@ -28,10 +28,10 @@ from mavcal.calib.gap.heldout.folds import (
     log_loss,
     parted,
     power_ratio,
+    predictive_loss,
     with_weight,
 )
 from mavcal.calib.gap.heldout.gates import Gate, gate_of
-from mavcal.calib.gap.heldout.predictive import predictive_loss
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
 from mavcal.calib.gap.model.noise_fit import is_declared, refitted

@@ -15,24 +15,22 @@ from mavcal.calib.gap.reference.best_reference import BestReferences, best_refer
 from mavcal.calib.gap.reference.channels import SAME_RATE, corrected, not_undone, offset_changed, sensors_of
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.expected_noise import (
+    age_noise_of,
+    age_of,
     motor_noise_of,
     movement_of,
+    with_age_noise,
+    with_aged_noise,
     with_heave_noise,
     with_motor_noise,
     with_movement_noise,
     with_sway_noise,
+    without_aged_samples,
 )
 from mavcal.calib.gap.reference.ideal import Ideal, continuous, trace_of, with_unit_noise
 from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
 from mavcal.calib.gap.reference.redundant import differences, faulty_instances_of
 from mavcal.calib.gap.reference.resolution import steps_of, with_simulated_step
-from mavcal.calib.gap.reference.sample_age import (
-    age_noise_of,
-    age_of,
-    with_age_noise,
-    with_aged_noise,
-    without_aged_samples,
-)
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.simulator import deviations, error_sd, simulated_ideal, with_error
 from mavcal.calib.recording import Channel, Recording, Sensor

@@ -1,14 +1,18 @@
-"""Noise that a recording is expected to have because it has more motor power, or moves more, than the nominal ones.
+"""Noise that a recording is expected to have because it flies differently from the nominal recordings.
 
 Motors: ArduPilot's SITL shakes the vehicle by a random force in proportion to the throttle (``Aircraft::add_noise``).
-Its inertial units sample that at their own moments. The power of their difference goes with the square of the throttle,
-and is zero on the ground. Another flight with more throttle has more of it, and that is no gap.
+Its inertial units sample that force at different moments. The power of their difference goes with the square of the
+throttle, and is zero on the ground.
 
-Movement: a pose errs by a share of the movement. Stamps that jitter, markers that give way and a body that bends leave
-a residual in proportion to the movement at each frequency. It has no fixed phase. An example: 2 ms of jitter are 6 % of
-a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
+Movement: a pose errs by a share of the movement. Jitter of the time stamps, markers that yield and a body that bends
+leave a residual in proportion to the movement at each frequency, without a fixed phase. Example: 2 ms of jitter are 6 %
+of a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
 
-The age of samples: :mod:`calib.gap.reference.sample_age`.
+Age of samples: a log writes the latest sample of every unit under one time stamp. Each is older by up to a period of
+its own driver (SITL runs its inertial units at 1000 and 760 Hz). The difference of two units then has noise in
+proportion to the rate of change of the reading, which no stationary spectrum describes. A nominal recording shows the
+variance of that age. Samples in which it exceeds the other noise are left out; in the others it is expected. A single
+unit beside the trajectory of its vehicle has the same noise, with the spectrum of the driver's beats.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from mavcal.calib.gap.likelihood import fit_amplitudes
+from mavcal.calib.gap.likelihood import AmplitudeFit, fit_amplitudes
 from mavcal.calib.gap.problem import ReferenceInfo, Trace
 from mavcal.calib.gap.reference.noise import (
     FEWEST,
@@ -218,3 +222,115 @@ def _median_about(hz: Array, values: Array) -> Array:
     """Medians of `values` (K, 3) over frequencies within a part of each: what lies between lines."""
     low, high = np.searchsorted(hz, hz * (1.0 - _ABOUT)), np.searchsorted(hz, hz * (1.0 + _ABOUT))
     return np.array([np.median(values[a : max(b, a + 1)], axis=0) for a, b in zip(low, high, strict=True)])
+
+
+def slopes_squared(trace: Trace) -> Array:
+    """Square of the change of the reading in a second, (N, 3): mean of the steps to the samples before and after."""
+    known = trace.observed[1:] & trace.observed[:-1]
+    steps = np.where(known[:, None], (np.diff(trace.measured, axis=0) * trace.fs) ** 2, 0.0)
+    total = np.vstack([steps, np.zeros(3)]) + np.vstack([np.zeros(3), steps])
+    return np.asarray(total / np.maximum(np.convolve(known, [1.0, 1.0]), 1.0)[:, None])
+
+
+def age_of(nominal: Sequence[Trace]) -> float:
+    """Variance (s2) of the age of one unit's samples against the other's, the largest of differences `nominal`.
+
+    Zero where the noise does not follow the change of the reading.
+    """
+    return max((_age(trace) for trace in nominal if trace.observed.sum() >= FEWEST), default=0.0)
+
+
+def _age(trace: Trace, change: Array | None = None) -> float:
+    """Variance of the age by the squares (N, 3) of a `change` in a second; None: of the trace's own readings."""
+    squares = slopes_squared(trace) if change is None else change
+    slopes = squares[trace.observed].T.ravel()
+    steady = _fitted(trace, np.zeros(len(slopes)), ())
+    if not slopes.any() or steady is None:
+        return 0.0
+    unit = float(squares_of(trace).mean() / slopes.mean())
+    aged = _fitted(trace, np.zeros(len(slopes)), (unit * slopes,))
+    if aged is None or chdtrc(1, max(steady.deviance - aged.deviance, 0.0)) > UNSTEADY:
+        return 0.0
+    return unit * float(aged.amplitudes[3])
+
+
+def _fitted(trace: Trace, base: Array, more: Sequence[Array]) -> AmplitudeFit | None:
+    """Steady noise of each axis, in units of its mean square, beside `base` and variances `more`, all (3 n,)."""
+    squares = squares_of(trace)
+    if not squares.any(axis=0).all():
+        return None
+    steady = np.kron(np.diag(squares.mean(axis=0)), np.ones(len(squares)))
+    return fit_amplitudes(squares.T.ravel(), np.ones(squares.size), base, [*steady, *more])
+
+
+def without_aged_samples(trace: Trace, age: float) -> Trace:
+    """`trace` without the samples in which an `age` of that variance (s2) is more than the noise beside it."""
+    expected = age * slopes_squared(trace)
+    rest = _fitted(trace, expected[trace.observed].T.ravel(), ())
+    if rest is None:
+        return trace
+    noise = rest.amplitudes * squares_of(trace).mean(axis=0)
+    return dataclasses.replace(trace, observed=trace.observed & ~(expected > noise).any(axis=1))
+
+
+def with_age_noise(trace: Trace, age: float, nominal: Sequence[Trace]) -> Trace:
+    """`trace` with the noise that its faster movement adds to what the `nominal` ones show, all of them settled."""
+    nominal_slopes = np.mean([slopes_squared(n)[n.observed].mean(axis=0) for n in nominal], axis=0)
+    more = age * np.maximum(slopes_squared(trace)[trace.observed].mean(axis=0) - nominal_slopes, 0.0)
+    return with_more(trace, more)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AgeNoise:
+    """Noise of units against a reference that follows the change of their reading, in another flight.
+
+    `density` (K,) at `hz` (K,) is the power in a bin of the cosine transform for each square of the change, s2;
+    `change` (3,) the mean square of the change in a second.
+    """
+
+    hz: Array
+    density: Array
+    change: Array
+
+
+def age_noise_of(nominal: Sequence[Trace]) -> dict[tuple[Sensor, bool], AgeNoise]:
+    """Noise by the age of samples in `nominal` flights, by sensor; True: against the trajectory, False: against a unit.
+
+    Every axis is as old as the others: one that did not move has the noise of those that did.
+    """
+    found: dict[tuple[Sensor, bool], list[AgeNoise]] = {}
+    for trace in nominal:
+        if trace.rate_known and (one := _aged(trace)) is not None:
+            found.setdefault((trace.sensor, trace.against is None), []).append(one)
+    return {kind: max(each, key=lambda one: float(one.density.mean())) for kind, each in found.items()}
+
+
+def _aged(trace: Trace) -> AgeNoise | None:
+    spectrum = learned(trace)
+    ideal = dataclasses.replace(trace, measured=trace.ideal)
+    if spectrum is None or trace.observed.sum() < FEWEST or not (age := _age(trace, slopes_squared(ideal))):
+        return None
+    change = slopes_squared(ideal)[trace.observed].mean(axis=0)
+    there = spectrum.psd.sum(axis=1)
+    size = float(spectrum.dof @ there / spectrum.dof.sum())
+    return AgeNoise(spectrum.hz, there / size * min(age, size / float(change.sum())), change)
+
+
+def with_aged_noise(trace: Trace, found: Mapping[tuple[Sensor, bool], AgeNoise]) -> Trace:
+    """`trace` with the noise expected that its reading has for changing faster than in other flights.
+
+    A calmer recording is not expected to have less noise.
+    """
+    aged = found.get((trace.sensor, trace.against is None))
+    if aged is None or (trace.psd is None and trace.sigma is None):
+        return trace
+    now = slopes_squared(dataclasses.replace(trace, measured=trace.ideal))[trace.observed].mean(axis=0)
+    faster = np.maximum(now - aged.change, 0.0)
+    if not faster.any():
+        return trace
+    hz = np.unique(np.concatenate([hz_of(trace), aged.hz[aged.hz < 0.5 * trace.fs]]))
+    more = np.interp(hz, aged.hz, aged.density)[:, None] * faster
+    own = own_on(trace, hz)
+    return dataclasses.replace(
+        trace, psd=psd_of(trace, hz) + more, psd_hz=hz, own_psd=None if own is None else own + more
+    )

@@ -1,8 +1,12 @@
-"""Whether louder noise is an effect: more than flights differ by, of the instances named, and in its own right."""
+"""Checks of added noise, lines and tones before they count as effects of a sensor.
+
+Noise must exceed what two flights differ by, be on the instances that show it, and be more than the unsteadiness of a
+line beside it. A tone must not be in a nominal recording as well.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +14,13 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import Model, NoiseTerm
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
 from mavcal.calib.gap.model.noise_fit import densities_of
 from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.search import prices
 
 Array = NDArray[np.float64]
-
-"""Ends of the ids of what rotors shake."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,3 +175,43 @@ def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
             scatter[c] += float((spectra[c] ** 4)[near].sum()) * 2.0 / 3.0
     size = np.maximum(size, np.finfo(float).tiny)
     return np.maximum(total / size, 0.0), np.sqrt(scatter) / size
+
+
+def nominal_has_tone(term: Term, nominal: Iterable[Trace]) -> bool:
+    """Whether a nominal recording has a line at the frequency of a tone: the mains, a converter's clock.
+
+    A learned spectrum holds means over bands and does not show it.
+    """
+    if not term.effect.tonal:
+        return False
+    size = float(np.sqrt((term.beta**2).sum()))
+    return any(
+        trace.sensor is term.hypothesis.effect.sensor
+        and term.theta < 0.5 * trace.fs
+        and _amplitude(trace, term.theta) > prices.NOMINAL_TONE_SHARE * size
+        and _line(trace, term.theta) > prices.LINE_TO_NEIGHBOURS
+        for trace in nominal
+    )
+
+
+def _amplitude(trace: Trace, hz: float) -> float:
+    """Amplitude of the wave of that frequency in the residual of `trace`, over all axes."""
+    return float(np.sqrt((_projected(trace, hz) ** 2).sum()))
+
+
+def _line(trace: Trace, hz: float) -> float:
+    """Energy at `hz` over the median about it."""
+    step = trace.fs / len(trace.t)
+    near = [
+        _amplitude(trace, hz + k * step)
+        for k in range(-prices.LINE_NEIGHBOURS, prices.LINE_NEIGHBOURS + 1)
+        if abs(k) > 2
+    ]
+    return float((_amplitude(trace, hz) / max(np.median(near), 1e-300)) ** 2)
+
+
+def _projected(trace: Trace, hz: float) -> Array:
+    rows = trace.observed
+    left = trace.residual[rows] - trace.residual[rows].mean(axis=0)
+    angle = 2.0 * np.pi * hz * trace.t[rows]
+    return np.asarray(2.0 / len(left) * np.vstack([np.cos(angle) @ left, np.sin(angle) @ left]))

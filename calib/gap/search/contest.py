@@ -17,9 +17,9 @@ from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc
 from scipy.stats import binom
 
-from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
+from mavcal.calib.gap.effects.base import EffectShape, MeanEffect, NoiseEffect
 from mavcal.calib.gap.model.bands import joined
-from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, columns_of
+from mavcal.calib.gap.model.hypotheses import Hypothesis, columns_of
 from mavcal.calib.gap.model.joint import Model, Term, with_residual
 from mavcal.calib.gap.model.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
 from mavcal.calib.gap.model.refinement import misfit, refined
@@ -98,7 +98,7 @@ def refinable(score: ContestScore) -> bool:
 
 
 class Contest:
-    """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory.
+    """Scores of hypotheses against models of one setting; `columns` keeps transformed columns while they fit in memory.
 
     `pace` says when the search for effects has to end.
     """
@@ -108,31 +108,32 @@ class Contest:
         hypotheses: Sequence[Hypothesis],
         budget: int = 40_000_000,
         thresholds: GainThresholds | None = None,
-        cache: ColumnCache | None = None,
+        columns: ColumnCache | None = None,
         pace: GapPace | None = None,
     ) -> None:
         self.hypotheses = tuple(hypotheses)
         self.thresholds = thresholds or GainThresholds()
         self.pace = pace or GapPace()
-        self._cache = ColumnCache(budget) if cache is None else cache
+        self.columns = ColumnCache(budget) if columns is None else columns
 
     def among(self, hypotheses: Sequence[Hypothesis]) -> Contest:
         """A contest of other hypotheses on the same setting, which shares the columns that were made."""
-        return Contest(hypotheses, thresholds=self.thresholds, cache=self._cache, pace=self.pace)
+        return Contest(hypotheses, thresholds=self.thresholds, columns=self.columns, pace=self.pace)
 
     def without_thresholds(self) -> Contest:
         """The same in which any gain may join that is significant."""
-        return Contest(self.hypotheses, cache=self._cache, pace=self.pace)
-
-    def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> HypothesisColumns:
-        """Transformed columns of `hypothesis`, kept."""
-        return self._cache.of(hypothesis, theta, model.setting)
+        return Contest(self.hypotheses, columns=self.columns, pace=self.pace)
 
     def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> ContestScore:
         """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
-        if isinstance(hypothesis.effect, NoiseEffect):
+        effect = hypothesis.effect
+        if isinstance(effect, NoiseEffect):
             return noise_score(hypothesis, beside.model)
-        found = self._mean_score(hypothesis, beside, refine=refine)
+        if effect.shape is None:
+            gain = beside.gain(self.columns.of(hypothesis, math.nan, beside.model.setting))
+            found = priced(hypothesis, math.nan, _exact(hypothesis, gain, beside) if refine else gain, 1)
+        else:
+            found = self._shape_score(hypothesis, effect.shape, beside, refine=refine)
         return found if refine else replace(found, sure=not refinable(found))
 
     def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[ContestScore]:
@@ -156,38 +157,31 @@ class Contest:
             found.append(score if known else self.score(score.hypothesis, beside))
         return found
 
-    def _mean_score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool) -> ContestScore:
+    def _shape_score(self, hypothesis: Hypothesis, shape: EffectShape, beside: Beside, *, refine: bool) -> ContestScore:
+        """Score of an effect on the mean with a shape: the best of its grid, refined where it gains enough."""
         effect = hypothesis.effect
         assert isinstance(effect, MeanEffect)
-        if effect.shape is None:
-            found = beside.gain(self.columns(hypothesis, math.nan, beside.model))
-            if refine and effect.exact is not None and found.gain > prices.EXACT_FIT_GAIN:
-                gain, beta = exactly(hypothesis, found.beta, beside)
-                found = replace(found, gain=gain, beta=beta, evidence=gain - found.price)
-            return priced(hypothesis, math.nan, found, 1)
         trace, view = widest(hypothesis, beside.model)
         setting = beside.model.setting
-        own = trace if effect.shape.screen is not None else setting.views[view].whole.any_trace
-        grid = np.asarray(effect.shape.grid(own))
-        tried = grid
-        if effect.shape.screen is not None:
-            tried = effect.shape.screen(trace, unexplained(beside.model, view, trace))
+        own = trace if shape.screen is not None else setting.views[view].whole.any_trace
+        grid = np.asarray(shape.grid(own))
+        tried = grid if shape.screen is None else shape.screen(trace, unexplained(beside.model, view, trace))
         if effect.fixed:
             return self._fixed_score(hypothesis, tried, beside, refine=refine)
-        gains = beside.free_gains([self.columns(hypothesis, float(theta), beside.model) for theta in tried])
+        gains = beside.free_gains([self.columns.of(hypothesis, float(theta), setting) for theta in tried])
         if not gains:
             return priced(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
         best = int(np.argmax(gains))
         theta = float(tried[best])
         if refine and gains[best] > prices.REFINEMENT_GAIN:
             theta = self._refined(hypothesis, theta, grid, beside)
-        found = beside.gain(self.columns(hypothesis, theta, beside.model))
+        found = beside.gain(self.columns.of(hypothesis, theta, setting))
         score = priced(hypothesis, theta, found, len(grid))
         return score if tone_beside_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
 
     def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> ContestScore:
         """Score of an effect that is only a shape; without `refine` what a free amplitude gains, which is no less."""
-        columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
+        columns = [self.columns.of(hypothesis, float(theta), beside.model.setting) for theta in grid]
         gains = beside.free_and_fixed_gains(columns)
         free, best = float(gains[:, 0].max()), int(np.argmax(gains[:, 1]))
         if not refine and free > prices.REFINEMENT_GAIN:
@@ -195,12 +189,9 @@ class Contest:
         if free <= prices.REFINEMENT_GAIN:
             return fixed_score(hypothesis, float(grid[best]), float(gains[best, 1]))
         theta = self._refined(hypothesis, float(grid[best]), grid, beside)
-        gain = self._fixed_gain(hypothesis, theta, beside)
+        setting = beside.model.setting
+        gain = beside.fixed_gain(columns_of(hypothesis, theta, setting.views, setting.frames))
         return fixed_score(hypothesis, theta, gain + filter_evidence(hypothesis, theta, beside.model))
-
-    def _fixed_gain(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> float:
-        columns = columns_of(hypothesis, theta, beside.model.setting.views, beside.model.setting.frames)
-        return beside.fixed_gain(columns)
 
     def _refined(self, hypothesis: Hypothesis, theta: float, grid: Array, beside: Beside) -> float:
         """The best shape between the neighbours of `theta` on the grid."""
@@ -218,6 +209,15 @@ class Contest:
         options = {"maxiter": _STEPS_FIXED if effect.fixed else _STEPS, "xatol": 1e-6 * (high - low)}
         found = minimize_scalar(loss, bounds=(low, high), method="bounded", options=options)
         return float(found.x) if found.fun < loss(theta) else theta
+
+
+def _exact(hypothesis: Hypothesis, found: Gain, beside: Beside) -> Gain:
+    """`found` without linearisation, for an effect that is not linear in its amplitudes and gains enough."""
+    effect = hypothesis.effect
+    if not isinstance(effect, MeanEffect) or effect.exact is None or found.gain <= prices.EXACT_FIT_GAIN:
+        return found
+    gain, beta = exactly(hypothesis, found.beta, beside)
+    return replace(found, gain=gain, beta=beta, evidence=gain - found.price)
 
 
 def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float, Array]:

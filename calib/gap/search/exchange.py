@@ -297,7 +297,7 @@ def _imitated(
     if own is None or isinstance(score.hypothesis.effect, NoiseEffect) or score.df == 0:
         return float(np.clip(score.gain / max(own_gain, 1e-12), 0.0, 1.0))
     assert isinstance(term, Term)
-    columns = contest.columns(score.hypothesis, score.theta, beside.model)
+    columns = contest.columns.of(score.hypothesis, score.theta, beside.model.setting)
     gram, _, before = beside.projected(columns)
     basis = existing(gram, before)
     taken = basis.T @ (beside.cross(columns, own) @ term.beta)

@@ -12,7 +12,7 @@ from mavcal.calib.gap.effects.base import CatalogueEffect, LatticeEffect, Lattic
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import GapProblem, Trace
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, ParameterEstimate
-from mavcal.calib.gap.search.nominal_check import nominal_has_samples
+from mavcal.calib.gap.search import prices
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +43,17 @@ def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Latti
             if Trait.COARSE in effect.traits:
                 variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
     return Lattice(tuple(found), masks, variance)
+
+
+def nominal_has_samples(effect: LatticeEffect, evidence: LatticeEvidence, nominal: Iterable[Trace]) -> bool:
+    """Whether a nominal recording shows the same in its samples: then its noise knows of it."""
+    for trace in nominal:
+        other = effect.detect(trace) if trace.sensor is effect.sensor else None
+        if other is not None and len(other.values) == len(evidence.values):
+            mine, its = np.array(evidence.values), np.array(other.values)
+            if (np.abs(mine - its) <= prices.SAMPLE_DIFFERENCE * np.maximum(np.abs(mine), np.abs(its))).all():
+                return True
+    return False
 
 
 def covered_by(lattice: Lattice, effect: EffectEstimate) -> bool:

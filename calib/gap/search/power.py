@@ -34,7 +34,7 @@ def _all(chosen: ChosenModel, contest: Contest, level: float) -> Iterator[Power]
         if isinstance(effect, NoiseEffect) or effect.shape is not None or effect.nameless:
             continue
         assert isinstance(effect, MeanEffect)
-        gram, _, energy = beside.projected(contest.columns(hypothesis, math.nan, chosen.model))
+        gram, _, energy = beside.projected(contest.columns.of(hypothesis, math.nan, chosen.model.setting))
         needed = noncentrality(len(effect.parameters), level)
         for parameter, own, whole in zip(effect.parameters, np.diag(gram), energy, strict=True):
             if own > 1e-6 * whole > 0.0:

@@ -410,7 +410,7 @@ def _mean_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, i
     """
     if not model.terms:
         return {}
-    own = [contest.columns(term.hypothesis, term.theta, model) for term in model.terms]
+    own = [contest.columns.of(term.hypothesis, term.theta, model.setting) for term in model.terms]
     others = [jacobian(term, model.setting) for term in model.terms]
     normal = normal_equations([*own, *others], model.y, model.weight, model.ridge)
     count, size = len(own), len(normal.right)

@@ -148,7 +148,7 @@ def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Beside)
     """Scores of all shapes and of their parts, whose columns are made once."""
     found = []
     for shape in shapes:
-        columns = contest.columns(shape.whole, math.nan, beside.model)
+        columns = contest.columns.of(shape.whole, math.nan, beside.model.setting)
         gram, right, energy = beside.projected(columns)
         whole = _score(shape.whole, gram, right, energy)
         found.append(whole)

@@ -16,10 +16,9 @@ import numpy as np
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, Term
 from mavcal.calib.gap.schema import HiddenDriver, Unknown
-from mavcal.calib.gap.unknown.bursts import bursts
 from mavcal.calib.gap.unknown.discrepancy import bets_of, log_odds, won
 from mavcal.calib.gap.unknown.excess_power import excess_power
-from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, misattributed_noise, unsteady
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, bursts, misattributed_noise, unsteady
 from mavcal.calib.gap.unknown.telegraph_noise import telegraph_noise
 from mavcal.calib.gap.unknown.transitions import events_of, moment_of
 from mavcal.calib.gap.worth.attribution import Attribution
@@ -139,7 +138,7 @@ def unknown_of(
         Up to which the reference knows how the vehicle moves.
     floor
         Twice the nats by sensor that the reference's own nuisance effects make
-        (:mod:`calib.gap.companion.simulated_baseline`).
+        (:mod:`calib.gap.companion.baselines`).
     outside
         Whether the reference is no sensor of the vehicle.
     """

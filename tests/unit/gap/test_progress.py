@@ -12,7 +12,7 @@ from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.progress import GapPace, GapProgress, GapStage, with_limit
 from mavcal.calib.gap.schema import GapReport, GapVerdict, as_json
 from mavcal.calib.gap.search.contest import Contest, ContestScore
-from mavcal.calib.gap.telling.inputs import inputs_of
+from mavcal.calib.gap.telling.recordings import inputs_of
 from mavcal.calib.gap_report.words import verdict_sentence
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of

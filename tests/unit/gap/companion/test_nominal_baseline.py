@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from mavcal.calib import gap
-from mavcal.calib.gap.companion.nominal_baseline import beside_nominal, nominal_baseline_of
+from mavcal.calib.gap.companion.baselines import beside_nominal, nominal_baseline_of
 from mavcal.calib.gap.reference import build, posed
 from mavcal.calib.gap.reference.signals import linear
 from mavcal.calib.gap.schema import GapVerdict

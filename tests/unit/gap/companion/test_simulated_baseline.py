@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.gap.companion.simulated_baseline import Baseline, baseline_of, beside
+from mavcal.calib.gap.companion.baselines import Baseline, baseline_of, beside
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.model.hypotheses import Hypothesis

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.effects import forward_models
-from mavcal.calib.gap.heldout.folds import carried, folds_of, joined, log_loss
-from mavcal.calib.gap.heldout.predictive import predictive_loss
+from mavcal.calib.gap.heldout.folds import carried, folds_of, joined, log_loss, predictive_loss
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model, Term, jacobian, normal_equations, setting_of
 from mavcal.calib.gap.model.noise_fit import refitted

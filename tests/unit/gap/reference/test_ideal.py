@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.channels import comparable, filter_delay, filter_gain, filter_in_force, sensors_of
+from mavcal.calib.gap.reference.expected_noise import slopes_squared
 from mavcal.calib.gap.reference.ideal import Ideal, continuous, recorded, trace_of, true_attitude, with_unit_noise
-from mavcal.calib.gap.reference.sample_age import slopes_squared
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.recording import Channel, Identity, ParameterTimeline, Recording, Sensor, Stage
 from tests.examples import examples

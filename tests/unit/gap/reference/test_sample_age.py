@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.expected_noise import with_sway_noise
-from mavcal.calib.gap.reference.noise import learned, on
-from mavcal.calib.gap.reference.sample_age import (
+from mavcal.calib.gap.reference.expected_noise import (
     age_noise_of,
     age_of,
     with_age_noise,
     with_aged_noise,
+    with_sway_noise,
     without_aged_samples,
 )
+from mavcal.calib.gap.reference.noise import learned, on
 from mavcal.calib.recording import Sensor
 
 AGE, NOISE, FS = 1e-3, 1e-3, 25.0

@@ -10,7 +10,7 @@ from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm, setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import refitted, starting_noise, with_term
 from mavcal.calib.gap.model.views import views_of
-from mavcal.calib.gap.telling.line_frequency import frequency_sd
+from mavcal.calib.gap.telling.estimates import frequency_sd
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 

@@ -9,9 +9,8 @@ from mavcal.calib.gap.diagnose import _task_of
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, Term, with_residual
-from mavcal.calib.gap.telling.inputs import diagnoser_sha256, inputs_of
-from mavcal.calib.gap.telling.separability import inseparable_notice
-from mavcal.calib.gap.telling.series import series_of
+from mavcal.calib.gap.telling.identifiability import inseparable_notice
+from mavcal.calib.gap.telling.recordings import diagnoser_sha256, inputs_of, series_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 

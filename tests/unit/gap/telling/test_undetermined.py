@@ -8,7 +8,7 @@ import pytest
 from mavcal.calib.gap.diagnose import _begun, diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.progress import GapPace
-from mavcal.calib.gap.telling.undetermined import undetermined, without_a_name
+from mavcal.calib.gap.telling.identifiability import undetermined, without_a_name
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -45,7 +45,7 @@ def test_an_effect_with_a_number_that_may_be_anything_has_no_name(monkeypatch):
     few = effects("accel_bias")
     chosen = chosen_of(problem, few)
     assert undetermined(chosen) == {}
-    estimate = "mavcal.calib.gap.telling.undetermined.estimates_of"
+    estimate = "mavcal.calib.gap.telling.identifiability.estimates_of"
     from mavcal.calib.gap.telling.estimates import estimates_of
 
     def loose(*arguments):

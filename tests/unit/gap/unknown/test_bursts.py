@@ -11,7 +11,7 @@ from mavcal.calib.gap.model.joint import NoiseTerm, setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import refitted, starting_noise, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.unknown.bursts import bursts
+from mavcal.calib.gap.unknown.misattributed_noise import bursts
 from mavcal.calib.recording import Sensor
 
 FS, SECONDS, SD = 50.0, 120.0, 0.05

@@ -1,12 +1,14 @@
-"""Other effects that are the same within the error of a re-estimated attitude: both are named.
+"""Effects that these data cannot tell from something else, and how the report names them.
 
-Both accelerometers tilted read as both with an offset across gravity; while the vehicle hardly tilts, the two differ by
-less than the attitude is known to. The noise of the samples would tell them apart, and it is not the noise that errs.
+A parameter without a finite error may have any value. An effect within the error of a re-estimated attitude may be that
+error: it stays in the model, so that no other effect takes its place, and is not reported as a gap. Two effects that
+differ by less than that error are both named: two tilted accelerometers read like two with an offset across gravity.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +16,76 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
-from mavcal.calib.gap.model.hypotheses import Hypothesis, summed
+from mavcal.calib.gap.model.hypotheses import Hypothesis, Key, summed
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, predicted
 from mavcal.calib.gap.model.views import View
-from mavcal.calib.gap.schema import EffectEstimate, Rival
+from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate, Rival
+from mavcal.calib.gap.search.selection import ChosenModel
+from mavcal.calib.gap.telling.estimates import estimates_of
+from mavcal.calib.gap.unknown.verdict import UnnamedCause
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
+
+
+def bounded(params: Iterable[ParameterEstimate]) -> bool:
+    """Whether all of them have an error."""
+    return all(math.isfinite(p.value) and math.isfinite(p.se) for p in params)
+
+
+def undetermined(chosen: ChosenModel) -> dict[Key, str]:
+    """Named effects of a model with a parameter that has no finite error, and the names of these."""
+    found = {}
+    for term in chosen.model.members:
+        if term.hypothesis.effect.nameless:
+            continue
+        loose = [p.name for p in estimates_of(chosen, term) if not bounded([p])]
+        if loose:
+            found[term.hypothesis.key] = ", ".join(loose)
+    return found
+
+
+def without_a_name(chosen: ChosenModel, loose: dict[Key, str]) -> Iterator[UnnamedCause]:
+    """What is said in their place."""
+    for term in chosen.model.members:
+        effect = term.hypothesis.effect
+        if (names := loose.get(term.hypothesis.key)) is not None:
+            like = f"a difference on {effect.sensor.value} like {effect.plain}"
+            yield UnnamedCause((term.hypothesis.key,), f"{like}, whose {names} these data do not bound")
+
+
+_ERRORS = 2.0
+"""Standard errors that one amplitude of an effect must exceed. Source: decision 32."""
+
+
+def inseparable(chosen: ChosenModel, reference: ReferenceInfo) -> frozenset[Key]:
+    """Named effects on the mean without an amplitude beyond two standard errors, the reference's tilt included."""
+    if reference.kind is not ReferenceKind.ESTIMATOR:
+        return frozenset()
+    return frozenset(_within(chosen))
+
+
+def _within(chosen: ChosenModel) -> Iterator[Key]:
+    for term in chosen.model.terms:
+        effect = term.effect
+        if effect.nameless or effect.fixed or not effect.parameters:
+            continue
+        amplitudes = estimates_of(chosen, term)[: len(effect.parameters)]
+        if not any(map(_undetermined, amplitudes)):
+            yield term.hypothesis.key
+
+
+def _undetermined(amplitude: ParameterEstimate) -> bool:
+    """Whether it differs from zero; of one that by itself has no error nothing is known."""
+    return not math.isfinite(amplitude.se) or abs(amplitude.value) > _ERRORS * amplitude.se
+
+
+def inseparable_notice(ids: Collection[str]) -> tuple[str, ...]:
+    """One sentence for the report; none where there are no such effects."""
+    names = ", ".join(dict.fromkeys(ids))
+    return (f"small, not separable from the reference's error: {names}",) if names else ()
+
 
 _WITHIN = 2.0
 """Standard deviations of the reference's attitude within which two effects are the same, on every axis. Source:
