@@ -91,7 +91,7 @@ def run(
     selected = tuple(effect for effect in effects if effect.id not in without)
     pace = pace or GapPace()
     flown = None
-    if sim is not None and _flies(real) and _flies(sim):
+    if sim is not None and _is_flight(real) and _is_flight(sim):
         pace.begin(GapStage.AIRFRAME)
         flown = airframe_gap(real, sim, without=without, frame=frame, ended=pace.ends)
     pace.begin(GapStage.REFERENCE)
@@ -103,7 +103,7 @@ def run(
         report = untestable(error.reason, error.need, digests)
     if flown is not None:
         report = joined(report, flown, real, sim)
-    elif sim is None and _flies(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
+    elif sim is None and _is_flight(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
         report = dataclasses.replace(report, airframe=alone)
     return with_patches(report, simulator_of(real, sim), frame=sim_frame, vehicle=real.parameters.final())
 
@@ -117,7 +117,7 @@ def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:
     return next((p for p in found if any(name.startswith(("SIM_", "SIH_")) for name in p)), {})
 
 
-def _flies(recording: Recording) -> bool:
+def _is_flight(recording: Recording) -> bool:
     """Whether the recording may be of a flight: it says what motors were told."""
     told = any(c.sensor == Sensor.MOTOR and c.values.any() for c in recording.channels)
     return told or any(c.sensor == Sensor.CONTROL for c in recording.dynamics)

@@ -32,14 +32,14 @@ from mavcal.calib.gap.schema import (
     NotTestable,
     Unknown,
 )
-from mavcal.calib.gap.search.added_noise import nominal_has_tone, unsteady_line
+from mavcal.calib.gap.search.added_noise import is_line_unsteadiness, nominal_has_tone
 from mavcal.calib.gap.search.contest import Contest, ContestScore
-from mavcal.calib.gap.search.exchange import SettledModel, settled, steadily
+from mavcal.calib.gap.search.exchange import StableModel, stable_model, without_drift_noise
 from mavcal.calib.gap.search.lattice_effects import Lattice, covered_by, lattice_of
 from mavcal.calib.gap.search.power import powers_of
-from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
+from mavcal.calib.gap.search.selection import ChosenModel, refitted_without, select
 from mavcal.calib.gap.search.thresholds import GainThresholds
-from mavcal.calib.gap.search.wander import WanderFit, wandering
+from mavcal.calib.gap.search.wander import WanderFit, fit_wander
 from mavcal.calib.gap.telling.effect_report import effect_of, on_either_unit, on_late_unit, wandering_reference
 from mavcal.calib.gap.telling.identifiability import (
     bounded,
@@ -90,7 +90,7 @@ class _Answer:
     effects that did not had gained. `small` are effects that nobody can tell from the reference's error.
     """
 
-    settled: SettledModel
+    stable_model: StableModel
     attributions: tuple[Attribution, ...]
     contest: Contest
     wander: WanderFit | None
@@ -109,7 +109,7 @@ class _Answer:
         """Effects by which two recordings differ anyway, or that the reference's own error makes: they are no gap."""
         thresholds, gains = self.contest.thresholds, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
-        small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.reporting(h))
+        small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.to_report(h))
         return self.small | small | below_reference(self.chosen.model, self.chosen.joint, BY_CHANCE)
 
     @property
@@ -212,15 +212,15 @@ def _gains(chosen: ChosenModel) -> dict[Key, float]:
 def _settled(task: _Task, chosen: ChosenModel, alpha: float, named: Collection[str]) -> _Answer:
     """The model in which nothing has a better one in its place: the reference's own error, other effects, shapes."""
     contest, start = task.contest, task.bare
-    wander = wandering(chosen, contest, start, alpha) if REFERENCE in named else None
+    wander = fit_wander(chosen, contest, start, alpha) if REFERENCE in named else None
     if wander is None:
-        chosen = steadily(chosen, start, contest, alpha)
+        chosen = without_drift_noise(chosen, start, contest, alpha)
     else:
         chosen, contest = wander.chosen, wander.contest
         start = starting_model(chosen.model.setting, wander.noise, chosen.model.ridge)
-    found = settled(chosen, contest, alpha)
+    found = stable_model(chosen, contest, alpha)
     best = explained(found.chosen, contest, start, alpha, named)
-    found = settled(best.chosen, best.contest, alpha, found)
+    found = stable_model(best.chosen, best.contest, alpha, found)
     small = inseparable(found.chosen, task.problem.reference)
     return _Answer(found, attributed(found, best.contest), best.contest, wander, small=small)
 
@@ -238,7 +238,7 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         weakest = [min((s for s in failed if s.hypothesis.effect.id == k), key=lambda s: s.gain) for k in sorted(kinds)]
         weakest = failed if contest.pace.ends() else weakest
         excluded += weakest
-        chosen = reduced(chosen, [s.hypothesis.key for s in weakest])
+        chosen = refitted_without(chosen, [s.hypothesis.key for s in weakest])
         known = None if heldout is None or not contest.pace.ended else heldout.gates
         heldout = held_out(chosen, contest, answer.tolerated, known)
         if len(weakest) == len(failed) or contest.pace.ended:
@@ -248,7 +248,7 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         heldout = nested_in(heldout, chosen, contest, alpha)
     if not excluded:
         return replace(answer, heldout=heldout, gates=gates)
-    found = settled(chosen, contest, 0.0, answer.settled)
+    found = stable_model(chosen, contest, 0.0, answer.settled)
     return replace(
         answer,
         settled=found,
@@ -293,7 +293,7 @@ def _withdrawn(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
 def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapReport:
     """Everything that is said of a problem and of the answer to it."""
     chosen, model = answer.chosen, answer.chosen.model
-    found = unnamed_causes_in(model, answer.gap, task.problem.minimum_gain.lasting)
+    found = unnamed_causes_in(model, answer.gap, task.problem.minimum_gain.steady_report)
     unnamed = (s for s in found if not answer.tolerated.issuperset(s.keys))
     members = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
     gap = {a.key for a in answer.gap}
@@ -328,7 +328,7 @@ def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alp
     """Where the gap lies; beside errors of the reference, which are everywhere, only on sensors that have one."""
     found = located(task.bare, alpha)
     shared = any(by_id()[effect.id].shared for effect in effects)
-    if unknown.flag or not task.problem.minimum_gain.lasting or shared:
+    if unknown.flag or not task.problem.minimum_gain.steady_report or shared:
         return found
     named = {effect.sensor.value for effect in effects if effect.sensor is not None}
     return tuple(one for one in found if one.channel.partition(".")[0] in named)
@@ -346,7 +346,7 @@ def _unknown(task: _Task, answer: _Answer, causes: Iterable[UnnamedCause]) -> Un
         tuple(causes),
         unexplained,
         reference.bandwidth_hz,
-        task.problem.minimum_gain.lasting,
+        task.problem.minimum_gain.steady_report,
         outside=reference.kind is ReferenceKind.POSE,
     )
 
@@ -358,7 +358,7 @@ def _effects(
     model = answer.chosen.model
     denied = {key for cause in causes for key in cause.keys}
     denied |= {t.hypothesis.key for t in model.terms if nominal_has_tone(t, task.problem.nominal)}
-    denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
+    denied |= {t.hypothesis.key for t in model.noise_terms if is_line_unsteadiness(t, model)}
     doubtful = either_unit(model, BY_CHANCE)
     found = (
         _effect(task, answer, a, beside_unknown=beside_unknown, either=a.key in doubtful)

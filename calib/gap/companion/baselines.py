@@ -33,14 +33,18 @@ def problem_of(
     """
     if sim is not None and flew_another(real, sim):
         real, sim = with_common_channels(real, sim)
-        baseline = baseline_of(build(sim, sim, nominal), alpha, pace)
-        return beside(build(real, sim, nominal, nuisance=baseline.in_ideal, companion=sim), baseline)
+        baseline = simulated_baseline_of(build(sim, sim, nominal), alpha, pace)
+        return compared_with_simulator(
+            build(real, sim, nominal, nuisance=baseline.added_to_ideal, companion=sim), baseline
+        )
     apart = sim is not None and posed_apart(real, sim)
     companions = (sim, *nominal) if sim is not None and apart else tuple(nominal)
     if (sim is None or apart) and (other := posed(real, companions)) is not None:
         its = prepared(other, None, companions)
         nuisance = nominal_baseline_of(lambda known: its.problem(known, other), alpha, pace, simulated=apart)
-        return beside_nominal(build(real, None, companions, nuisance=nuisance.in_ideal, companion=other), nuisance)
+        return compared_with_nominal(
+            build(real, None, companions, nuisance=nuisance.added_to_ideal, companion=other), nuisance
+        )
     return build(real, sim, nominal)
 
 
@@ -49,20 +53,20 @@ _OF_ONE_RECORDING = (*_OF_ONE_SIMULATION, "accel_bias", "gyro_bias")
 """Two clocks may agree anywhere in a recording. A bias differs each time that a sensor is switched on, but a
 simulator's is always the same.
 """
-_OPEN, _OPEN_BIAS = 1.0 / 3.0, 1.5
+_UNCERTAIN_SHARE, _UNCERTAIN_BIAS = 1.0 / 3.0, 1.5
 """Part of a nuisance effect by which two recordings against poses differ; a bias differs by all of itself, and by the
 error of its estimate. Source: decision 7 for the third. The other is chosen, not measured: the bias and half as much
 for the error of its estimate."""
-_SMALL_LEVEL = 0.006
+_LEVEL_DIFFERENCE = 0.006
 """Evidence a number, beside `prices.FLIGHT_DIFFERENCE`, of level shifts: they are a few numbers of a spectrum. Chosen,
 not measured: a fifth of that difference."""
-_SMALL_JOINS = 0.003
+_ENTRY_DIFFERENCE = 0.003
 """The same of what is in the model, so that nothing else takes its place, and not reported. Chosen, not measured: a
 tenth of that difference, so that it joins first."""
-_LOUD = 0.3
+_NOISE_DIFFERENCE = 0.3
 """Evidence a number of noise of twice the power; noise differs by as much from minute to minute. Source: deviance `r -
 1 - log r` of a ratio r of powers, 1 - log 2 at r = 2."""
-_ROUNDS, _SETTLED = 5, 0.1
+_ROUNDS, _CONVERGED = 5, 0.1
 """Times at most that the noise is learned, first with the nuisance effects, then beside them. The second is the
 share by which their gain may still change. Chosen, not measured: five bound the time, and a tenth of a gain decides
 nothing."""
@@ -75,7 +79,7 @@ class NominalBaseline:
     effects: tuple[EffectEstimate, ...]
     biases: tuple[EffectEstimate, ...] = ()
 
-    def in_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
+    def added_to_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
         """Traces of the nominal recording beside what it reads with them: what is left is its noise."""
         return with_effects_in(traces, self.effects)[0]
 
@@ -104,22 +108,24 @@ def nominal_baseline_of(
     gone = _OF_ONE_SIMULATION if simulated else _OF_ONE_RECORDING
     baseline, before = NominalBaseline(()), 0.0
     for _ in range(_ROUNDS):
-        problem = learned(baseline.in_ideal)
+        problem = learned(baseline.added_to_ideal)
         found = steady_effects(problem, alpha, GainThresholds(), gone, pace).supported
         gain = sum(one.gain for one in found)
-        baseline = NominalBaseline(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
-        if abs(gain - before) <= _SETTLED * before or (pace is not None and pace.ends()):
+        baseline = NominalBaseline(
+            tuple(one.effect for one in found), tuple(map(_bias_estimate, _inertial_traces(problem.traces)))
+        )
+        if abs(gain - before) <= _CONVERGED * before or (pace is not None and pace.ends()):
             break
         before = gain
     return baseline
 
 
-def _single(traces: Sequence[Trace]) -> list[Trace]:
+def _inertial_traces(traces: Sequence[Trace]) -> list[Trace]:
     """Those of sensors that have a bias, against the pose."""
     return [t for t in traces if t.against is None and t.sensor in (Sensor.ACCEL, Sensor.GYRO)]
 
 
-def _bias_of(trace: Trace) -> EffectEstimate:
+def _bias_estimate(trace: Trace) -> EffectEstimate:
     """The mean residual, whether it is significant or not."""
     mean = trace.residual[trace.observed].mean(axis=0)
     values = tuple(
@@ -132,28 +138,28 @@ def _bias_of(trace: Trace) -> EffectEstimate:
     )
 
 
-def beside_nominal(problem: GapProblem, baseline: NominalBaseline) -> GapProblem:
+def compared_with_nominal(problem: GapProblem, baseline: NominalBaseline) -> GapProblem:
     """`problem` compared with a pose that has the effects that a nominal recording shows against its own.
 
     A bias is not carried over, but one as large is no gap.
     """
     changed, _ = with_effects(problem, baseline.effects, shared=True)
     minimum_gain = MinimumGain(
-        joins=accepted_difference(problem, _SMALL_JOINS),
-        lasting=accepted_difference(problem, prices.FLIGHT_DIFFERENCE),
-        level=accepted_difference(problem, _SMALL_LEVEL),
-        loud=accepted_difference(problem, _LOUD),
+        steady_entry=accepted_difference(problem, _ENTRY_DIFFERENCE),
+        steady_report=accepted_difference(problem, prices.FLIGHT_DIFFERENCE),
+        level=accepted_difference(problem, _LEVEL_DIFFERENCE),
+        noise_report=accepted_difference(problem, _NOISE_DIFFERENCE),
     )
     nuisance = (
-        *(NuisanceEffect(e, _OPEN) for e in baseline.effects),
-        *(NuisanceEffect(e, _OPEN_BIAS) for e in baseline.biases),
+        *(NuisanceEffect(e, _UNCERTAIN_SHARE) for e in baseline.effects),
+        *(NuisanceEffect(e, _UNCERTAIN_BIAS) for e in baseline.biases),
     )
     return replace(
-        changed, minimum_gain=minimum_gain, nuisance=nuisance, warnings=(*changed.warnings, *_said(baseline))
+        changed, minimum_gain=minimum_gain, nuisance=nuisance, warnings=(*changed.warnings, *_notices(baseline))
     )
 
 
-def _said(baseline: NominalBaseline) -> tuple[str, ...]:
+def _notices(baseline: NominalBaseline) -> tuple[str, ...]:
     """What was taken off, for who reads the report; nothing where nothing was."""
     if not baseline.effects:
         return ()
@@ -163,16 +169,16 @@ def _said(baseline: NominalBaseline) -> tuple[str, ...]:
     return (f"the nominal recording shows this against its own pose, and it was taken off: {named}",)
 
 
-_CALM = 3.0
+_MOVEMENT_RATIO = 3.0
 """Times as much movement (rms) as in the simulated flight, beyond which a report says so. Chosen, not measured: two
 flights of one mission differ by less."""
-_DIFFERENT = 0.1
+_UNCERTAIN_EVIDENCE = 0.1
 """Part of the evidence of a simulated flight's own nuisance effects that a real one must have beyond them. Chosen, not
 measured: a tenth is small beside the effect itself."""
 
 
 @dataclass(frozen=True, eq=False)
-class Baseline:
+class SimulatedBaseline:
     """Effects found in a simulated flight, and the `reference` that it was compared with.
 
     `effects` are expected in another flight too. All that were `found` say how far two flights differ.
@@ -190,52 +196,52 @@ class Baseline:
     accepted_difference: Mapping[Sensor, float]
     reference: ReferenceInfo
 
-    def in_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
+    def added_to_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
         """`traces` of the simulator beside what it reads with its nuisance effects: what is left is its noise."""
         return with_effects_in(traces, self.effects)[0]
 
 
-def baseline_of(problem: GapProblem, alpha: float, pace: GapPace | None = None) -> Baseline:
+def simulated_baseline_of(problem: GapProblem, alpha: float, pace: GapPace | None = None) -> SimulatedBaseline:
     """What of the mean a simulated flight shows beside its own ideal; what happens once is not carried over.
 
     The noise that was learned from this flight has in it what is looked for: it is fitted again beside it.
     """
-    problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
+    problem = replace(problem, traces=tuple(map(_without_learned_noise, problem.traces)))
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
     found = steady_effects(
-        problem, alpha, GainThresholds(MinimumGain(small, small, small, small, unsteady=small)), pace=pace
+        problem, alpha, GainThresholds(MinimumGain(small, small, small, small, drift_entry=small)), pace=pace
     )
     largest = {t.sensor: 0.0 for t in problem.traces}
     for one in found.found:
         for sensor in one.sensors:
             largest[sensor] = max(largest[sensor], one.gain)
     effects, every = (tuple(one.effect for one in which) for which in (found.supported, found.found))
-    changes = _changes(problem, every)
-    return Baseline(effects, every, largest, changes, _movement(problem), small, problem.reference)
+    changes = _squared_changes(problem, every)
+    return SimulatedBaseline(effects, every, largest, changes, _movement_variance(problem), small, problem.reference)
 
 
-def _undeclared(trace: Trace) -> Trace:
+def _without_learned_noise(trace: Trace) -> Trace:
     """Without noise that was learned; what is declared for certain stays."""
     if trace.psd is None and math.isinf(trace.sigma_dof):
         return trace
     return replace(trace, sigma=None, sigma_dof=math.inf, psd=None, psd_hz=None, own_psd=None)
 
 
-def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
+def compared_with_simulator(problem: GapProblem, baseline: SimulatedBaseline) -> GapProblem:
     """`problem` compared with a simulator that has what its own flight shows."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
-    livelier = _changes(problem, baseline.found)
+    livelier = _squared_changes(problem, baseline.found)
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
     own = {s: _nuisance_gain(problem, baseline, livelier, s) for s in small}
-    moves = _movement(problem)
+    moves = _movement_variance(problem)
     level = {s: max(small[s], own[s]) for s in small}
     noise = {s: _scaled_by_movement(problem, small[s], moves, baseline.movement, s) for s in small}
     least = {s: max(noise[s], own[s]) for s in small}
-    reference = _of_both(problem.reference, baseline.reference)
+    reference = _combined_reference(problem.reference, baseline.reference)
     warnings = (*changed.warnings, *_calm_flight_warnings(moves, baseline.movement))
     # What is open of a mean comes and goes with the movement: it looks like a drift or like noise that goes with the
     # motors, but steady noise does not become louder by it.
-    minimum_gain = MinimumGain(least, least, level, noise, unsteady=least)
+    minimum_gain = MinimumGain(least, least, level, noise, drift_entry=least)
     return replace(changed, minimum_gain=minimum_gain, reference=reference, warnings=warnings)
 
 
@@ -243,7 +249,7 @@ def _calm_flight_warnings(moves: Mapping[Sensor, float], before: Mapping[Sensor,
     """Warn of each sensor that the simulated flight hardly moved."""
     for sensor, square in moves.items():
         calm = before.get(sensor, 0.0)
-        if 0.0 < _CALM**2 * calm < square:
+        if 0.0 < _MOVEMENT_RATIO**2 * calm < square:
             times = math.sqrt(square / calm)
             yield (
                 f"{sensor}: this flight moves {times:.2g} times as much as the other one: only a large error that goes "
@@ -262,10 +268,10 @@ def _scaled_by_movement(
     calm = before.get(sensor, 0.0)
     if not 0.0 < calm < moves.get(sensor, 0.0):
         return small
-    return max(small, _evidence(problem, small * moves[sensor] / calm, sensor))
+    return max(small, _gain_with_refitted_noise(problem, small * moves[sensor] / calm, sensor))
 
 
-def _movement(problem: GapProblem) -> dict[Sensor, float]:
+def _movement_variance(problem: GapProblem) -> dict[Sensor, float]:
     """By sensor, the mean square of what ideal sensors read about their mean; the largest of its instances."""
     found: dict[Sensor, float] = {}
     for trace in problem.traces:
@@ -275,14 +281,16 @@ def _movement(problem: GapProblem) -> dict[Sensor, float]:
     return found
 
 
-def _of_both(real: ReferenceInfo, simulated: ReferenceInfo) -> ReferenceInfo:
+def _combined_reference(real: ReferenceInfo, simulated: ReferenceInfo) -> ReferenceInfo:
     """The reference of a real flight; the errors of what it estimated inside are those of both flights together."""
     pairs = ((real.gyro_sd, simulated.gyro_sd), (real.field_sd, simulated.field_sd))
     gyro, field = (tuple(map(math.hypot, a, b)) if len(a) == len(b) else a for a, b in pairs)
     return replace(real, gyro_sd=gyro, field_sd=field)
 
 
-def _nuisance_gain(problem: GapProblem, baseline: Baseline, livelier: Mapping[Sensor, float], sensor: Sensor) -> float:
+def _nuisance_gain(
+    problem: GapProblem, baseline: SimulatedBaseline, livelier: Mapping[Sensor, float], sensor: Sensor
+) -> float:
     """Twice the log-likelihood that what a simulated flight's nuisance effects leave open has in this one.
 
     A livelier flight shows more of them. Their parameters are as uncertain as a part of their own evidence, and as what
@@ -292,18 +300,18 @@ def _nuisance_gain(problem: GapProblem, baseline: Baseline, livelier: Mapping[Se
     there = baseline.changes.get(sensor, 0.0)
     if there == 0.0:
         return 0.0
-    part = max(_DIFFERENT * baseline.gains.get(sensor, 0.0), baseline.accepted_difference.get(sensor, 0.0))
+    part = max(_UNCERTAIN_EVIDENCE * baseline.gains.get(sensor, 0.0), baseline.accepted_difference.get(sensor, 0.0))
     gain = max(1.0, livelier.get(sensor, 0.0) / there) * part
-    return _evidence(problem, gain, sensor)
+    return _gain_with_refitted_noise(problem, gain, sensor)
 
 
-def _evidence(problem: GapProblem, gain: float, sensor: Sensor) -> float:
+def _gain_with_refitted_noise(problem: GapProblem, gain: float, sensor: Sensor) -> float:
     """A `gain` beside noise that is fitted again; zero for a sensor that only the other flight has."""
     numbers = max((3 * len(t.t) for t in problem.traces if t.sensor is sensor), default=0)
     return numbers * math.log1p(gain / numbers) if numbers else 0.0
 
 
-def _changes(problem: GapProblem, effects: tuple[EffectEstimate, ...]) -> dict[Sensor, float]:
+def _squared_changes(problem: GapProblem, effects: tuple[EffectEstimate, ...]) -> dict[Sensor, float]:
     """By sensor, sum of squares of what effects change of the ideal readings."""
     changed, _ = with_effects(problem, effects, shared=True)
     total: dict[Sensor, float] = {}

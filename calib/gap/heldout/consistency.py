@@ -24,7 +24,7 @@ from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, Trace
 from mavcal.calib.gap.search.lattice_effects import Lattice
-from mavcal.calib.gap.search.selection import ChosenModel, last_gains
+from mavcal.calib.gap.search.selection import ChosenModel, marginal_gains
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.recording import Sensor
 
@@ -92,7 +92,7 @@ def _not_along(
     for score in chosen.scores:
         if score.hypothesis.key in members:
             model = joined(model, members[score.hypothesis.key])
-    gains = last_gains(model, contest_of([t.hypothesis for t in model.members], GainThresholds()))
+    gains = marginal_gains(model, contest_of([t.hypothesis for t in model.members], GainThresholds()))
     for term in asked:
         key = term.hypothesis.key
         if gains[key][0] < _GAINS or not _as_large(term, model):

@@ -34,7 +34,7 @@ from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.evidence import prior_sd
-from mavcal.calib.gap.search.selection import fitted_about, without
+from mavcal.calib.gap.search.selection import locally_fitted, without_effect
 from mavcal.calib.gap.search.thresholds import GainThresholds
 
 Array = NDArray[np.float64]
@@ -98,8 +98,8 @@ def _start(views: Sequence[View]) -> Model:
 def joined(model: Model, term: Term | NoiseTerm, *, hold: bool = False) -> Model:
     """The model with a term of another setting, fitted from where that is; with `hold` shapes stay there."""
     if isinstance(term, NoiseTerm):
-        return fitted_about(with_term(model, term), term.hypothesis, hold=hold)
-    return fitted_about(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis, hold=hold)
+        return locally_fitted(with_term(model, term), term.hypothesis, hold=hold)
+    return locally_fitted(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis, hold=hold)
 
 
 def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
@@ -126,7 +126,7 @@ def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
 
 def parted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
     """The model without the term of a hypothesis, what remains fitted again; with `hold` shapes stay where they are."""
-    return fitted_about(without(model, hypothesis.key), hypothesis, hold=hold)
+    return locally_fitted(without_effect(model, hypothesis.key), hypothesis, hold=hold)
 
 
 def carried(model: Model, test: Model) -> Model:

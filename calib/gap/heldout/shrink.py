@@ -40,7 +40,7 @@ from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.schema import SequenceStep, Shrink
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.selection import ChosenModel, Gains, last_gains, select
+from mavcal.calib.gap.search.selection import ChosenModel, Gains, marginal_gains, select
 
 Array = NDArray[np.float64]
 
@@ -195,7 +195,7 @@ def _gains_beside_noise(chosen: ChosenModel, contest: Contest) -> Gains:
 
     That takes much of a slow effect for its own, on held-out blocks as well.
     """
-    gains = dict(last_gains(chosen.model, contest))
+    gains = dict(marginal_gains(chosen.model, contest))
     unknown = {view.sensor for view in chosen.model.setting.views if not is_declared(view)}
     level = sum(chosen.noise.deviance.values())
     for term in chosen.model.terms:

@@ -36,17 +36,17 @@ class AddedNoise:
         return self.amplitudes.T @ densities_of(self.hypothesis, model.setting.views[v], self.theta)
 
 
-def _touched(hypothesis: Hypothesis, model: Model) -> list[int]:
+def _series_of(hypothesis: Hypothesis, model: Model) -> list[int]:
     return [v for v, view in enumerate(model.setting.views) if hypothesis.touches(view)]
 
 
-def stands_out(added: AddedNoise, model: Model) -> bool:
+def exceeds_flight_differences(added: AddedNoise, model: Model) -> bool:
     """Whether added noise is more than two flights of one vehicle differ by.
 
     A spectrum that was learned from another recording is the mean over its rest and its flight; how much of either
     there was is no effect. On noise that is declared anything counts.
     """
-    touched = _touched(added.hypothesis, model)
+    touched = _series_of(added.hypothesis, model)
     if any(model.setting.views[v].density is None for v in touched):
         return True
     for v in touched:
@@ -56,26 +56,26 @@ def stands_out(added: AddedNoise, model: Model) -> bool:
     return False
 
 
-def unsteady_line(term: NoiseTerm, model: Model) -> bool:
+def is_line_unsteadiness(term: NoiseTerm, model: Model) -> bool:
     """Whether broad noise of a model is no more than the unsteadiness of a line beside it."""
     if Trait.LINE in term.hypothesis.effect.traits:
         return False
-    return _power_of(term, term.hypothesis, model) <= prices.LINE_UNSTEADINESS * line_power(term.hypothesis, model)
+    return _term_power(term, term.hypothesis, model) <= prices.LINE_UNSTEADINESS * line_power(term.hypothesis, model)
 
 
-def drift_beside_lines(added: AddedNoise, model: Model) -> bool:
+def drift_exceeds_lines(added: AddedNoise, model: Model) -> bool:
     """Whether noise that wanders is more than the unsteadiness of the lines of a model, whose skirts reach low bins."""
     if not added.hypothesis.effect.drifts:
         return True
-    power = sum(float(added.power(model, v).sum()) for v in _touched(added.hypothesis, model))
+    power = sum(float(added.power(model, v).sum()) for v in _series_of(added.hypothesis, model))
     return power > prices.LINE_UNSTEADINESS * line_power(added.hypothesis, model)
 
 
-def tone_beside_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:
+def tone_exceeds_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:
     """The same of a tone with amplitudes `beta`."""
     if not hypothesis.effect.tonal:
         return True
-    samples = sum(model.setting.views[v].whole.n for v in _touched(hypothesis, model) if not _upper(model, v))
+    samples = sum(model.setting.views[v].whole.n for v in _series_of(hypothesis, model) if not _upper(model, v))
     return 0.5 * float(beta @ beta) * samples > prices.LINE_UNSTEADINESS * line_power(hypothesis, model)
 
 
@@ -86,24 +86,24 @@ def _upper(model: Model, v: int) -> bool:
 def line_power(hypothesis: Hypothesis, model: Model) -> float:
     """Power of the lines of a model on the sensor of `hypothesis`, summed over bins and axes."""
     return sum(
-        _power_of(term, hypothesis, model)
+        _term_power(term, hypothesis, model)
         for term in model.noise_terms
         if term.hypothesis.effect.sensor is hypothesis.effect.sensor and Trait.LINE in term.hypothesis.effect.traits
     )
 
 
-def _power_of(term: NoiseTerm, hypothesis: Hypothesis, model: Model) -> float:
+def _term_power(term: NoiseTerm, hypothesis: Hypothesis, model: Model) -> float:
     names = [term.name(j) for j in range(len(term.hypothesis.effect.parameters) // 3)]
     seen = [n for a, n in enumerate(model.noise) if hypothesis.touches(model.setting.views[a // 3])]
     return sum(n.amplitudes[k] * float(n.densities[k].sum()) for n in seen for k in names if k in n.amplitudes)
 
 
-def whose(added: AddedNoise, model: Model) -> bool:
+def is_on_loud_instances(added: AddedNoise, model: Model) -> bool:
     """Whether the instances of a hypothesis are those that show the noise.
 
     Sums and differences of instances have the same spectra whichever of them is loud; their own do not.
     """
-    excess = _excess(added, model)
+    excess = _excess_by_instance(added, model)
     if not excess:
         return True
     largest = max(excess.values())
@@ -112,10 +112,10 @@ def whose(added: AddedNoise, model: Model) -> bool:
     return {i for i, e in excess.items() if e > prices.INSTANCE_SHARE * largest} == set(added.hypothesis.instances)
 
 
-def _excess(added: AddedNoise, model: Model) -> Mapping[int, float]:
+def _excess_by_instance(added: AddedNoise, model: Model) -> Mapping[int, float]:
     """By instance: power above the noise, weighted as the added noise is seen; empty where series are of one each."""
     found: dict[int, float] = {}
-    for v in _touched(added.hypothesis, model):
+    for v in _series_of(added.hypothesis, model):
         view = model.setting.views[v]
         if len(view.weights) < 2:
             continue
@@ -128,7 +128,7 @@ def _excess(added: AddedNoise, model: Model) -> Mapping[int, float]:
         rows = np.array(list(weights.values()))
         if np.abs(rows @ rows.T - np.eye(len(rows))).max() > 1e-6:
             return {}  # not orthonormal: no way back to single instances
-        shape = _about(added, model, v)
+        shape = _search_band(added, model, v)
         spectra = [model.setting.views[u].spectra(model.residual[u]) for u in group]
         power = np.array([[model.noise[3 * u + c].power for c in range(3)] for u in group])
         for i, row in weights.items():
@@ -138,7 +138,7 @@ def _excess(added: AddedNoise, model: Model) -> Mapping[int, float]:
     return found
 
 
-def _about(added: AddedNoise, model: Model, v: int) -> Array:
+def _search_band(added: AddedNoise, model: Model, v: int) -> Array:
     """Where added noise is looked for, (3, n): of a line all about it, since units with clocks of their own have it at
     frequencies of their own.
     """
@@ -146,11 +146,11 @@ def _about(added: AddedNoise, model: Model, v: int) -> Array:
     if Trait.LINE not in added.hypothesis.effect.traits:
         return power
     view = model.setting.views[v]
-    near = _near(view, int(np.argmax(power.sum(axis=0))))
+    near = _near_peak(view, int(np.argmax(power.sum(axis=0))))
     return np.where(near, power.max(axis=1, keepdims=True), 0.0)
 
 
-def _near(view: View, peak: int) -> NDArray[np.bool_]:
+def _near_peak(view: View, peak: int) -> NDArray[np.bool_]:
     """The bins beside the one of a line's largest density."""
     return np.asarray(np.abs(view.omega - view.omega[peak]) < prices.LINE_REACH_HZ * 2.0 * np.pi / view.whole.fs)
 
@@ -161,10 +161,10 @@ def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
     The likelihood is of all bins: where a strong line is unsteady its skirts outweigh it.
     """
     total, size, scatter = np.zeros(3), np.zeros(3), np.zeros(3)
-    for v in _touched(term.hypothesis, model):
+    for v in _series_of(term.hypothesis, model):
         view = model.setting.views[v]
         density = densities_of(term.hypothesis, view, term.theta)[0]
-        near = _near(view, int(np.argmax(density)))
+        near = _near_peak(view, int(np.argmax(density)))
         spectra = view.spectra(model.residual[v])
         for c in range(3):
             noise = model.noise[3 * v + c]
@@ -189,17 +189,17 @@ def nominal_has_tone(term: Term, nominal: Iterable[Trace]) -> bool:
         trace.sensor is term.hypothesis.effect.sensor
         and term.theta < 0.5 * trace.fs
         and _amplitude(trace, term.theta) > prices.NOMINAL_TONE_SHARE * size
-        and _line(trace, term.theta) > prices.LINE_TO_NEIGHBOURS
+        and _line_to_neighbours(trace, term.theta) > prices.LINE_TO_NEIGHBOURS
         for trace in nominal
     )
 
 
 def _amplitude(trace: Trace, hz: float) -> float:
     """Amplitude of the wave of that frequency in the residual of `trace`, over all axes."""
-    return float(np.sqrt((_projected(trace, hz) ** 2).sum()))
+    return float(np.sqrt((_wave_amplitudes(trace, hz) ** 2).sum()))
 
 
-def _line(trace: Trace, hz: float) -> float:
+def _line_to_neighbours(trace: Trace, hz: float) -> float:
     """Energy at `hz` over the median about it."""
     step = trace.fs / len(trace.t)
     near = [
@@ -210,7 +210,7 @@ def _line(trace: Trace, hz: float) -> float:
     return float((_amplitude(trace, hz) / max(np.median(near), 1e-300)) ** 2)
 
 
-def _projected(trace: Trace, hz: float) -> Array:
+def _wave_amplitudes(trace: Trace, hz: float) -> Array:
     rows = trace.observed
     left = trace.residual[rows] - trace.residual[rows].mean(axis=0)
     angle = 2.0 * np.pi * hz * trace.t[rows]

@@ -27,7 +27,13 @@ from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.added_noise import AddedNoise, drift_beside_lines, stands_out, tone_beside_lines, whose
+from mavcal.calib.gap.search.added_noise import (
+    AddedNoise,
+    drift_exceeds_lines,
+    exceeds_flight_differences,
+    is_on_loud_instances,
+    tone_exceeds_lines,
+)
 from mavcal.calib.gap.search.column_cache import ColumnCache
 from mavcal.calib.gap.search.evidence import (
     price_of_fixed,
@@ -36,8 +42,8 @@ from mavcal.calib.gap.search.evidence import (
     price_of_repetition,
     price_of_search,
 )
-from mavcal.calib.gap.search.filtered_noise import filter_evidence, shaped
-from mavcal.calib.gap.search.projection import Beside, Gain
+from mavcal.calib.gap.search.filtered_noise import evidence_of_filters, filter_evidence
+from mavcal.calib.gap.search.projection import Gain, Projection
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.recording import Sensor
 
@@ -75,12 +81,12 @@ class ContestScore:
         return self.gain - self.delta
 
 
-def tail(gain: float, df: int, grid: int) -> float:
+def tail_probability(gain: float, df: int, grid: int) -> float:
     """Chance that the best of `grid` values gains so much without an effect."""
     return 1.0 if df == 0 or gain <= 0.0 else min(1.0, grid * float(chdtrc(df, gain)))
 
 
-def one_sided_tail(gain: float, df: int, grid: int) -> float:
+def one_sided_tail_probability(gain: float, df: int, grid: int) -> float:
     """The same for `df` amplitudes that cannot be negative: each is zero half of the time (chi-bar squared)."""
     if gain <= 0.0:
         return 1.0
@@ -116,7 +122,7 @@ class Contest:
         self.pace = pace or GapPace()
         self.columns = ColumnCache(budget) if columns is None else columns
 
-    def among(self, hypotheses: Sequence[Hypothesis]) -> Contest:
+    def restricted_to(self, hypotheses: Sequence[Hypothesis]) -> Contest:
         """A contest of other hypotheses on the same setting, which shares the columns that were made."""
         return Contest(hypotheses, thresholds=self.thresholds, columns=self.columns, pace=self.pace)
 
@@ -124,19 +130,19 @@ class Contest:
         """The same in which any gain may join that is significant."""
         return Contest(self.hypotheses, columns=self.columns, pace=self.pace)
 
-    def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> ContestScore:
+    def score(self, hypothesis: Hypothesis, beside: Projection, *, refine: bool = True) -> ContestScore:
         """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
             return noise_score(hypothesis, beside.model)
         if effect.shape is None:
             gain = beside.gain(self.columns.of(hypothesis, math.nan, beside.model.setting))
-            found = priced(hypothesis, math.nan, _exact(hypothesis, gain, beside) if refine else gain, 1)
+            found = free_score(hypothesis, math.nan, _exact(hypothesis, gain, beside) if refine else gain, 1)
         else:
             found = self._shape_score(hypothesis, effect.shape, beside, refine=refine)
         return found if refine else replace(found, sure=not refinable(found))
 
-    def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[ContestScore]:
+    def scores(self, hypotheses: Sequence[Hypothesis], beside: Projection) -> list[ContestScore]:
         """Scores of several on their grids; those that are not `sure` are to be asked for alone before they count.
 
         A free amplitude gains more at its best shape than on the grid, and no less than an effect that is nothing but a
@@ -149,7 +155,7 @@ class Contest:
             found.append(self.score(hypothesis, beside, refine=False))
         return found
 
-    def assured(self, scores: Sequence[ContestScore], beside: Beside, least: float) -> list[ContestScore]:
+    def refined_scores(self, scores: Sequence[ContestScore], beside: Projection, least: float) -> list[ContestScore]:
         """The same, with every one whose `delta` may be above `least` at its best shape."""
         found = []
         for score in scores:
@@ -157,29 +163,31 @@ class Contest:
             found.append(score if known else self.score(score.hypothesis, beside))
         return found
 
-    def _shape_score(self, hypothesis: Hypothesis, shape: EffectShape, beside: Beside, *, refine: bool) -> ContestScore:
+    def _shape_score(
+        self, hypothesis: Hypothesis, shape: EffectShape, beside: Projection, *, refine: bool
+    ) -> ContestScore:
         """Score of an effect on the mean with a shape: the best of its grid, refined where it gains enough."""
         effect = hypothesis.effect
         assert isinstance(effect, MeanEffect)
-        trace, view = widest(hypothesis, beside.model)
+        trace, view = most_sensitive_series(hypothesis, beside.model)
         setting = beside.model.setting
         own = trace if shape.screen is not None else setting.views[view].whole.any_trace
         grid = np.asarray(shape.grid(own))
-        tried = grid if shape.screen is None else shape.screen(trace, unexplained(beside.model, view, trace))
+        tried = grid if shape.screen is None else shape.screen(trace, residual_on_grid(beside.model, view, trace))
         if effect.fixed:
             return self._fixed_score(hypothesis, tried, beside, refine=refine)
         gains = beside.free_gains([self.columns.of(hypothesis, float(theta), setting) for theta in tried])
         if not gains:
-            return priced(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
+            return free_score(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
         best = int(np.argmax(gains))
         theta = float(tried[best])
         if refine and gains[best] > prices.REFINEMENT_GAIN:
             theta = self._refined(hypothesis, theta, grid, beside)
         found = beside.gain(self.columns.of(hypothesis, theta, setting))
-        score = priced(hypothesis, theta, found, len(grid))
-        return score if tone_beside_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
+        score = free_score(hypothesis, theta, found, len(grid))
+        return score if tone_exceeds_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
 
-    def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> ContestScore:
+    def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Projection, *, refine: bool) -> ContestScore:
         """Score of an effect that is only a shape; without `refine` what a free amplitude gains, which is no less."""
         columns = [self.columns.of(hypothesis, float(theta), beside.model.setting) for theta in grid]
         gains = beside.free_and_fixed_gains(columns)
@@ -193,7 +201,7 @@ class Contest:
         gain = beside.fixed_gain(columns_of(hypothesis, theta, setting.views, setting.frames))
         return fixed_score(hypothesis, theta, gain + filter_evidence(hypothesis, theta, beside.model))
 
-    def _refined(self, hypothesis: Hypothesis, theta: float, grid: Array, beside: Beside) -> float:
+    def _refined(self, hypothesis: Hypothesis, theta: float, grid: Array, beside: Projection) -> float:
         """The best shape between the neighbours of `theta` on the grid."""
         i = int(np.argmin(np.abs(grid - theta)))
         low, high = float(grid[max(i - 1, 0)]), float(grid[min(i + 1, len(grid) - 1)])
@@ -211,31 +219,31 @@ class Contest:
         return float(found.x) if found.fun < loss(theta) else theta
 
 
-def _exact(hypothesis: Hypothesis, found: Gain, beside: Beside) -> Gain:
+def _exact(hypothesis: Hypothesis, found: Gain, beside: Projection) -> Gain:
     """`found` without linearisation, for an effect that is not linear in its amplitudes and gains enough."""
     effect = hypothesis.effect
     if not isinstance(effect, MeanEffect) or effect.exact is None or found.gain <= prices.EXACT_FIT_GAIN:
         return found
-    gain, beta = exactly(hypothesis, found.beta, beside)
+    gain, beta = exact_gain(hypothesis, found.beta, beside)
     return replace(found, gain=gain, beta=beta, evidence=gain - found.price)
 
 
-def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float, Array]:
+def exact_gain(hypothesis: Hypothesis, beta: Array, beside: Projection) -> tuple[float, Array]:
     """Gain and amplitudes of an effect beside a model, without linearisation."""
     bare = beside.model
     rest = tuple(t for i, t in enumerate(bare.terms) if i not in beside.omit)
     terms = (*rest, Term(hypothesis, beta, math.nan))
     model, _ = refined(with_residual(replace(bare, terms=terms)))
-    return beside.misfit_alone - misfit(model), model.terms[-1].beta
+    return beside.misfit_without_omitted - misfit(model), model.terms[-1].beta
 
 
-def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> ContestScore:
+def free_score(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> ContestScore:
     """A score of an effect on the mean with free amplitudes."""
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
     price += price_of_kind(hypothesis.effect) + hypothesis.handicap
     price += price_of_repetition(hypothesis.again) if hypothesis.effect.jumps else 0.0
-    p = tail(found.gain, found.df + hidden, grid)
+    p = tail_probability(found.gain, found.df + hidden, grid)
     return ContestScore(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
 
 
@@ -243,7 +251,14 @@ def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> ContestSco
     """A score of an effect on the mean that has nothing but a shape."""
     delta = gain - price_of_fixed(gain) - hypothesis.handicap
     return ContestScore(
-        hypothesis, theta, gain, 1, prices.FIXED_SHAPE_SIDES, tail(gain, 1, prices.FIXED_SHAPE_SIDES), delta, np.ones(1)
+        hypothesis,
+        theta,
+        gain,
+        1,
+        prices.FIXED_SHAPE_SIDES,
+        tail_probability(gain, 1, prices.FIXED_SHAPE_SIDES),
+        delta,
+        np.ones(1),
     )
 
 
@@ -253,22 +268,22 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> ContestScore:
     assert isinstance(effect, NoiseEffect)
     thetas, grid = [math.nan], 1
     if effect.shape is not None:
-        trace, view = widest(hypothesis, model)
+        trace, view = most_sensitive_series(hypothesis, model)
         tried, screen = effect.shape.grid(trace), effect.shape.screen
         grid = len(tried)
         thetas = [
-            float(theta) for theta in (tried if screen is None else screen(trace, unexplained(model, view, trace)))
+            float(theta) for theta in (tried if screen is None else screen(trace, residual_on_grid(model, view, trace)))
         ]
     fits = noise_fits(model, effect.sensor)
     scores = [_noise_gain(hypothesis, theta, model, fits) for theta in thetas]
     best = max(range(len(thetas)), key=lambda i: scores[i][0])
     gain, values, price = scores[best]
-    gain = max(gain - shaped(model, effect.sensor), 0.0)
+    gain = max(gain - evidence_of_filters(model, effect.sensor), 0.0)
     df = len(effect.parameters)
     added = AddedNoise(hypothesis, thetas[best], values)
-    own = whose(added, model) if hypothesis.loud is None else hypothesis.loud
-    believed = gain > 0.0 and stands_out(added, model) and drift_beside_lines(added, model) and own
-    p = one_sided_tail(gain, df, grid) if believed else 1.0
+    own = is_on_loud_instances(added, model) if hypothesis.loud is None else hypothesis.loud
+    believed = gain > 0.0 and exceeds_flight_differences(added, model) and drift_exceeds_lines(added, model) and own
+    p = one_sided_tail_probability(gain, df, grid) if believed else 1.0
     price += price_of_search(grid, gain) + price_of_kind(effect) + hypothesis.handicap
     return ContestScore(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
@@ -280,7 +295,7 @@ def noise_fits(model: Model, sensor: Sensor) -> tuple[AxisFit, ...]:
 
 
 @remembered(32)
-def alone(fit: AxisFit) -> float:
+def unchanged_deviance(fit: AxisFit) -> float:
     """``-2 log L`` of an axis without anything new."""
     return fit.fitted()[1]
 
@@ -303,7 +318,7 @@ def _noise_gain(
             values.append(np.zeros(len(rows)))
             known.append(fit.known_of(rows))
             continue
-        without = alone(fit)
+        without = unchanged_deviance(fit)
         amplitudes, level, information = fit.fitted(rows)
         known.append(_marginal(information)[len(fit.names) :])
         gain += max(without - level, 0.0)
@@ -317,7 +332,7 @@ def _noise_gain(
                         (i for i in view.weights if i in hypothesis.instances), key=lambda i: view.weights[i]
                     )
                     envelope = effect.variance(view.traces[instance])
-                    gain += modulation(model, a, envelope, added @ by_view[a // 3])
+                    gain += envelope_gain(model, a, envelope, added @ by_view[a // 3])
     by_density = zip(np.array(values).T, np.array(known).T, strict=True)
     return gain, np.array(values).T, sum(price_of_noise(a, i) for a, i in by_density)
 
@@ -328,7 +343,7 @@ def _marginal(information: Array) -> Array:
     return np.asarray(1.0 / np.maximum(variance, np.finfo(float).tiny))
 
 
-def modulation(model: Model, axis: int, envelope: Array, density: Array) -> float:
+def envelope_gain(model: Model, axis: int, envelope: Array, density: Array) -> float:
     """Twice the log-likelihood by which added noise that follows `envelope` (N,), of mean one, beats a steady one.
 
     The added `density` (n,) is a good part of all power in some bins. There the residual's power should follow the
@@ -351,7 +366,7 @@ def modulation(model: Model, axis: int, envelope: Array, density: Array) -> floa
     return width * float((squares * (1.0 - 1.0 / expected) - np.log(expected)).sum())
 
 
-def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
+def most_sensitive_series(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
     """The trace, and the index of the series, that show most of it: of several alike the one with most left over.
 
     What is sought may have been in one block only. The lower one of two bands stands for both.
@@ -365,13 +380,13 @@ def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
     ]
     most = max(weight for weight, _, _ in found)
     alike = [(v, i) for weight, v, i in found if weight == most]
-    v, i = alike[0] if len(alike) == 1 else max(alike, key=lambda one: _loudness(model, one[0]))
+    v, i = alike[0] if len(alike) == 1 else max(alike, key=lambda one: _weighted_power(model, one[0]))
     view = model.setting.views[v]
     whole = hypothesis.fast or isinstance(hypothesis.effect, NoiseEffect)
     return (view.whole if whole else view).traces[i], v
 
 
-def _loudness(model: Model, v: int) -> float:
+def _weighted_power(model: Model, v: int) -> float:
     """What a series has left over for its noise, in both bands."""
     views = model.setting.views
     bands = [v, v + 1] if v + 1 < len(views) and views[v + 1].first else [v]
@@ -379,7 +394,7 @@ def _loudness(model: Model, v: int) -> float:
 
 
 @remembered(8)
-def unexplained(model: Model, v: int, trace: Trace) -> Array:
+def residual_on_grid(model: Model, v: int, trace: Trace) -> Array:
     """The residual of a series on the whole grid of `trace`, zero where it is not kept; of both bands at its rate."""
     view, left = model.setting.views[v], model.residual[v]
     full = np.zeros((len(trace.t), 3))

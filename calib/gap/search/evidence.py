@@ -43,7 +43,7 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
     """
     seen = _Directions.of(gram, right, groups)
     _, worth = seen.with_common_variance()
-    return max(worth, seen.with_g_prior(), _only_one(gram, right))
+    return max(worth, seen.with_g_prior(), _single_amplitude_evidence(gram, right))
 
 
 def prior_sd(gram: Array, right: Array, groups: NDArray[np.intp]) -> Array:
@@ -90,16 +90,16 @@ class _Directions:
         )
 
 
-def _only_one(gram: Array, right: Array) -> float:
+def _single_amplitude_evidence(gram: Array, right: Array) -> float:
     """Evidence where one amplitude is all there is: it was sought among all."""
     information = np.diag(gram)
     seen = information > 0.0
     if not seen.any():
         return -math.inf
-    return _at_best_size(float((right[seen] ** 2 / information[seen]).max()), 1) - _price_of_one(len(right))
+    return _at_best_size(float((right[seen] ** 2 / information[seen]).max()), 1) - _single_amplitude_price(len(right))
 
 
-def _price_of_one(count: int) -> float:
+def _single_amplitude_price(count: int) -> float:
     """Price of the claim that one amplitude of so many is all there is."""
     return 2.0 * math.log(2.0 * count)
 
@@ -146,7 +146,7 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
         return 0.0
     together = float(np.log1p(square.mean() * information).sum())
     lost = float((square * information).sum()) - square * information
-    alone = np.log1p(square * information) + lost + _price_of_one(len(square))
+    alone = np.log1p(square * information) + lost + _single_amplitude_price(len(square))
     return min(together, float(alone.min()))
 
 

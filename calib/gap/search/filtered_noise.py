@@ -24,7 +24,7 @@ _TINY = 1e-300
 """In place of no power at all. Source: it guards a logarithm; the least normal double is 2e-308."""
 
 
-def shaped(model: Model, sensor: Sensor) -> float:
+def evidence_of_filters(model: Model, sensor: Sensor) -> float:
     """Twice the log-likelihood of what the filters of a model have done to the noise of a sensor.
 
     The model's noise does not have that form: an effect on the noise gains as much by imitating it.
@@ -48,12 +48,12 @@ def filter_evidence(hypothesis: Hypothesis, theta: float, model: Model) -> float
             continue
         gains = np.maximum(effect.noise_gain(view.whole.any_trace, view.omega, theta), _LEAST)
         for c in range(3):
-            pieces.setdefault((view.label, c), []).append(_compared(model, v, c, gains))
+            pieces.setdefault((view.label, c), []).append(_filter_statistics(model, v, c, gains))
     ratios = [_log_ratio(np.sum(parts, axis=0)) for parts in pieces.values()]
     return float(np.sum(ratios, axis=0).max()) if ratios else 0.0
 
 
-def _compared(model: Model, v: int, c: int, gains: Array) -> Array:
+def _filter_statistics(model: Model, v: int, c: int, gains: Array) -> Array:
     """Axis `c` of series `v` beside filters (R, K): numbers, log ratios, and misfit without and with, (R, 4)."""
     view, bins = model.setting.views[v], model.setting.bins[v]
     fast = bins.mean(view.omega) > prices.FILTER_BAND_SHARE * np.pi

@@ -35,11 +35,11 @@ def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Latti
             evidence = effect.detect(trace) if effect.sensor is trace.sensor else None
             if evidence is None or nominal_has_samples(effect, evidence, problem.nominal):
                 continue
-            if evidence.two_delta_loglik < problem.minimum_gain.lasting.get(trace.sensor, 0.0):
+            if evidence.two_delta_loglik < problem.minimum_gain.steady_report.get(trace.sensor, 0.0):
                 continue  # two recordings differ by as much
-            found.append(_from_lattice(effect, trace.instances, evidence))
+            found.append(_estimate(effect, trace.instances, evidence))
             if evidence.masked.any():
-                masks[i] = evidence if i not in masks else _both(masks[i], evidence)
+                masks[i] = evidence if i not in masks else _merged(masks[i], evidence)
             if Trait.COARSE in effect.traits:
                 variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
     return Lattice(tuple(found), masks, variance)
@@ -85,12 +85,12 @@ def _each_instance(traces: Sequence[Trace]) -> Iterator[tuple[int, Trace]]:
                 yield index, one
 
 
-def _both(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
+def _merged(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
     masked = one.masked | other.masked
     return LatticeEvidence(one.values, one.se, one.two_delta_loglik, masked, one.text)
 
 
-def _from_lattice(effect: LatticeEffect, instances: tuple[int, ...], evidence: LatticeEvidence) -> EffectEstimate:
+def _estimate(effect: LatticeEffect, instances: tuple[int, ...], evidence: LatticeEvidence) -> EffectEstimate:
     params = tuple(
         ParameterEstimate(p.name, value, se, (value - 1.96 * se, value + 1.96 * se), p.unit)
         for p, value, se in zip(effect.parameters, evidence.values, evidence.se, strict=True)

@@ -12,7 +12,7 @@ from scipy.special import chdtri, chndtr
 from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
 from mavcal.calib.gap.schema import Power
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.projection import Beside
+from mavcal.calib.gap.search.projection import Projection
 from mavcal.calib.gap.search.selection import ChosenModel
 
 
@@ -20,15 +20,15 @@ def powers_of(chosen: ChosenModel, contest: Contest, alpha: float) -> tuple[Powe
     """For every linear effect that was not found: the weakest of its parameters' strongest instance."""
     taken = {t.hypothesis.effect.id for t in chosen.model.members}
     best: dict[tuple[str, str], Power] = {}
-    for power in _all(chosen, contest, alpha / max(chosen.tests, 1)):
+    for power in _powers(chosen, contest, alpha / max(chosen.tests, 1)):
         key = power.id, power.name
         if power.id not in taken and (key not in best or power.smallest < best[key].smallest):
             best[key] = power
     return tuple(best.values())
 
 
-def _all(chosen: ChosenModel, contest: Contest, level: float) -> Iterator[Power]:
-    beside = Beside(chosen.model)
+def _powers(chosen: ChosenModel, contest: Contest, level: float) -> Iterator[Power]:
+    beside = Projection(chosen.model)
     for hypothesis in contest.hypotheses:
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect) or effect.shape is not None or effect.nameless:

@@ -38,7 +38,7 @@ class Gain:
         return self.gain - self.evidence
 
 
-class Beside:
+class Projection:
     """The model's own columns, against which every candidate is projected."""
 
     def __init__(self, model: Model, omit: Sequence[int] = ()) -> None:
@@ -48,10 +48,10 @@ class Beside:
         normal: Normal = normal_equations(blocks, model.y, model.weight, model.ridge)
         self._solution, self.covariance, _ = solved(normal.gram, normal.right)
         self._right = normal.right
-        self._own = [_own_on(a, blocks, normal.slices, model.ridge) for a in range(len(model.y))]
+        self._own = [_model_columns(a, blocks, normal.slices, model.ridge) for a in range(len(model.y))]
 
     @cached_property
-    def misfit_alone(self) -> float:
+    def misfit_without_omitted(self) -> float:
         """Misfit of the model without the terms that are left out, the others at their joint maximum."""
         rest = tuple(t for i, t in enumerate(self.model.terms) if i not in self.omit)
         return misfit(refined(replace(self.model, terms=rest))[0])
@@ -105,7 +105,7 @@ class Beside:
     def gain(self, columns: HypothesisColumns) -> Gain:
         """What a group of free columns would gain."""
         gram, right, energy = self.projected(columns)
-        basis = existing(gram, energy)
+        basis = independent_directions(gram, energy)
         found = basis.T @ right
         worth = evidence(gram, right, columns.units)
         return Gain(float(found @ found), basis.shape[1], basis @ found, worth)
@@ -125,7 +125,9 @@ class Beside:
         return np.array([[_free_gain(*one), 2.0 * one[1][0] - one[0][0, 0]] for one in found])
 
 
-def _own_on(axis: int, blocks: Sequence[HypothesisColumns], slices: Sequence[slice], ridge: Ridge | None) -> list[Part]:
+def _model_columns(
+    axis: int, blocks: Sequence[HypothesisColumns], slices: Sequence[slice], ridge: Ridge | None
+) -> list[Part]:
     """Columns of a model on an axis: of its terms together, and of its ridge, which are too many to be copied."""
     index, X = stacked(blocks, slices[: len(blocks)], axis)
     found = [Part(index, X)] if len(index) else []
@@ -136,11 +138,11 @@ def _own_on(axis: int, blocks: Sequence[HypothesisColumns], slices: Sequence[sli
 
 
 def _free_gain(gram: Array, right: Array, energy: Array) -> float:
-    found = existing(gram, energy).T @ right
+    found = independent_directions(gram, energy).T @ right
     return float(found @ found)
 
 
-def existing(gram: Array, energy: Array) -> Array:
+def independent_directions(gram: Array, energy: Array) -> Array:
     """Whitening basis (p, r) of the directions of a projected Gram matrix that keep some of their `energy`."""
     scale = np.sqrt(energy)
     used = scale > 0.0

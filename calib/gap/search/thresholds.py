@@ -23,29 +23,31 @@ class GainThresholds:
     minimum_gain: MinimumGain = field(default_factory=MinimumGain)
     own: Mapping[Key, float] = field(default_factory=dict)
 
-    def joining(self, hypothesis: Hypothesis) -> float:
+    def to_enter(self, hypothesis: Hypothesis) -> float:
         """Gain below which a hypothesis stays out of the model."""
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
             unsteady = effect.drifts or effect.variance is not None
-            least = self.minimum_gain.unsteady if unsteady else self.minimum_gain.noise
+            least = self.minimum_gain.drift_entry if unsteady else self.minimum_gain.noise_entry
             return least.get(effect.sensor, 0.0)
         if Trait.LEVEL in effect.traits:
             return self.minimum_gain.level.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
-        return self.minimum_gain.joins.get(effect.sensor, 0.0)
+        return self.minimum_gain.steady_entry.get(effect.sensor, 0.0)
 
-    def reporting(self, hypothesis: Hypothesis) -> float:
+    def to_report(self, hypothesis: Hypothesis) -> float:
         """Gain below which a hypothesis in the model is no gap; noise that wanders has taken its part of a shift."""
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
-            return self.minimum_gain.loud.get(effect.sensor, 0.0)
+            return self.minimum_gain.noise_report.get(effect.sensor, 0.0)
         if Trait.LEVEL in effect.traits:
-            return min(self.minimum_gain.level.get(effect.sensor, 0.0), self.minimum_gain.joins.get(effect.sensor, 0.0))
-        return self.minimum_gain.lasting.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
+            return min(
+                self.minimum_gain.level.get(effect.sensor, 0.0), self.minimum_gain.steady_entry.get(effect.sensor, 0.0)
+            )
+        return self.minimum_gain.steady_report.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
 
     def lasting(self, sensor: Sensor) -> float:
         """Below which what is left over on a sensor is no gap."""
-        return self.minimum_gain.lasting.get(sensor, 0.0)
+        return self.minimum_gain.steady_report.get(sensor, 0.0)
 
 
 def accepted_difference(problem: GapProblem, each: float) -> dict[Sensor, float]:

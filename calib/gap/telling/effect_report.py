@@ -14,7 +14,7 @@ from mavcal.calib.gap.heldout.shrink import dose_of
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, Gates, Rival
 from mavcal.calib.gap.search.selection import ChosenModel
-from mavcal.calib.gap.search.wander import WanderFit, rms_rotation, sees
+from mavcal.calib.gap.search.wander import WanderFit, rms_rotation, sees_attitude
 from mavcal.calib.gap.telling.estimates import estimates_of
 from mavcal.calib.gap.telling.probabilities import calibrated_probability
 from mavcal.calib.gap.worth.attribution import TEMPERATURE, Attribution
@@ -69,7 +69,7 @@ def on_either_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEsti
 def wandering_reference(wander: WanderFit, attributions: tuple[Attribution, ...]) -> EffectEstimate:
     """The reference's own error as an effect: its size on each axis."""
     model = wander.chosen.model
-    instances = sorted({i + FIRST for view in model.setting.views if sees(view) for i in view.weights})
+    instances = sorted({i + FIRST for view in model.setting.views if sees_attitude(view) for i in view.weights})
     others = sum(a.gain for a in attributions)
     sure = EffectEvidence(
         wander.gain,

@@ -23,7 +23,7 @@ from mavcal.calib.gap.model.noise_fit import noise_rows
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.reference.resolution import step_of
 from mavcal.calib.gap.schema import HiddenDriver
-from mavcal.calib.gap.search.added_noise import unsteady_line
+from mavcal.calib.gap.search.added_noise import is_line_unsteadiness
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ def misattributed_noise(model: Model) -> tuple[MisattributedNoise, ...]:
     """Random walks and flicker of the model that are not a sensor's own noise."""
     found = []
     for term in model.noise_terms:
-        if not term.hypothesis.effect.drifts or unsteady_line(term, model):
+        if not term.hypothesis.effect.drifts or is_line_unsteadiness(term, model):
             continue
         sensor = term.hypothesis.effect.sensor
         for v, view in enumerate(model.setting.views):

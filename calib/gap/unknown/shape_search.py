@@ -18,18 +18,18 @@ from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.noise_fit import refitted
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.contest import Contest, ContestScore, priced
+from mavcal.calib.gap.search.contest import Contest, ContestScore, free_score
 from mavcal.calib.gap.search.evidence import evidence, price_of_kind
-from mavcal.calib.gap.search.projection import Beside, Gain, existing
+from mavcal.calib.gap.search.projection import Gain, Projection, independent_directions
 from mavcal.calib.gap.search.selection import (
     ChosenModel,
-    fitted_about,
-    grown,
+    extended,
     largest_gain,
+    locally_fitted,
     objective,
-    price_of_all,
     select,
-    without,
+    total_price,
+    without_effect,
 )
 from mavcal.calib.gap.unknown.shapes import ShapeHypothesis, flexible, shapes_of
 
@@ -80,20 +80,20 @@ def explained(chosen: ChosenModel, contest: Contest, start: Model, alpha: float,
         return WithShapes(chosen, contest)
     periodic = [t for t in chosen.model.terms if t.hypothesis.periodic]
     shapes = shapes_of(chosen.model.setting, periodic, named)
-    scorer = contest.among(())
+    scorer = contest.restricted_to(())
     tests = chosen.tests + sum(len(s.hypotheses) for s in shapes)
-    beside = [_Place(score) for score in _scored(shapes, scorer, Beside(chosen.model))]
+    beside = [_Place(score) for score in _scored(shapes, scorer, Projection(chosen.model))]
     instead = [*_instead_of_all(chosen, shapes, scorer, start), *_instead_of_each(chosen, shapes, scorer)]
     worth = max(_MARGIN, _least(chosen, contest)) if chosen.model.members else 0.0
     strong = any(p.score.p * tests < alpha and p.better > worth for p in (*beside, *instead))
     likely = {p.score.hypothesis.key: p.score.hypothesis for p in _best((*beside, *instead)) if p.score.delta > 0.0}
     elaborate = {p.score.hypothesis.key for p in instead if p.elaborate}
     plain = [h for key, h in likely.items() if key not in elaborate]
-    rivals = contest.among((*contest.hypotheses, *plain))
+    rivals = contest.restricted_to((*contest.hypotheses, *plain))
     if strong:
         level = alpha * sum(not h.again for h in rivals.hypotheses) / tests
-        everything = contest.among((*contest.hypotheses, *likely.values()))
-        other = min((select(start, rivals, level), grown(chosen, everything, alpha / tests)), key=objective)
+        everything = contest.restricted_to((*contest.hypotheses, *likely.values()))
+        other = min((select(start, rivals, level), extended(chosen, everything, alpha / tests)), key=objective)
         if objective(other) < objective(chosen) - worth:
             return WithShapes(other, rivals)
     return WithShapes(chosen, rivals)
@@ -122,11 +122,11 @@ def _instead_of_all(
         own = [s for s in chosen.scores if s.hypothesis.effect.sensor is sensor]
         gain = sum(before[key] - chosen.noise.deviance[key] for key in before if key[0] is sensor)
         worth, df = (
-            gain - price_of_all(own) + prices.EFFECT_COUNT_PRICE,
+            gain - total_price(own) + prices.EFFECT_COUNT_PRICE,
             sum(s.df for s in own),
         )  # a shape is one of its own
         touched = [s for s in shapes if s.whole.effect.sensor is sensor]
-        found += [_Place(score, worth, df) for score in _scored(touched, scorer, Beside(start))]
+        found += [_Place(score, worth, df) for score in _scored(touched, scorer, Projection(start))]
     return found
 
 
@@ -135,16 +135,16 @@ def _instead_of_each(chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], sco
     found = []
     level = sum(chosen.noise.deviance.values())
     for term in chosen.model.members:
-        bare = refitted(fitted_about(without(chosen.model, term.hypothesis.key), term.hypothesis))
+        bare = refitted(locally_fitted(without_effect(chosen.model, term.hypothesis.key), term.hypothesis))
         touched = [s for s in shapes if s.whole.effect.sensor is term.hypothesis.effect.sensor]
         score = next((s for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), None)
         price, df = (0.0, 0) if score is None else (score.price, score.df)
         own = sum(bare.deviance.values()) - level - price
-        found += [_Place(score, own, df) for score in _scored(touched, scorer, Beside(bare.model))]
+        found += [_Place(score, own, df) for score in _scored(touched, scorer, Projection(bare.model))]
     return found
 
 
-def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Beside) -> list[ContestScore]:
+def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Projection) -> list[ContestScore]:
     """Scores of all shapes and of their parts, whose columns are made once."""
     found = []
     for shape in shapes:
@@ -159,7 +159,7 @@ def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Beside)
 
 
 def _score(hypothesis: Hypothesis, gram: Array, right: Array, energy: Array) -> ContestScore:
-    basis = existing(gram, energy)
+    basis = independent_directions(gram, energy)
     gain = basis.T @ right
     worth = evidence(gram, right, np.zeros(len(right), np.intp))
-    return priced(hypothesis, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1)
+    return free_score(hypothesis, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1)

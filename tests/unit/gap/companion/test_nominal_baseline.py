@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from mavcal.calib import gap
-from mavcal.calib.gap.companion.baselines import beside_nominal, nominal_baseline_of
+from mavcal.calib.gap.companion.baselines import compared_with_nominal, nominal_baseline_of
 from mavcal.calib.gap.reference import build, posed
 from mavcal.calib.gap.reference.signals import linear
 from mavcal.calib.gap.schema import GapVerdict
@@ -84,7 +84,7 @@ def test_a_bias_is_not_carried_over_but_one_as_large_is_no_gap():
     baseline = learned(switched_on)
     said = next(e for e in baseline.biases if e.sensor is Sensor.GYRO)
     assert [p.value for p in said.params] == pytest.approx(BIAS, abs=1e-3)
-    changed = beside_nominal(build(recording(2, 0.0), None, [switched_on]), baseline)
+    changed = compared_with_nominal(build(recording(2, 0.0), None, [switched_on]), baseline)
     gyro = next(t for t in changed.traces if t.sensor is Sensor.GYRO)
     assert gyro.residual.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-3)
     for bias in (np.zeros(3), BIAS, -BIAS):

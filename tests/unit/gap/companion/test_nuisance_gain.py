@@ -14,7 +14,7 @@ from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import NuisanceEffect
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.projection import Beside
+from mavcal.calib.gap.search.projection import Projection
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -79,7 +79,7 @@ def test_a_residual_like_the_flaw_gains_as_much(task):
         model = starting_model(setting, task[1].noise)
         contest = task[2]
         hypothesis = next(h for h in contest.hypotheses if h.key == ("accel_scale", (0,)))
-        gains.append(Contest([hypothesis]).score(hypothesis, Beside(model)).gain)
+        gains.append(Contest([hypothesis]).score(hypothesis, Projection(model)).gain)
     expected = own(task, nuisance(1.0 / 3.0))["accel_scale", (0,)]
     assert gains[1] - gains[0] == pytest.approx(expected, rel=0.15)
 

@@ -13,7 +13,7 @@ from mavcal.calib.gap.model.joint import Term, setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import noise_score
-from mavcal.calib.gap.search.filtered_noise import filter_evidence, shaped
+from mavcal.calib.gap.search.filtered_noise import evidence_of_filters, filter_evidence
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -67,7 +67,7 @@ def test_noise_that_a_filter_has_shaped_has_no_cause_of_its_own():
     flicker = Hypothesis(by_id()["gyro_flicker"], (0,))
     assert noise_score(flicker, model).gain > 50.0
     filtered = dataclasses.replace(model, terms=(Term(Hypothesis(by_id()["gyro_low_pass"], (0,)), np.ones(1), CUTOFF),))
-    assert shaped(filtered, Sensor.GYRO) > 100.0
+    assert evidence_of_filters(filtered, Sensor.GYRO) > 100.0
     assert noise_score(flicker, filtered).gain == 0.0
 
 

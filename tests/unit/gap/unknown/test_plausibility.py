@@ -9,7 +9,7 @@ from mavcal.calib.gap import diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.schema import GapVerdict
-from mavcal.calib.gap.search.wander import halved, marginal
+from mavcal.calib.gap.search.wander import inverse_root, marginal_gain
 from mavcal.calib.gap.unknown.plausibility import nameless
 from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
@@ -71,6 +71,6 @@ def test_the_marginal_likelihood_stands_squares_that_rounding_makes_negative():
     inner = np.array([[2.0, 1.0], [1.0, 3.0]])
     right = np.array([1.0, 2.0])
     plain = float(right @ np.linalg.solve(inner, right)) - math.log(5.0)
-    assert marginal(halved(inner), right) == pytest.approx(plain)
+    assert marginal_gain(inverse_root(inner), right) == pytest.approx(plain)
     broken = np.array([[1.0 + 1e20, 1e20], [1e20, 1e20 - 1e5]])
-    assert math.isfinite(marginal(halved(broken), right))
+    assert math.isfinite(marginal_gain(inverse_root(broken), right))
