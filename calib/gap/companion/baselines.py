@@ -15,7 +15,14 @@ from mavcal.calib.gap.companion.steady_effects import steady_effects
 from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
 from mavcal.calib.gap.problem import GapProblem, MinimumGain, NuisanceEffect, ReferenceInfo, Trace
 from mavcal.calib.gap.progress import GapPace
-from mavcal.calib.gap.reference import build, flew_another, posed, posed_apart, prepared, with_common_channels
+from mavcal.calib.gap.reference import (
+    build,
+    companion_with_pose,
+    have_separate_poses,
+    is_another_flight,
+    prepared,
+    with_common_channels,
+)
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.search import prices
@@ -31,15 +38,15 @@ def problem_of(
 
     `pace` bounds the search for what `sim` or `nominal` shows of its own.
     """
-    if sim is not None and flew_another(real, sim):
+    if sim is not None and is_another_flight(real, sim):
         real, sim = with_common_channels(real, sim)
         baseline = simulated_baseline_of(build(sim, sim, nominal), alpha, pace)
         return compared_with_simulator(
             build(real, sim, nominal, nuisance=baseline.added_to_ideal, companion=sim), baseline
         )
-    apart = sim is not None and posed_apart(real, sim)
+    apart = sim is not None and have_separate_poses(real, sim)
     companions = (sim, *nominal) if sim is not None and apart else tuple(nominal)
-    if (sim is None or apart) and (other := posed(real, companions)) is not None:
+    if (sim is None or apart) and (other := companion_with_pose(real, companions)) is not None:
         its = prepared(other, None, companions)
         nuisance = nominal_baseline_of(lambda known: its.problem(known, other), alpha, pace, simulated=apart)
         return compared_with_nominal(

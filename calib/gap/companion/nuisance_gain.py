@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcal.calib.gap.effects.base import MeanEffect
-from mavcal.calib.gap.effects.replay import split_of
+from mavcal.calib.gap.effects.replay import shape_and_amplitudes
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, Term, with_residual
 from mavcal.calib.gap.problem import NuisanceEffect
@@ -60,5 +60,5 @@ def _as_term(contest: Contest, nuisance: NuisanceEffect) -> Term | None:
     hypothesis = max(candidates, key=lambda h: len(h.instances))
     effect = hypothesis.effect
     assert isinstance(effect, MeanEffect)
-    theta, amplitudes = split_of(effect, nuisance.effect)
+    theta, amplitudes = shape_and_amplitudes(effect, nuisance.effect)
     return Term(hypothesis, np.ones(1) if effect.fixed else amplitudes, theta)

@@ -13,7 +13,7 @@ from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.model.joint import Model, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.progress import GapPace
@@ -23,7 +23,7 @@ from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.selection import ChosenModel, marginal_gains, refitted_without, select, without_effect
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.telling.estimates import estimates_of
-from mavcal.calib.gap.worth.attitude_error import BY_CHANCE, below_reference
+from mavcal.calib.gap.worth.attitude_error import REFERENCE_CHANCE, below_reference
 from mavcal.calib.recording import Sensor
 
 _FURTHER_RATIO = 1.2
@@ -68,7 +68,7 @@ def steady_effects(
         return SteadyEffects()
     setting = setting_of(views)
     contest = Contest(hypotheses, thresholds=thresholds, pace=pace)
-    chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
+    chosen = select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
     chosen = refitted_without(chosen, _below_minimum(chosen, contest))
     found = _estimated(chosen, contest)
     doubted = _unsupported(chosen)
@@ -115,7 +115,7 @@ def _unsupported(chosen: ChosenModel) -> list[Key]:
         for t in model.terms
         if left > _FURTHER_RATIO * _normalised_residual(without_effect(model, t.hypothesis.key))
     ]
-    return [*dict.fromkeys([*below_reference(model, chosen.joint, BY_CHANCE), *further])]
+    return [*dict.fromkeys([*below_reference(model, chosen.joint, REFERENCE_CHANCE), *further])]
 
 
 def _normalised_residual(model: Model) -> float:

@@ -6,10 +6,10 @@ from functools import cache
 
 from mavcal.calib.gap.effects import (
     affine,
+    candidate_limits,
     dynamics,
     events,
     lattice,
-    limits,
     magnetic,
     noise,
     nonlinear,
@@ -22,7 +22,7 @@ from mavcal.calib.gap.effects import (
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect, NoiseEffect
 
 _FAMILIES = (
-    limits,
+    candidate_limits,
     lattice,
     affine,
     nonlinear,

@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
-from mavcal.calib.gap.effects.parts import AXES, INERTIAL, TRIADS, TUMBLE, UNIT, axiswise, crossed, moves, per_axis
+from mavcal.calib.gap.effects.parts import (
+    AXES,
+    INERTIAL,
+    TRIADS,
+    TUMBLE,
+    UNIT,
+    axiswise,
+    crossed,
+    missing_movement,
+    per_axis,
+)
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -96,7 +106,7 @@ def _matrix_part(
         parameters,
         f"{about} about all three axes",
         "turn about each axis both ways" if sensor == Sensor.GYRO else TUMBLE,
-        moves(sensor),
+        missing_movement(sensor),
         columns=columns,
         rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
         exact=exact,

@@ -34,7 +34,7 @@ class Missing(Protocol):
     def __call__(self, trace: Trace, /) -> tuple[str, str] | None: ...  # noqa: D102
 
 
-def always(_trace: Trace) -> tuple[str, str] | None:
+def never_missing(_trace: Trace) -> tuple[str, str] | None:
     """Testable on any trace."""
     return None
 
@@ -54,7 +54,7 @@ class EffectShape:
     parameter: EffectParameter
     grid: Callable[[Trace], Array]
     screen: Callable[[Trace, Array], Array] | None = None
-    still: bool = False
+    discontinuous: bool = False
     chosen: bool = False
 
 
@@ -103,7 +103,7 @@ class CatalogueEffect:
     parameters: tuple[EffectParameter, ...]
     excited_by: str
     fix: str
-    missing: Missing = always
+    missing: Missing = never_missing
     shape: EffectShape | None = None
     rivals: tuple[str, ...] = ()
     shared: bool = False

@@ -39,13 +39,13 @@ _SURROUNDINGS = 51
 _SAFETY = 1.5
 """Factor on the number of repeats by chance, whose noise is an estimate. Chosen, not measured: more than that estimate
 errs by."""
-_TELLING = 0.2
+_INFORMATIVE_CHANCE = 0.2
 """Chance of a repeat above which a row says nothing: it depends on where in its bin the reading lies. Chosen, not
 measured: a chance of one in five surprises nobody."""
-_RARE = 1e-5
+_LEAST_CHANCE = 1e-5
 """The least chance of a repeat: a movement that forbids them is known no better. Chosen, not measured: far below any
 chance that noise of a step's size has."""
-_STANDS = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
+_AT_REST_SHARE = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
 """Chosen, not measured: more than half of them."""
 
 
@@ -75,7 +75,7 @@ def saturation(trace: Trace) -> LatticeEvidence | None:
     limits, two_delta, masked = [], 0.0, np.zeros(trace.measured.shape, dtype=np.bool_)
     for axis in range(3):
         for side in (1.0, -1.0):
-            pile, gain = _pile(side * trace.measured[:, axis], side * trace.ideal[:, axis], trace.observed)
+            pile, gain = _samples_at_limit(side * trace.measured[:, axis], side * trace.ideal[:, axis], trace.observed)
             if gain >= _EVIDENCE:
                 limits.append(float(np.abs(trace.measured[pile, axis]).max()))
                 two_delta += gain
@@ -88,7 +88,7 @@ def saturation(trace: Trace) -> LatticeEvidence | None:
     return _evidence(trace, [float(np.median(limits))], [spread], two_delta, text, rows)
 
 
-def _pile(measured: Array, ideal: Array, observed: Mask) -> tuple[Mask, float]:
+def _samples_at_limit(measured: Array, ideal: Array, observed: Mask) -> tuple[Mask, float]:
     """Rows at the largest value and the evidence that it is an end: more of them than below, and ideal beyond."""
     top = float(measured[observed].max(initial=-np.inf))
     near = EQUAL * abs(top)
@@ -116,7 +116,7 @@ def dead_band(trace: Trace) -> LatticeEvidence | None:
     widths, errors, two_delta = [0.0] * 3, [0.0] * 3, 0.0
     masked = np.zeros(len(trace.t), dtype=np.bool_)
     for axis in range(3):
-        found = _zeros(trace, axis)
+        found = _zero_band(trace, axis)
         if found is not None:
             widths[axis], errors[axis], gain, zero = found
             two_delta += gain
@@ -127,7 +127,7 @@ def dead_band(trace: Trace) -> LatticeEvidence | None:
     return _evidence(trace, widths, errors, two_delta, f"zero where smaller than {where} {trace.unit}", masked)
 
 
-def _zeros(trace: Trace, axis: int) -> tuple[float, float, float, Mask] | None:
+def _zero_band(trace: Trace, axis: int) -> tuple[float, float, float, Mask] | None:
     values, ideal = trace.measured[:, axis], trace.ideal[:, axis]
     empty = (trace.measured == 0.0).all(axis=1) & (np.abs(trace.ideal).max(axis=1) > 10.0 * noise_of(values))
     seen = trace.observed & ~empty
@@ -170,17 +170,17 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     same = trace.measured[1:] == trace.measured[:-1]
     unchanged = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1)
     moved = both & ~same.all(axis=1)
-    if unchanged[moved].sum() > _STANDS * moved.sum():
+    if unchanged[moved].sum() > _AT_REST_SHARE * moved.sum():
         unchanged = np.zeros_like(unchanged)  # an ideal reading that stands still, not one that is held
     standing = unchanged | (trace.measured[1:] == 0.0).all(axis=1)
     by_chance = _repeats_by_chance(trace, same)
-    telling = both & ~standing & (by_chance < _TELLING)
+    telling = both & ~standing & (by_chance < _INFORMATIVE_CHANCE)
     repeat = telling & same.all(axis=1)
     count, n = int(repeat.sum()), int(telling.sum())
-    chance = np.maximum(_SAFETY * by_chance[telling], max(_RARE, 0.1 / max(n, 1)))
+    chance = np.maximum(_SAFETY * by_chance[telling], max(_LEAST_CHANCE, 0.1 / max(n, 1)))
     if count < _FEWEST:
         return None
-    two_delta = _too_many(repeat[telling], chance)
+    two_delta = _repeat_evidence(repeat[telling], chance)
     if two_delta < _EVIDENCE:
         return None
     share = count / n
@@ -191,7 +191,7 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     return _evidence(trace, [held, share], [held * se / max(1.0 - share, 1.0 / n), se], two_delta, text, masked)
 
 
-def _too_many(repeat: Mask, chance: Array) -> float:
+def _repeat_evidence(repeat: Mask, chance: Array) -> float:
     """Twice the log-likelihood that rows (N,) are held with a chance h beside that of each, against that alone.
 
     With small chances both are Poisson's: the best h solves ``sum over repeats of 1 / (h + chance) = N``. A repeat
@@ -232,13 +232,13 @@ def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
         noise = 0.5 * math.sqrt(math.pi) * size / np.maximum(weight, 0.5 / _SURROUNDINGS)
         variance = np.maximum(noise**2 - step**2 / 12.0, np.finfo(float).tiny)
         chance *= np.minimum(1.0, step / (2.0 * np.sqrt(math.pi * variance)))
-        movement += _moved(trace.ideal[:, axis]) ** 2 / (4.0 * (variance + step**2))
+        movement += _ideal_steps(trace.ideal[:, axis]) ** 2 / (4.0 * (variance + step**2))
     chance = np.where(weight * _SURROUNDINGS < 2.5, 1.0, chance)
     # A sensor whose noise is below its levels in a tenth of the recording has no noise that would forbid repeats.
     return np.asarray(np.maximum(chance, float(np.quantile(chance, 0.9))) * np.exp(-movement))
 
 
-def _moved(ideal: Array) -> Array:
+def _ideal_steps(ideal: Array) -> Array:
     """By how much an ideal reading (N,) goes on between rows, (N - 1,): at that row and in the mean of those around it.
 
     An estimated reading jitters from row to row, which is no movement.
@@ -254,7 +254,7 @@ def _evidence(
     return LatticeEvidence(tuple(values), tuple(se), two_delta, rows, text)
 
 
-def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
+def _effects_of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     unit = UNIT[sensor]
     return (
         LatticeEffect(
@@ -304,4 +304,4 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     )
 
 
-EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _effects_of(sensor))

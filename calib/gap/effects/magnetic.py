@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.affine import constant
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
-from mavcal.calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
+from mavcal.calib.gap.effects.parts import (
+    TUMBLE,
+    axiswise,
+    body_from_ned,
+    first_missing,
+    missing_movement,
+    per_axis,
+    spread,
+)
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.channels import TELLING_CURRENT
@@ -61,7 +69,7 @@ def current_signal(trace: Trace, _theta: float) -> Array:
     return trace.current[None, :]
 
 
-def late_current_signal(trace: Trace, lag: float) -> Array:
+def lagged_current_signal(trace: Trace, lag: float) -> Array:
     """The current in A `lag` seconds before, (1, N).
 
     A compass averages over its own interval, a current monitor filters, and both are logged when their turn comes.
@@ -104,7 +112,7 @@ def gradient_columns(trace: Trace, _theta: float) -> Array:
     return np.stack([np.einsum("nij,nj->ni", turn, path @ g.T) for g in GRADIENT])
 
 
-def _no_current(trace: Trace) -> tuple[str, str] | None:
+def _missing_current(trace: Trace) -> tuple[str, str] | None:
     if trace.current is None:
         return "no current recorded", "a current monitor in the log, currents that vary by >= 0.5 A"
     size = spread(trace.current[:, None], trace.observed)
@@ -113,7 +121,7 @@ def _no_current(trace: Trace) -> tuple[str, str] | None:
     return None
 
 
-def _no_throttle(trace: Trace) -> tuple[str, str] | None:
+def _missing_throttle(trace: Trace) -> tuple[str, str] | None:
     if trace.throttle is None:
         return "no current and no throttle recorded", "a current monitor in the log, currents that vary by >= 0.5 A"
     size = spread(trace.throttle[:, None], trace.observed)
@@ -122,11 +130,11 @@ def _no_throttle(trace: Trace) -> tuple[str, str] | None:
     return None
 
 
-def _no_attitude(trace: Trace) -> tuple[str, str] | None:
+def _missing_attitude(trace: Trace) -> tuple[str, str] | None:
     return None if trace.attitude is not None else ("attitude unknown", "a reference attitude")
 
 
-def _no_path(trace: Trace) -> tuple[str, str] | None:
+def _missing_path(trace: Trace) -> tuple[str, str] | None:
     if trace.place is None:
         return "position unknown", "a reference position over a path of a metre or more"
     size = spread(trace.place, trace.observed)
@@ -189,23 +197,23 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         tuple(EffectParameter(f"soft_iron.{name}", "1") for name in _SYMMETRIC_NAMES),
         _ATTITUDES,
         TUMBLE,
-        moves(Sensor.MAG),
+        missing_movement(Sensor.MAG),
         columns=soft_iron_columns,
         plain="iron that bends the field",
         rivals=("mag_hard_iron", "mag_rotation", "mag_temp_scale"),
         traits=frozenset({Trait.STEADY, Trait.SIZE}),
         term=SensorTerm.SOFT_IRON,
     ),
-    _motor_current("~late", _PER_AMPERE, _CURRENTS, _no_current, late_current_signal, _LAG),
-    _motor_current("~throttle", _FULL_THROTTLE, "throttle that varies", _no_throttle, throttle_signal, _EXPONENT),
-    _motor_current("", _PER_AMPERE, _CURRENTS, _no_current, current_signal),
+    _motor_current("~late", _PER_AMPERE, _CURRENTS, _missing_current, lagged_current_signal, _LAG),
+    _motor_current("~throttle", _FULL_THROTTLE, "throttle that varies", _missing_throttle, throttle_signal, _EXPONENT),
+    _motor_current("", _PER_AMPERE, _CURRENTS, _missing_current, current_signal),
     MeanEffect(
         "mag_earth_field",
         Sensor.MAG,
         tuple(EffectParameter(f"earth_field.{axis}", "uT") for axis in _NED),
         _ATTITUDES,
         f"{TUMBLE}; the same with the sensor turned by 180 degrees in its mounting",
-        first_missing((_no_attitude, moves(Sensor.MAG))),
+        first_missing((_missing_attitude, missing_movement(Sensor.MAG))),
         columns=earth_columns,
         plain="another field of the Earth than assumed",
         rivals=("mag_rotation", "mag_hard_iron", "mag_soft_iron"),
@@ -217,7 +225,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         tuple(EffectParameter(f"gradient.{name}", "uT/m") for name in _GRADIENT_NAMES),
         "a path through the place",
         "fly the same path at two headings, and again elsewhere",
-        first_missing((_no_attitude, _no_path)),
+        first_missing((_missing_attitude, _missing_path)),
         columns=gradient_columns,
         plain="a field that changes with the place",
         rivals=("mag_hard_iron", "mag_earth_field", "mag_random_walk"),

@@ -96,7 +96,7 @@ def spread(values: Array, observed: NDArray[np.bool_]) -> float:
     return float(seen.std(axis=0).max()) if len(seen) else 0.0
 
 
-def moves(sensor: Sensor) -> Missing:
+def missing_movement(sensor: Sensor) -> Missing:
     """Missing where the ideal reading stays the same: only its sum with a bias shows then."""
 
     def missing(trace: Trace) -> tuple[str, str] | None:

@@ -40,10 +40,10 @@ def with_effects_in(
     made = []
     for trace in traces:
         changed = trace
-        for effect, sign in _acting(trace, effects):
-            described = next((e for e in forward_models().get(effect.id, ()) if _complete(e, effect)), None)
+        for effect, sign in _effects_on(trace, effects):
+            described = next((e for e in forward_models().get(effect.id, ()) if _is_complete(e, effect)), None)
             if isinstance(described, MeanEffect) and (shared or not described.shared):
-                added = sign * forward(described, effect, trace)
+                added = sign * added_by(described, effect, trace)
                 # what never was measured keeps reading as the ideal one does
                 measured = np.where(trace.observed[:, None], changed.measured, changed.measured + added)
                 changed = dataclasses.replace(changed, ideal=changed.ideal + added, measured=measured)
@@ -55,9 +55,9 @@ def with_effects_in(
     return tuple(made), tuple(lost)
 
 
-def forward(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array:
+def added_by(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array:
     """What an effect with its parameters adds to the ideal reading of `trace` (N, 3)."""
-    theta, amplitudes = split_of(described, found)
+    theta, amplitudes = shape_and_amplitudes(described, found)
     if described.exact is not None:
         return described.exact(trace, amplitudes)
     columns = described.columns(trace, theta)
@@ -65,21 +65,21 @@ def forward(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array
     return np.asarray(np.tensordot(weights, columns, axes=1), dtype=np.float64)
 
 
-def split_of(described: CatalogueEffect, found: EffectEstimate) -> tuple[float, Array]:
+def shape_and_amplitudes(described: CatalogueEffect, found: EffectEstimate) -> tuple[float, Array]:
     """The shape (NaN where there is none) and the amplitudes, in the catalogue's order."""
     values: Mapping[str, float] = {p.name: p.value for p in found.params}
     amplitudes = np.array([values.get(p.name, 0.0) for p in described.parameters], dtype=np.float64)
     return (math.nan if described.shape is None else values[described.shape.parameter.name]), amplitudes
 
 
-def _complete(described: CatalogueEffect, found: EffectEstimate) -> bool:
+def _is_complete(described: CatalogueEffect, found: EffectEstimate) -> bool:
     """Whether everything that it needs was estimated."""
     known = {p.name for p in found.params}
     shape = {described.shape.parameter.name} if described.shape is not None else set()
     return {p.name for p in described.parameters} | shape <= known
 
 
-def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:
+def _effects_on(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:
     """Effects on the trace's sensor, and minus one for those on the instance that it is compared with."""
     for effect in effects:
         if effect.sensor is None:  # of airframe or air: it moves no sensor's reading
@@ -94,7 +94,7 @@ def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[E
 
 def _with_noise(trace: Trace, described: NoiseEffect, found: EffectEstimate) -> Trace:
     """`trace` with the effect's power in the noise that is declared; where none is, it is learned anyway."""
-    theta, values = split_of(described, found)
+    theta, values = shape_and_amplitudes(described, found)
     squared = np.array([v**2 if p.squared else v for v, p in zip(values, described.parameters, strict=True)])
     hz = np.linspace(0.0, 0.5 * trace.fs, _BINS) if trace.psd_hz is None else trace.psd_hz
     omega = 2.0 * np.pi * np.asarray(hz) / trace.fs

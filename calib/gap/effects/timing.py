@@ -69,7 +69,7 @@ def splines_of(trace: Trace) -> Array:
     return np.stack([ndimage.spline_filter1d(column, _SPLINE, mode="nearest") for column in longer.T])
 
 
-def shifted(trace: Trace, samples: float) -> Array:
+def shifted_ideal(trace: Trace, samples: float) -> Array:
     """The ideal reading (N, 3), `samples` later; what lies far outside is held."""
     whole = math.floor(-samples)
     at = -samples - whole + np.arange(2, -4, -1)  # from each of the six knots about a sample
@@ -79,7 +79,7 @@ def shifted(trace: Trace, samples: float) -> Array:
     return np.ascontiguousarray(values[:, np.clip(inside, 0, count - 1)].T)
 
 
-def stretched(trace: Trace, drift: float) -> Array:
+def stretched_ideal(trace: Trace, drift: float) -> Array:
     """The ideal reading (N, 3) read at ``n (1 - drift)``: its clock runs slow, by `drift`, from the first on."""
     at = np.arange(len(trace.ideal)) * (1.0 - drift) + _EDGE
     columns = [
@@ -91,18 +91,18 @@ def stretched(trace: Trace, drift: float) -> Array:
 
 def delay_column(trace: Trace, delay: float) -> Array:
     """``ideal(t - delay) - ideal(t)``."""
-    return (shifted(trace, delay * trace.fs) - trace.ideal)[None]
+    return (shifted_ideal(trace, delay * trace.fs) - trace.ideal)[None]
 
 
 def drift_column(trace: Trace, ppm: float) -> Array:
     """``ideal(t - drift (t - t_0)) - ideal(t)``."""
-    return (stretched(trace, 1e-6 * ppm) - trace.ideal)[None]
+    return (stretched_ideal(trace, 1e-6 * ppm) - trace.ideal)[None]
 
 
 def low_pass_column(trace: Trace, cutoff: float) -> Array:
     """The filtered ideal reading less the ideal one, of the number of poles that is nearer to what was measured."""
     changes = _filtered_less_ideal(trace, cutoff)
-    return changes[_nearer(trace, changes)][None]
+    return changes[_better_order(trace, changes)][None]
 
 
 def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
@@ -110,7 +110,7 @@ def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
 
     A sensor that filters at a higher rate than it is logged at folds what is left beyond half the rate of the log back.
     """
-    order = 1 + _nearer(trace, _filtered_less_ideal(trace, cutoff))
+    order = 1 + _better_order(trace, _filtered_less_ideal(trace, cutoff))
     folds = 2.0 * np.pi * np.arange(-_FOLDS, _FOLDS + 1)[:, None]
     ratio = np.abs(omega + folds) * trace.fs / (2.0 * np.pi * cutoff)
     gains = 1.0 / (1.0 + ratio ** (2 * order))
@@ -135,21 +135,21 @@ def _filtered_less_ideal(trace: Trace, cutoff: float) -> tuple[Array, Array]:
     spectrum = fft.rfft(padded, axis=0)
     s = 1j * fft.rfftfreq(size, 1.0 / trace.fs)[:, None] / cutoff
     one, two = 1.0 / (1.0 + s), 1.0 / (1.0 + np.sqrt(2.0) * s + s * s)
-    return (_back(spectrum * one, size, x), _back(spectrum * two, size, x))
+    return (_change_in_time(spectrum * one, size, x), _change_in_time(spectrum * two, size, x))
 
 
-def _back(spectrum: NDArray[np.complex128], size: int, x: Array) -> Array:
+def _change_in_time(spectrum: NDArray[np.complex128], size: int, x: Array) -> Array:
     return np.asarray(fft.irfft(spectrum, size, axis=0)[-len(x) :] - x, dtype=np.float64)
 
 
-def _nearer(trace: Trace, changes: tuple[Array, Array]) -> int:
+def _better_order(trace: Trace, changes: tuple[Array, Array]) -> int:
     """Which of the two changes leaves less of the residual; constants do not count."""
     residual, seen = trace.residual, trace.observed
-    one, two = (_scatter((residual - change)[seen]) for change in changes)
+    one, two = (_squares_about_mean((residual - change)[seen]) for change in changes)
     return int(two < one)
 
 
-def _scatter(series: Array) -> float:
+def _squares_about_mean(series: Array) -> float:
     """Sum of squares of a series (N, 3) about its mean."""
     about = series - np.full(len(series), 1.0 / max(len(series), 1)) @ series
     return float(np.vdot(about, about))
@@ -174,13 +174,13 @@ def drifts(trace: Trace) -> Array:
     return np.concatenate([-sizes[::-1], sizes])
 
 
-def slope(trace: Trace) -> float:
+def rms_slope(trace: Trace) -> float:
     """Rms slope over time of the ideal reading's liveliest axis, unit/s."""
     steps = np.diff(trace.ideal, axis=0)[trace.observed[1:] & trace.observed[:-1]]
     return float(np.sqrt((steps**2).mean(axis=0).max()) * trace.fs) if len(steps) else 0.0
 
 
-def _turns(trace: Trace) -> tuple[str, str] | None:
+def _missing_rotation(trace: Trace) -> tuple[str, str] | None:
     """The vehicle's turning decides for every sensor alike: the clock is one.
 
     A trajectory that was re-estimated from the recording itself runs on the clock that is in question.
@@ -188,18 +188,18 @@ def _turns(trace: Trace) -> tuple[str, str] | None:
     if not trace.rate_known:
         return "the re-estimated reference has the clock of the recording", "a reference with a clock of its own"
     if trace.spin is None or trace.sensor == Sensor.GYRO:
-        return _lively(trace.sensor)(trace)
+        return _missing_movement(trace.sensor)(trace)
     found, least = float(np.sqrt((trace.spin[trace.observed] ** 2).mean(axis=0).max())), _SLOPE[Sensor.GYRO]
     if found >= least:
         return None
     return f"the angular rate changes by {found:.2g} rad/s2 rms", f">= {least:g} rad/s2: {_SHAKE}"
 
 
-def _lively(sensor: Sensor) -> Missing:
+def _missing_movement(sensor: Sensor) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         if not trace.rate_known:
             return "the re-estimated reference does not follow fast changes", "a log at a higher rate, or a pose"
-        found, least = slope(trace), _SLOPE[sensor]
+        found, least = rms_slope(trace), _SLOPE[sensor]
         if found >= least:
             return None
         unit = f"{trace.unit}/s"
@@ -208,7 +208,7 @@ def _lively(sensor: Sensor) -> Missing:
     return missing
 
 
-def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
+def _effects_of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     return (
         MeanEffect(
             f"{sensor}_delay",
@@ -216,7 +216,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             (),
             "fast movement",
             _SHAKE,
-            _lively(sensor),
+            _missing_movement(sensor),
             EffectShape(EffectParameter("delay_s", "s"), delays),
             columns=delay_column,
             fixed=True,
@@ -230,7 +230,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             (),
             "fast movement; its own noise",
             _SHAKE,
-            _lively(sensor),
+            _missing_movement(sensor),
             EffectShape(EffectParameter("cutoff_hz", "Hz"), cutoffs),
             columns=low_pass_column,
             fixed=True,
@@ -248,7 +248,7 @@ CLOCK_DRIFT = MeanEffect(
     (),
     "fast movement throughout a long recording",
     "a shake at the beginning and another at the end",
-    _turns,
+    _missing_rotation,
     EffectShape(EffectParameter("drift_ppm", "ppm"), drifts),
     shared=True,
     columns=drift_column,
@@ -258,4 +258,4 @@ CLOCK_DRIFT = MeanEffect(
     traits=frozenset({Trait.STEADY}),
 )
 
-EFFECTS: tuple[CatalogueEffect, ...] = (*(effect for sensor in TRIADS for effect in _of(sensor)), CLOCK_DRIFT)
+EFFECTS: tuple[CatalogueEffect, ...] = (*(effect for sensor in TRIADS for effect in _effects_of(sensor)), CLOCK_DRIFT)

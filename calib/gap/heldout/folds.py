@@ -60,56 +60,56 @@ class Fold:
 @remembered(2)
 def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
     """`count` folds of a setting; fewer where a block has no samples. The last ones asked for are kept."""
-    edges, guard = _edges(setting, count)
+    edges, guard = _block_edges(setting, count)
     found = []
     for low, high in itertools.pairwise(edges):
-        block = _part(setting, low + guard, high - guard)
-        rest = [*_part(setting, -math.inf, low - guard), *_part(setting, high + guard, math.inf)]
+        block = _views_between(setting, low + guard, high - guard)
+        rest = [*_views_between(setting, -math.inf, low - guard), *_views_between(setting, high + guard, math.inf)]
         if block and rest:
-            found.append(Fold(_start(rest), _start(block)))
+            found.append(Fold(_starting_model(rest), _starting_model(block)))
     return tuple(found) if len(found) >= _LEAST_BLOCKS else ()
 
 
 @remembered(1)
 def blocks_of(setting: Setting, count: int) -> tuple[Model, ...]:
     """The blocks of those folds alone."""
-    edges, guard = _edges(setting, count)
-    parts = (_part(setting, low + guard, high - guard) for low, high in itertools.pairwise(edges))
+    edges, guard = _block_edges(setting, count)
+    parts = (_views_between(setting, low + guard, high - guard) for low, high in itertools.pairwise(edges))
     blocks = [part for part in parts if part]
-    return tuple(_start(part) for part in blocks) if len(blocks) >= _LEAST_BLOCKS else ()
+    return tuple(_starting_model(part) for part in blocks) if len(blocks) >= _LEAST_BLOCKS else ()
 
 
-def _edges(setting: Setting, count: int) -> tuple[Array, float]:
+def _block_edges(setting: Setting, count: int) -> tuple[Array, float]:
     """Moments between which `count` blocks of equal length lie, s, and what is cut off at either end of each."""
     start = min(float(view.t[0]) for view in setting.views)
     end = max(float(view.t[-1]) for view in setting.views)
     return np.linspace(start, end, count + 1), min(GUARD_S, 0.1 * (end - start) / count)
 
 
-def _part(setting: Setting, low: float, high: float) -> list[View]:
+def _views_between(setting: Setting, low: float, high: float) -> list[View]:
     return [part for view in setting.views if (part := between(view, low, high)) is not None]
 
 
-def _start(views: Sequence[View]) -> Model:
+def _starting_model(views: Sequence[View]) -> Model:
     setting = setting_of(tuple(views))
     return starting_model(setting, starting_noise(setting))
 
 
-def joined(model: Model, term: Term | NoiseTerm, *, hold: bool = False) -> Model:
+def with_joined_term(model: Model, term: Term | NoiseTerm, *, hold: bool = False) -> Model:
     """The model with a term of another setting, fitted from where that is; with `hold` shapes stay there."""
     if isinstance(term, NoiseTerm):
         return locally_fitted(with_term(model, term), term.hypothesis, hold=hold)
     return locally_fitted(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis, hold=hold)
 
 
-def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
+def is_predictable(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
     """Whether the blocks of `train` can know of a term of the `whole` model.
 
     Beside a drift of the bias, only blocks in which a jump happens know of it; without a drift, their levels tell its
     size. Blocks without a sample between two jumps know the sum of both, and neither.
     """
     effect = term.hypothesis.effect
-    if not isinstance(term, Term) or effect.shape is None or not effect.shape.still:
+    if not isinstance(term, Term) or effect.shape is None or not effect.shape.discontinuous:
         return True
     seen = np.concatenate([view.t for view in train.views if term.hypothesis.touches(view)] or [np.zeros(0)])
     for other in whole.terms:
@@ -124,12 +124,12 @@ def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
     return any(view.t[0] < term.theta < view.t[-1] for view in own)
 
 
-def parted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
+def without_hypothesis(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
     """The model without the term of a hypothesis, what remains fitted again; with `hold` shapes stay where they are."""
     return locally_fitted(without_effect(model, hypothesis.key), hypothesis, hold=hold)
 
 
-def carried(model: Model, test: Model) -> Model:
+def applied_to(model: Model, test: Model) -> Model:
     """A model of the training blocks applied to the held-out one: the same effects, the same noise."""
     for noise_term in model.noise_terms:
         test = with_term(test, noise_term)
@@ -180,10 +180,10 @@ def expected_gain(term: Term, train: Model, test: Model) -> float:
     least = _UNSEEN * np.eye(len(scale))
     covariance = np.linalg.inv(rest.gram / np.outer(scale, scale) + least)
     cost = float(np.trace((block.gram / np.outer(scale, scale)) @ covariance))
-    return 0.5 * (_energy(term, weighted) - cost)
+    return 0.5 * (_term_energy(term, weighted) - cost)
 
 
-def _energy(term: Term, model: Model) -> float:
+def _term_energy(term: Term, model: Model) -> float:
     """Weighted sum of squares of what a term adds."""
     without = with_residual(replace(model, terms=()))
     alone = with_residual(replace(model, terms=(term,)))
@@ -229,7 +229,7 @@ def predictive_loss(fitted: Model, block: Model) -> float:
     block
         The held-out block's data without an effect.
     """
-    tested = carried(fitted, block)
+    tested = applied_to(fitted, block)
     loss = log_loss(tested)
     if not tested.terms:
         return loss
@@ -238,7 +238,7 @@ def predictive_loss(fitted: Model, block: Model) -> float:
     tested_gram, b = _information(tested)
     v = np.concatenate([term.values for term in fitted.terms])
     precision = _precision(fitted, fitted_gram, tested_gram)
-    free = [i for i in range(len(v)) if i not in _moments(fitted.terms)]
+    free = [i for i in range(len(v)) if i not in _jump_indices(fitted.terms)]
     fitted_gram, tested_gram = fitted_gram[np.ix_(free, free)], tested_gram[np.ix_(free, free)]
     b, v, precision = b[free], v[free], precision[free]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(fitted_gram + tested_gram) + precision, np.finfo(float).tiny))
@@ -281,10 +281,14 @@ def _precision(fitted: Model, fitted_gram: Array, tested_gram: Array) -> Array:
     return precision
 
 
-def _moments(terms: tuple[Term, ...]) -> set[int]:
+def _jump_indices(terms: tuple[Term, ...]) -> set[int]:
     """Where moments are among the values of all terms: nothing is smooth about them."""
     ends = np.cumsum([len(term.values) for term in terms])
-    return {int(e) - 1 for e, t in zip(ends, terms, strict=True) if t.effect.shape is not None and t.effect.shape.still}
+    return {
+        int(e) - 1
+        for e, t in zip(ends, terms, strict=True)
+        if t.effect.shape is not None and t.effect.shape.discontinuous
+    }
 
 
 def _log_det(matrix: Array) -> float:

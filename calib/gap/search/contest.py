@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 from scipy.stats import binom
 
 from mavcal.calib.gap.effects.base import EffectShape, MeanEffect, NoiseEffect
-from mavcal.calib.gap.model.bands import joined
+from mavcal.calib.gap.model.bands import combined
 from mavcal.calib.gap.model.hypotheses import Hypothesis, columns_of
 from mavcal.calib.gap.model.joint import Model, Term, with_residual
 from mavcal.calib.gap.model.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
@@ -314,9 +314,9 @@ def _noise_gain(
     gain, values, known = 0.0, [], []
     for fit in fits:
         rows = extra_rows(model, fit, by_view)
-        if not fit.promising(rows):
+        if not fit.may_gain(rows):
             values.append(np.zeros(len(rows)))
-            known.append(fit.known_of(rows))
+            known.append(fit.information_of(rows))
             continue
         without = unchanged_deviance(fit)
         amplitudes, level, information = fit.fitted(rows)
@@ -407,4 +407,4 @@ def residual_on_grid(model: Model, v: int, trace: Trace) -> Array:
     lower[view.keep] = left
     if upper is not None:
         rest[view.fine.keep] = upper
-    return joined(lower, rest)
+    return combined(lower, rest)

@@ -15,7 +15,7 @@ import numpy as np
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, Key, columns_of
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
-from mavcal.calib.gap.model.noise_fit import refitted, without_term
+from mavcal.calib.gap.model.noise_fit import noise_fitted, without_term
 from mavcal.calib.gap.model.refinement import misfit, refined
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore, exact_gain, fixed_score, free_score, noise_score
@@ -227,7 +227,7 @@ def _comparison(
     model = chosen.model
     key = term.hypothesis.key
     if isinstance(term, NoiseTerm):
-        bare = refitted(without_term(model, term), [term.hypothesis.effect.sensor]).model
+        bare = noise_fitted(without_term(model, term), [term.hypothesis.effect.sensor]).model
         beside, own_columns, energy, stiff = Projection(bare), None, 0.0, 0.0
         own = noise_score(term.hypothesis, bare)
         own_gain, own_delta = own.gain, own.delta

@@ -25,9 +25,16 @@ from mavcal.calib.gap.model.joint import (
     with_noise,
     with_residual,
 )
-from mavcal.calib.gap.model.noise_fit import FittedNoise, is_declared, refitted, starting_noise, with_term, without_term
+from mavcal.calib.gap.model.noise_fit import (
+    FittedNoise,
+    is_declared,
+    noise_fitted,
+    starting_noise,
+    with_term,
+    without_term,
+)
 from mavcal.calib.gap.model.normal_equations import solved
-from mavcal.calib.gap.model.refinement import coupled, refined, refined_on
+from mavcal.calib.gap.model.refinement import coupled_sensors, refined, refined_on
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.added_noise import is_line_unsteadiness
 from mavcal.calib.gap.search.contest import Contest, ContestScore
@@ -62,7 +69,7 @@ def largest_gain(chosen: ChosenModel, contest: Contest) -> float:
 def jointly_fitted(model: Model) -> tuple[Model, Joint, FittedNoise]:
     """Mean and noise of a model fitted in turn."""
     model, _ = refined(model)
-    noise = refitted(model)
+    noise = noise_fitted(model)
     model, joint = refined(noise.model)
     return model, joint, replace(noise, model=model)
 
@@ -73,8 +80,8 @@ def locally_fitted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) 
     With `hold` shapes stay where they are, which takes a fraction of the time.
     """
     own = {view.sensor for view in model.setting.views if hypothesis.touches(view)}
-    near = coupled(model, own)
-    noise = refitted(refined_on(model, near, hold=hold), sorted(near))
+    near = coupled_sensors(model, own)
+    noise = noise_fitted(refined_on(model, near, hold=hold), sorted(near))
     return refined_on(noise.model, near, hold=hold)
 
 
@@ -215,7 +222,7 @@ def extended(
         if trial is None:
             began = contest.pace.now
             trial = locally_fitted(with_score(model, best), best.hypothesis)
-            contest.pace.keep_back(len(joined), contest.pace.now - began)
+            contest.pace.reserve(len(joined), contest.pace.now - began)
         model, joined, gains = pruned(trial, contest, joined, level)
         changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
         scores = _candidate_scores(model, contest, candidates, scores, changed)
@@ -251,7 +258,7 @@ def _candidate_scores(
     beside = Projection(model)
     scores, stale = {}, []
     for hypothesis in candidates:
-        if hypothesis.key in taken or hypothesis.described_by(there):
+        if hypothesis.key in taken or hypothesis.is_covered_by(there):
             continue
         if hypothesis.before is not None and hypothesis.before not in taken:
             continue
@@ -317,11 +324,11 @@ def _best_after_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[Con
             rivals.setdefault(score.hypothesis.effect.id, score)
     tried = list(rivals.values())[: prices.RIVALS_TRIED]
     touched = {v.sensor for v in model.setting.views if any(s.hypothesis.touches(v) for s in tried)}
-    near = sorted(coupled(model, touched))
+    near = sorted(coupled_sensors(model, touched))
     worth, least = None, math.inf
     for score in tried:
         trial = locally_fitted(with_score(model, score), score.hypothesis)
-        level = sum(refitted(trial, near).deviance.values()) + score.price  # of -2 log L
+        level = sum(noise_fitted(trial, near).deviance.values()) + score.price  # of -2 log L
         if worth is None or level < least:
             worth, least = (score, trial), level
     assert worth is not None
@@ -397,9 +404,9 @@ def marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int
     full: dict[Sensor, float] = {}
     for noise in model.noise_terms:
         sensor = noise.hypothesis.effect.sensor
-        bare = refitted(without_term(model, noise), [sensor])
+        bare = noise_fitted(without_term(model, noise), [sensor])
         if sensor not in full:
-            full[sensor] = sum(refitted(model, [sensor]).deviance.values())
+            full[sensor] = sum(noise_fitted(model, [sensor]).deviance.values())
         gain = sum(bare.deviance.values()) - full[sensor]
         found[noise.hypothesis.key] = (max(gain, 0.0), len(noise.hypothesis.effect.parameters), 1)
     return found

@@ -21,7 +21,7 @@ from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.likelihood import AxisNoise
 from mavcal.calib.gap.model.hypotheses import Binning, Hypothesis, HypothesisColumns, Part, add_block
 from mavcal.calib.gap.model.joint import Model, Ridge, Setting, cosines, frame_of, normal_equations, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted
+from mavcal.calib.gap.model.noise_fit import noise_fitted
 from mavcal.calib.gap.model.refinement import misfit, refined
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.schema import ParameterEstimate
@@ -119,7 +119,7 @@ def _process_in_place_of_effects(chosen: ChosenModel) -> tuple[_ProcessFit, floa
     for key in drifts:
         bare = without_effect(bare, key)
         scores.pop(key)
-    bare = refitted(refined(bare)[0]).model
+    bare = noise_fitted(refined(bare)[0]).model
     process = _Process.about(bare)
     best = process.best(bare)
     worth = math.inf if drifts else best.gain

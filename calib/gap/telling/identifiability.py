@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
-from mavcal.calib.gap.model.hypotheses import Hypothesis, Key, summed
+from mavcal.calib.gap.model.hypotheses import Hypothesis, Key, columns_in
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, predicted
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
@@ -29,24 +29,24 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 
-def bounded(params: Iterable[ParameterEstimate]) -> bool:
+def is_bounded(params: Iterable[ParameterEstimate]) -> bool:
     """Whether all of them have an error."""
     return all(math.isfinite(p.value) and math.isfinite(p.se) for p in params)
 
 
-def undetermined(chosen: ChosenModel) -> dict[Key, str]:
+def unbounded_parameters(chosen: ChosenModel) -> dict[Key, str]:
     """Named effects of a model with a parameter that has no finite error, and the names of these."""
     found = {}
     for term in chosen.model.members:
         if term.hypothesis.effect.nameless:
             continue
-        loose = [p.name for p in estimates_of(chosen, term) if not bounded([p])]
+        loose = [p.name for p in estimates_of(chosen, term) if not is_bounded([p])]
         if loose:
             found[term.hypothesis.key] = ", ".join(loose)
     return found
 
 
-def without_a_name(chosen: ChosenModel, loose: dict[Key, str]) -> Iterator[UnnamedCause]:
+def unbounded_causes(chosen: ChosenModel, loose: dict[Key, str]) -> Iterator[UnnamedCause]:
     """What is said in their place."""
     for term in chosen.model.members:
         effect = term.hypothesis.effect
@@ -63,20 +63,20 @@ def inseparable(chosen: ChosenModel, reference: ReferenceInfo) -> frozenset[Key]
     """Named effects on the mean without an amplitude beyond two standard errors, the reference's tilt included."""
     if reference.kind is not ReferenceKind.ESTIMATOR:
         return frozenset()
-    return frozenset(_within(chosen))
+    return frozenset(_within_error(chosen))
 
 
-def _within(chosen: ChosenModel) -> Iterator[Key]:
+def _within_error(chosen: ChosenModel) -> Iterator[Key]:
     for term in chosen.model.terms:
         effect = term.effect
         if effect.nameless or effect.fixed or not effect.parameters:
             continue
         amplitudes = estimates_of(chosen, term)[: len(effect.parameters)]
-        if not any(map(_undetermined, amplitudes)):
+        if not any(map(_exceeds_error, amplitudes)):
             yield term.hypothesis.key
 
 
-def _undetermined(amplitude: ParameterEstimate) -> bool:
+def _exceeds_error(amplitude: ParameterEstimate) -> bool:
     """Whether it differs from zero; of one that by itself has no error nothing is known."""
     return not math.isfinite(amplitude.se) or abs(amplitude.value) > _ERRORS * amplitude.se
 
@@ -97,16 +97,20 @@ _SAMPLES = 2000
 """Samples of a series that are compared. Chosen, not measured: it bounds the time, and both change slowly."""
 
 
-def with_equals(effect: EffectEstimate, model: Model, term: Term | NoiseTerm) -> EffectEstimate:
+def with_equal_effects(effect: EffectEstimate, model: Model, term: Term | NoiseTerm) -> EffectEstimate:
     """`effect` with those that are the same within the reference's error; the probability is shared with them."""
     if isinstance(term, NoiseTerm) or term.effect.shared or term.effect.shape is not None:
         return effect
     if effect.sensor is Sensor.GYRO:  # a rate of turn does not depend on the attitude
         return effect
-    view = _seen_in(model, term)
+    view = _series_with_error(model, term)
     if view is None:
         return effect
-    same = [(rival, kappa) for rival, kappa in _same(term, view) if rival.id not in {t.effect.id for t in model.terms}]
+    same = [
+        (rival, kappa)
+        for rival, kappa in _equal_effects(term, view)
+        if rival.id not in {t.effect.id for t in model.terms}
+    ]
     if not same:
         return effect
     listed = {rival.id for rival, _ in same}
@@ -116,7 +120,7 @@ def with_equals(effect: EffectEstimate, model: Model, term: Term | NoiseTerm) ->
     return replace(effect, evidence=evidence, confusable_with=(*more, *others))
 
 
-def _seen_in(model: Model, term: Term) -> View | None:
+def _series_with_error(model: Model, term: Term) -> View | None:
     """The series that has the reference's error, if the effect is on all units in it: no unit says otherwise then."""
     for view in model.setting.views:
         if term.hypothesis.touches(view) and view.reference_error and view.att_sd > 0.0 and not view.first:
@@ -124,7 +128,7 @@ def _seen_in(model: Model, term: Term) -> View | None:
     return None
 
 
-def _same(term: Term, view: View) -> Iterator[tuple[CatalogueEffect, float]]:
+def _equal_effects(term: Term, view: View) -> Iterator[tuple[CatalogueEffect, float]]:
     """Linear effects that are known to imitate it, or to be imitated, and the part of its energy that they take."""
     every = max(1, view.n // _SAMPLES)
     made = predicted(term, view)[::every]
@@ -138,14 +142,14 @@ def _same(term: Term, view: View) -> Iterator[tuple[CatalogueEffect, float]]:
         own = next(iter(view.weights))
         if rival.missing(view.traces[own]) is not None:
             continue
-        columns = summed(rival.columns, Hypothesis(rival, term.hypothesis.instances), np.nan, view)[:, ::every]
-        left = made - _fitted(columns, made, weight)
+        columns = columns_in(rival.columns, Hypothesis(rival, term.hypothesis.instances), np.nan, view)[:, ::every]
+        left = made - _best_fit(columns, made, weight)
         off = np.sqrt(((left * weight) ** 2).mean(axis=0))
         if float(off.max()) < _WITHIN:
             yield rival, 1.0 - float((left**2).sum() / max(float((made**2).sum()), 1e-300))
 
 
-def _fitted(columns: Array, made: Array, weight: Array) -> Array:
+def _best_fit(columns: Array, made: Array, weight: Array) -> Array:
     """What columns (p, n, 3) make of `made` (n, 3), by weighted least squares."""
     X = (columns * weight).reshape(len(columns), -1)
     found = np.linalg.lstsq(X.T, (made * weight).ravel(), rcond=1e-9)[0]

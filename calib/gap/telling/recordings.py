@@ -58,14 +58,14 @@ def series_of(model: Model, tolerated: Collection[Key] = ()) -> tuple[SeriesFit,
 
     Effects of the keys `tolerated` are in what is modelled and are not shown by themselves.
     """
-    return tuple(_fit(model, v, tolerated) for v, band in enumerate(model.setting.views) if not band.first)
+    return tuple(_series_fit(model, v, tolerated) for v, band in enumerate(model.setting.views) if not band.first)
 
 
-def _fit(model: Model, v: int, tolerated: Collection[Key]) -> SeriesFit:
+def _series_fit(model: Model, v: int, tolerated: Collection[Key]) -> SeriesFit:
     """The series whose lower band, or whole, has index `v`."""
     band = model.setting.views[v]
     view = band.whole
-    drawn = {t.hypothesis.key: (t, _drawn(t, band)) for t in model.terms if t.hypothesis.touches(band)}
+    drawn = {t.hypothesis.key: (t, _at_own_rate(t, band)) for t in model.terms if t.hypothesis.touches(band)}
     modelled = np.add.reduce([np.zeros_like(view.residual), *(added for _, added in drawn.values())])
     parts = _parts([found for key, found in drawn.items() if key not in tolerated])
     power = np.column_stack([assembled(model.setting.views, [n.power for n in model.noise], v, c) for c in range(3)])
@@ -90,7 +90,7 @@ def _parts(drawn: Iterable[tuple[Term, Array]]) -> dict[str, Array]:
     return parts
 
 
-def _drawn(term: Term, band: View) -> Array:
+def _at_own_rate(term: Term, band: View) -> Array:
     """The prediction of a term at the own rate of a series; what is slow is drawn between the samples of its band."""
     if band.fine is None or term.hypothesis.fast:
         return predicted(term, band.whole)

@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.views import View
-from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, coarse, varies
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, has_modulated_noise, is_coarsely_quantised
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def bets_of(model: Model) -> tuple[Unexplained, ...]:
     return tuple(bet for v in range(len(model.setting.views)) for bet in _bets(model, v))
 
 
-def won(bets: Sequence[Unexplained]) -> list[Unexplained]:
+def winning_bets(bets: Sequence[Unexplained]) -> list[Unexplained]:
     """Those that win among all that are made."""
     needed = math.log(max(len(bets), 1) / _CHANCE)
     return [bet for bet in bets if bet.nats > needed]
@@ -75,30 +75,30 @@ def won(bets: Sequence[Unexplained]) -> list[Unexplained]:
 
 def log_odds(bets: Sequence[Unexplained]) -> float | None:
     """The log of all bets together, a bet as well; None: none is made."""
-    return _mean(np.array([bet.nats for bet in bets])) if bets else None
+    return _log_mean(np.array([bet.nats for bet in bets])) if bets else None
 
 
 def _bets(model: Model, v: int) -> Iterator[Unexplained]:
     view = model.setting.views[v]
     # The error of the reference is known only up to the last of its cosines.
     turned = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
-    if turned or not _declared(view):
+    if turned or not _is_white(view):
         return
     power = np.array([model.noise[3 * v + c].power for c in range(3)])
     white = np.stack([view.whitened(axis) for axis in view.spectra(model.residual[v]) / np.sqrt(power)])
     name = view.sensor.value
-    if not varies(model, view):
-        yield Unexplained(bursting(white), f"{BURSTS} on {name}", view.sensor)
-    nats, periods = comb(white)
+    if not has_modulated_noise(model, view):
+        yield Unexplained(burst_bet(white), f"{BURSTS} on {name}", view.sensor)
+    nats, periods = wave_bet(white)
     yield Unexplained(nats, f"{WAVES} {periods * view.fs / view.n:.3g} Hz on {name}", view.sensor)
 
 
-def _declared(view: View) -> bool:
+def _is_white(view: View) -> bool:
     """Whether its noise is known to be white: what was learned from flights was averaged over all that was there."""
-    return view.density is None and view.variance is not None and not view.first and not coarse(view)
+    return view.density is None and view.variance is not None and not view.first and not is_coarsely_quantised(view)
 
 
-def bursting(white: Array) -> float:
+def burst_bet(white: Array) -> float:
     """Log of the bet that the variance of white series (p, n) goes to and fro between two values.
 
     It is a Markov chain of two states, against samples that are louder or not in no order: heavy tails are no bursts.
@@ -108,18 +108,20 @@ def bursting(white: Array) -> float:
     square = white[:, : count * width] ** 2
     energy = square.reshape(len(white), count, width).sum(axis=2)
     each = [axes for axes in _AXES if max(axes) < len(white)]
-    chains = _chains(np.array([energy[list(axes)].sum(axis=0) for axes in each]), width * np.array([*map(len, each)]))
+    chains = _chain_likelihoods(
+        np.array([energy[list(axes)].sum(axis=0) for axes in each]), width * np.array([*map(len, each)])
+    )
     bets = []
     for axes, chain in zip(each, chains, strict=True):
         own = list(axes)
         if chain > 0.0:  # else no more than a draw, whatever it is compared with
-            alone = _unordered(square[own].ravel(), 1) if width <= _SINGLE else 0.0
-            chain -= max(alone, _unordered(energy[own].sum(axis=0), width * len(own)))
+            alone = _mixture_likelihood(square[own].ravel(), 1) if width <= _SINGLE else 0.0
+            chain -= max(alone, _mixture_likelihood(energy[own].sum(axis=0), width * len(own)))
         bets.append(chain)
-    return _mean(np.array(bets))
+    return _log_mean(np.array(bets))
 
 
-def _chains(energy: Array, freedom: NDArray[np.intp]) -> Array:
+def _chain_likelihoods(energy: Array, freedom: NDArray[np.intp]) -> Array:
     """Log-likelihood of Markov chains of two variances against unit variance, averaged over them, (k,).
 
     `energy` (k, n): sums of `freedom` (k,) squares each. The first state has unit variance.
@@ -144,7 +146,7 @@ def _chains(energy: Array, freedom: NDArray[np.intp]) -> Array:
     return np.asarray(logsumexp(total, axis=1) - math.log(total.shape[1]))
 
 
-def _unordered(energy: Array, freedom: int) -> float:
+def _mixture_likelihood(energy: Array, freedom: int) -> float:
     """The largest log-likelihood of sums (n,) of so many squares whose variance is one of two, against unit variance.
 
     Either at each of them by itself, by rounds of expectation and maximisation.
@@ -163,7 +165,7 @@ def _unordered(energy: Array, freedom: int) -> float:
     return best
 
 
-def comb(white: Array) -> tuple[float, float]:
+def wave_bet(white: Array) -> tuple[float, float]:
     """Log of the bet that white series (p, n) have a wave of any form, and how many periods of the likeliest they have.
 
     At each frequency a wave and its overtones are tried. Their amplitudes share a prior of their own size. Periodograms
@@ -189,12 +191,12 @@ def comb(white: Array) -> tuple[float, float]:
             done = most
             size = _SIZES[:, None]
             worth = 0.5 * (gain * size / (1.0 + size) - rank * np.log1p(size))
-            bets.append(_mean(worth.ravel()))
+            bets.append(_log_mean(worth.ravel()))
             j = int(worth.argmax()) % len(at)
             best = max(best, (float(worth.max()), int(at[j])))
-    return _mean(np.array(bets)), best[1] / _PAD
+    return _log_mean(np.array(bets)), best[1] / _PAD
 
 
-def _mean(bets: Array) -> float:
+def _log_mean(bets: Array) -> float:
     """The log of the mean of bets, which are given as logs."""
     return float(logsumexp(bets) - math.log(len(bets)))

@@ -18,7 +18,7 @@ from scipy.special import chdtrc, fdtrc, ndtr
 
 from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.views import View
-from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, coarse
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, is_coarsely_quantised
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def excess_power(
     """
     by_sensor: dict[Sensor, list[_Excess]] = {}
     for v, view in enumerate(model.setting.views):
-        for one in _excesses(model, v, bandwidth_hz, outside=outside):
+        for one in _tested_excesses(model, v, bandwidth_hz, outside=outside):
             by_sensor.setdefault(view.sensor, []).append(one)
     found = []
     for sensor, excesses in by_sensor.items():
@@ -84,7 +84,7 @@ def excess_power(
     return found
 
 
-def _excesses(model: Model, v: int, bandwidth_hz: float, *, outside: bool) -> list[_Excess]:
+def _tested_excesses(model: Model, v: int, bandwidth_hz: float, *, outside: bool) -> list[_Excess]:
     """What noise alone does not explain: in bands of an axis, else in more of it, else for a while."""
     # The error of the reference is known only up to the last of its cosines.
     turned = model.ridge.columns.parts if model.ridge is not None else {}
@@ -108,8 +108,8 @@ def _excesses(model: Model, v: int, bandwidth_hz: float, *, outside: bool) -> li
         ),
         (_band(view, white, band, outside=outside) for band in (*itertools.pairwise(edges), (edges[0], edges[-1]))),
         (_line(view, ratio[:, : edges[-1]]),),
-        _passing(view, white),
-        _blips(view, white),
+        _transient_waves(view, white),
+        _slow_deviations(view, white),
     ):
         found = [one for one in looked if one.p * tests < _LEFTOVER]
         if found:
@@ -134,7 +134,7 @@ def _band(view: View, white: Array, band: tuple[int, int], axis: str = "", *, ou
     count, square = white[:, low:high].size, float((white[:, low:high] ** 2).sum())
     learned = view.density is not None
     if learned and square > _MINUTES_DIFFER * count and view.sensor is Sensor.ACCEL and not outside:
-        square = min(square, _between_jolts(view, white, band))
+        square = min(square, _power_between_jolts(view, white, band))
     if learned and square <= _MINUTES_DIFFER * count:
         p = 1.0  # a learned spectrum is that of other minutes: twice as much is none of this recording's
     elif math.isinf(view.dof):
@@ -146,7 +146,7 @@ def _band(view: View, white: Array, band: tuple[int, int], axis: str = "", *, ou
     return _Excess(view.sensor, p, _nats(square, count), f"power from {start:.3g} to {end:.3g} Hz on {on}")
 
 
-def _between_jolts(view: View, white: Array, band: tuple[int, int]) -> float:
+def _power_between_jolts(view: View, white: Array, band: tuple[int, int]) -> float:
     """Sum of squares in a band without the moments of the hardest jolts, as if the rest were all.
 
     A touchdown is a few samples of a flight, and no two are alike. Units that are sampled at moments of their own read
@@ -178,14 +178,14 @@ def _line(view: View, ratio: Array) -> _Excess:
     return _Excess(view.sensor, float(chdtrc(len(ratio), peak[k])) * len(peak), nats, text)
 
 
-def _passing(view: View, white: Array) -> Iterator[_Excess]:
+def _transient_waves(view: View, white: Array) -> Iterator[_Excess]:
     """Waves that last for some windows, of whitened spectra (p, count): short spectra that are less even than noise's.
 
     Each cell of frequency and time has a chance; of noise, minus its logarithm is exponential, and the sum of squares
     of n such numbers has the mean 2 n and the variance 20 n. A window is compared with its own power: louder noise is
     no wave. What was learned from flights was averaged over what passed there.
     """
-    if view.density is not None or view.variance is None or view.first or coarse(view):
+    if view.density is not None or view.variance is None or view.first or is_coarsely_quantised(view):
         return
     series = np.stack([view.whitened(axis) for axis in white])
     for width in _WINDOWS:
@@ -203,12 +203,13 @@ def _passing(view: View, white: Array) -> Iterator[_Excess]:
         yield _Excess(view.sensor, float(ndtr(-beyond)) * len(_WINDOWS), 0.5 * max(beyond, 0.0) ** 2, text)
 
 
-def _blips(view: View, white: Array) -> Iterator[_Excess]:
+def _slow_deviations(view: View, white: Array) -> Iterator[_Excess]:
     """What deviates slowly for a moment: windows of whitened spectra (p, count), their first bins louder than the rest.
 
-    A window is compared with its own noise, as in :func:`_passing`: what is louder at all frequencies is no deviation.
+    A window is compared with its own noise, as in :func:`_transient_waves`: noise that is louder at all frequencies is no
+    deviation.
     """
-    if view.density is not None or view.first or coarse(view):
+    if view.density is not None or view.first or is_coarsely_quantised(view):
         return
     series = np.stack([view.whitened(axis) for axis in white])
     for width in _LENGTHS:

@@ -60,21 +60,21 @@ def misattributed_noise(model: Model) -> tuple[MisattributedNoise, ...]:
         for v, view in enumerate(model.setting.views):
             if view.first or not term.hypothesis.touches(view):
                 continue
-            driver = coherent(model, v, term)
+            driver = hidden_driver(model, v, term)
             if driver is not None:
                 text = (
                     f"hidden scalar driver along [{', '.join(f'{d:.2f}' for d in driver.direction)}] on {sensor.value}"
                 )
                 found.append(MisattributedNoise(term.hypothesis.key, text, driver))
                 break
-            if returning(model, v, term):
+            if returns_to_mean(model, v, term):
                 text = f"drift that comes back (Gauss-Markov) on {sensor.value}"
                 found.append(MisattributedNoise(term.hypothesis.key, text, None))
                 break
     return tuple(found)
 
 
-def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
+def hidden_driver(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
     """Whether the axes' drifts are correlated (Bartlett): then something drives them together.
 
     An axis that reads the same as its reference has no drift, and drives nothing.
@@ -106,7 +106,7 @@ def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
     return HiddenDriver(p, (float(leading[0]), float(leading[1]), float(leading[2])), view.sensor)
 
 
-def returning(model: Model, v: int, term: NoiseTerm) -> bool:
+def returns_to_mean(model: Model, v: int, term: NoiseTerm) -> bool:
     """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than a walk and than flicker."""
     view = model.setting.views[v]
     bins = model.setting.bins[v]
@@ -127,14 +127,14 @@ def returning(model: Model, v: int, term: NoiseTerm) -> bool:
     return float(common.max() - best.max()) > _RETURNS or each > _RETURNS_EACH
 
 
-_TOGETHER = (([0, 1, 2], ""), ([0], ".x"), ([1], ".y"), ([2], ".z"))
+_AXIS_GROUPS = (([0, 1, 2], ""), ([0], ".x"), ([1], ".y"), ([2], ".z"))
 """Axes that may swell together, and their name: one supply feeds all three."""
 _WINDOWS = (4, 8, 16, 32, 64, 128)
 """Samples over which energies are summed, in turn. Chosen, not measured: an octave from one to the next."""
-_MOST = 0.99
+_CLIPPED_QUANTILE = 0.99
 """Part of the samples whose energy counts as it is. Chosen, not measured: a few large samples are heavy tails and do
 not swell."""
-_UNSTEADY = 1e-6
+_NONSTATIONARY = 1e-6
 """Chance, over all that is looked at, below which steady noise does not scatter so. Chosen, not measured: white noise
 of real sensors is never exactly normal."""
 
@@ -148,7 +148,7 @@ class Unexplained:
     sensor: Sensor
 
 
-def unsteady(model: Model) -> list[Unexplained]:
+def nonstationary_noise(model: Model) -> list[Unexplained]:
     """By sensor, nats by which noise that swells and fades would fit better than the steady one, if not by chance.
 
     Only where white noise is declared and nothing in the model varies by itself: what was learned from flights was
@@ -156,7 +156,13 @@ def unsteady(model: Model) -> list[Unexplained]:
     """
     worst: dict[Sensor, Unexplained] = {}
     for v, view in enumerate(model.setting.views):
-        if view.density is not None or view.variance is None or view.first or varies(model, view) or coarse(view):
+        if (
+            view.density is not None
+            or view.variance is None
+            or view.first
+            or has_modulated_noise(model, view)
+            or is_coarsely_quantised(view)
+        ):
             continue
         white = np.stack(
             [
@@ -164,16 +170,16 @@ def unsteady(model: Model) -> list[Unexplained]:
                 for c in range(3)
             ]
         )
-        for axes, name in _TOGETHER:
+        for axes, name in _AXIS_GROUPS:
             for width in _WINDOWS:
-                nats = _swelling(white[axes], width, len(_WINDOWS) * len(_TOGETHER) * len(model.setting.views))
+                nats = _excess_scatter(white[axes], width, len(_WINDOWS) * len(_AXIS_GROUPS) * len(model.setting.views))
                 if nats > (worst[view.sensor].nats if view.sensor in worst else 0.0):
                     text = f"noise that comes and goes within {width / view.fs:.2g} s on {view.sensor.value}{name}"
                     worst[view.sensor] = Unexplained(nats, text, view.sensor)
     return list(worst.values())
 
 
-def coarse(view: View) -> bool:
+def is_coarsely_quantised(view: View) -> bool:
     """Whether readings are rounded so much that the error of rounding is no noise."""
     for trace in view.traces.values():
         rows = trace.measured[view.keep] if len(trace.t) == len(view.keep) else trace.measured
@@ -183,7 +189,7 @@ def coarse(view: View) -> bool:
     return False
 
 
-def varies(model: Model, view: View) -> bool:
+def has_modulated_noise(model: Model, view: View) -> bool:
     """Whether a model has noise on a series that goes with something: it is not steady, and has a name."""
     return any(
         isinstance(term.hypothesis.effect, NoiseEffect)
@@ -193,7 +199,7 @@ def varies(model: Model, view: View) -> bool:
     )
 
 
-def _swelling(white: Array, width: int, tests: int) -> float:
+def _excess_scatter(white: Array, width: int, tests: int) -> float:
     """Excess scatter of the energies of windows of `width` samples of axes (p, n), in nats; 0 if chance makes as much.
 
     Chance is that of the same samples in any other order: the energies' own scatter, whatever their tails (Pearson).
@@ -203,11 +209,11 @@ def _swelling(white: Array, width: int, tests: int) -> float:
     if count < _LEAST:
         return 0.0
     energy = (white[:, : count * width] ** 2).sum(axis=0)
-    each = np.minimum(energy, np.quantile(energy, _MOST))
+    each = np.minimum(energy, np.quantile(energy, _CLIPPED_QUANTILE))
     spread = float(each.var())
     sums = each.reshape(count, width).sum(axis=1)
     square = float(sums.var()) * count / max(width * spread, 1e-300)
-    if float(chdtrc(count - 1, square)) * tests > _UNSTEADY:
+    if float(chdtrc(count - 1, square)) * tests > _NONSTATIONARY:
         return 0.0
     freedom = width * len(white)
     mean = energy.reshape(count, width).sum(axis=1) / float(energy.mean() * width)
@@ -223,10 +229,10 @@ _FEWEST = 20
 then five."""
 _BURST_SHARE = 0.25
 """Part of the windows that a burst takes at most; noise of a sensor is in all of them. Source: decision 34."""
-_OF_MEAN = 0.5
+_LOUD_RATIO = 0.5
 """Part of the mean excess above which a window has the noise. Chosen, not measured: half of the mean is beyond the
 scatter of a window without it."""
-_ONE = 3.0
+_BURST_PAUSE_S = 3.0
 """Seconds between loud windows up to which they are one burst. Chosen, not measured: a person who handles a vehicle
 pauses for as long."""
 _LISTED = 3
@@ -239,26 +245,26 @@ def bursts(model: Model) -> Iterator[tuple[Key, str]]:
         effect = term.hypothesis.effect
         if not isinstance(effect, NoiseEffect) or effect.drifts or effect.variance is not None or effect.shape:
             continue
-        if (spans := _loud(model, term)) is not None:
+        if (spans := _burst_spans(model, term)) is not None:
             when = ", ".join(f"{start:.0f} to {end:.0f} s" for start, end in spans[:_LISTED])
             more = f" and {len(spans) - _LISTED} more times" if len(spans) > _LISTED else ""
             yield term.hypothesis.key, f"noise on {effect.sensor.value} from {when}{more} only"
 
 
-def _loud(model: Model, term: NoiseTerm) -> list[tuple[float, float]] | None:
+def _burst_spans(model: Model, term: NoiseTerm) -> list[tuple[float, float]] | None:
     """Where the noise of a term is, s, the longest first; None: throughout, or nobody knows."""
-    edges, excess = _excess(model, term)
+    edges, excess = _excess_by_window(model, term)
     mean = float(excess.mean()) if len(excess) >= _FEWEST else 0.0
-    loud = np.flatnonzero(excess > _OF_MEAN * mean)
+    loud = np.flatnonzero(excess > _LOUD_RATIO * mean)
     if mean <= 0.0 or not 0 < len(loud) <= _BURST_SHARE * len(excess):
         return None
-    breaks = np.flatnonzero(np.diff(loud) > _ONE / _WINDOW_S)
+    breaks = np.flatnonzero(np.diff(loud) > _BURST_PAUSE_S / _WINDOW_S)
     groups = np.split(loud, breaks + 1)
     spans = [(float(edges[g[0]]), float(edges[g[-1] + 1])) for g in groups]
     return sorted(spans, key=lambda span: span[0] - span[1])
 
 
-def _excess(model: Model, term: NoiseTerm) -> tuple[Array, Array]:
+def _excess_by_window(model: Model, term: NoiseTerm) -> tuple[Array, Array]:
     """Edges (m + 1,) of windows of a second, and (m,) by how much more power they have than without the term."""
     touched = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view)]
     times = [model.setting.views[v].t for v in touched]

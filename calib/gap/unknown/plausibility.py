@@ -19,7 +19,7 @@ from mavcal.calib.gap.unknown.verdict import UnnamedCause
 from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 
-_BELIEVED = 0.01
+_LEAST_PROBABILITY = 0.01
 """Probability below which no effect is named where something without a name is the likelier. Chosen, not measured: a
 name of one in a hundred helps nobody."""
 _COMMON = "clock"
@@ -62,7 +62,7 @@ def without_sensors(problem: GapProblem, sensors: Collection[Sensor]) -> GapProb
     )
 
 
-def nameless(
+def improbable_effects(
     attributions: Iterable[Attribution], effects: Mapping[Key, CatalogueEffect], withdrawn: Sequence[Unexplained]
 ) -> Iterable[UnnamedCause]:
     """Effects that are far less likely than something unnamed in their place, or than what did not last."""
@@ -71,7 +71,7 @@ def nameless(
         effect = effects[a.key]
         if effect.nameless:
             continue  # it has no name to begin with
-        if a.probability < _BELIEVED and (withdrawn or a.unknown_probability > a.probability):
+        if a.probability < _LEAST_PROBABILITY and (withdrawn or a.unknown_probability > a.probability):
             found.setdefault(_COMMON if effect.shared else effect.sensor.value, []).append(a.key)
     return [
         UnnamedCause(tuple(keys), f"a difference on {name} that no effect describes") for name, keys in found.items()

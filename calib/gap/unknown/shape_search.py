@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model
-from mavcal.calib.gap.model.noise_fit import refitted
+from mavcal.calib.gap.model.noise_fit import noise_fitted
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore, free_score
 from mavcal.calib.gap.search.evidence import evidence, price_of_kind
@@ -31,20 +31,20 @@ from mavcal.calib.gap.search.selection import (
     total_price,
     without_effect,
 )
-from mavcal.calib.gap.unknown.shapes import ShapeHypothesis, flexible, shapes_of
+from mavcal.calib.gap.unknown.shapes import ShapeHypothesis, is_broken_line, shapes_of
 
 Array = NDArray[np.float64]
 
-_MARGIN = 2.0
+_LEAST_IMPROVEMENT = 2.0
 """Penalised evidence by which a model with shapes must beat the catalogue alone. Source: decision 5."""
 _SHORTLIST = 6
 """Shapes in each place that stand in the contest. Chosen, not measured: it bounds the time."""
-_CONTAINED = 0.8
+_CONTAINED_SHARE = 0.8
 """Part of a shape's evidence above which a simpler effect is what it goes about. Source: decision 5."""
 
 
 @dataclass(frozen=True, eq=False)
-class WithShapes:
+class ShapeSearch:
     """The better of the two models, and the contest that has the likeliest shapes among its rivals."""
 
     chosen: ChosenModel
@@ -52,7 +52,7 @@ class WithShapes:
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
+class _ShapePlace:
     """A shape where it would stand: what it displaces is worth `own` (penalised evidence) with `df` numbers."""
 
     score: ContestScore
@@ -67,26 +67,33 @@ class _Place:
     @property
     def elaborate(self) -> bool:
         """Whether it says no more than what it would displace, in more numbers: it may stand beside that alone."""
-        more = flexible(self.score.hypothesis) or self.score.df > self.df
-        return more and self.own > _CONTAINED * self.score.delta
+        more = is_broken_line(self.score.hypothesis) or self.score.df > self.df
+        return more and self.own > _CONTAINED_SHARE * self.score.delta
 
 
-def explained(chosen: ChosenModel, contest: Contest, start: Model, alpha: float, named: Collection[str]) -> WithShapes:
+def with_shapes(
+    chosen: ChosenModel, contest: Contest, start: Model, alpha: float, named: Collection[str]
+) -> ShapeSearch:
     """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals.
 
     `named` are the ids of the catalogue, of effects that cannot be tested here as well.
     """
     if contest.pace.ends():
-        return WithShapes(chosen, contest)
+        return ShapeSearch(chosen, contest)
     periodic = [t for t in chosen.model.terms if t.hypothesis.periodic]
     shapes = shapes_of(chosen.model.setting, periodic, named)
     scorer = contest.restricted_to(())
     tests = chosen.tests + sum(len(s.hypotheses) for s in shapes)
-    beside = [_Place(score) for score in _scored(shapes, scorer, Projection(chosen.model))]
-    instead = [*_instead_of_all(chosen, shapes, scorer, start), *_instead_of_each(chosen, shapes, scorer)]
-    worth = max(_MARGIN, _least(chosen, contest)) if chosen.model.members else 0.0
+    beside = [_ShapePlace(score) for score in _shape_scores(shapes, scorer, Projection(chosen.model))]
+    instead = [
+        *_instead_of_all_effects(chosen, shapes, scorer, start),
+        *_instead_of_each_effect(chosen, shapes, scorer),
+    ]
+    worth = max(_LEAST_IMPROVEMENT, _second_order_gain(chosen, contest)) if chosen.model.members else 0.0
     strong = any(p.score.p * tests < alpha and p.better > worth for p in (*beside, *instead))
-    likely = {p.score.hypothesis.key: p.score.hypothesis for p in _best((*beside, *instead)) if p.score.delta > 0.0}
+    likely = {
+        p.score.hypothesis.key: p.score.hypothesis for p in _shortlist((*beside, *instead)) if p.score.delta > 0.0
+    }
     elaborate = {p.score.hypothesis.key for p in instead if p.elaborate}
     plain = [h for key, h in likely.items() if key not in elaborate]
     rivals = contest.restricted_to((*contest.hypotheses, *plain))
@@ -95,16 +102,16 @@ def explained(chosen: ChosenModel, contest: Contest, start: Model, alpha: float,
         everything = contest.restricted_to((*contest.hypotheses, *likely.values()))
         other = min((select(start, rivals, level), extended(chosen, everything, alpha / tests)), key=objective)
         if objective(other) < objective(chosen) - worth:
-            return WithShapes(other, rivals)
-    return WithShapes(chosen, rivals)
+            return ShapeSearch(other, rivals)
+    return ShapeSearch(chosen, rivals)
 
 
-def _least(chosen: ChosenModel, contest: Contest) -> float:
+def _second_order_gain(chosen: ChosenModel, contest: Contest) -> float:
     """Part of the largest gain that is a second order of it; noise takes what is its own."""
     return 0.0 if chosen.model.noise_terms else prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest)
 
 
-def _best(places: Sequence[_Place]) -> list[_Place]:
+def _shortlist(places: Sequence[_ShapePlace]) -> list[_ShapePlace]:
     """The best few in each place."""
     found = []
     for own in dict.fromkeys(p.own for p in places):
@@ -112,12 +119,12 @@ def _best(places: Sequence[_Place]) -> list[_Place]:
     return found
 
 
-def _instead_of_all(
+def _instead_of_all_effects(
     chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest, start: Model
-) -> list[_Place]:
+) -> list[_ShapePlace]:
     """Shapes instead of all effects of a sensor."""
     found = []
-    before = refitted(start).deviance
+    before = noise_fitted(start).deviance
     for sensor in {term.hypothesis.effect.sensor for term in chosen.model.members}:
         own = [s for s in chosen.scores if s.hypothesis.effect.sensor is sensor]
         gain = sum(before[key] - chosen.noise.deviance[key] for key in before if key[0] is sensor)
@@ -126,25 +133,27 @@ def _instead_of_all(
             sum(s.df for s in own),
         )  # a shape is one of its own
         touched = [s for s in shapes if s.whole.effect.sensor is sensor]
-        found += [_Place(score, worth, df) for score in _scored(touched, scorer, Projection(start))]
+        found += [_ShapePlace(score, worth, df) for score in _shape_scores(touched, scorer, Projection(start))]
     return found
 
 
-def _instead_of_each(chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest) -> list[_Place]:
+def _instead_of_each_effect(
+    chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest
+) -> list[_ShapePlace]:
     """Shapes instead of each effect."""
     found = []
     level = sum(chosen.noise.deviance.values())
     for term in chosen.model.members:
-        bare = refitted(locally_fitted(without_effect(chosen.model, term.hypothesis.key), term.hypothesis))
+        bare = noise_fitted(locally_fitted(without_effect(chosen.model, term.hypothesis.key), term.hypothesis))
         touched = [s for s in shapes if s.whole.effect.sensor is term.hypothesis.effect.sensor]
         score = next((s for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), None)
         price, df = (0.0, 0) if score is None else (score.price, score.df)
         own = sum(bare.deviance.values()) - level - price
-        found += [_Place(score, own, df) for score in _scored(touched, scorer, Projection(bare.model))]
+        found += [_ShapePlace(score, own, df) for score in _shape_scores(touched, scorer, Projection(bare.model))]
     return found
 
 
-def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Projection) -> list[ContestScore]:
+def _shape_scores(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Projection) -> list[ContestScore]:
     """Scores of all shapes and of their parts, whose columns are made once."""
     found = []
     for shape in shapes:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.likelihood import AxisNoise
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, predicted
-from mavcal.calib.gap.unknown.misattributed_noise import coarse
+from mavcal.calib.gap.unknown.misattributed_noise import is_coarsely_quantised
 from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 
@@ -63,22 +63,22 @@ def telegraph_noise(
     """
     found: list[TelegraphNoise] = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
-        places = [(term, a.key) for a in attributions if (term := _slow(model, a.key, sensor)) is not None]
+        places = [(term, a.key) for a in attributions if (term := _slow_term(model, a.key, sensor)) is not None]
         least = max(_BETTER, (floor or {}).get(sensor, 0.0))
-        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _better(model, [term], least)]
-        if not better and len(places) > 1 and _better(model, [term for term, _ in places], least):
+        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _levels_explain_better(model, [term], least)]
+        if not better and len(places) > 1 and _levels_explain_better(model, [term for term, _ in places], least):
             better = [tuple(key for _, key in places)]
         text = f"jumps to and fro between two levels on {sensor.value}"
         found += (TelegraphNoise(keys, text) for keys in better)
     return tuple(found)
 
 
-def _turned(model: Model, v: int) -> bool:
+def _has_reference_error(model: Model, v: int) -> bool:
     """Whether the error of the reference is a part of the model there: any levels would be its own."""
     return model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
 
 
-def _slow(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
+def _slow_term(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
     """The term of a key if it acts on a sensor and is not noise of every frequency."""
     term = next((t for t in model.members if t.hypothesis.key == key), None)
     views = [view for view in model.setting.views if view.sensor is sensor]
@@ -87,7 +87,7 @@ def _slow(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
     return term if isinstance(term, Term) or term.hypothesis.effect.drifts else None
 
 
-def _better(model: Model, terms: Sequence[Term | NoiseTerm], least: float) -> bool:
+def _levels_explain_better(model: Model, terms: Sequence[Term | NoiseTerm], least: float) -> bool:
     """Whether two levels on each axis are far likelier than `terms`, the others being as they are.
 
     Over all series that the terms change: what a few levels take of one of them is no match for an effect that
@@ -102,19 +102,19 @@ def _better(model: Model, terms: Sequence[Term | NoiseTerm], least: float) -> bo
             predicted(t, view) for t in terms if isinstance(t, Term) and t.hypothesis.touches(view)
         )
         drifts = {t.name(0) for t in terms if isinstance(t, NoiseTerm)}
-        rest = np.array([_without(noise, drifts) for noise in model.noise[3 * v : 3 * v + 3]])
-        own += _worth(model, v, series, rest)
-        if view.first or view.count < _FEWEST or _turned(model, v) or coarse(view):
+        rest = np.array([_remaining_power(noise, drifts) for noise in model.noise[3 * v : 3 * v + 3]])
+        own += _gain_of_model(model, v, series, rest)
+        if view.first or view.count < _FEWEST or _has_reference_error(model, v) or is_coarsely_quantised(view):
             continue
-        gain, constant, jumps = _chains(series, rest)
-        own += _constant(model, v)
+        gain, constant, jumps = _level_gains(series, rest)
+        own += _gain_of_constant(model, v)
         jumping = jumping or bool(((jumps > _JUMPS) & (gain - constant > _BETTER)).any())
         switched += float((gain - constant).sum())
         chains += float(gain.sum())
     return jumping and switched > least and chains > own + _BETTER
 
 
-def _worth(model: Model, v: int, series: Array, rest: Array) -> float:
+def _gain_of_model(model: Model, v: int, series: Array, rest: Array) -> float:
     """Twice the log-likelihood by which a model is better than a `series` (n, 3) under the noise `rest` (3, n)."""
     view = model.setting.views[v]
     full = np.array([noise.power for noise in model.noise[3 * v : 3 * v + 3]])
@@ -122,13 +122,13 @@ def _worth(model: Model, v: int, series: Array, rest: Array) -> float:
     return float((bare - np.log(full) - view.spectra(model.residual[v]) ** 2 / full).sum())
 
 
-def _constant(model: Model, v: int) -> float:
+def _gain_of_constant(model: Model, v: int) -> float:
     """Twice the log-likelihood that a constant on each axis would gain beside a model."""
     lowest = model.setting.views[v].spectra(model.residual[v])[:, 0]
     return float(sum(y**2 / noise.power[0] for y, noise in zip(lowest, model.noise[3 * v : 3 * v + 3], strict=True)))
 
 
-def _chains(series: Array, rest: Array) -> tuple[Array, Array, Array]:
+def _level_gains(series: Array, rest: Array) -> tuple[Array, Array, Array]:
     """Gain and jumps of :func:`two_levels` of a series (n, 3), and between them the gain of a constant level.
 
     Nothing where the noise of its averages is not white.
@@ -144,7 +144,7 @@ def _chains(series: Array, rest: Array) -> tuple[Array, Array, Array]:
     return gain, count * means.mean(axis=0) ** 2 / variance, jumps
 
 
-def _without(noise: AxisNoise, names: Collection[str]) -> Array:
+def _remaining_power(noise: AxisNoise, names: Collection[str]) -> Array:
     """The power of noise without those of its densities that have one of `names`."""
     own = [name for name in names if name in noise.densities]
     return noise.power - sum((noise.amplitudes[name] * noise.densities[name] for name in own), 0.0)
@@ -163,7 +163,7 @@ def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
         jump = np.full((x.shape[1], 2), start)
         before = np.full(x.shape[1], -np.inf)
         for _ in range(_ROUNDS):
-            log_likelihood, levels, jump, expected = _round(x, variance, levels, jump)
+            log_likelihood, levels, jump, expected = _baum_welch_round(x, variance, levels, jump)
             if np.all(log_likelihood - before < _SETTLED):
                 break
             before = log_likelihood
@@ -172,7 +172,7 @@ def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
     return best, jumps
 
 
-def _round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array, Array, Array, Array]:
+def _baum_welch_round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array, Array, Array, Array]:
     """One round of Baum and Welch: the log-likelihood at `levels` and `jump` (p, 2), the next of both, the jumps."""
     exponent = 0.5 * (x[..., None] ** 2 - (x[..., None] - levels) ** 2) / variance[:, None]
     top = exponent.max(axis=2, keepdims=True)
@@ -182,11 +182,11 @@ def _round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array
     first = jump[:, ::-1] / jump.sum(axis=1, keepdims=True) * emission[0]
     opened = steps.copy()
     opened[0] = first[:, None, :] * np.array([[1.0], [0.0]])
-    forward, scale = _products(opened)
+    forward, scale = _cumulative_products(opened)
     alpha = forward[:, :, 0, :]
     log_likelihood = scale[-1] + np.log(alpha[-1].sum(axis=-1)) + top[:, :, 0].sum(axis=0)
     beta = np.ones_like(alpha)
-    beta[:-1] = _products(np.swapaxes(steps[:0:-1], 2, 3))[0][::-1].sum(axis=2)
+    beta[:-1] = _cumulative_products(np.swapaxes(steps[:0:-1], 2, 3))[0][::-1].sum(axis=2)
     state = alpha * beta
     state /= state.sum(axis=-1, keepdims=True)
     pairs = alpha[:-1, :, :, None] * steps[1:] * beta[1:, :, None, :]
@@ -197,7 +197,7 @@ def _round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array
     return log_likelihood, levels, np.clip(jumps / stays, _RARE, _OFTEN), jumps.sum(axis=1)
 
 
-def _products(steps: Array) -> tuple[Array, Array]:
+def _cumulative_products(steps: Array) -> tuple[Array, Array]:
     """All products of matrices (n, p, 2, 2) from the first on, their largest entries one, and their log scales (n, p).
 
     By doubling (Hillis & Steele 1986): log2(n) steps over whole arrays instead of n over small ones.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from mavcal.calib.gap.effects.events import SLOW_S
+from mavcal.calib.gap.effects.events import RAMP_S
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, Term
 from mavcal.calib.gap.model.views import View
@@ -81,24 +81,24 @@ def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple
         for event in events_of(model, sensor):
             start, end = event[0].theta, event[-1].theta
             views = [v for v, view in enumerate(model.setting.views) if event[0].hypothesis.touches(view)]
-            reached = [unsettled(model.setting.views[v], model.residual[v], start, end) for v in views]
+            reached = [span_off_level(model.setting.views[v], model.residual[v], start, end) for v in views]
             early, late = min(r[0] for r in reached), max(r[1] for r in reached)
-            slow = bool(event[0].effect.form) and any(_ramp_seen(event[0], model.setting.views[v]) for v in views)
+            slow = bool(event[0].effect.form) and any(_ramp_is_sampled(event[0], model.setting.views[v]) for v in views)
             apart = end - start > _ONE_MOMENT / max(model.setting.views[v].fs for v in views)
             if apart or slow or early < start or late > end:
-                early, late = min(early, start - _beside(event[0])), max(late, end + _beside(event[-1]))
+                early, late = min(early, start - _margin_of(event[0])), max(late, end + _margin_of(event[-1]))
                 nats = 0.5 * sum((gains or {}).get(jump.hypothesis.key, 0.0) for jump in event)
                 found.append(JumpSpan(sensor, early, late, nats))
     return tuple(found)
 
 
-def _ramp_seen(term: Term, view: View) -> bool:
+def _ramp_is_sampled(term: Term, view: View) -> bool:
     """Whether a gradual event has samples of its own: one that lies in a hole is no more than two levels."""
-    during = (view.t > term.theta - 0.5 * SLOW_S) & (view.t < term.theta + 0.5 * SLOW_S)
-    return int(during.sum()) > _RAMP * SLOW_S * view.fs
+    during = (view.t > term.theta - 0.5 * RAMP_S) & (view.t < term.theta + 0.5 * RAMP_S)
+    return int(during.sum()) > _RAMP * RAMP_S * view.fs
 
 
-def passing(
+def transient_events(
     left_out: Sequence[JumpSpan], model: Model, gains: Mapping[Key, float] | None = None
 ) -> tuple[JumpSpan, ...]:
     """Those after which the level is what it was before: what happened there is in no effect of the model.
@@ -115,10 +115,10 @@ def passing(
     def drifted(one: JumpSpan) -> bool:
         return one.sensor in drifts and one.nats < 0.5 * (gains or {}).get(drifts[one.sensor], 0.0)
 
-    return _merged([one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one)])
+    return _without_overlap([one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one)])
 
 
-def _merged(spans: Sequence[JumpSpan]) -> tuple[JumpSpan, ...]:
+def _without_overlap(spans: Sequence[JumpSpan]) -> tuple[JumpSpan, ...]:
     """Each with all that overlap it, in the order of their sensors and times."""
     found: list[JumpSpan] = []
     for one in sorted(spans, key=lambda span: (span.sensor.value, span.start)):
@@ -130,7 +130,7 @@ def _merged(spans: Sequence[JumpSpan]) -> tuple[JumpSpan, ...]:
     return tuple(found)
 
 
-def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:
+def span_off_level(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:
     """From when to when a series (n, 3) about an event is off the levels that it keeps before and after it.
 
     Means over windows are compared with their median over the seconds on that side; how far they scatter about such
@@ -146,13 +146,13 @@ def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[fl
     scatter = 1.4826 * np.median(np.abs(means - smooth), axis=0) + np.finfo(float).tiny
     before = np.flatnonzero(t[:, -1] < start)[::-1]
     after = np.flatnonzero(t[:, 0] > end)
-    first, last = _off(means[before], scatter), _off(means[after], scatter)
+    first, last = _count_off_level(means[before], scatter), _count_off_level(means[after], scatter)
     early = float(t[before[first - 1], 0]) - _MARGIN_S if first else start
     late = float(t[after[last - 1], -1]) + _MARGIN_S if last else end
     return early, late
 
 
-def _off(means: Array, scatter: Array) -> int:
+def _count_off_level(means: Array, scatter: Array) -> int:
     """How many of `means` (m, 3), the nearest to an event first, come before two in a row that are on the level."""
     if len(means) < _LEVEL:
         return 0
@@ -162,13 +162,13 @@ def _off(means: Array, scatter: Array) -> int:
     return int(calm[0]) if len(calm) else 0
 
 
-def levels_apart(model: Model, term: Term) -> Array:
+def level_mismatch(model: Model, term: Term) -> Array:
     """By how much (3,) the levels that a model leaves before and after a step differ: nothing, if its size is right.
 
     Over some seconds beside it and over all the time to its neighbours, the larger of both.
     """
     seen = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view) and not view.first]
-    weights = [_weight(term, model.setting.views[v]) for v in seen]
+    weights = [_weight_in(term, model.setting.views[v]) for v in seen]
     v, weight = max(zip(seen, weights, strict=True), key=lambda pair: abs(pair[1]))
     near = _ONE_MOMENT / model.setting.views[v].fs
     others = (t.theta for event in events_of(model, term.effect.sensor) for t in event)
@@ -186,7 +186,7 @@ def levels_apart(model: Model, term: Term) -> Array:
     return apart
 
 
-def moment_of(model: Model, term: Term) -> tuple[float, float]:
+def jump_moment(model: Model, term: Term) -> tuple[float, float]:
     """When a jump was, s, and its standard error: anywhere between the last sample before it and the first after it."""
     spans = []
     for view in {id(view.whole): view.whole for view in model.setting.views if term.hypothesis.touches(view)}.values():
@@ -196,14 +196,14 @@ def moment_of(model: Model, term: Term) -> tuple[float, float]:
     return end - 0.5 * length, length / np.sqrt(12.0)
 
 
-def _weight(term: Term, view: View) -> float:
+def _weight_in(term: Term, view: View) -> float:
     """How much of what a term does to its instances a series shows."""
     return sum(w for i, w in view.weights.items() if i in term.hypothesis.instances)
 
 
-def _beside(term: Term) -> float:
+def _margin_of(term: Term) -> float:
     """Seconds on either side of its moment."""
-    return _MARGIN_S + (0.5 * SLOW_S if term.effect.form else 0.0)
+    return _MARGIN_S + (0.5 * RAMP_S if term.effect.form else 0.0)
 
 
 def without_transitions(problem: GapProblem, found: Sequence[JumpSpan]) -> GapProblem:

@@ -9,7 +9,7 @@ from mavcal.calib.gap.companion.level_shifts import level_steps
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.problem import GapProblem, MinimumGain, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.reference.noise import learned, with_noise
+from mavcal.calib.gap.reference.noise import learned_spectrum, with_noise
 from mavcal.calib.recording import Sensor
 
 FS, SECONDS, SD = 20.0, 160.0, 0.5
@@ -36,7 +36,7 @@ def compass(seed, magnet=0.0, wander=1.3):
 
 def beside_a_nominal_one(trace, nominal):
     least = MinimumGain(level={Sensor.MAG: LEVEL}, noise_report={Sensor.MAG: LOUD})
-    noisy = with_noise(trace, learned(nominal), None)
+    noisy = with_noise(trace, learned_spectrum(nominal), None)
     return GapProblem((noisy,), ReferenceInfo(ReferenceKind.POSE), SECONDS, nominal=(nominal,), minimum_gain=least)
 
 

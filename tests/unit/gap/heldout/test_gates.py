@@ -7,20 +7,20 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _Answer, _confirmed
+from mavcal.calib.gap.diagnose import _Answer, _confirmed_by_blocks
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.heldout.folds import folds_of
 from mavcal.calib.gap.heldout.gates import gate_of
 from mavcal.calib.gap.heldout.shrink import held_out
 from mavcal.calib.gap.model.hypotheses import hypotheses_of
 from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.exchange import stable_model
 from mavcal.calib.gap.search.selection import marginal_gains, select
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING
-from mavcal.calib.gap.worth.attribution import attributed
+from mavcal.calib.gap.worth.attribution import attributions
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -34,7 +34,7 @@ def selected(seed, gap, *only):
     hypotheses, _ = hypotheses_of(catalogue(), views)
     asked = [h for h in hypotheses if not only or h.effect.id in only]
     setting, contest = setting_of(views), Contest(asked)
-    chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, ALPHA)
+    chosen = select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, ALPHA)
     return chosen, contest, folds_of(setting, 8)
 
 
@@ -112,7 +112,7 @@ def test_an_offset_that_no_block_confirms_is_taken_out_of_the_answer_and_told_of
     chosen, contest, _ = selected(5, unsteady, "accel_bias", "accel_scale")
     assert {t.hypothesis.effect.id for t in chosen.model.terms} == {"accel_bias", "accel_scale"}
     found = stable_model(chosen, contest, ALPHA)
-    answer = _confirmed(_Answer(found, attributed(found, contest), contest, None), ALPHA, nested=False)
+    answer = _confirmed_by_blocks(_Answer(found, attributions(found, contest), contest, None), ALPHA, nested=False)
     assert {t.hypothesis.effect.id for t in answer.chosen.model.terms} == {"accel_scale"}
     assert [(one.text, one.sensor) for one in answer.withdrawn] == [(NOT_LASTING, Sensor.ACCEL)]
     assert all(answer.gates[t.hypothesis.key] is True for t in answer.chosen.model.terms)

@@ -10,7 +10,7 @@ import pytest
 from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise, with_term
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.search.added_noise import (
@@ -129,7 +129,7 @@ def a_line(size: float) -> tuple[Model, NoiseTerm]:
     problem = problem_of(np.random.default_rng(5), (Sensor.GYRO,), gap)
     setting = setting_of(views_of(problem, {}, {}))
     term = NoiseTerm(Hypothesis(forward_models()["gyro_vibration"][-1], (0,)), 10.0)
-    model = refitted(with_term(starting_model(setting, starting_noise(setting)), term)).model
+    model = noise_fitted(with_term(starting_model(setting, starting_noise(setting)), term)).model
     return model, term
 
 
@@ -145,10 +145,10 @@ def test_the_amplitude_of_a_line_is_read_at_its_frequency(size):
 def test_a_little_broad_noise_beside_a_strong_line_is_its_unsteadiness():
     model, line = a_line(10.0)
     broad = NoiseTerm(Hypothesis(forward_models()["gyro_noise"][-1], (0,)), np.nan)
-    both = refitted(with_term(model, broad)).model
+    both = noise_fitted(with_term(model, broad)).model
     assert is_line_unsteadiness(broad, both)
     assert not is_line_unsteadiness(line, both)
-    alone = refitted(with_term(model_of(2, (0, 1), times=2.0), noise_term((0, 1)))).model
+    alone = noise_fitted(with_term(model_of(2, (0, 1), times=2.0), noise_term((0, 1)))).model
     assert not is_line_unsteadiness(noise_term((0, 1)), alone)
 
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _task_of
+from mavcal.calib.gap.diagnose import _setup_of
 from mavcal.calib.gap.effects import catalogue, forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm
@@ -32,7 +32,7 @@ from mavcal.calib.gap.search.selection import (
     select,
     without_effect,
 )
-from mavcal.calib.gap.worth.attribution import attributed
+from mavcal.calib.gap.worth.attribution import attributions
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -77,7 +77,7 @@ def walking_and_warm(trace):
 def paths():
     """The models of steady effects alone, of drifts alone, and what the contest makes of both."""
     problem = problem_of(np.random.default_rng(3), (A, G), walking_and_warm)
-    task = _task_of(problem, tuple(e for e in catalogue() if e.id in FEW))
+    task = _setup_of(problem, tuple(e for e in catalogue() if e.id in FEW))
     bare = select(task.bare, Contest(()), 0.005)
     steady, drifts = (
         extended(bare, task.contest, 1e-4, [h for h in task.contest.hypotheses if h.effect.id.endswith(ends)])
@@ -148,9 +148,9 @@ def test_what_is_known_of_other_places_says_what_looking_again_would():
     half = task.contest.restricted_to([h for h in task.contest.hypotheses if not h.effect.id.endswith("_bias")])
     more = stable_model(found.chosen, task.contest, 1e-3, stable_model(found.chosen, half, 1e-3))
     again = stable_model(found.chosen, task.contest, 1e-3)
-    expected = attributed(again, task.contest)
+    expected = attributions(again, task.contest)
     for one in (found, more):
-        for a, b in zip(attributed(one, task.contest), expected, strict=True):
+        for a, b in zip(attributions(one, task.contest), expected, strict=True):
             assert a.key == b.key
             assert a.probability == pytest.approx(b.probability, abs=1e-9)
             assert [r.id for r in a.rivals] == [r.id for r in b.rivals]

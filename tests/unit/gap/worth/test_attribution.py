@@ -47,7 +47,7 @@ NOBODY = other(NAMELESS, 1e6)
 def judged(*others, own="accel_bias", second=0.0):
     place = Comparison((*others, NOBODY), OWN)
     hypothesis = SimpleNamespace(effect=by_id()[own], instances=(0,))
-    return attribution._judged(hypothesis, place, None, second)
+    return attribution._rivals_and_probabilities(hypothesis, place, None, second)
 
 
 def probability(*others, **more):
@@ -132,7 +132,7 @@ def test_of_a_strong_effect_rivals_farther_behind_are_listed(own, reach):
     def listed(behind):
         place = Comparison((Alternative(score(ROTATION, own - behind), 0.5), NOBODY), own)
         hypothesis = SimpleNamespace(effect=BIAS, instances=(0,))
-        return bool(attribution._judged(hypothesis, place, None, 0.0)[0])
+        return bool(attribution._rivals_and_probabilities(hypothesis, place, None, 0.0)[0])
 
     assert listed(reach - 0.1)
     assert not listed(reach + 0.1)
