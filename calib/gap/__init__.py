@@ -53,7 +53,7 @@ def run(
     frame: str | None = None,
     sim_frame: Mapping[str, Any] | None = None,
 ) -> GapReport:
-    """The gap between a real recording and its reference: sensors, and airframe and air where both recordings fly.
+    """The gap between a real recording and its reference: sensors, and airframe and air if both recordings fly.
 
     Parameters
     ----------
@@ -109,15 +109,12 @@ def run(
 
 
 def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:
-    """Parameters of the simulator that the remedy is for: of the one that was recorded; empty where none was.
-
-    ArduPilot's has ``SIM_*``, PX4's simulation in hardware ``SIH_*``.
-    """
+    """Parameters of the recorded simulator: ArduPilot's ``SIM_*`` or PX4's ``SIH_*``; empty if none was recorded."""
     found = (r.parameters.final() for r in (sim, real) if r is not None)
     return next((p for p in found if any(name.startswith(("SIM_", "SIH_")) for name in p)), {})
 
 
 def _is_flight(recording: Recording) -> bool:
-    """Whether the recording may be of a flight: it says what motors were told."""
+    """Whether the recording has motor outputs or commanded forces, and so may be of a flight."""
     told = any(c.sensor == Sensor.MOTOR and c.values.any() for c in recording.channels)
     return told or any(c.sensor == Sensor.CONTROL for c in recording.dynamics)

@@ -1,4 +1,4 @@
-"""From a problem to its report: lattice first, then all effects in one contest, then what the answer is worth."""
+"""From a problem to its report: lattice effects, one contest of all other effects, held-out blocks, and the report."""
 
 from __future__ import annotations
 
@@ -72,10 +72,9 @@ it bounds the time of a selection that goes to and fro."""
 
 @dataclass(frozen=True, eq=False)
 class _Setup:
-    """A problem made ready: what its samples show, the model without an effect, and what competes to explain it.
+    """A problem ready for the search: lattice effects, the model without effects, and the competing hypotheses.
 
-    `missing` says of effects that cannot be tested (id, reason, need); `left_out` are events whose samples are not in
-    the problem any more.
+    `missing` lists effects that cannot be tested (id, reason, need); `left_out` are events whose samples were removed.
     """
 
     problem: GapProblem
@@ -88,11 +87,11 @@ class _Setup:
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """A model, what its effects are worth, and the contest that it comes from.
+    """A model, the attributions of its effects, and the contest that it comes from.
 
-    `wander` is the reference's own error, None where it has none to speak of. `heldout` is None where no block can be
-    held out; `gates` say of each effect whether it held there (None: no block tells), and `withdrawn` is what the
-    effects that did not had gained. `inseparable` are effects that nobody can tell from the reference's error.
+    `wander` is the reference's own attitude error, None if it is negligible. `heldout` is None if no block can be held
+    out. `gates` hold, by effect, whether held-out blocks confirm it (None: undecided), and `withdrawn` the gains of
+    effects that they deny. `inseparable` effects cannot be told from the reference's error.
     """
 
     stable: StableModel
@@ -106,12 +105,12 @@ class _Answer:
 
     @property
     def chosen(self) -> ChosenModel:
-        """The model."""
+        """The model with its fit."""
         return self.stable.chosen
 
     @cached_property
     def tolerated(self) -> frozenset[Key]:
-        """Effects by which two recordings differ anyway, or that the reference's own error makes: they are no gap."""
+        """Effects that are not reported: two recordings differ by as much, or the reference's error explains them."""
         thresholds, gains = self.contest.thresholds, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
         small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.to_report(h))
@@ -119,7 +118,7 @@ class _Answer:
 
     @property
     def reported(self) -> tuple[Attribution, ...]:
-        """What the others are worth; of what they gain together each has its share."""
+        """Attributions of the reported effects, with shares of their common gain."""
         reported = tuple(a for a in self.attributions if a.key not in self.tolerated)
         whole = sum(a.share for a in reported) if len(reported) < len(self.attributions) else 1.0
         return tuple(replace(a, share=a.share / (whole or 1.0)) for a in reported)
@@ -195,7 +194,7 @@ def _without_unusable(task: _Setup, chosen: ChosenModel, rounds: int) -> tuple[G
 
 
 def _setup_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: GapPace | None = None) -> _Setup | None:
-    """None: no sensor has enough samples beside a reference."""
+    """Everything that a selection needs; None if no sensor has enough samples beside a reference."""
     lattice = lattice_of(problem, effects)
     masked = {i: found.masked for i, found in lattice.masks.items()}
     views = split(views_of(problem, masked, lattice.variance))
@@ -215,7 +214,7 @@ def _gains(chosen: ChosenModel) -> dict[Key, float]:
 
 
 def _stable_answer(task: _Setup, chosen: ChosenModel, alpha: float, named: Collection[str]) -> _Answer:
-    """The model in which nothing has a better one in its place: the reference's own error, other effects, shapes."""
+    """The model after the wandering reference, exchanges of effects and unnamed shapes were tried."""
     contest, start = task.contest, task.bare
     wander = fit_wander(chosen, contest, start, alpha) if REFERENCE in named else None
     if wander is None:
@@ -233,7 +232,7 @@ def _stable_answer(task: _Setup, chosen: ChosenModel, alpha: float, named: Colle
 def _confirmed_by_blocks(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     """The answer without the effects that held-out blocks deny.
 
-    The weaker effect of a kind is excluded first: either of two seems to add nothing while the other is there.
+    The weakest effect of each kind is removed first: either of two similar ones seems superfluous beside the other.
     """
     chosen, contest = answer.chosen, answer.contest
     heldout = held_out(chosen, contest, answer.tolerated)
@@ -265,7 +264,7 @@ def _confirmed_by_blocks(answer: _Answer, alpha: float, *, nested: bool) -> _Ans
 
 
 def _consistent_answer(task: _Setup, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
-    """The answer of a flight that stands alone: what holds on every block and along either attitude is reported."""
+    """The answer of a flight without a companion: only effects that hold on every block and along either attitude."""
     denied = inconsistent_effects(task.problem, task.lattice, answer.chosen, answer.heldout)
     before = answer.tolerated
     answer = replace(answer, inseparable=answer.inseparable | denied | unbounded_parameters(answer.chosen).keys())
@@ -287,7 +286,7 @@ def _shifts(score: ContestScore) -> bool:
 
 
 def _withdrawn_gains(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
-    """What effects had gained, by sensor."""
+    """Nats of the effects that were withdrawn, by sensor."""
     nats: dict[Sensor, float] = {}
     for score in scores:
         sensor = score.hypothesis.effect.sensor
@@ -296,7 +295,7 @@ def _withdrawn_gains(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
 
 
 def _report(task: _Setup, answer: _Answer, alpha: float, *, nested: bool) -> GapReport:
-    """Everything that is said of a problem and of the answer to it."""
+    """The report of a problem and its answer."""
     chosen, model = answer.chosen, answer.chosen.model
     found = unnamed_causes_in(model, answer.reported, task.problem.minimum_gain.steady_report)
     unnamed = (s for s in found if not answer.tolerated.issuperset(s.keys))
@@ -326,7 +325,7 @@ def _report(task: _Setup, answer: _Answer, alpha: float, *, nested: bool) -> Gap
 
 
 def _tolerated_notices(answer: _Answer) -> tuple[str, ...]:
-    """What is in the model, and no gap, for who wants to look closer."""
+    """Notices of the effects that are in the model and not reported."""
     known = [t.hypothesis for t in answer.chosen.model.members if not t.hypothesis.effect.nameless]
     accepted = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated - answer.inseparable)
     said = (f"two recordings differ by as much anyway: {', '.join(accepted)} are no gap here",) if accepted else ()
@@ -336,7 +335,7 @@ def _tolerated_notices(answer: _Answer) -> tuple[str, ...]:
 def _locations(
     task: _Setup, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float
 ) -> tuple[LocatedGap, ...]:
-    """Where the gap lies; beside errors of the reference, which are everywhere, only on sensors that have one."""
+    """Where the gap lies; if two recordings differ anyway, only on the sensors of the reported effects."""
     found = located(task.bare, alpha)
     shared = any(by_id()[effect.id].shared for effect in effects)
     if unknown.flag or not task.problem.minimum_gain.steady_report or shared:
@@ -346,7 +345,7 @@ def _locations(
 
 
 def _unexplained_part(task: _Setup, answer: _Answer, causes: Iterable[UnnamedCause]) -> Unknown:
-    """What is not of the catalogue, in the model or in none of its effects."""
+    """What no effect of the catalogue explains, inside the model and beside it."""
     model, reference = answer.chosen.model, task.problem.reference
     # A reference that turns looks like events that pass.
     passed = () if answer.wander is not None else transient_events(task.left_out, model, _gains(answer.chosen))
@@ -365,7 +364,7 @@ def _unexplained_part(task: _Setup, answer: _Answer, causes: Iterable[UnnamedCau
 def _effects(
     task: _Setup, answer: _Answer, causes: Iterable[UnnamedCause], *, beside_unknown: bool
 ) -> tuple[EffectEstimate, ...]:
-    """What has a name: of the samples, of the reference, and of the model all that stands for nothing else."""
+    """Estimates of all named effects: of the lattice, of the reference's attitude, and of the model."""
     model = answer.chosen.model
     denied = {key for cause in causes for key in cause.keys}
     denied |= {t.hypothesis.key for t in model.terms if nominal_has_tone(t, task.problem.nominal)}
@@ -388,7 +387,7 @@ def _effects(
 def _effect(
     task: _Setup, answer: _Answer, attribution: Attribution, *, beside_unknown: bool, either: bool
 ) -> EffectEstimate:
-    """One effect of the model; `either`: nobody can tell which of two units has it."""
+    """One effect of the model; `either`: the data do not tell which of two units has it."""
     passed = answer.gates.get(attribution.key)
     effect = effect_of(answer.chosen, attribution, passed, beside_unknown=beside_unknown)
     term = next(t for t in answer.chosen.model.members if t.hypothesis.key == attribution.key)
@@ -401,7 +400,7 @@ def _effect(
 
 
 def _reported_wander(task: _Setup, answer: _Answer) -> WanderFit | None:
-    """The reference's own error, unless a re-estimated trajectory states as much of itself."""
+    """The reference's attitude error, unless a re-estimated trajectory already states one as large."""
     wander, reference = answer.wander, task.problem.reference
     if wander is None or reference.kind is not ReferenceKind.ESTIMATOR:
         return wander
@@ -427,7 +426,7 @@ def _untestable(task: _Setup) -> tuple[NotTestable, ...]:
 
 
 def untestable(reason: str, need: str, inputs: dict[str, str]) -> GapReport:
-    """The report of recordings without anything to compare; `inputs` are digests by role."""
+    """The report of recordings that cannot be compared; `inputs` are digests by role."""
     reference = ReferenceInfo(ReferenceKind.REDUNDANT, text=f"None: {reason}.")
     return _empty_report(GapProblem((), reference, 0.0, inputs=inputs, not_testable=(("all", reason, need),)))
 

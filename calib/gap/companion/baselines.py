@@ -34,9 +34,9 @@ from mavcal.calib.recording import Recording, Sensor
 def problem_of(
     real: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float, pace: GapPace | None = None
 ) -> GapProblem:
-    """What is diagnosed of `real` beside `sim` and `nominal`; errors are those of :func:`calib.gap.reference.build`.
+    """The problem of `real`, with what its companion shows of its own added to the ideal readings.
 
-    `pace` bounds the search for what `sim` or `nominal` shows of its own.
+    `pace` bounds the search for that. Errors are those of :func:`calib.gap.reference.build`.
     """
     if sim is not None and is_another_flight(real, sim):
         real, sim = with_common_channels(real, sim)
@@ -81,13 +81,13 @@ nothing."""
 
 @dataclass(frozen=True, eq=False)
 class NominalBaseline:
-    """What a nominal recording shows against its own pose: effects that another one has as well, and its biases."""
+    """Effects that a nominal recording shows against its own pose, and its mean residuals as `biases`."""
 
     effects: tuple[EffectEstimate, ...]
     biases: tuple[EffectEstimate, ...] = ()
 
     def added_to_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
-        """Traces of the nominal recording beside what it reads with them: what is left is its noise."""
+        """Traces of the nominal recording with its effects in the ideal reading: the residual is its noise."""
         return with_effects_in(traces, self.effects)[0]
 
 
@@ -98,7 +98,10 @@ def nominal_baseline_of(
     *,
     simulated: bool = False,
 ) -> NominalBaseline:
-    """What of the mean a nominal recording shows beside a pose of its own.
+    """Steady effects that a nominal recording shows against its own pose.
+
+    The noise is learned beside the effects, and the effects are searched for again with that noise, until the gain
+    settles.
 
     Parameters
     ----------
@@ -128,12 +131,12 @@ def nominal_baseline_of(
 
 
 def _inertial_traces(traces: Sequence[Trace]) -> list[Trace]:
-    """Those of sensors that have a bias, against the pose."""
+    """Traces of accelerometers and gyroscopes against the pose."""
     return [t for t in traces if t.against is None and t.sensor in (Sensor.ACCEL, Sensor.GYRO)]
 
 
 def _bias_estimate(trace: Trace) -> EffectEstimate:
-    """The mean residual, whether it is significant or not."""
+    """The mean residual of a trace as a bias, significant or not."""
     mean = trace.residual[trace.observed].mean(axis=0)
     values = tuple(
         ParameterEstimate(f"bias.{a}", float(v), 0.0, (float(v), float(v)), trace.unit)
@@ -146,9 +149,9 @@ def _bias_estimate(trace: Trace) -> EffectEstimate:
 
 
 def compared_with_nominal(problem: GapProblem, baseline: NominalBaseline) -> GapProblem:
-    """`problem` compared with a pose that has the effects that a nominal recording shows against its own.
+    """`problem` with the effects of the nominal recording in the ideal reading.
 
-    A bias is not carried over, but one as large is no gap.
+    Its biases are not added, but a bias up to that size is not reported.
     """
     changed, _ = with_effects(problem, baseline.effects, shared=True)
     minimum_gain = MinimumGain(
@@ -167,7 +170,7 @@ def compared_with_nominal(problem: GapProblem, baseline: NominalBaseline) -> Gap
 
 
 def _notices(baseline: NominalBaseline) -> tuple[str, ...]:
-    """What was taken off, for who reads the report; nothing where nothing was."""
+    """A notice for the report of what was taken off; empty if nothing was."""
     if not baseline.effects:
         return ()
     named = ", ".join(
@@ -186,13 +189,11 @@ measured: a tenth is small beside the effect itself."""
 
 @dataclass(frozen=True, eq=False)
 class SimulatedBaseline:
-    """Effects found in a simulated flight, and the `reference` that it was compared with.
+    """Effects that a simulated flight shows against its own ideal reading, and the `reference` of that comparison.
 
-    `effects` are expected in another flight too. All that were `found` say how far two flights differ.
-
-    By sensor: `gains` of the largest effect; `changes` by all that were found, as a sum of squares over the flight;
-    `movement`, the mean square of the ideal readings about their mean. Effects that gain less than
-    `accepted_difference` were not looked for.
+    `effects` are expected in another flight too; all that were `found` measure how far two flights differ. By sensor:
+    `gains` of the largest effect; `changes` of the ideal reading by all effects, as a sum of squares; `movement`, the
+    variance of the ideal reading; `accepted_difference`, the gain below which no effect was searched for.
     """
 
     effects: tuple[EffectEstimate, ...]
@@ -204,14 +205,14 @@ class SimulatedBaseline:
     reference: ReferenceInfo
 
     def added_to_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
-        """`traces` of the simulator beside what it reads with its nuisance effects: what is left is its noise."""
+        """Traces of the simulator with its effects in the ideal reading: the residual is its noise."""
         return with_effects_in(traces, self.effects)[0]
 
 
 def simulated_baseline_of(problem: GapProblem, alpha: float, pace: GapPace | None = None) -> SimulatedBaseline:
-    """What of the mean a simulated flight shows beside its own ideal; what happens once is not carried over.
+    """Steady effects that a simulated flight shows against its own ideal reading.
 
-    The noise that was learned from this flight has in it what is looked for: it is fitted again beside it.
+    Noise learned from this flight contains these effects; it is therefore fitted again beside them.
     """
     problem = replace(problem, traces=tuple(map(_without_learned_noise, problem.traces)))
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
@@ -228,14 +229,14 @@ def simulated_baseline_of(problem: GapProblem, alpha: float, pace: GapPace | Non
 
 
 def _without_learned_noise(trace: Trace) -> Trace:
-    """Without noise that was learned; what is declared for certain stays."""
+    """The trace without noise that was learned; noise that is declared as exact stays."""
     if trace.psd is None and math.isinf(trace.sigma_dof):
         return trace
     return replace(trace, sigma=None, sigma_dof=math.inf, psd=None, psd_hz=None, own_psd=None)
 
 
 def compared_with_simulator(problem: GapProblem, baseline: SimulatedBaseline) -> GapProblem:
-    """`problem` compared with a simulator that has what its own flight shows."""
+    """`problem` with the effects of the simulated flight in the ideal reading, and with the minimum gains to match."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
     livelier = _squared_changes(problem, baseline.found)
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
@@ -253,7 +254,7 @@ def compared_with_simulator(problem: GapProblem, baseline: SimulatedBaseline) ->
 
 
 def _calm_flight_warnings(moves: Mapping[Sensor, float], before: Mapping[Sensor, float]) -> Iterator[str]:
-    """Warn of each sensor that the simulated flight hardly moved."""
+    """A warning for each sensor that the simulated flight moved far less than the real one."""
     for sensor, square in moves.items():
         calm = before.get(sensor, 0.0)
         if 0.0 < _MOVEMENT_RATIO**2 * calm < square:
@@ -267,10 +268,10 @@ def _calm_flight_warnings(moves: Mapping[Sensor, float], before: Mapping[Sensor,
 def _scaled_by_movement(
     problem: GapProblem, small: float, moves: Mapping[Sensor, float], before: Mapping[Sensor, float], sensor: Sensor
 ) -> float:
-    """The accepted difference `small` of a flight that moves more than the simulated one did.
+    """The accepted difference `small`, raised for a flight that moves more than the simulated one did.
 
-    A reference errs in proportion to the movement: by its scale, its timing and its bandwidth. Evidence grows with the
-    square. A calmer flight is not expected to differ less.
+    A reference errs in proportion to the movement: by its scale, its timing and its bandwidth. The gain grows with the
+    square of that error. A calmer flight has no lower limit.
     """
     calm = before.get(sensor, 0.0)
     if not 0.0 < calm < moves.get(sensor, 0.0):
@@ -279,7 +280,7 @@ def _scaled_by_movement(
 
 
 def _movement_variance(problem: GapProblem) -> dict[Sensor, float]:
-    """By sensor, the mean square of what ideal sensors read about their mean; the largest of its instances."""
+    """By sensor, the variance of the ideal reading; the largest of the instances."""
     found: dict[Sensor, float] = {}
     for trace in problem.traces:
         if trace.against is None:
@@ -289,7 +290,7 @@ def _movement_variance(problem: GapProblem) -> dict[Sensor, float]:
 
 
 def _combined_reference(real: ReferenceInfo, simulated: ReferenceInfo) -> ReferenceInfo:
-    """The reference of a real flight; the errors of what it estimated inside are those of both flights together."""
+    """The reference of the real flight; its internal estimates have the errors of both flights together."""
     pairs = ((real.gyro_sd, simulated.gyro_sd), (real.field_sd, simulated.field_sd))
     gyro, field = (tuple(map(math.hypot, a, b)) if len(a) == len(b) else a for a, b in pairs)
     return replace(real, gyro_sd=gyro, field_sd=field)
@@ -298,11 +299,10 @@ def _combined_reference(real: ReferenceInfo, simulated: ReferenceInfo) -> Refere
 def _nuisance_gain(
     problem: GapProblem, baseline: SimulatedBaseline, livelier: Mapping[Sensor, float], sensor: Sensor
 ) -> float:
-    """Twice the log-likelihood that what a simulated flight's nuisance effects leave open has in this one.
+    """Gain in this flight of what the baseline's estimates leave uncertain.
 
-    A livelier flight shows more of them. Their parameters are as uncertain as a part of their own evidence, and as what
-    was too little to be asked for beside them. They are common to all instances. Noise that is fitted again grows to
-    meet them: evidence counts as ``n log(1 + gain / n)``.
+    The uncertainty is a share of the evidence for the baseline, at least the accepted difference. It is common to all
+    instances and grows with the movement. Refitted noise absorbs a part: gains count as ``n log(1 + gain / n)``.
     """
     there = baseline.changes.get(sensor, 0.0)
     if there == 0.0:
@@ -313,13 +313,13 @@ def _nuisance_gain(
 
 
 def _gain_with_refitted_noise(problem: GapProblem, gain: float, sensor: Sensor) -> float:
-    """A `gain` beside noise that is fitted again; zero for a sensor that only the other flight has."""
+    """A `gain` if the noise is fitted again; zero for a sensor that only the other flight has."""
     numbers = max((3 * len(t.t) for t in problem.traces if t.sensor is sensor), default=0)
     return numbers * math.log1p(gain / numbers) if numbers else 0.0
 
 
 def _squared_changes(problem: GapProblem, effects: tuple[EffectEstimate, ...]) -> dict[Sensor, float]:
-    """By sensor, sum of squares of what effects change of the ideal readings."""
+    """By sensor, the sum of squares of the change that the effects make to the ideal reading."""
     changed, _ = with_effects(problem, effects, shared=True)
     total: dict[Sensor, float] = {}
     for before, after in zip(problem.traces, changed.traces, strict=True):

@@ -1,8 +1,8 @@
-"""Levels that come and go, beside a nominal recording whose noise wanders: what it excuses has the same form.
+"""Level shifts of a compass, beside a nominal recording whose noise drifts.
 
-A spectrum learned from a recording that wanders grants any other as much power at low frequencies. A magnet that is
-put on and taken off has its power there. Neither of its steps says much alone. A nominal recording that wanders shows
-no level that is as far from the one before it, though: steps are compared with the largest that it has itself.
+A spectrum learned from a recording that drifts allows as much power at low frequencies in every other one. A magnet
+that is put on and taken off has its power there, and neither of its steps is significant alone. A drifting nominal
+recording shows no such step between two levels, though: steps are compared with its largest one.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ ratio is chosen, not measured: the largest of a few steps varies by as much."""
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """How far the levels before and after each moment `t` (K,) are apart, `size` (K,); NaN where there is none."""
+    """Difference `size` (K,) of the levels before and after each moment `t` (K,); NaN where a level is unknown."""
 
     t: Array
     size: Array
 
     @property
     def largest(self) -> float:
-        """Zero where no level is known."""
+        """The largest step; zero if no level is known."""
         return float(np.nanmax(self.size)) if np.isfinite(self.size).any() else 0.0
 
     def largest_near(self, moment: float) -> float:
-        """The largest that holds the moment within its pause."""
+        """The largest step whose pause contains the moment."""
         near = np.abs(self.t - moment) <= _PAUSE_S
         return Steps(self.t[near], self.size[near]).largest if near.any() else 0.0
 
 
 def level_steps(trace: Trace) -> Steps:
-    """The steps of the residual of a trace at every half second."""
+    """Steps of the residual of a trace, every half second."""
     width = max(1, round(_STEP_S * trace.fs))
     count = len(trace.t) // width
     rows = count * width
@@ -82,10 +82,10 @@ def level_steps(trace: Trace) -> Steps:
 def with_level_shifts(
     chosen: ChosenModel, contest: Contest, traces: Sequence[Trace], nominal: Sequence[Trace], level: float
 ) -> ChosenModel:
-    """The model, or one with steps in place of noise that wanders, on sensors that have larger ones than `nominal`.
+    """The model with steps in place of drift noise, on compasses with larger steps than `nominal` ones; else unchanged.
 
-    Steps of one sensor together need the minimum gain of one. Only compasses are tested: levels of the others change
-    with how the vehicle moves, and a calm nominal recording moves less.
+    All steps of a sensor together need the minimum gain of one. Only compasses are tested: levels of the other sensors
+    change with the movement, and a calm nominal recording moves less.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def _is_single(trace: Trace, sensor: Sensor) -> bool:
 def _with_added_steps(
     chosen: ChosenModel, contest: Contest, sensor: Sensor, own: Sequence[Steps], least: float, level: float
 ) -> ChosenModel:
-    """The model with steps of a sensor, each at a moment where `own` steps are at least that large."""
+    """The model with steps of a sensor, at moments where `own` steps are at least as large as `least`."""
     jumps = [h for h in contest.hypotheses if h.effect.jumps and h.effect.sensor is sensor]
     drifts = [t.hypothesis.key for t in chosen.model.noise_terms if _is_drift_on(t, sensor)]
     bare = refitted_without(chosen, drifts) if drifts else chosen

@@ -1,7 +1,7 @@
-"""The gain of a hypothesis if part of the reference's nuisance effects were still there.
+"""Gain that each hypothesis would have from the uncertainty of the nuisance effects.
 
-A baseline takes off the effects that another recording showed. In this one they are a little different: a hypothesis
-that would explain the difference is no gap.
+A baseline takes off the effects that another recording showed. They differ a little in this one, and a hypothesis that
+explains the difference is no gap.
 """
 
 from __future__ import annotations
@@ -22,10 +22,9 @@ from mavcal.calib.gap.search.thresholds import GainThresholds
 
 
 def above_nuisance(contest: Contest, bare: Model, nuisance: tuple[NuisanceEffect, ...]) -> Contest:
-    """`contest` in which every hypothesis must gain more than it would from what the `nuisance` effects leave open.
+    """`contest` in which every hypothesis must also exceed its gain from the uncertainty of the `nuisance` effects.
 
-    The noise of the `bare` model is the declared one. Noise fitted to a gap would be larger, and the nuisance
-    effects would gain less.
+    The noise of the `bare` model is the declared one: noise fitted to a gap would be larger, and that gain too small.
     """
     own = _nuisance_gains(contest, bare, nuisance) if nuisance else {}
     return Contest(
@@ -52,7 +51,7 @@ def _nuisance_gains(contest: Contest, bare: Model, nuisance: tuple[NuisanceEffec
 
 
 def _as_term(contest: Contest, nuisance: NuisanceEffect) -> Term | None:
-    """The nuisance effect as a term; None if nothing of its kind can be tested here."""
+    """The nuisance effect as a term; None if no effect of that id can be tested here."""
     effect_id = nuisance.effect.id
     candidates = [h for h in contest.hypotheses if h.effect.id == effect_id and not h.again and not h.effect.form]
     if not candidates:

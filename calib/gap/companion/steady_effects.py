@@ -1,4 +1,4 @@
-"""Steady effects that a recording shows against its own ideal: what a baseline is made of."""
+"""Steady effects that a recording shows against its own ideal reading: the content of a baseline."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TINY = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class SteadyEffect:
-    """An effect, its gain beside all the others, and the sensors on which it is seen."""
+    """An effect, its gain beside all others, and the sensors on which it acts."""
 
     effect: EffectEstimate
     gain: float
@@ -44,10 +44,7 @@ class SteadyEffect:
 
 @dataclass(frozen=True, eq=False)
 class SteadyEffects:
-    """Effects that are `found` in a flight, and those that are `supported`: another flight is expected to have them.
-
-    Both are empty where nothing is found; they are the same where nothing is doubted.
-    """
+    """Effects `found` in a flight, and those that are `supported`: expected in another flight too."""
 
     found: tuple[SteadyEffect, ...] = ()
     supported: tuple[SteadyEffect, ...] = ()
@@ -61,7 +58,7 @@ def steady_effects(
     without: Sequence[str] = (),
     pace: GapPace | None = None,
 ) -> SteadyEffects:
-    """Steady effects on the mean that are significant beside each other, and above what recordings differ by anyway."""
+    """Steady effects on the mean that are significant beside each other and exceed the accepted differences."""
     views = split(views_of(problem, {}, {}))
     hypotheses, _ = hypotheses_of([e for e in catalogue() if _is_steady_mean(e) and e.id not in without], views)
     if not views or not hypotheses:
@@ -76,7 +73,7 @@ def steady_effects(
 
 
 def _estimated(chosen: ChosenModel, contest: Contest) -> tuple[SteadyEffect, ...]:
-    """The effects of a model with their estimates."""
+    """The effects of a model with their estimates and gains."""
     gains = {key: gain for key, (gain, _, _) in marginal_gains(chosen.model, contest).items()}
     found = []
     for term in chosen.model.terms:
@@ -102,11 +99,10 @@ def _below_minimum(chosen: ChosenModel, contest: Contest) -> list[Key]:
 
 
 def _unsupported(chosen: ChosenModel) -> list[Key]:
-    """Effects that the reference's own error makes, or that take the readings further away from their ideal.
+    """Effects that the reference's own error explains, or that move the readings further from the ideal ones.
 
-    In another flight, which moves where this one did not, either of them would put something into the ideal that no
-    sensor has. The second kind fits noise: whitened samples weigh fast movement, which a re-estimated trajectory does
-    not follow.
+    In another flight with other movement they would put into the ideal reading what no sensor has. The second kind fits
+    noise: whitened samples give weight to fast movement, which a re-estimated trajectory does not follow.
     """
     model = chosen.model
     left = _normalised_residual(model)
@@ -119,9 +115,9 @@ def _unsupported(chosen: ChosenModel) -> list[Key]:
 
 
 def _normalised_residual(model: Model) -> float:
-    """Sum of squares of what is left about its mean, in units of the variance of each series.
+    """Sum of squares of the residual about its mean, in units of the variance of each series.
 
-    An offset may stand in for a mean that another effect changes.
+    The mean does not count, because an offset may replace what another effect changes in it.
     """
     return sum(
         float((left.var(axis=0) / np.maximum(view.residual.var(axis=0), _TINY)).sum() * len(left))

@@ -1,4 +1,4 @@
-"""What the vehicle's movement does to a sensor that does not stand where, or feel only what, an ideal one would."""
+"""Effects of the vehicle's motion: g-sensitivity of a gyroscope, lever arm of an accelerometer."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ shows 1 mm/s2, a tenth of a milligravity."""
 
 
 def g_sensitivity_signals(trace: Trace, _theta: float) -> Array:
-    """Three signals: the components of the specific force, m/s2."""
+    """The components of the specific force (3, N), m/s2."""
     assert trace.force is not None
     return np.ascontiguousarray(trace.force.T)
 
 
 def lever_columns(trace: Trace, _theta: float) -> Array:
-    """``dw/dt x e_j + w x (w x e_j)``: what an accelerometer feels a metre off the reference point along axis j."""
+    """Columns of the lever arm: ``dw/dt x e_j + w x (w x e_j)``, the acceleration one metre along axis j."""
     assert trace.rate is not None
     assert trace.spin is not None
     w, a = trace.rate, trace.spin

@@ -1,4 +1,4 @@
-"""Things that happen once: a bias that jumps (a knock, a magnet put on, a supply switched)."""
+"""Single events: a bias that jumps (a knock, a magnet put on, a supply switched)."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ hundredth of the samples."""
 
 
 def step_signal(trace: Trace, moment: float) -> Array:
-    """One signal: zero before `moment` (s), one from then on; in between at the sample before it: it can be refined."""
+    """Step (1, N) at `moment` (s), linear between the samples beside it, so that it can be refined."""
     return np.clip((trace.t - moment) * trace.fs + 1.0, 0.0, 1.0)[None]
 
 
 def ramp_signal(trace: Trace, moment: float) -> Array:
-    """One signal: from zero to one over `RAMP_S` about `moment` (s): hands take their time."""
+    """Ramp (1, N) from zero to one over `RAMP_S` about `moment` (s)."""
     return np.clip((trace.t - moment) / RAMP_S + 0.5, 0.0, 1.0)[None]
 
 
 def step_moments(trace: Trace) -> Array:
-    """Every moment at which a step could lie, s."""
+    """All possible moments of a step, s."""
     margin = max(2, int(_EDGE * len(trace.t)))
     return np.asarray(trace.t[margin:-margin] if len(trace.t) > 3 * margin else trace.t, dtype=np.float64)
 
@@ -48,8 +48,8 @@ def step_moments(trace: Trace) -> Array:
 def likeliest_steps(trace: Trace, residual: Array) -> Array:
     """The moments with the largest standardised change of the mean of `residual` (N, 3), ascending.
 
-    The recording is split at the first one, then between those found, so a pulse gives both of its edges.
-    The noise is taken from successive differences, so a slow drift does not hide a jump.
+    The recording is split at the first one, then between those found, so a pulse gives both of its edges. Noise is
+    estimated from successive differences, so a slow drift does not hide a jump.
     """
     n = len(trace.t)
     first = int(np.searchsorted(trace.t, step_moments(trace)[0]))
@@ -72,9 +72,9 @@ def likeliest_steps(trace: Trace, residual: Array) -> Array:
 
 
 def likeliest_ramps(trace: Trace, residual: Array) -> Array:
-    """The same of those whose ramp was recorded; beside a hole two levels are all that is known, and a jump says that.
+    """The same for ramps that were sampled; across a hole only the two levels are known, and a jump describes those.
 
-    Where there is none, the first moment of all, which explains nothing.
+    Without any, the first possible moment, which explains nothing.
     """
     found = likeliest_steps(trace, residual)
     during = np.abs(trace.t[:, None] - found) < 0.5 * RAMP_S
@@ -83,7 +83,7 @@ def likeliest_ramps(trace: Trace, residual: Array) -> Array:
 
 
 def _best_split(count: Array, total: Array, noise: Array, start: int, end: int, margin: int) -> tuple[float, int]:
-    """Largest standardised change of the mean between rows `start` and `end`, and the row from which it holds."""
+    """Largest standardised change of the mean between rows `start` and `end`, and its row."""
     first, last = start + margin, end - margin
     n = float(count[end] - count[start])
     before = count[first:last] - count[start]

@@ -1,6 +1,6 @@
-"""What the samples themselves show, exactly: levels, repeats, zeros, and an end of the range (GAP 3.0).
+"""Exact effects in the samples: quantisation, repeats, zeros, and the end of the range (GAP 3.0).
 
-What the ideal reading shows as well, and what is declared of the recording, is no gap.
+What the ideal reading shows too, or the recording declares, is no gap.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _AT_REST_SHARE = 0.5  # of the rows in which the sensor moves on while the ideal
 
 
 def quantisation(trace: Trace) -> LatticeEvidence | None:
-    """Levels coarser than declared and than the ideal reading's. Values: step on x, y, z (0: none)."""
+    """Levels coarser than declared and than those of the ideal reading. Values: step on x, y, z (0: none)."""
     steps, two_delta = [0.0] * 3, 0.0
     for axis in range(3):
         values, ideal = trace.measured[trace.observed, axis], trace.ideal[trace.observed, axis]
@@ -71,7 +71,7 @@ def quantisation(trace: Trace) -> LatticeEvidence | None:
 
 
 def saturation(trace: Trace) -> LatticeEvidence | None:
-    """Samples that pile up at an end of the range while the ideal reading goes on. Value: the range."""
+    """Samples at an end of the range beyond which the ideal reading goes. Value: the limit."""
     limits, two_delta, masked = [], 0.0, np.zeros(trace.measured.shape, dtype=np.bool_)
     for axis in range(3):
         for side in (1.0, -1.0):
@@ -89,7 +89,7 @@ def saturation(trace: Trace) -> LatticeEvidence | None:
 
 
 def _samples_at_limit(measured: Array, ideal: Array, observed: Mask) -> tuple[Mask, float]:
-    """Rows at the largest value and the evidence that it is an end: more of them than below, and ideal beyond."""
+    """Rows at the largest value, and the evidence for a limit: more rows than just below, with the ideal beyond."""
     top = float(measured[observed].max(initial=-np.inf))
     near = EQUAL * abs(top)
     pile = observed & (measured >= top - near)
@@ -154,7 +154,7 @@ def _zero_band(trace: Trace, axis: int) -> tuple[float, float, float, Mask] | No
 
 
 def _shift_towards_zero(values: Array, ideal: Array, rows: Mask) -> tuple[float, float]:
-    """By how much readings of either sign are smaller than ideal ones, a common bias apart, and its standard error."""
+    """Mean reduction of readings of either sign towards zero, without their common bias, and its standard error."""
     missing = ideal[rows] - values[rows]
     up = values[rows] > 0.0
     if min(up.sum(), (~up).sum()) < _FEWEST:
@@ -192,10 +192,10 @@ def hold(trace: Trace) -> LatticeEvidence | None:
 
 
 def _repeat_evidence(repeat: Mask, chance: Array) -> float:
-    """Twice the log-likelihood that rows (N,) are held with a chance h beside that of each, against that alone.
+    """Twice the log-likelihood that rows (N,) are held with a chance h beside their own, against their own alone.
 
-    With small chances both are Poisson's: the best h solves ``sum over repeats of 1 / (h + chance) = N``. A repeat
-    where the movement forbids one says more than one of a sensor at rest.
+    With small chances both are Poisson: the best h solves ``sum over repeats of 1 / (h + chance) = N``. A repeat where
+    the movement forbids one has more weight than one of a sensor at rest.
     """
     own, n = chance[repeat], len(chance)
 
@@ -209,13 +209,13 @@ def _repeat_evidence(repeat: Mask, chance: Array) -> float:
 
 
 def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
-    """Probability (N - 1,) that a row repeats the one before on all axes because of coarse levels.
+    """Probability (N - 1,) that a row repeats the previous one on all axes because of coarse levels.
 
-    Two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step q is ``q / (2
-    sqrt(pi) sigma)``; noise that is smaller than the levels repeats always. The noise is estimated nearby, since a
-    sensor at rest repeats and a moving one does not. Only rows that do not repeat count, or a hold would hide itself:
-    their mean absolute difference is ``2 sigma / sqrt(pi)``, less the levels' own part. A sensor whose ideal reading
-    goes on by D meanwhile repeats more rarely by ``exp(-D^2 / 4 sigma^2)``, the levels counted as noise.
+    Two samples differ by a Gaussian of sd ``sqrt(2) sigma``; its density at zero times the step q is ``q / (2 sqrt(pi)
+    sigma)``. Noise below the step always repeats. The noise is estimated locally, since a sensor at rest repeats and a
+    moving one does not, and only from rows that do not repeat, or a hold would hide itself: their mean absolute
+    difference is ``2 sigma / sqrt(pi)``, less the part of the levels. A change D of the ideal reading reduces the
+    chance by ``exp(-D^2 / 4 sigma^2)``, with the levels counted as noise.
     """
     changed = (trace.observed[1:] & trace.observed[:-1] & ~same.all(axis=1)).astype(np.float64)
     weight = uniform_filter1d(changed, _SURROUNDINGS, mode="nearest")
@@ -239,9 +239,9 @@ def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
 
 
 def _ideal_steps(ideal: Array) -> Array:
-    """By how much an ideal reading (N,) goes on between rows, (N - 1,): at that row and in the mean of those around it.
+    """Change of the ideal reading (N,) between rows, (N - 1,): the smaller of the step and its local mean.
 
-    An estimated reading jitters from row to row, which is no movement.
+    The jitter of an estimated reading is no movement.
     """
     steps = np.diff(ideal)
     return np.asarray(np.minimum(np.abs(steps), np.abs(uniform_filter1d(steps, _STEPS, mode="nearest"))))

@@ -1,6 +1,6 @@
-"""Ends of the range and dead bands that lie before the noise and the converter: in a mechanism, an analogue stage.
+"""Saturation and dead bands before the noise and the converter: in a mechanism or an analogue stage.
 
-The samples themselves show nothing (:mod:`calib.gap.effects.lattice` finds what the converter does); the mean does.
+The samples show no lattice (:mod:`calib.gap.effects.lattice` finds what the converter does); the mean changes.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ does not say what a sensor should read. Source: decision 41."""
 
 
 def clipped_column(trace: Trace, limit: float) -> Array:
-    """What a range that ends at +-`limit` takes from the ideal reading."""
+    """Change of the ideal reading by a range that ends at +-`limit`."""
     return (np.clip(trace.ideal, -limit, limit) - trace.ideal)[None]
 
 
 def dead_column(trace: Trace, width: float) -> Array:
-    """Difference from the ideal reading of a sensor that reads zero within +-`width`.
+    """Change of the ideal reading by a dead band of half width `width`.
 
-    Nothing where the reference does not say what to read: there it would take the reference's own noise away.
+    Zero where the reference is too noisy to say what to read: there it would remove the reference's own noise.
     """
     size = np.abs(trace.ideal)
     return np.where((size < width) & (size >= _BLURRED * trace.unit_sd), -trace.ideal, 0.0)[None]
 
 
 def _noise(trace: Trace) -> float:
-    """Noise of one sample: the quietest axis'."""
+    """Noise of one sample on the quietest axis."""
     if trace.sigma is not None:
         return float(np.min(trace.sigma))
     steps = np.diff(trace.residual[trace.observed], axis=0)
@@ -59,7 +59,7 @@ def _noise(trace: Trace) -> float:
 
 
 def _at_energy_steps(values: Array, energy: Array, noise: float) -> Array:
-    """The ascending `values` at which the rising `energy` they take reaches steps of a constant ratio."""
+    """The ascending `values` at which the rising `energy` that they remove reaches steps of a constant ratio."""
     seen = _LEAST * noise**2
     top = float(energy[-1])
     if not (noise > 0.0 and top > seen):
@@ -89,7 +89,7 @@ def candidate_widths(trace: Trace) -> Array:
 
 
 def _within_noise(size: Array, trace: Trace) -> bool:
-    """Whether no ideal reading, of sizes (n, 3), is larger than the noise: nothing moves that could be cut off."""
+    """Whether no ideal reading, of sizes (n, 3), exceeds the noise."""
     return 0.0 < float(size.max(initial=0.0)) < _noise(trace)
 
 

@@ -1,4 +1,4 @@
-"""What is particular to magnetometers: iron on the vehicle, currents, and the field of the place.
+"""Effects of magnetometers: iron on the vehicle, currents, and the local field.
 
 ``measured = (I + S) B_b + h + c I`` with ``B_b = R_bn (B_n + dB + G (p - p_0))``.
 """
@@ -70,18 +70,19 @@ def current_signal(trace: Trace, _theta: float) -> Array:
 
 
 def lagged_current_signal(trace: Trace, lag: float) -> Array:
-    """The current in A `lag` seconds before, (1, N).
+    """The current `lag` seconds earlier, A, (1, N).
 
-    A compass averages over its own interval, a current monitor filters, and both are logged when their turn comes.
+    A compass averages over its interval, a current monitor filters, and both are logged at their own times.
     """
     assert trace.current is not None
     return np.interp(trace.t - lag, trace.t, trace.current)[None, :]
 
 
 def throttle_signal(trace: Trace, exponent: float) -> Array:
-    """A power of the throttle, 0..1, (1, N): for vehicles without a good current monitor (ArduPilot's COMPASS_MOTCT 1).
+    """A power of the throttle 0..1, (1, N), for vehicles without a good current monitor (ArduPilot's COMPASS_MOTCT 1).
 
-    A propeller draws current as the 1.5th power of its thrust; how the throttle goes with that is the firmware's.
+    A propeller's current grows with the 1.5th power of its thrust; the firmware sets the relation of throttle and
+    thrust.
     """
     assert trace.throttle is not None
     return np.maximum(trace.throttle, 0.0)[None, :] ** exponent
@@ -98,13 +99,13 @@ def lags(_trace: Trace) -> Array:
 
 
 def earth_columns(trace: Trace, _theta: float) -> Array:
-    """North, east and down as the body sees them."""
+    """North, east and down in body axes."""
     assert trace.attitude is not None
     return np.ascontiguousarray(body_from_ned(trace.attitude).transpose(2, 0, 1))
 
 
 def gradient_columns(trace: Trace, _theta: float) -> Array:
-    """The five fields of a uniform gradient about the middle of the path, as the body sees them."""
+    """The five fields of a uniform gradient about the mean position, in body axes."""
     assert trace.attitude is not None
     assert trace.place is not None
     path = trace.place - trace.place[trace.observed].mean(axis=0)
@@ -151,7 +152,7 @@ def _motor_current(
     signals: Callable[[Trace, float], Array],
     shape: EffectShape | None = None,
 ) -> CatalogueEffect:
-    """The field of the motors' current as it goes by one signal: the current, or what stands for it."""
+    """The field of the motors' current, in proportion to one signal: the current, or a substitute."""
     return MeanEffect(
         "mag_motor_current",
         Sensor.MAG,

@@ -31,22 +31,22 @@ def white_density(trace: Trace, omega: Array, _theta: float) -> Array:
 
 
 def flicker_density(trace: Trace, omega: Array, _theta: float) -> Array:
-    """``1 / (2 sin(w/2))``, the lowest bin in place of the infinite one."""
+    """``1 / (2 sin(w/2))``, with the lowest positive bin in place of zero frequency."""
     return (0.5 / np.sin(0.5 * _positive(omega)) * filter_power_gain(trace, omega))[None]
 
 
 def walk_density(trace: Trace, omega: Array, _theta: float) -> Array:
-    """``1 / (4 fs sin^2(w/2))``, likewise."""
+    """``1 / (4 fs sin^2(w/2))``, with the lowest positive bin in place of zero frequency."""
     return (0.25 / (trace.fs * np.sin(0.5 * _positive(omega)) ** 2) * filter_power_gain(trace, omega))[None]
 
 
 def filter_power_gain(trace: Trace, omega: Array) -> Array:
-    """Power (K,) that the firmware's own filter leaves at `omega`, rad per sample."""
+    """Power gain (K,) of the firmware's filter at `omega`, rad per sample."""
     return filter_gain(omega * (trace.fs / (2.0 * np.pi)), trace.low_pass_hz) ** 2
 
 
 def _positive(omega: Array) -> Array:
-    """`omega` with half the lowest other frequency where it is zero."""
+    """`omega` with half the lowest positive frequency in place of zero."""
     lowest = float(omega[omega > 0.0].min())
     return np.where(omega > 0.0, omega, 0.5 * lowest)
 

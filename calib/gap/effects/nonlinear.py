@@ -1,4 +1,4 @@
-"""Readings that bend: what a sensor adds with the square of what it measures (IEEE Std 1293, coefficient K2)."""
+"""Quadratic nonlinearity: an error with the square of the reading (IEEE Std 1293, coefficient K2)."""
 
 from __future__ import annotations
 

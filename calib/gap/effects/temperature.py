@@ -1,8 +1,8 @@
-"""Temperature: a bias that follows it, at once or late, and a scale that follows it.
+"""Thermal effects: a bias that follows the temperature, directly or late, and a scale that follows it.
 
-The temperature at which an effect vanishes is one for all axes. The simulator or the calibration chooses it: 25 degC in
-MATLAB, the middle of the range in ArduPilot's SITL. It is therefore a parameter. A wrong fixed value would give every
-thermal effect a bias that is not there.
+The temperature at which an effect vanishes is the same on all axes and depends on the simulator or the calibration: 25
+degC in MATLAB, the middle of the range in ArduPilot's SITL. It is therefore a parameter; a wrong fixed value would add
+a bias to every thermal effect.
 """
 
 from __future__ import annotations
@@ -53,30 +53,30 @@ def temperature_of(trace: Trace) -> Array:
 
 
 def temperature_difference(trace: Trace, t_ref: float) -> Array:
-    """One signal: ``T - t_ref``."""
+    """``T - t_ref`` (1, N)."""
     return (temperature_of(trace) - t_ref)[None, :]
 
 
 def temperature_powers(trace: Trace, t_ref: float) -> Array:
-    """Three signals: ``T - t_ref``, its square and its cube."""
+    """``T - t_ref``, its square and its cube (3, N)."""
     d = temperature_of(trace) - t_ref
     return np.stack([d, d * d, d * d * d])
 
 
 def lagged_temperature(trace: Trace, time_constant: float) -> Array:
-    """One signal: ``T_late - t_ref``, `T_late` the temperature through one pole.
+    """``T_lag - t_ref`` (1, N), with `T_lag` the temperature through a first-order lag.
 
-    Its reference temperature is the one that fits the residual best on white noise (rank one in slope and intercept).
+    `t_ref` is the one that fits the residual best on white noise (rank one in slope and intercept).
     """
     delayed = lagged(temperature_of(trace), 1.0 / trace.fs, time_constant)
     return (delayed - best_reference_temperature(delayed, trace.residual, trace.observed))[None, :]
 
 
 def best_reference_temperature(temperature: Array, residual: Array, observed: NDArray[np.bool_]) -> float:
-    """The one temperature at which slopes of `residual` (N, 3) over `temperature` (N,) leave least unexplained.
+    """The temperature at which slopes of `residual` (N, 3) over `temperature` (N,) vanish, for the least misfit.
 
-    With ``T = m + s u``, u of mean zero and size one, each axis has its slope ``k s`` and mean ``k (m - t_ref)``: the
-    nearest rank one to the three pairs of both. It lies in the range of :func:`reference_temperatures`.
+    With ``T = m + s u``, u of mean zero and size one, each axis has the slope ``k s`` and the mean ``k (m - t_ref)``:
+    the nearest rank one to the three pairs. It lies in the range of :func:`reference_temperatures`.
     """
     T, y = temperature[observed], residual[observed]
     m, s = float(T.mean()), float(T.std())
@@ -105,8 +105,9 @@ def reference_temperatures(trace: Trace) -> Array:
 def best_references(factor: Callable[[Trace], Array], degree: int) -> Callable[[Trace, Array], Array]:
     """Screen of :func:`reference_temperatures` for an effect of `degree` in temperature on the signals `factor` (N, 3).
 
-    Each axis is fitted with a free polynomial c (white noise); that it vanishes at T, ``a'c = 0`` with
-    ``a = (1, T, T^2 ...)``, then costs ``(a'c)^2 / (a' G^-1 a)``, G the Gram matrix. The least dear ones are returned.
+    Each axis is fitted with a free polynomial c (white noise). The constraint that it vanishes at T, ``a'c = 0`` with
+    ``a = (1, T, T^2 ...)``, costs ``(a'c)^2 / (a' G^-1 a)``, with G the Gram matrix. The temperatures of least cost are
+    returned.
     """
 
     @remembered(8)
@@ -147,7 +148,7 @@ def _ideal(trace: Trace) -> Array:
 
 
 def lags(trace: Trace) -> Array:
-    """Time constants to try, s: none that a third of the recording would not show."""
+    """Time constants to try, s, up to a third of the recording."""
     longest = max(float(trace.t[-1] - trace.t[0]) / 3.0, 2.0 * float(_LAGS[0]))
     return np.asarray(_LAGS[_LAGS <= longest], dtype=np.float64)  # noqa: SIM300
 

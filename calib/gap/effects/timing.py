@@ -1,6 +1,6 @@
-"""Effects on time: the sensor is late, slow, or its clock runs differently.
+"""Timing effects: delay, low-pass filter, clock drift.
 
-The ideal reading itself is moved and filtered, not expanded: at 5 ms and 5 Hz the first order is already wrong by a
+The ideal reading itself is shifted and filtered, not expanded: at 5 ms and 5 Hz the first order is already wrong by a
 percent. A quintic spline through its samples is exact to 1e-4 up to half of the Nyquist frequency.
 """
 
@@ -60,9 +60,9 @@ _SHAKE = "a fast shake or a yaw jerk"
 
 @remembered(12)
 def splines_of(trace: Trace) -> Array:
-    """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading; the last are kept.
+    """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading.
 
-    Beyond either end it goes on as steeply as it came, because a recording may begin during a movement. A sudden stop
+    Beyond either end it continues with its last slope, because a recording may begin during a movement. A sudden stop
     would change the first sample by more than the noise of all.
     """
     longer = np.pad(trace.ideal, ((_EDGE, _EDGE), (0, 0)), mode="reflect", reflect_type="odd")
@@ -70,7 +70,7 @@ def splines_of(trace: Trace) -> Array:
 
 
 def shifted_ideal(trace: Trace, samples: float) -> Array:
-    """The ideal reading (N, 3), `samples` later; what lies far outside is held."""
+    """The ideal reading (N, 3) delayed by `samples`; the ends are held."""
     whole = math.floor(-samples)
     at = -samples - whole + np.arange(2, -4, -1)  # from each of the six knots about a sample
     values = ndimage.correlate1d(splines_of(trace), _KNOT(at), axis=1, mode="nearest", origin=-1)
@@ -80,7 +80,7 @@ def shifted_ideal(trace: Trace, samples: float) -> Array:
 
 
 def stretched_ideal(trace: Trace, drift: float) -> Array:
-    """The ideal reading (N, 3) read at ``n (1 - drift)``: its clock runs slow, by `drift`, from the first on."""
+    """The ideal reading (N, 3) at ``n (1 - drift)``: its clock runs slow by `drift`."""
     at = np.arange(len(trace.ideal)) * (1.0 - drift) + _EDGE
     columns = [
         ndimage.map_coordinates(c, at[None, :], order=_SPLINE, mode="nearest", prefilter=False)
@@ -100,15 +100,15 @@ def drift_column(trace: Trace, ppm: float) -> Array:
 
 
 def low_pass_column(trace: Trace, cutoff: float) -> Array:
-    """The filtered ideal reading less the ideal one, of the number of poles that is nearer to what was measured."""
+    """Filtered less ideal reading, with the number of poles that fits the residual better."""
     changes = _filtered_less_ideal(trace, cutoff)
     return changes[_better_order(trace, changes)][None]
 
 
 def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
-    """``|H|^2`` of the filter at `omega` (K,), rad per sample, (2, K): of noise at the rate of the log, and of faster.
+    """``|H|^2`` (2, K) at `omega` (rad per sample): of noise at the rate of the log, and of folded faster noise.
 
-    A sensor that filters at a higher rate than it is logged at folds what is left beyond half the rate of the log back.
+    A sensor that filters at a higher rate than it is logged at folds the rest beyond half the rate of the log back.
     """
     order = 1 + _better_order(trace, _filtered_less_ideal(trace, cutoff))
     folds = 2.0 * np.pi * np.arange(-_FOLDS, _FOLDS + 1)[:, None]
@@ -119,11 +119,10 @@ def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
 
 @remembered(4)
 def _filtered_less_ideal(trace: Trace, cutoff: float) -> tuple[Array, Array]:
-    """Through one pole (a package, an analogue stage) and a Butterworth of two (ArduPilot's, PX4's, most chips').
+    """Change by one pole (a package, an analogue stage) and by a Butterworth of two (ArduPilot's, PX4's, most chips').
 
-    ``H = 1/(1 + s)`` and ``1/(1 + sqrt(2) s + s^2)`` at ``s = j f/fc``, by Fourier transform. A lead of eight time
-    constants lets the filter settle: the end ramps to where the movement may have come from. The last are kept: a
-    filter is asked for what it does to the movement, and to the noise.
+    ``H = 1/(1 + s)`` and ``1/(1 + sqrt(2) s + s^2)`` at ``s = j f/fc``, by Fourier transform. A lead-in of eight time
+    constants lets the filter settle: the end ramps to the extrapolated start.
     """
     x = trace.ideal
     lead = min(len(x) - 1, max(64, int(8.0 * trace.fs / (2.0 * np.pi * cutoff)))) // 2
@@ -143,7 +142,7 @@ def _change_in_time(spectrum: NDArray[np.complex128], size: int, x: Array) -> Ar
 
 
 def _better_order(trace: Trace, changes: tuple[Array, Array]) -> int:
-    """Which of the two changes leaves less of the residual; constants do not count."""
+    """Index of the change that leaves the smaller residual about its mean."""
     residual, seen = trace.residual, trace.observed
     one, two = (_squares_about_mean((residual - change)[seen]) for change in changes)
     return int(two < one)
@@ -156,18 +155,18 @@ def _squares_about_mean(series: Array) -> float:
 
 
 def delays(trace: Trace) -> Array:
-    """Delays to try, s; negative where the reference is the late one."""
+    """Delays to try, s; negative if the reference is late."""
     sizes = np.geomspace(_SHORTEST / trace.fs, max(_LONGEST, 8.0 / trace.fs), _DELAYS)
     return np.concatenate([-sizes[::-1], sizes])
 
 
 def cutoffs(trace: Trace) -> Array:
-    """Cut-offs to try, Hz; far beyond half the sampling rate a filter still is late by some tenths of a millisecond."""
+    """Cut-offs to try, Hz; far beyond half the sampling rate a filter still delays by tenths of a millisecond."""
     return np.geomspace(min(0.5, 0.02 * trace.fs), _FASTEST * trace.fs, _CUTOFFS)
 
 
 def drifts(trace: Trace) -> Array:
-    """Drifts to try, millionths, either way."""
+    """Clock drifts to try, millionths, of either sign."""
     duration = float(trace.t[-1] - trace.t[0])
     smallest = min(_LEAST_SHIFT / max(duration, 1.0), 0.1 * _LARGEST_DRIFT)
     sizes = 1e6 * np.geomspace(smallest, _LARGEST_DRIFT, _DRIFTS)
@@ -175,13 +174,13 @@ def drifts(trace: Trace) -> Array:
 
 
 def rms_slope(trace: Trace) -> float:
-    """Rms slope over time of the ideal reading's liveliest axis, unit/s."""
+    """Rms slope of the ideal reading on its fastest axis, unit/s."""
     steps = np.diff(trace.ideal, axis=0)[trace.observed[1:] & trace.observed[:-1]]
     return float(np.sqrt((steps**2).mean(axis=0).max()) * trace.fs) if len(steps) else 0.0
 
 
 def _missing_rotation(trace: Trace) -> tuple[str, str] | None:
-    """The vehicle's turning decides for every sensor alike: the clock is one.
+    """What is missing for a clock drift: rotation decides for every sensor, since the clock is one.
 
     A trajectory that was re-estimated from the recording itself runs on the clock that is in question.
     """

@@ -1,4 +1,4 @@
-"""A line at one frequency throughout: a supply's ripple, a pump, a fan."""
+"""A line at one constant frequency: a supply's ripple, a pump, a fan."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _AROUND = 201
 
 
 def tone_signals(trace: Trace, frequency: float) -> Array:
-    """Two signals: cosine and sine of `frequency` (Hz), phase zero at the first sample.
+    """Cosine and sine (2, N) of `frequency` (Hz), with phase zero at the first sample.
 
-    At the sensor: the firmware's own filter of two poles, where the trace knows one, makes them smaller and later.
+    The amplitude is that of the sensor: the firmware's two-pole filter, if known, attenuates and delays the wave.
     """
     phase = 2.0 * np.pi * frequency * (trace.t - trace.t[0])
     if trace.low_pass_hz is not None:
@@ -37,14 +37,14 @@ def tone_signals(trace: Trace, frequency: float) -> Array:
 
 
 def tone_frequencies(trace: Trace) -> Array:
-    """Frequencies that a recording of this length tells apart, Hz."""
+    """Frequencies that a recording of this length resolves, Hz."""
     n = len(trace.t)
     k = np.arange(min(_PERIODS, max(1, n // 2 - 2)), max(n // 2, 3))
     return np.asarray(k * (trace.fs / n), dtype=np.float64)
 
 
 def strongest_bins(trace: Trace, residual: Array) -> Array:
-    """The frequencies of :func:`tone_frequencies` with most power of `residual` (N, 3) above their surroundings, ascending."""
+    """The frequencies of :func:`tone_frequencies` with most power of `residual` (N, 3) above their surroundings."""
     grid = tone_frequencies(trace)
     y = np.where(trace.observed[:, None], residual, 0.0)
     power = np.abs(np.fft.rfft(y - y.mean(axis=0), axis=0)) ** 2

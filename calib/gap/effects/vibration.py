@@ -1,9 +1,9 @@
-"""What turning rotors do: lines that follow their speed, lines folded by the sampling, noise, and a shifted mean.
+"""Effects of rotating rotors: lines at multiples of their speed, aliases of lines, noise, and rectified vibration.
 
-A line is a wave that follows one rotor, and is subtracted, if rotor speeds are logged so well that their integral keeps
-the phase. Otherwise it is power on a track. With recorded rotor speeds the track is a multiple of them, weighted by the
-fourth power of the speed: the force of an imbalance grows with its square. Without them it is a fixed frequency while
-the motors run.
+A line follows one rotor as a wave and is subtracted, if rotor speeds are logged well enough to integrate the phase.
+Otherwise it is power on a frequency track. With recorded rotor speeds the track is a multiple of them, weighted by the
+fourth power of the speed, since the force of an imbalance grows with its square. Without them it is a fixed frequency
+while the motors run.
 """
 
 from __future__ import annotations
@@ -60,15 +60,15 @@ _TELEMETRY = ("no rotor speed, motor output or throttle recorded", "rotor speed 
 
 
 def folded(frequency: Array, fs: float) -> Array:
-    """Where a sampling at `fs` shows `frequency`: ``|((f + fs/2) mod fs) - fs/2|``."""
+    """Frequency at which sampling at `fs` shows `frequency`: ``|((f + fs/2) mod fs) - fs/2|``."""
     return np.asarray(np.abs((frequency + 0.5 * fs) % fs - 0.5 * fs), dtype=np.float64)
 
 
 @remembered(12)
 def rotor_power(trace: Trace) -> Array | None:
-    """Power of the rotors' vibration over time (N,), at most one: fourth power of speed, square of thrust.
+    """Power of the rotors' vibration over time (N,), at most one: fourth power of speed, or square of thrust.
 
-    None: not recorded.
+    None if neither is recorded.
     """
     if trace.rotor_hz is not None:
         power = np.square(np.square(np.maximum(trace.rotor_hz, 0.0))).mean(axis=1)
@@ -84,7 +84,7 @@ def rotor_power(trace: Trace) -> Array | None:
 
 @remembered(12)
 def motors_running(trace: Trace) -> NDArray[np.bool_]:
-    """(N,) True while a motor turns."""
+    """True (N,) while a motor turns."""
     if trace.rotor_hz is not None:
         return np.asarray((trace.rotor_hz > LOWEST_ROTOR_HZ).any(axis=1))
     if trace.motors is not None:
@@ -95,7 +95,7 @@ def motors_running(trace: Trace) -> NDArray[np.bool_]:
 
 
 def mean_speed(trace: Trace) -> float:
-    """Mean speed of the rotors while they turn, Hz; 0 where it is not recorded or they never do."""
+    """Mean speed of the turning rotors, Hz; 0 if it is not recorded or they never turn."""
     if trace.rotor_hz is None:
         return 0.0
     turning = trace.rotor_hz[trace.rotor_hz > LOWEST_ROTOR_HZ]
@@ -103,11 +103,11 @@ def mean_speed(trace: Trace) -> float:
 
 
 def line_density(trace: Trace, omega: Array, frequency: float) -> Array:
-    """Power (1, K) of a line of amplitude one while the motors run, its mean frequency being `frequency` (Hz).
+    """Power (1, K) of a line of amplitude one and mean frequency `frequency` (Hz) while the motors run.
 
-    The spectrum of a wave that starts and stops with the motors, skirts included: a strong line shows far from its
-    frequency. It follows the rotors where their speed is known. The amplitude is one at the sensor: the
-    firmware's own filter is applied to it.
+    It is the spectrum of a wave that starts and stops with the motors, skirts included: a strong line shows far from
+    its frequency. It follows the rotors if their speed is known. The amplitude is that at the sensor, before the
+    firmware's filter.
     """
     power = _line_over_all_bins(trace, frequency)
     n = len(power)
@@ -116,7 +116,7 @@ def line_density(trace: Trace, omega: Array, frequency: float) -> Array:
 
 @remembered(24)
 def _line_over_all_bins(trace: Trace, frequency: float) -> Array:
-    """The same at the bins of the whole trace, (N,); kept for the other bands and contrasts of the sensor."""
+    """The same at all bins of the trace, (N,), kept for the other bands and contrasts of the sensor."""
     speed = mean_speed(trace)
     if speed > 0.0 and trace.rotor_hz is not None:
         track = trace.rotor_hz.mean(axis=1) * (frequency / speed)
@@ -132,14 +132,14 @@ def _line_over_all_bins(trace: Trace, frequency: float) -> Array:
 
 
 def running_envelope(trace: Trace) -> Array:
-    """(N,) of mean one: the drive where it is known, else whether the motors run."""
+    """Envelope (N,) of mean one: the rotors' power if known, else whether the motors run."""
     power = rotor_power(trace) if trace.rotor_hz is not None else motors_running(trace).astype(np.float64)
     assert power is not None
     return _normalised(power, trace)
 
 
 def speed_envelope(trace: Trace) -> Array:
-    """(N,) of mean one: power of noise whose size grows as the air's force does, with the square of the speed."""
+    """Envelope (N,) of mean one for noise whose amplitude grows with the square of the speed, as air loads do."""
     power = rotor_power(trace)
     assert power is not None
     return _normalised(power, trace)
@@ -151,14 +151,14 @@ def _normalised(power: Array, trace: Trace) -> Array:
 
 
 def vibration_power(trace: Trace, _theta: float) -> Array:
-    """One signal: the vibration's power over time, one at its strongest."""
+    """Power of the vibration over time (1, N), one at its maximum."""
     power = rotor_power(trace)
     assert power is not None
     return power[None]
 
 
 def lines_below_half_rate(trace: Trace) -> Array:
-    """Frequencies of lines that the sampling shows as they are, Hz."""
+    """Frequencies of lines that sampling does not fold, Hz."""
     speed = mean_speed(trace)
     if speed > 0.0:
         return np.array([h * speed * d for h in _HARMONICS for d in _DETUNED if h * speed < 0.5 * trace.fs])
@@ -166,13 +166,13 @@ def lines_below_half_rate(trace: Trace) -> Array:
 
 
 def lines_beyond_half_rate(trace: Trace) -> Array:
-    """Frequencies of lines that the sampling folds, Hz."""
+    """Frequencies of lines that sampling folds, Hz."""
     speed = mean_speed(trace)
     return np.array([h * speed * d for h in _FOLDED for d in _DETUNED if h * speed >= 0.5 * trace.fs])
 
 
 def strongest_bands(trace: Trace, residual: Array) -> Array:
-    """The frequencies of :func:`lines_below_half_rate` with most power of `residual` (N, 3) above their surroundings, ascending."""
+    """Frequencies of unfolded lines with most power of `residual` (N, 3) above their surroundings, ascending."""
     grid = lines_below_half_rate(trace)
     if mean_speed(trace) > 0.0:
         return grid
@@ -186,10 +186,10 @@ def strongest_bands(trace: Trace, residual: Array) -> Array:
 
 
 def rotor_wave(trace: Trace, rotor_order: float) -> Array:
-    """Two signals: cosine and sine of a multiple of one rotor's angle, growing with the square of its speed.
+    """Cosine and sine (2, N) of a multiple of one rotor's angle, growing with the square of its speed.
 
-    `rotor_order` is 100 times the rotor's number, from 1, plus the multiple. What the firmware's own filter takes at
-    the mean frequency is taken.
+    `rotor_order` is 100 times the rotor's number, from 1, plus the multiple. The firmware's filter is applied at the
+    mean frequency.
     """
     assert trace.rotor_hz is not None
     rotor, order = divmod(rotor_order, _ROTOR)
@@ -204,12 +204,12 @@ def rotor_wave(trace: Trace, rotor_order: float) -> Array:
 
 
 def orders_below(trace: Trace) -> Array:
-    """Every rotor's multiples that the sampling shows as they are."""
+    """Multiples of every rotor's speed that sampling does not fold."""
     return _orders(trace, _HARMONICS, lambda hz: hz < 0.5 * trace.fs)
 
 
 def orders_beyond(trace: Trace) -> Array:
-    """Every rotor's multiples that the sampling folds."""
+    """Multiples of every rotor's speed that sampling folds."""
     return _orders(trace, _FOLDED, lambda hz: hz >= 0.5 * trace.fs)
 
 

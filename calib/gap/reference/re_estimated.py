@@ -196,7 +196,7 @@ def _with_bias_walk(
     A bias that wanders more than a smoother grants turns the attitude: axes, scales and the Earth's field would seem
     to be wrong. A crash says nothing of it: intervals that are not believed have no voice.
     """
-    strained = _contradicted_intervals(state, imu, state.integrated(imu))
+    strained = _contradicted_intervals(state, imu, state.interval_motion(imu))
     calm = dataclasses.replace(imu, known=imu.known & ~strained) if strained.any() else imu
     best = smooth(calm, aiding, state, matrices=matrices, drifts=drifts) if strained.any() else state
     evidence = log_evidence(calm, aiding, best, matrices=matrices, drifts=drifts)
@@ -307,7 +307,7 @@ def _levelled_attitude(accel: Channel, aiding: Aiding, start: float) -> Rotation
 
 def _ideal_along(found: SmoothedTrajectory) -> Ideal:
     state, imu = found.state, found.imu
-    between = state.integrated(imu)
+    between = state.interval_motion(imu)
     slip = (state.attitude[1:].inv() * state.attitude[:-1] * between.turn).inv().as_rotvec()
     steps = []
     for j, within in enumerate(between.within):

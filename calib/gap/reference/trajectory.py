@@ -149,7 +149,7 @@ class TrajectoryState:
         matrices = slice(SOFT_IRON.start, None)
         return bool((np.abs(self.constants[matrices]) < _IMPLAUSIBLE * CONSTANT[matrices]).all())
 
-    def between(self, imu: Increments) -> IntervalMotion:
+    def interval_motion(self, imu: Increments) -> IntervalMotion:
         """What the inertial unit measured from node to node, without its errors."""
         turn = Rotation.from_rotvec(self.constants[ACCEL])
         gyro, accel = (
@@ -291,7 +291,7 @@ class _NormalEquations:
 
 def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, sd: Array) -> _NormalEquations:
     normal = _NormalEquations(len(state.t))
-    between = state.integrated(imu)
+    between = state.interval_motion(imu)
     _add_inertial(normal, imu, between, state)
     _add_velocity(normal, imu.dt, between, aiding, state)
     if len(aiding.mag_t):

@@ -32,7 +32,7 @@ class AddedNoise:
     amplitudes: Array
 
     def power(self, model: Model, v: int) -> Array:
-        """Added to the bins of series `v`, (3, n)."""
+        """Power that it adds to the bins of series `v`, (3, n)."""
         return self.amplitudes.T @ densities_of(self.hypothesis, model.setting.views[v], self.theta)
 
 
@@ -41,10 +41,10 @@ def _series_of(hypothesis: Hypothesis, model: Model) -> list[int]:
 
 
 def exceeds_flight_differences(added: AddedNoise, model: Model) -> bool:
-    """Whether added noise is more than two flights of one vehicle differ by.
+    """Whether added noise is more than the noise of two flights of one vehicle differs by.
 
-    A spectrum that was learned from another recording is the mean over its rest and its flight; how much of either
-    there was is no effect. On noise that is declared anything counts.
+    A spectrum learned from another recording is a mean over its rest and its flight, in unknown proportion. Beside
+    declared noise any addition counts.
     """
     touched = _series_of(added.hypothesis, model)
     if any(model.setting.views[v].density is None for v in touched):
@@ -57,14 +57,14 @@ def exceeds_flight_differences(added: AddedNoise, model: Model) -> bool:
 
 
 def is_line_unsteadiness(term: NoiseTerm, model: Model) -> bool:
-    """Whether broad noise of a model is no more than the unsteadiness of a line beside it."""
+    """Whether broadband noise of a model is no more than the unsteadiness of a line beside it."""
     if Trait.LINE in term.hypothesis.effect.traits:
         return False
     return _term_power(term, term.hypothesis, model) <= prices.LINE_UNSTEADINESS * line_power(term.hypothesis, model)
 
 
 def drift_exceeds_lines(added: AddedNoise, model: Model) -> bool:
-    """Whether noise that wanders is more than the unsteadiness of the lines of a model, whose skirts reach low bins."""
+    """Whether drift noise is more than the unsteadiness of the model's lines, whose skirts reach the lowest bins."""
     if not added.hypothesis.effect.drifts:
         return True
     power = sum(float(added.power(model, v).sum()) for v in _series_of(added.hypothesis, model))
@@ -72,7 +72,7 @@ def drift_exceeds_lines(added: AddedNoise, model: Model) -> bool:
 
 
 def tone_exceeds_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:
-    """The same of a tone with amplitudes `beta`."""
+    """Whether a tone with amplitudes `beta` is more than the unsteadiness of the model's lines."""
     if not hypothesis.effect.tonal:
         return True
     samples = sum(model.setting.views[v].whole.n for v in _series_of(hypothesis, model) if not _upper(model, v))
@@ -84,7 +84,7 @@ def _upper(model: Model, v: int) -> bool:
 
 
 def line_power(hypothesis: Hypothesis, model: Model) -> float:
-    """Power of the lines of a model on the sensor of `hypothesis`, summed over bins and axes."""
+    """Power of the model's lines on the sensor of `hypothesis`, summed over bins and axes."""
     return sum(
         _term_power(term, hypothesis, model)
         for term in model.noise_terms
@@ -101,7 +101,7 @@ def _term_power(term: NoiseTerm, hypothesis: Hypothesis, model: Model) -> float:
 def is_on_loud_instances(added: AddedNoise, model: Model) -> bool:
     """Whether the instances of a hypothesis are those that show the noise.
 
-    Sums and differences of instances have the same spectra whichever of them is loud; their own do not.
+    Sums and differences of instances have the same spectra whichever of them is loud; the single instances do not.
     """
     excess = _excess_by_instance(added, model)
     if not excess:
@@ -113,7 +113,7 @@ def is_on_loud_instances(added: AddedNoise, model: Model) -> bool:
 
 
 def _excess_by_instance(added: AddedNoise, model: Model) -> Mapping[int, float]:
-    """By instance: power above the noise, weighted as the added noise is seen; empty where series are of one each."""
+    """By instance, power above the noise, weighted by the added density; empty if every series is of one instance."""
     found: dict[int, float] = {}
     for v in _series_of(added.hypothesis, model):
         view = model.setting.views[v]
@@ -139,8 +139,9 @@ def _excess_by_instance(added: AddedNoise, model: Model) -> Mapping[int, float]:
 
 
 def _search_band(added: AddedNoise, model: Model, v: int) -> Array:
-    """Where added noise is looked for, (3, n): of a line all about it, since units with clocks of their own have it at
-    frequencies of their own.
+    """Bins in which added noise is searched for, (3, n).
+
+    A line is searched for around its frequency, because units have clocks of their own.
     """
     power = added.power(model, v)
     if Trait.LINE not in added.hypothesis.effect.traits:
@@ -151,14 +152,14 @@ def _search_band(added: AddedNoise, model: Model, v: int) -> Array:
 
 
 def _near_peak(view: View, peak: int) -> NDArray[np.bool_]:
-    """The bins beside the one of a line's largest density."""
+    """Bins near the peak of a line."""
     return np.asarray(np.abs(view.omega - view.omega[peak]) < prices.LINE_REACH_HZ * 2.0 * np.pi / view.whole.fs)
 
 
 def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
-    """Squared amplitudes (3,) of a line from the power at its frequency alone, and their standard errors.
+    """Squared amplitudes (3,) of a line from the power near its frequency alone, and their standard errors.
 
-    The likelihood is of all bins: where a strong line is unsteady its skirts outweigh it.
+    The likelihood uses all bins; the skirts of a strong and unsteady line would dominate it.
     """
     total, size, scatter = np.zeros(3), np.zeros(3), np.zeros(3)
     for v in _series_of(term.hypothesis, model):
@@ -180,7 +181,7 @@ def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
 def nominal_has_tone(term: Term, nominal: Iterable[Trace]) -> bool:
     """Whether a nominal recording has a line at the frequency of a tone: the mains, a converter's clock.
 
-    A learned spectrum holds means over bands and does not show it.
+    A learned spectrum holds band means and does not show it.
     """
     if not term.effect.tonal:
         return False
@@ -195,12 +196,12 @@ def nominal_has_tone(term: Term, nominal: Iterable[Trace]) -> bool:
 
 
 def _amplitude(trace: Trace, hz: float) -> float:
-    """Amplitude of the wave of that frequency in the residual of `trace`, over all axes."""
+    """Amplitude of the residual of `trace` at that frequency, over all axes."""
     return float(np.sqrt((_wave_amplitudes(trace, hz) ** 2).sum()))
 
 
 def _line_to_neighbours(trace: Trace, hz: float) -> float:
-    """Energy at `hz` over the median about it."""
+    """Energy at `hz` over the median energy of its neighbours."""
     step = trace.fs / len(trace.t)
     near = [
         _amplitude(trace, hz + k * step)

@@ -1,8 +1,7 @@
-"""How much each hypothesis would gain beside what the model already has.
+"""Gain of each hypothesis beside the effects that the model already has.
 
-Groups of columns gain by their Schur complement in the weighted Gram matrix; effects on the noise by their deviance.
-The chance of so large a gain without the effect is corrected for the grid that was searched: the number of values tried
-multiplies the tail probability (GAP 3.2).
+The gain of columns is their Schur complement in the weighted Gram matrix, that of an effect on the noise its deviance.
+The chance of such a gain without the effect is multiplied by the number of shapes that were tried (GAP 3.2).
 """
 
 from __future__ import annotations
@@ -58,10 +57,10 @@ _STEPS_FIXED = 25
 
 @dataclass(frozen=True, eq=False)
 class ContestScore:
-    """What a hypothesis would gain.
+    """Score of a hypothesis beside a model.
 
-    `gain` is twice the gain of log-likelihood, `p` the chance of so much without it, corrected for the grid; `delta`
-    the gain less its price (:mod:`calib.gap.search.evidence`); `beta` the amplitudes beside the model as it is.
+    `gain` is twice the gain of log-likelihood, `p` the chance of it without the effect, corrected for the grid. `delta`
+    is the gain less its price (:mod:`calib.gap.search.evidence`), and `beta` the amplitudes.
     """
 
     hypothesis: Hypothesis
@@ -77,12 +76,12 @@ class ContestScore:
 
     @property
     def price(self) -> float:
-        """What its degrees of freedom and the search cost, in twice the log-likelihood."""
+        """Price of its degrees of freedom and of the search, in twice the log-likelihood."""
         return self.gain - self.delta
 
 
 def tail_probability(gain: float, df: int, grid: int) -> float:
-    """Chance that the best of `grid` values gains so much without an effect."""
+    """Chance that the best of `grid` values has that gain without an effect."""
     return 1.0 if df == 0 or gain <= 0.0 else min(1.0, grid * float(chdtrc(df, gain)))
 
 
@@ -95,7 +94,7 @@ def one_sided_tail_probability(gain: float, df: int, grid: int) -> float:
 
 
 def refinable(score: ContestScore) -> bool:
-    """Whether another fit of its shape, or without linearisation, could gain more."""
+    """Whether a fit of the shape, or a fit without linearisation, could gain more."""
     effect = score.hypothesis.effect
     return isinstance(effect, MeanEffect) and (
         (effect.shape is not None and score.gain > prices.REFINEMENT_GAIN)
@@ -123,15 +122,15 @@ class Contest:
         self.columns = ColumnCache(budget) if columns is None else columns
 
     def restricted_to(self, hypotheses: Sequence[Hypothesis]) -> Contest:
-        """A contest of other hypotheses on the same setting, which shares the columns that were made."""
+        """A contest of other hypotheses on the same setting, with the same cache of columns."""
         return Contest(hypotheses, thresholds=self.thresholds, columns=self.columns, pace=self.pace)
 
     def without_thresholds(self) -> Contest:
-        """The same in which any gain may join that is significant."""
+        """The same contest without minimum gains."""
         return Contest(self.hypotheses, columns=self.columns, pace=self.pace)
 
     def score(self, hypothesis: Hypothesis, beside: Projection, *, refine: bool = True) -> ContestScore:
-        """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
+        """Score of `hypothesis` at its best shape; without `refine` at the best shape of its grid."""
         effect = hypothesis.effect
         if isinstance(effect, NoiseEffect):
             return noise_score(hypothesis, beside.model)
@@ -143,10 +142,10 @@ class Contest:
         return found if refine else replace(found, sure=not refinable(found))
 
     def scores(self, hypotheses: Sequence[Hypothesis], beside: Projection) -> list[ContestScore]:
-        """Scores of several on their grids; those that are not `sure` are to be asked for alone before they count.
+        """Scores on the grids. A score that is not `sure` has to be refined before it counts.
 
-        A free amplitude gains more at its best shape than on the grid, and no less than an effect that is nothing but a
-        shape: both are close, and most are never looked at again. Those for which there is no time are left out.
+        Refinement can only raise the gain of a free amplitude; the grid gain of a fixed one is an upper bound.
+        Hypotheses for which no time is left are omitted.
         """
         found = []
         for hypothesis in hypotheses:
@@ -156,7 +155,7 @@ class Contest:
         return found
 
     def refined_scores(self, scores: Sequence[ContestScore], beside: Projection, least: float) -> list[ContestScore]:
-        """The same, with every one whose `delta` may be above `least` at its best shape."""
+        """The scores, refined where their `delta` may exceed `least`."""
         found = []
         for score in scores:
             known = score.sure or score.delta < least or self.pace.ends()
@@ -188,7 +187,7 @@ class Contest:
         return score if tone_exceeds_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
 
     def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Projection, *, refine: bool) -> ContestScore:
-        """Score of an effect that is only a shape; without `refine` what a free amplitude gains, which is no less."""
+        """Score of an effect that is only a shape; without `refine` the gain of a free amplitude, an upper bound."""
         columns = [self.columns.of(hypothesis, float(theta), beside.model.setting) for theta in grid]
         gains = beside.free_and_fixed_gains(columns)
         free, best = float(gains[:, 0].max()), int(np.argmax(gains[:, 1]))
@@ -220,7 +219,7 @@ class Contest:
 
 
 def _exact(hypothesis: Hypothesis, found: Gain, beside: Projection) -> Gain:
-    """`found` without linearisation, for an effect that is not linear in its amplitudes and gains enough."""
+    """`found` without linearisation, for an effect that is nonlinear in its amplitudes and gains enough."""
     effect = hypothesis.effect
     if not isinstance(effect, MeanEffect) or effect.exact is None or found.gain <= prices.EXACT_FIT_GAIN:
         return found
@@ -238,7 +237,7 @@ def exact_gain(hypothesis: Hypothesis, beta: Array, beside: Projection) -> tuple
 
 
 def free_score(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> ContestScore:
-    """A score of an effect on the mean with free amplitudes."""
+    """Score of an effect on the mean with free amplitudes."""
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
     price += price_of_kind(hypothesis.effect) + hypothesis.handicap
@@ -248,7 +247,7 @@ def free_score(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> 
 
 
 def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> ContestScore:
-    """A score of an effect on the mean that has nothing but a shape."""
+    """Score of an effect on the mean that has only a shape."""
     delta = gain - price_of_fixed(gain) - hypothesis.handicap
     return ContestScore(
         hypothesis,
@@ -263,7 +262,7 @@ def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> ContestSco
 
 
 def noise_score(hypothesis: Hypothesis, model: Model) -> ContestScore:
-    """What an effect on the noise would gain, its amplitudes and those of the model fitted together."""
+    """Score of an effect on the noise, with its amplitudes and those of the model fitted together."""
     effect = hypothesis.effect
     assert isinstance(effect, NoiseEffect)
     thetas, grid = [math.nan], 1
@@ -290,20 +289,20 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> ContestScore:
 
 @remembered(6)
 def noise_fits(model: Model, sensor: Sensor) -> tuple[AxisFit, ...]:
-    """The fits of the three axes of a sensor."""
+    """Noise fits of the three axes of a sensor."""
     return tuple(axis_fit(model, axes_of(model.setting, sensor, c)) for c in range(3))
 
 
 @remembered(32)
 def unchanged_deviance(fit: AxisFit) -> float:
-    """``-2 log L`` of an axis without anything new."""
+    """``-2 log L`` of an axis without an added density."""
     return fit.fitted()[1]
 
 
 def _noise_gain(
     hypothesis: Hypothesis, theta: float, model: Model, fits: Sequence[AxisFit]
 ) -> tuple[float, Array, float]:
-    """Gain, amplitudes and price."""
+    """Gain, amplitudes and price of added noise at one shape."""
     by_view = {
         v: densities_of(hypothesis, view, theta)
         for v, view in enumerate(model.setting.views)
@@ -338,16 +337,16 @@ def _noise_gain(
 
 
 def _marginal(information: Array) -> Array:
-    """Information of each amplitude when all others are unknown as well."""
+    """Information of each amplitude when the others are unknown too."""
     variance = np.diag(np.linalg.pinv(information, rcond=1e-12, hermitian=True))
     return np.asarray(1.0 / np.maximum(variance, np.finfo(float).tiny))
 
 
 def envelope_gain(model: Model, axis: int, envelope: Array, density: Array) -> float:
-    """Twice the log-likelihood by which added noise that follows `envelope` (N,), of mean one, beats a steady one.
+    """Twice the log-likelihood by which added noise that follows `envelope` (N,), of mean one, beats stationary noise.
 
-    The added `density` (n,) is a good part of all power in some bins. There the residual's power should follow the
-    envelope in that proportion.
+    Only bins count in which the added `density` (n,) is a good part of the power. There the residual's power should
+    follow the envelope in that proportion.
     """
     v, c = divmod(axis, 3)
     power = model.noise[axis].power + density
@@ -367,9 +366,9 @@ def envelope_gain(model: Model, axis: int, envelope: Array, density: Array) -> f
 
 
 def most_sensitive_series(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
-    """The trace, and the index of the series, that show most of it: of several alike the one with most left over.
+    """The trace and the index of the series in which a hypothesis shows most; of equal ones the one with most residual.
 
-    What is sought may have been in one block only. The lower one of two bands stands for both.
+    The effect may have occurred in one block only. The lower band of a series stands for both.
     """
     found = [
         (abs(weight), v, i)
@@ -387,7 +386,7 @@ def most_sensitive_series(hypothesis: Hypothesis, model: Model) -> tuple[Trace, 
 
 
 def _weighted_power(model: Model, v: int) -> float:
-    """What a series has left over for its noise, in both bands."""
+    """Largest weighted mean square of the residual of a series, over axes and bands."""
     views = model.setting.views
     bands = [v, v + 1] if v + 1 < len(views) and views[v + 1].first else [v]
     return max(float((model.weight[a] * model.y[a] ** 2).mean()) for b in bands for a in range(3 * b, 3 * b + 3))
@@ -395,7 +394,7 @@ def _weighted_power(model: Model, v: int) -> float:
 
 @remembered(8)
 def residual_on_grid(model: Model, v: int, trace: Trace) -> Array:
-    """The residual of a series on the whole grid of `trace`, zero where it is not kept; of both bands at its rate."""
+    """The residual of a series on the grid of `trace`, zero where rows are not kept; both bands at its own rate."""
     view, left = model.setting.views[v], model.residual[v]
     full = np.zeros((len(trace.t), 3))
     if view.fine is None or len(trace.t) == len(view.keep):

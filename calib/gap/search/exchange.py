@@ -1,8 +1,8 @@
-"""Exchanges of one effect of a model for another that stands better in its place.
+"""Exchanges of one effect of a model for a better one.
 
-Forward steps take the best single effect first: one that stands for two of them, noise for a mean. Each effect is
-therefore compared with every other hypothesis in its own place, beside all the other effects. `kappa` is the part of
-its fitted energy that a rival can imitate; what separates them is ``gain (1 - kappa)``.
+Forward selection takes the best single effect first, even if it stands for two of them, or noise for a change of the
+mean. Each effect is therefore compared with every other hypothesis, beside the remaining effects. `kappa` is the part
+of its fitted energy that a rival can imitate; ``gain (1 - kappa)`` separates them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from mavcal.calib.recording import Sensor
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another hypothesis instead of an effect; `kappa` is 0 where it is too far behind to be listed."""
+    """Another hypothesis in place of an effect; `kappa` is 0 if it is too far behind to be listed."""
 
     score: ContestScore
     kappa: float
@@ -47,7 +47,7 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Every other hypothesis instead of one effect, and the penalised evidence of its `own`."""
+    """All alternatives to one effect, and the penalised evidence of the effect itself, `own`."""
 
     alternatives: tuple[Alternative, ...]
     own: float
@@ -55,17 +55,16 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class StableModel:
-    """A model in which no effect has a better one in its place, and the places of its effects."""
+    """A model that no single exchange improves, and the comparisons of its effects."""
 
     chosen: ChosenModel
     comparisons: Mapping[Key, Comparison]
 
 
 def stable_model(chosen: ChosenModel, contest: Contest, alpha: float, before: StableModel | None = None) -> StableModel:
-    """A model in which no effect has a better one in its place.
+    """The model after exchanges of effects, until no exchange improves it.
 
-    Each effect is compared with all others once the model is complete. After an exchange only the effects of its
-    sensors are compared again; once none is better, all are.
+    After an exchange only the effects of the same sensors are compared again; at the end all are.
 
     Parameters
     ----------
@@ -99,7 +98,7 @@ def stable_model(chosen: ChosenModel, contest: Contest, alpha: float, before: St
 def _comparisons(
     chosen: ChosenModel, contest: Contest, known: Mapping[Key, Comparison], but: Collection[Key] = ()
 ) -> dict[Key, Comparison]:
-    """The places of the effects of a model, except `but`; a place that is `known` gets only the missing rivals."""
+    """Comparisons of the effects of a model, except `but`; a `known` one gets only its missing alternatives."""
     keys = {term.hypothesis.key: term for term in chosen.model.members}
     return {
         key: _comparison(chosen, contest, term, known[key].alternatives if key in known else ())
@@ -109,7 +108,7 @@ def _comparisons(
 
 
 def _unaffected(model: Model, other: Model) -> frozenset[Key]:
-    """Effects of both models whose sensor neither has an effect on that the other has not."""
+    """Effects of both models on sensors whose effects are the same in both."""
     own, new = ({t.hypothesis.key: t.hypothesis.effect for t in m.members} for m in (model, other))
     changed = [(own | new)[key] for key in own.keys() ^ new.keys()]
     sensors = set(Sensor) if any(e.shared for e in changed) else {e.sensor for e in changed}
@@ -119,9 +118,9 @@ def _unaffected(model: Model, other: Model) -> frozenset[Key]:
 def _after_best_exchange(
     chosen: ChosenModel, comparisons: Mapping[Key, Comparison], level: float, contest: Contest
 ) -> ChosenModel | None:
-    """The model after the best exchange that keeps what it promised once everything was fitted again; None: none does.
+    """The model after the best exchange that still improves it after a complete fit; None if there is none.
 
-    Every exchange is judged beside the others as they are fitted to that moment, and they may have leant on what goes.
+    An exchange is judged beside the other effects as they were fitted, and they may depend on the effect that leaves.
     """
     for worth, key, score in _gainful_exchanges(chosen, comparisons, level, contest)[: prices.EXCHANGES_TRIED]:
         if contest.pace.ends():
@@ -139,10 +138,11 @@ def _with_exchange(chosen: ChosenModel, old: Key, new: ContestScore) -> ChosenMo
 
 
 def without_drift_noise(chosen: ChosenModel, start: Model, contest: Contest, alpha: float) -> ChosenModel:
-    """The model, or a better one without noise that wanders, whose effects were exchanged until none has a better one.
+    """The model, or a better one that was selected without drift noise and stabilised by exchanges.
 
-    Forward steps may stop where two of the wrong effects stand; wandering noise then beats them, and not the right two.
-    A magnet that is put on and taken off makes two jumps. Neither alone says much, so events are also tried first.
+    Forward selection may stop at two wrong effects, which drift noise then beats, while the two right ones would not be
+    beaten. A magnet that is put on and taken off makes two jumps, neither significant alone: events are also tried
+    first.
     """
     drifting = {t.hypothesis.effect.sensor for t in chosen.model.noise_terms if t.hypothesis.effect.drifts}
     if not drifting or {Sensor.ACCEL, Sensor.MAG} <= drifting:  # both: it is the reference, which comes next
@@ -166,7 +166,7 @@ def without_drift_noise(chosen: ChosenModel, start: Model, contest: Contest, alp
 def _starting_with_events(
     start: Model, jumps: Sequence[Hypothesis], contest: Contest, alpha: float
 ) -> ChosenModel | None:
-    """A model that begins with `jumps` alone; None where there are no two of them."""
+    """A model that was selected from `jumps` first; None if fewer than two were selected."""
     tests = sum(not h.again for h in contest.hypotheses)
     events = select(start, contest.restricted_to(jumps), alpha * len(jumps) / max(len(contest.hypotheses), 1))
     if len(events.scores) < 2:
@@ -178,10 +178,10 @@ def _starting_with_events(
 def _gainful_exchanges(
     chosen: ChosenModel, comparisons: Mapping[Key, Comparison], level: float, contest: Contest
 ) -> list[tuple[float, Key, ContestScore]]:
-    """Exchanges of one effect for another that gain, best first, and by how much the model may seem worse after each.
+    """Exchanges that gain, best first, and by how much the objective may rise after each.
 
-    Beside noise that was learned from flights a hundredth of an effect is a second order of it: for that much the one
-    with fewer numbers is believed.
+    Beside noise learned from flights a hundredth of an effect is of second order: by that much the effect with fewer
+    parameters is preferred.
     """
     found = []
     for key, comparison in comparisons.items():
@@ -194,7 +194,7 @@ def _gainful_exchanges(
 
 
 def second_order_evidence(chosen: ChosenModel, own: float) -> float:
-    """Part of an effect's evidence that is its second order; zero unless the noise was learned from flights."""
+    """Second-order part of an effect's evidence; zero unless the noise was learned from flights."""
     return prices.FLIGHT_SECOND_ORDER_SHARE * max(own, 0.0) if has_learned_spectrum(chosen.model) else 0.0
 
 
@@ -205,7 +205,7 @@ anything slow, and is freer than any number of amplitudes.
 
 
 def flexibility_of(chosen: ChosenModel, key: Key) -> Flexibility | None:
-    """The freedom of an effect of the model; None for one that did not compete."""
+    """The flexibility of an effect of the model; None if it did not compete."""
     return next((_flexibility(score) for score in chosen.scores if score.hypothesis.key == key), None)
 
 
@@ -214,7 +214,7 @@ def _flexibility(score: ContestScore) -> Flexibility:
 
 
 def evidence_deficit(own: float, score: ContestScore, freedom: Flexibility | None, second: float) -> float:
-    """Evidence by which a rival is behind an effect; the freer of the two explains more of a `second` order."""
+    """Evidence by which a rival is behind an effect; the more flexible one is discounted by a `second` order."""
     if freedom is None or _flexibility(score) == freedom:
         return own - score.delta
     return own - score.delta + (second if _flexibility(score) > freedom else -prices.SECOND_ORDER_LOSS * second)
@@ -223,7 +223,7 @@ def evidence_deficit(own: float, score: ContestScore, freedom: Flexibility | Non
 def _comparison(
     chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known: Sequence[Alternative]
 ) -> Comparison:
-    """Every other hypothesis instead of `term`; some are `known` already."""
+    """Every other hypothesis in place of `term`; some are `known` already."""
     model = chosen.model
     key = term.hypothesis.key
     if isinstance(term, NoiseTerm):
@@ -289,7 +289,7 @@ def _own_score(chosen: ChosenModel, term: Term, columns: HypothesisColumns, besi
 
 
 def _is_known_rival(rival: Hypothesis, own: Hypothesis) -> bool:
-    """Whether it is the same effect elsewhere or in another form, or one that is known to imitate it."""
+    """Whether it is the same effect elsewhere or in another form, or a listed rival."""
     return rival.effect.id == own.effect.id or rival.effect.id in own.effect.rivals
 
 
@@ -307,7 +307,7 @@ def _imitated_share(
     energy: float,
     own_gain: float,
 ) -> float:
-    """The part of the effect's energy that the rival's columns can take."""
+    """The part of the effect's energy that the rival's columns can imitate."""
     if own is None or isinstance(score.hypothesis.effect, NoiseEffect) or score.df == 0:
         return float(np.clip(score.gain / max(own_gain, 1e-12), 0.0, 1.0))
     assert isinstance(term, Term)

@@ -1,4 +1,4 @@
-"""What the samples of a problem themselves show, trace by trace: effects of the lattice, and rows that say no more."""
+"""Effects of the sample lattice of each trace, and the rows that they exclude from the likelihood."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mavcal.calib.gap.search import prices
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """What the samples themselves show, by index of the trace where it matters to the rest."""
+    """Lattice effects of a problem; `masks` and added `variance` by index of the trace."""
 
     effects: tuple[EffectEstimate, ...]
     masks: Mapping[int, LatticeEvidence]
@@ -25,7 +25,7 @@ class Lattice:
 
 
 def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Lattice:
-    """Lattice effects of every trace."""
+    """Lattice effects of every trace that no nominal recording shows as well."""
     found: list[EffectEstimate] = []
     masks: dict[int, LatticeEvidence] = {}
     variance: dict[int, float] = {}
@@ -46,7 +46,7 @@ def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Latti
 
 
 def nominal_has_samples(effect: LatticeEffect, evidence: LatticeEvidence, nominal: Iterable[Trace]) -> bool:
-    """Whether a nominal recording shows the same in its samples: then its noise knows of it."""
+    """Whether a nominal recording shows the same lattice effect."""
     for trace in nominal:
         other = effect.detect(trace) if trace.sensor is effect.sensor else None
         if other is not None and len(other.values) == len(evidence.values):
@@ -57,12 +57,12 @@ def nominal_has_samples(effect: LatticeEffect, evidence: LatticeEvidence, nomina
 
 
 def covered_by(lattice: Lattice, effect: EffectEstimate) -> bool:
-    """Whether an effect is what the samples show already: themselves, or because coarse levels have one at zero."""
+    """Whether a lattice effect already describes an effect, itself or by coarse levels around zero."""
     return any(_explains(e, effect) and set(effect.instances) <= set(e.instances) for e in lattice.effects)
 
 
 def _explains(shown: EffectEstimate, effect: EffectEstimate) -> bool:
-    """Whether an effect of the samples is `effect` itself, or makes its dead band."""
+    """Whether a lattice effect is `effect` itself, or causes its dead band."""
     if shown.id == effect.id:
         return True
     coarse, dead = Trait.COARSE in by_id()[shown.id].traits, Trait.DEAD_BAND in by_id()[effect.id].traits
@@ -70,7 +70,7 @@ def _explains(shown: EffectEstimate, effect: EffectEstimate) -> bool:
 
 
 def _each_instance(traces: Sequence[Trace]) -> Iterator[tuple[int, Trace]]:
-    """Index and trace of every instance: against the reference or, where it has none, against another instance."""
+    """Index and trace of every instance: against the reference or, without one, against another instance."""
     single = {(t.sensor, i) for t in traces if t.against is None for i in t.instances}
     for index, trace in enumerate(traces):
         if trace.against is None:

@@ -1,4 +1,4 @@
-"""What these recordings could have shown: the smallest value of a parameter that is found half of the time."""
+"""Power of the tests: the smallest parameter value that these recordings would show with a chance of one half."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mavcal.calib.gap.search.selection import ChosenModel
 
 
 def powers_of(chosen: ChosenModel, contest: Contest, alpha: float) -> tuple[Power, ...]:
-    """For every linear effect that was not found: the weakest of its parameters' strongest instance."""
+    """For every linear effect that was not found, the smallest detectable value of each parameter."""
     taken = {t.hypothesis.effect.id for t in chosen.model.members}
     best: dict[tuple[str, str], Power] = {}
     for power in _powers(chosen, contest, alpha / max(chosen.tests, 1)):
@@ -42,6 +42,6 @@ def _powers(chosen: ChosenModel, contest: Contest, level: float) -> Iterator[Pow
 
 
 def noncentrality(df: int, level: float) -> float:
-    """The sum of (effect / sigma)^2 at which a test of `df` numbers at `level` fires half of the time."""
+    """The sum of (effect / sigma)^2 at which a test of `df` numbers at `level` fires with a chance of one half."""
     threshold = float(chdtri(df, level))
     return float(brentq(lambda x: float(chndtr(threshold, df, x)) - 0.5, 1e-9, 4.0 * threshold + 50.0))

@@ -1,6 +1,6 @@
-"""Forward-backward selection: the best hypothesis that is significant and worth its price joins, until none is.
+"""Forward-backward selection of significant effects that are worth their price.
 
-After every step all parameters are fitted together, the noise again, and what has become superfluous leaves again.
+After every step all parameters and the noise are fitted again, and effects that became superfluous leave.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ Gains = Mapping[Key, tuple[float, int, int]]
 
 @dataclass(frozen=True, eq=False)
 class ChosenModel:
-    """A fitted model, its covariance, the scores when each term joined, and the level of significance."""
+    """A fitted model, its covariance, the scores of its terms when they entered, and the number of tests."""
 
     model: Model
     joint: Joint
@@ -62,7 +62,7 @@ class ChosenModel:
 
 
 def largest_gain(chosen: ChosenModel, contest: Contest) -> float:
-    """Largest gain of the effects in a model, each beside all the others."""
+    """Largest marginal gain of the effects in a model."""
     return max((gain for gain, _, _ in marginal_gains(chosen.model, contest).values()), default=0.0)
 
 
@@ -75,7 +75,7 @@ def jointly_fitted(model: Model) -> tuple[Model, Joint, FittedNoise]:
 
 
 def locally_fitted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
-    """The same of the sensors that `hypothesis` touches, where it came or went: the others are not moved by it.
+    """The same for the sensors that `hypothesis` acts on and those coupled with them.
 
     With `hold` shapes stay where they are, which takes a fraction of the time.
     """
@@ -86,10 +86,10 @@ def locally_fitted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) 
 
 
 def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
-    """The effects that the data show; noise that wanders comes last.
+    """The effects that the data show.
 
-    It can take the place of any slow effects on the mean, even of two at once where neither is better alone. It is
-    therefore left out at first, and may join beside them. Only then is it tested in their place.
+    Drift noise can replace any slow effects on the mean, even two at once. It is therefore excluded at first, then
+    admitted beside the selected effects, and only then tested in their place.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
 
 
 def _undeclared_noise_is_slow(model: Model) -> bool:
-    """Whether noise that nobody declared is slow, and not by an error of a trajectory that was re-estimated."""
+    """Whether undeclared noise has most power at low frequencies, and no re-estimated trajectory causes it."""
     views = model.setting.views
     if any(view.att_sd > 0.0 for view in views):
         return False
@@ -131,10 +131,10 @@ def _undeclared_noise_is_slow(model: Model) -> bool:
 
 
 def _with_white_noise(model: Model) -> Model:
-    """The model with noise that nobody declared as if none of it were slow.
+    """The model with white noise on every axis whose noise is not declared.
 
-    An offset lies in one number of its transform, and a slow effect in a few: noise that is fitted while they are in
-    it takes them for its own.
+    An offset is in one bin of the transform and a slow effect in a few. Noise that is fitted before they are explained
+    absorbs them.
     """
     start = starting_noise(model.setting)
     views = model.setting.views
@@ -142,7 +142,7 @@ def _with_white_noise(model: Model) -> Model:
 
 
 def _better_by_sensor(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> ChosenModel:
-    """`other` where it says materially more: sensor by sensor, unless effects or the reference's error tie them."""
+    """`other` if its objective is materially better: by sensor, unless shared effects or the reference tie them."""
     if any(t.effect.shared for c in (chosen, other) for t in c.model.terms) or chosen.model.ridge is not None:
         worth = prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest)
         return other if objective(other) < objective(chosen) - worth else chosen
@@ -162,13 +162,13 @@ def _better_by_sensor(chosen: ChosenModel, other: ChosenModel, contest: Contest)
 
 
 def _sensor_objective(chosen: ChosenModel, sensor: Sensor) -> float:
-    """The part of :func:`objective` that is of one sensor."""
+    """The part of :func:`objective` of one sensor."""
     deviance = sum(level for (own, _), level in chosen.noise.deviance.items() if own is sensor)
     return deviance + total_price(s for s in chosen.scores if s.hypothesis.effect.sensor is sensor)
 
 
 def _merged_by_sensor(chosen: ChosenModel, other: ChosenModel, taken: Collection[Sensor]) -> ChosenModel:
-    """The effects of `other` on the sensors `taken`, those of `chosen` on the rest."""
+    """The effects of `other` on the sensors `taken`, and those of `chosen` on the rest."""
     others = [s for s in chosen.scores if s.hypothesis.effect.sensor not in taken]
     scores = (*others, *(s for s in other.scores if s.hypothesis.effect.sensor in taken))
     pair = (chosen.model, other.model)
@@ -190,7 +190,7 @@ def _is_on(term: Term | NoiseTerm, sensors: Collection[Sensor]) -> bool:
 
 
 def _drift_is_best(first: Sequence[ContestScore], level: float) -> bool:
-    """Whether noise that wanders is the best single effect on some sensor."""
+    """Whether drift noise is the best single effect on some sensor."""
     best: dict[Sensor, ContestScore] = {}
     for score in (s for s in first if s.p < level):
         sensor = score.hypothesis.effect.sensor
@@ -202,7 +202,7 @@ def _drift_is_best(first: Sequence[ContestScore], level: float) -> bool:
 def extended(
     chosen: ChosenModel, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None
 ) -> ChosenModel:
-    """A model with everything that is still significant beside it, at `level` a test."""
+    """The model with every further effect that is significant at `level` a test and worth its price."""
     candidates = contest.hypotheses if candidates is None else candidates
     model, joined, first = chosen.model, list(chosen.scores), chosen.first
     gains: Gains = {}
@@ -233,12 +233,12 @@ def extended(
 
 
 def _happens(score: ContestScore) -> bool:
-    """Whether it is an event: one that waits for room behind errors of other sensors spoils their noise meanwhile."""
+    """Whether it is an event. An event that waits for errors of other sensors to enter spoils its noise meanwhile."""
     return score.hypothesis.effect.jumps
 
 
 def with_score(model: Model, score: ContestScore) -> Model:
-    """The model with a hypothesis that was scored beside it."""
+    """The model with the hypothesis of a score."""
     if isinstance(score.hypothesis.effect, NoiseEffect):
         return with_term(model, NoiseTerm(score.hypothesis, score.theta))
     term = Term(score.hypothesis, score.beta, score.theta)
@@ -252,7 +252,7 @@ def _candidate_scores(
     old: dict[Key, ContestScore],
     changed: set[Sensor] | None,
 ) -> dict[Key, ContestScore]:
-    """Scores of all candidates that are not in the model; those of sensors that did not change stay."""
+    """Scores of all candidates that are not in the model; those of unchanged sensors are kept from `old`."""
     there = [term.hypothesis for term in model.members]
     taken = {hypothesis.key for hypothesis in there}
     beside = Projection(model)
@@ -274,10 +274,10 @@ def _candidate_scores(
 def _best_candidate(
     scores: dict[Key, ContestScore], level: float, gains: Gains, contest: Contest, model: Model
 ) -> tuple[ContestScore | None, Model | None]:
-    """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
+    """The best significant score, refined and no second order of the model's effects, and its fitted model, if any.
 
-    Noise that wanders may have taken the place of a slow mean. So may undeclared noise, which was fitted to the mean as
-    well. What a mean gains beside them says little. The second result is the model that it joins, if that was fitted.
+    Drift noise and undeclared noise may have absorbed a slow mean, so the gain of a mean beside them is not compared
+    with the second order.
     """
     wandering = any(t.hypothesis.effect.drifts for t in model.noise_terms)
     undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}
@@ -306,10 +306,10 @@ def _best_candidate(
 
 
 def _best_after_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[ContestScore, Model | None]:
-    """The best of scores in their order; of large ones, the one beside which the noise again says most.
+    """The best score; if gains are large, the best of several after the noise was fitted with each.
 
-    A large gap is in the noise that is fitted before anything explains it: beside a bias of a hundred standard
-    deviations what else a misalignment explains counts for next to nothing.
+    A large gap is part of the noise as long as nothing explains it: beside a bias of a hundred standard deviations a
+    misalignment gains next to nothing.
     """
     best = ranked[0]
     size = sum(3 * view.count for view in model.setting.views if best.hypothesis.touches(view))
@@ -336,9 +336,9 @@ def _best_after_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[Con
 
 
 def _second_order_limit(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
-    """Gain below which an effect is a second order of the largest one on its sensor, or of one far larger elsewhere.
+    """Gain below which an effect is a second order of the largest one on its sensor, or of a far larger one elsewhere.
 
-    What shakes at some frequency has no second order that goes with temperature or turns: a mean is one of means.
+    Vibration at some frequency has no second order that follows temperature or rotation: only a mean has one of a mean.
     """
     of = {term.hypothesis.key: term.hypothesis.effect for term in model.members}
     effect = hypothesis.effect
@@ -353,20 +353,20 @@ def _second_order_limit(hypothesis: Hypothesis, model: Model, gains: Gains) -> f
 
 
 def _may_be_second_order(effect: CatalogueEffect, other: CatalogueEffect) -> bool:
-    """Whether an effect could be a second order of another: a mean could not of noise that does not wander."""
+    """Whether an effect could be a second order of another; a mean is none of stationary noise."""
     steady = isinstance(other, NoiseEffect) and not other.drifts
     return not (steady and isinstance(effect, MeanEffect) and not effect.tonal)
 
 
 def has_learned_spectrum(model: Model) -> bool:
-    """Whether a spectrum was learned from other recordings: small true structure is everywhere in them."""
+    """Whether a noise spectrum was learned from other recordings, in which small true structure is everywhere."""
     return any(view.density is not None for view in model.setting.views)
 
 
 def pruned(
     model: Model, contest: Contest, joined: list[ContestScore], level: float
 ) -> tuple[Model, list[ContestScore], Gains]:
-    """Without the terms that no longer are significant beside the others (Wald on the mean, ratio on the noise)."""
+    """The model without terms that are no longer significant (Wald on the mean, likelihood ratio on the noise)."""
     while True:
         gains = marginal_gains(model, contest)
         chances = {key: min(1.0, grid * float(chdtrc(df, gain))) for key, (gain, df, grid) in gains.items()}
@@ -380,7 +380,7 @@ def pruned(
 
 
 def refitted_without(chosen: ChosenModel, keys: Collection[Key]) -> ChosenModel:
-    """The same without the effects of those keys, everything fitted again."""
+    """The model without the effects of those keys, fitted again."""
     model = chosen.model
     for key in keys:
         model = without_effect(model, key)
@@ -390,7 +390,7 @@ def refitted_without(chosen: ChosenModel, keys: Collection[Key]) -> ChosenModel:
 
 
 def without_effect(model: Model, key: Key) -> Model:
-    """The model without the term of that key."""
+    """The model without the term of that key, not fitted again."""
     for term in model.noise_terms:
         if term.hypothesis.key == key:
             return without_term(model, term)
@@ -399,7 +399,7 @@ def without_effect(model: Model, key: Key) -> Model:
 
 
 def marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
-    """By term: what it gains beside all the others, its degrees of freedom, and the size of its grid."""
+    """By term, its gain beside all others, degrees of freedom, and size of the grid."""
     found = _mean_marginal_gains(model, contest)
     full: dict[Sensor, float] = {}
     for noise in model.noise_terms:
@@ -413,9 +413,9 @@ def marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int
 
 
 def _mean_marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
-    """Gains of the terms on the mean, from one set of normal equations.
+    """Marginal gains of the terms on the mean, from one set of normal equations.
 
-    A term is given back to the residual and fitted by its own columns beside everything that the others estimate.
+    A term is added back to the residual and fitted by its own columns, beside everything that the others estimate.
     """
     if not model.terms:
         return {}
@@ -447,7 +447,7 @@ def _within(k: int, rows: slice) -> bool:
 
 
 def with_term_in_residual(model: Model, i: int) -> Model:
-    """The model with what term `i` explains given back to the residual; the term stays listed."""
+    """The model with the contribution of term `i` added back to the residual; the term stays listed."""
     others = replace(model, terms=tuple(t for j, t in enumerate(model.terms) if j != i))
     back = with_residual(others)
     return replace(model, residual=back.residual, y=back.y)
@@ -467,15 +467,15 @@ def _hypothesis_of(model: Model, key: Key) -> Hypothesis:
 
 
 def objective(chosen: ChosenModel) -> float:
-    """``-2 log L`` with the price of every effect, and of the number of effects: smaller is better."""
+    """``-2 log L`` with the price of every effect and of their number; smaller is better."""
     return sum(chosen.noise.deviance.values()) + total_price(chosen.scores)
 
 
 def total_price(scores: Iterable[ContestScore]) -> float:
-    """Price of some effects together."""
+    """Price of several effects together."""
     return sum(s.price + prices.EFFECT_COUNT_PRICE for s in scores)
 
 
 def has_drift_noise(chosen: ChosenModel) -> bool:
-    """Whether noise that wanders is in the model."""
+    """Whether the model contains drift noise."""
     return any(t.hypothesis.effect.drifts for t in chosen.model.noise_terms)

@@ -1,7 +1,7 @@
-"""The reference's attitude as a slow process that the accelerometer and the magnetometer see alike (GAP 3.5).
+"""The reference's attitude error as a slow process that accelerometer and magnetometer share (GAP 3.5).
 
-A Gauss-Markov prior makes it cheap: two numbers, its size and its time, are chosen by the marginal likelihood; its
-cosines cost what they take from the prior, not an amplitude each.
+A Gauss-Markov prior makes it cheap: only its rms and its correlation time are chosen, by the marginal likelihood. Its
+cosines cost the distance from the prior, not an amplitude each.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ refined afterwards."""
 
 @dataclass(frozen=True, eq=False)
 class WanderFit:
-    """A model with a wandering reference, on averages over some samples, and the contest on these.
+    """A model with a wandering reference, on averages of samples, and its contest.
 
-    `gain` says how much better it is; `size_deg` and `time_s` are of the process, `noise` is with what it has above its
-    last cosine.
+    `gain` is its advantage; `size_deg` and `time_s` are rms and correlation time of the process. `noise` includes the
+    part of the process above its last cosine.
     """
 
     chosen: ChosenModel
@@ -65,12 +65,12 @@ class WanderFit:
 
 
 def sees_attitude(view: View) -> bool:
-    """Whether a series sees an error of the reference's attitude."""
+    """Whether a series contains the reference's attitude error."""
     return view.reference_error and view.sensor is not Sensor.GYRO and not view.first
 
 
 def fit_wander(chosen: ChosenModel, contest: Contest, start: Model, alpha: float) -> WanderFit | None:
-    """The better model in which the reference's attitude wanders, None if there is none."""
+    """The better model in which the reference's attitude wanders; None if there is none."""
     setting = start.setting
     if not any(map(sees_attitude, setting.views)) or contest.pace.ends():
         return None
@@ -107,10 +107,10 @@ def fit_wander(chosen: ChosenModel, contest: Contest, start: Model, alpha: float
 
 
 def _process_in_place_of_effects(chosen: ChosenModel) -> tuple[_ProcessFit, float]:
-    """The best process, and by how much a model with it is better, its own price apart: at least, infinite if unknown.
+    """The best process, and a lower bound of its advantage before its price; infinite if it replaces drift noise.
 
-    It stands for all drifts that could be its own, and of every effect that it explains better. What drifts
-    have beyond its last cosine is counted only later (:func:`with_tail`).
+    It replaces every drift noise that it could cause, and every effect that it explains better. The part of drifts
+    above its last cosine is added later (:func:`with_tail`).
     """
     bare, scores = chosen.model, {s.hypothesis.key: s for s in chosen.scores}
     drifts = [
@@ -134,6 +134,7 @@ def _process_in_place_of_effects(chosen: ChosenModel) -> tuple[_ProcessFit, floa
 
 
 def _can_be_replaced(hypothesis: Hypothesis, setting: Setting) -> bool:
+    """Whether the process could cause what the hypothesis describes."""
     effect = hypothesis.effect
     steady = isinstance(effect, MeanEffect) and not effect.tonal
     return steady and any(hypothesis.touches(view) for view in setting.views if sees_attitude(view))
@@ -145,7 +146,7 @@ def _sees_direction(hypothesis: Hypothesis) -> bool:
 
 @dataclass(frozen=True, order=True)
 class _ProcessFit:
-    """Twice the gain of marginal log-likelihood of a process, its rms (deg) and its time (s)."""
+    """Twice the gain of marginal log-likelihood of a process, its rms (deg) and its correlation time (s)."""
 
     gain: float
     size_deg: float
@@ -154,9 +155,9 @@ class _ProcessFit:
 
 @dataclass(frozen=True, eq=False)
 class _Process:
-    """What is the same of all models with one noise: columns, their weights by axis, and what each prior makes of them.
+    """What all models with one noise share: columns, weights by axis, and the priors.
 
-    `priors`: size and time, roots (p,) of the prior variances, and :func:`inverse_root` with them.
+    `priors`: rms, correlation time, roots (p,) of the prior variances, and :func:`inverse_root` with them.
     """
 
     frames: tuple[Binning, ...]
@@ -178,7 +179,7 @@ class _Process:
         return cls(frames, columns, weight, tuple(priors))
 
     def best(self, model: Model) -> _ProcessFit:
-        """The best size and time of the process beside a model of that noise."""
+        """The best rms and correlation time beside a model with that noise."""
         right = np.zeros(self.columns.p)
         for axis, part in self.columns.parts.items():
             v, c = divmod(axis, 3)
@@ -188,9 +189,9 @@ class _Process:
 
 
 def inverse_root(inner: Array) -> tuple[Array, float]:
-    """H (p, p) with ``H' H = A^-1`` and ``log det A`` of a matrix A that is one plus squares.
+    """H (p, p) with ``H' H = A^-1``, and ``log det A``, of a matrix A = I + squares.
 
-    Beside next to no noise these squares are so large that rounding makes some of them negative.
+    Beside almost no noise these squares are so large that rounding makes some eigenvalues negative.
     """
     try:
         factor = np.linalg.cholesky(inner)
@@ -203,13 +204,13 @@ def inverse_root(inner: Array) -> tuple[Array, float]:
 
 
 def marginal_gain(half: tuple[Array, float], right: Array) -> float:
-    """``r' A^-1 r - log det A``, of a matrix that was :func:`inverse_root`."""
+    """``r' A^-1 r - log det A``, from :func:`inverse_root`."""
     scaled = half[0] @ right
     return float(scaled @ scaled) - half[1]
 
 
 def with_tail(setting: Setting, noise: Sequence[AxisNoise], size_deg: float, time_s: float) -> tuple[AxisNoise, ...]:
-    """The noise with what the process has above the last of its cosines, as far as a sensor sees it on average."""
+    """The noise with the process above the last of its cosines, averaged over the attitudes of each sensor."""
     first, last = time_span(setting)
     changed = list(noise)
     for v, view in enumerate(setting.views):
@@ -275,7 +276,7 @@ def _block_means(values: Array, factor: int) -> Array:
 
 
 def process_cost(model: Model) -> float:
-    """What the process adds to ``-2 log L``: its distance from the prior, and its volume (Laplace)."""
+    """The process' part of ``-2 log L``: distance from the prior, and volume (Laplace)."""
     assert model.ridge is not None
     ridge = model.ridge
     normal = normal_equations((), model.y, model.weight, ridge)
@@ -284,7 +285,7 @@ def process_cost(model: Model) -> float:
 
 
 def rms_rotation(model: Model) -> tuple[ParameterEstimate, ...]:
-    """Root mean square of the error about each axis, rad."""
+    """Rms of the attitude error about each axis, rad."""
     assert model.ridge is not None
     normal = normal_equations((), model.y, model.weight, model.ridge)
     covariance = np.linalg.inv(normal.gram)

@@ -1,9 +1,9 @@
-"""Whether whitened residuals are white noise, as bets: noise that is louder at times, waves of any form.
+"""Tests whether whitened residuals are white noise: bursts of noise, and waves of any form.
 
-A bet is an e-value: a likelihood averaged over what it bets on, in parts of the largest likelihood that a model without
-it reaches. Where that model is true its mean is at most one. It then exceeds ``1 / a`` with a chance of at most `a`,
-whatever was averaged over (Ville 1939; Wasserman, Ramdas & Balakrishnan 2020). Nothing has to be simulated, and
-the mean of bets is a bet.
+A bet is an e-value: a likelihood averaged over alternatives, divided by the largest likelihood of a model without them.
+If that model is true its mean is at most one, and it exceeds ``1 / a`` with a chance of at most `a`, whatever was
+averaged over (Ville 1939; Wasserman, Ramdas & Balakrishnan 2020). No simulation is needed, and the mean of bets is a
+bet.
 """
 
 from __future__ import annotations
@@ -63,18 +63,18 @@ next."""
 
 
 def bets_of(model: Model) -> tuple[Unexplained, ...]:
-    """Every bet on what a model leaves over, of each series whose noise is declared; their nats are logs."""
+    """Every bet on the residual of a model, for each series with declared white noise; nats are logs of bets."""
     return tuple(bet for v in range(len(model.setting.views)) for bet in _bets(model, v))
 
 
 def winning_bets(bets: Sequence[Unexplained]) -> list[Unexplained]:
-    """Those that win among all that are made."""
+    """Bets that are significant among all."""
     needed = math.log(max(len(bets), 1) / _CHANCE)
     return [bet for bet in bets if bet.nats > needed]
 
 
 def log_odds(bets: Sequence[Unexplained]) -> float | None:
-    """The log of all bets together, a bet as well; None: none is made."""
+    """The log of the mean of all bets; None without bets."""
     return _log_mean(np.array([bet.nats for bet in bets])) if bets else None
 
 
@@ -94,14 +94,14 @@ def _bets(model: Model, v: int) -> Iterator[Unexplained]:
 
 
 def _is_white(view: View) -> bool:
-    """Whether its noise is known to be white: what was learned from flights was averaged over all that was there."""
+    """Whether the noise of a series is known to be white; spectra learned from flights are averages."""
     return view.density is None and view.variance is not None and not view.first and not is_coarsely_quantised(view)
 
 
 def burst_bet(white: Array) -> float:
-    """Log of the bet that the variance of white series (p, n) goes to and fro between two values.
+    """Log of the bet that the variance of white series (p, n) switches between two values.
 
-    It is a Markov chain of two states, against samples that are louder or not in no order: heavy tails are no bursts.
+    The bet is on a Markov chain of two states against loud samples in random order: heavy tails are no bursts.
     """
     width = -(-white.shape[1] // _BLOCKS)
     count = white.shape[1] // width
@@ -122,7 +122,7 @@ def burst_bet(white: Array) -> float:
 
 
 def _chain_likelihoods(energy: Array, freedom: NDArray[np.intp]) -> Array:
-    """Log-likelihood of Markov chains of two variances against unit variance, averaged over them, (k,).
+    """Log-likelihood (k,) of Markov chains of two variances, averaged over chains, against unit variance.
 
     `energy` (k, n): sums of `freedom` (k,) squares each. The first state has unit variance.
     """
@@ -147,9 +147,10 @@ def _chain_likelihoods(energy: Array, freedom: NDArray[np.intp]) -> Array:
 
 
 def _mixture_likelihood(energy: Array, freedom: int) -> float:
-    """The largest log-likelihood of sums (n,) of so many squares whose variance is one of two, against unit variance.
+    """The largest log-likelihood of sums (n,) of `freedom` squares with one of two variances each, against unit
+    variance.
 
-    Either at each of them by itself, by rounds of expectation and maximisation.
+    By expectation and maximisation, each sum independently.
     """
     best = 0.0
     for part, variance in _STARTS:
@@ -166,10 +167,10 @@ def _mixture_likelihood(energy: Array, freedom: int) -> float:
 
 
 def wave_bet(white: Array) -> tuple[float, float]:
-    """Log of the bet that white series (p, n) have a wave of any form, and how many periods of the likeliest they have.
+    """Log of the bet that white series (p, n) contain a periodic wave, and the number of its likeliest periods.
 
-    At each frequency a wave and its overtones are tried. Their amplitudes share a prior of their own size. Periodograms
-    are summed over overtones as by de Jager, Raubenheimer & Swanepoel 1989.
+    At each frequency a wave and its overtones are tried, with a common prior of their own size. Periodograms are summed
+    over overtones as by de Jager, Raubenheimer & Swanepoel 1989.
     """
     width = -(-white.shape[1] // _LONGEST)
     n = white.shape[1] // width
@@ -198,5 +199,5 @@ def wave_bet(white: Array) -> tuple[float, float]:
 
 
 def _log_mean(bets: Array) -> float:
-    """The log of the mean of bets, which are given as logs."""
+    """Log of the mean of bets that are given as logs."""
     return float(logsumexp(bets) - math.log(len(bets)))

@@ -43,7 +43,7 @@ _POLES = np.geomspace(3e-5, 0.3, 20)
 
 @dataclass(frozen=True, eq=False)
 class MisattributedNoise:
-    """A noise effect that is something else."""
+    """A noise effect with another cause; `driver` if the axes drift together."""
 
     key: tuple[str, tuple[int, ...]]
     text: str
@@ -75,9 +75,9 @@ def misattributed_noise(model: Model) -> tuple[MisattributedNoise, ...]:
 
 
 def hidden_driver(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
-    """Whether the axes' drifts are correlated (Bartlett): then something drives them together.
+    """The common driver of the axes' drifts if they are correlated (Bartlett), else None.
 
-    An axis that reads the same as its reference has no drift, and drives nothing.
+    An axis that reads the same as its reference has no drift and does not count.
     """
     view = model.setting.views[v]
     y, own = [], []
@@ -107,7 +107,7 @@ def hidden_driver(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
 
 
 def returns_to_mean(model: Model, v: int, term: NoiseTerm) -> bool:
-    """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than a walk and than flicker."""
+    """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than a random walk and flicker."""
     view = model.setting.views[v]
     bins = model.setting.bins[v]
     steep = 1.0 / random_walk(view.omega)
@@ -141,7 +141,7 @@ of real sensors is never exactly normal."""
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Nats of what is in no effect of a model, the sensor on which it is, and what is said of it."""
+    """Nats in the residual of a sensor that no effect of the model explains, and their description."""
 
     nats: float
     text: str
@@ -149,10 +149,10 @@ class Unexplained:
 
 
 def nonstationary_noise(model: Model) -> list[Unexplained]:
-    """By sensor, nats by which noise that swells and fades would fit better than the steady one, if not by chance.
+    """By sensor, nats by which noise of varying power fits better than stationary noise, if not by chance.
 
-    Only where white noise is declared and nothing in the model varies by itself: what was learned from flights was
-    averaged over its own swelling.
+    Only with declared white noise and without modulated noise in the model: a spectrum learned from flights is an
+    average over their own variation.
     """
     worst: dict[Sensor, Unexplained] = {}
     for v, view in enumerate(model.setting.views):
@@ -180,7 +180,7 @@ def nonstationary_noise(model: Model) -> list[Unexplained]:
 
 
 def is_coarsely_quantised(view: View) -> bool:
-    """Whether readings are rounded so much that the error of rounding is no noise."""
+    """Whether quantisation steps exceed the noise, so that the error of rounding is no noise."""
     for trace in view.traces.values():
         rows = trace.measured[view.keep] if len(trace.t) == len(view.keep) else trace.measured
         variance = float(np.mean(view.variance)) if view.variance is not None else 0.0
@@ -190,7 +190,7 @@ def is_coarsely_quantised(view: View) -> bool:
 
 
 def has_modulated_noise(model: Model, view: View) -> bool:
-    """Whether a model has noise on a series that goes with something: it is not steady, and has a name."""
+    """Whether the model has noise on a series whose power follows a known envelope."""
     return any(
         isinstance(term.hypothesis.effect, NoiseEffect)
         and term.hypothesis.effect.variance is not None
@@ -200,10 +200,10 @@ def has_modulated_noise(model: Model, view: View) -> bool:
 
 
 def _excess_scatter(white: Array, width: int, tests: int) -> float:
-    """Excess scatter of the energies of windows of `width` samples of axes (p, n), in nats; 0 if chance makes as much.
+    """Excess scatter, in nats, of the energies of windows of `width` samples of axes (p, n); 0 if chance explains it.
 
-    Chance is that of the same samples in any other order: the energies' own scatter, whatever their tails (Pearson).
-    The largest count as what most stay below, or two single ones beside each other would do.
+    Chance is judged by the scatter of single energies in any order, whatever their tails (Pearson). The largest ones
+    are clipped, or two of them in one window would be significant.
     """
     count = white.shape[1] // width
     if count < _LEAST:
@@ -240,7 +240,7 @@ _LISTED = 3
 
 
 def bursts(model: Model) -> Iterator[tuple[Key, str]]:
-    """Noise of a model that is there in a small part of the recording, and in words when."""
+    """Noise terms that are present in a small part of the recording, and a description with times."""
     for term in model.noise_terms:
         effect = term.hypothesis.effect
         if not isinstance(effect, NoiseEffect) or effect.drifts or effect.variance is not None or effect.shape:
@@ -252,7 +252,7 @@ def bursts(model: Model) -> Iterator[tuple[Key, str]]:
 
 
 def _burst_spans(model: Model, term: NoiseTerm) -> list[tuple[float, float]] | None:
-    """Where the noise of a term is, s, the longest first; None: throughout, or nobody knows."""
+    """Intervals in which the noise of a term is present, s, the longest first; None if throughout or undecided."""
     edges, excess = _excess_by_window(model, term)
     mean = float(excess.mean()) if len(excess) >= _FEWEST else 0.0
     loud = np.flatnonzero(excess > _LOUD_RATIO * mean)
@@ -265,7 +265,7 @@ def _burst_spans(model: Model, term: NoiseTerm) -> list[tuple[float, float]] | N
 
 
 def _excess_by_window(model: Model, term: NoiseTerm) -> tuple[Array, Array]:
-    """Edges (m + 1,) of windows of a second, and (m,) by how much more power they have than without the term."""
+    """Edges (m + 1,) of windows of one second, and their power (m,) above the noise without the term."""
     touched = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view)]
     times = [model.setting.views[v].t for v in touched]
     first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)

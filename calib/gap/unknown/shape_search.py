@@ -1,8 +1,8 @@
-"""What no effect of the catalogue explains, as competitors that pay for their freedom.
+"""Unnamed shapes as competitors of the catalogue, which pay for their freedom.
 
-The catalogue is tried first and alone. Shapes (:mod:`calib.gap.unknown.shapes`) are then compared with it in three
-places: beside its model, instead of all that it has on a sensor, and instead of each of its effects; the best of them
-join the contest. (What is said of them, and of all else that is unknown: :mod:`calib.gap.unknown.verdict`.)
+The catalogue is tried first, alone. Shapes (:mod:`calib.gap.unknown.shapes`) are then compared with it in three places:
+beside its model, in place of all effects on a sensor, and in place of each effect. The best of them join the contest.
+(The report of unnamed causes: :mod:`calib.gap.unknown.verdict`.)
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _CONTAINED_SHARE = 0.8
 
 @dataclass(frozen=True, eq=False)
 class ShapeSearch:
-    """The better of the two models, and the contest that has the likeliest shapes among its rivals."""
+    """The better of the two models, and the contest with the likeliest shapes among the rivals."""
 
     chosen: ChosenModel
     contest: Contest
@@ -53,7 +53,7 @@ class ShapeSearch:
 
 @dataclass(frozen=True, eq=False)
 class _ShapePlace:
-    """A shape where it would stand: what it displaces is worth `own` (penalised evidence) with `df` numbers."""
+    """A shape in a place: it replaces effects of penalised evidence `own` with `df` parameters."""
 
     score: ContestScore
     own: float = 0.0
@@ -61,12 +61,13 @@ class _ShapePlace:
 
     @property
     def better(self) -> float:
-        """By how much the shape is."""
+        """Penalised evidence of the shape less that of the replaced effects."""
         return self.score.delta - self.own
 
     @property
     def elaborate(self) -> bool:
-        """Whether it says no more than what it would displace, in more numbers: it may stand beside that alone."""
+        """Whether it explains hardly more than the replaced effects, with more parameters: it may only stand beside them.
+        """
         more = is_broken_line(self.score.hypothesis) or self.score.df > self.df
         return more and self.own > _CONTAINED_SHARE * self.score.delta
 
@@ -74,9 +75,9 @@ class _ShapePlace:
 def with_shapes(
     chosen: ChosenModel, contest: Contest, start: Model, alpha: float, named: Collection[str]
 ) -> ShapeSearch:
-    """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals.
+    """The catalogue's model, or a better one with shapes, and a contest with the likeliest shapes as rivals.
 
-    `named` are the ids of the catalogue, of effects that cannot be tested here as well.
+    `named` are all ids of the catalogue, including effects that cannot be tested here.
     """
     if contest.pace.ends():
         return ShapeSearch(chosen, contest)
@@ -107,12 +108,12 @@ def with_shapes(
 
 
 def _second_order_gain(chosen: ChosenModel, contest: Contest) -> float:
-    """Part of the largest gain that is a second order of it; noise takes what is its own."""
+    """Second-order part of the largest gain; zero if noise effects are in the model."""
     return 0.0 if chosen.model.noise_terms else prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest)
 
 
 def _shortlist(places: Sequence[_ShapePlace]) -> list[_ShapePlace]:
-    """The best few in each place."""
+    """The best few shapes of each place."""
     found = []
     for own in dict.fromkeys(p.own for p in places):
         found += sorted((p for p in places if p.own == own), key=lambda p: -p.score.delta)[:_SHORTLIST]
@@ -122,7 +123,7 @@ def _shortlist(places: Sequence[_ShapePlace]) -> list[_ShapePlace]:
 def _instead_of_all_effects(
     chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest, start: Model
 ) -> list[_ShapePlace]:
-    """Shapes instead of all effects of a sensor."""
+    """Shapes in place of all effects on a sensor."""
     found = []
     before = noise_fitted(start).deviance
     for sensor in {term.hypothesis.effect.sensor for term in chosen.model.members}:
@@ -140,7 +141,7 @@ def _instead_of_all_effects(
 def _instead_of_each_effect(
     chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest
 ) -> list[_ShapePlace]:
-    """Shapes instead of each effect."""
+    """Shapes in place of each effect."""
     found = []
     level = sum(chosen.noise.deviance.values())
     for term in chosen.model.members:
@@ -154,7 +155,7 @@ def _instead_of_each_effect(
 
 
 def _shape_scores(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Projection) -> list[ContestScore]:
-    """Scores of all shapes and of their parts, whose columns are made once."""
+    """Scores of all shapes and their parts, with the columns of a shape made once."""
     found = []
     for shape in shapes:
         columns = contest.columns.of(shape.whole, math.nan, beside.model.setting)

@@ -1,7 +1,7 @@
-"""Shapes that no effect of the catalogue has: lines over covariates, products, other sensors, low orders of readings.
+"""Unnamed shapes: lines over covariates, products, readings of other sensors, low orders of a reading.
 
-They stand in the same contest as the catalogue and pay for their freedom. What has many amplitudes is offered in parts
-as well, by axis and by signal: one amplitude shows what eighteen would hide.
+They compete with the catalogue and pay for their freedom. A shape with many amplitudes is also offered in parts, by
+axis and by signal: one significant amplitude would be lost among eighteen.
 """
 
 from __future__ import annotations
@@ -72,23 +72,23 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, eq=False)
 class ShapeHypothesis:
-    """A hypothesis of many amplitudes, and by the rows of its columns what is offered as a hypothesis of its own."""
+    """A shape with many amplitudes, and its parts with the rows of its columns that they use."""
 
     whole: Hypothesis
     parts: tuple[tuple[Hypothesis, Rows], ...] = ()
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """All that it offers."""
+        """The shape and its parts."""
         return self.whole, *(h for h, _ in self.parts)
 
 
 @dataclass(frozen=True, eq=False)
 class _ShapeGroup:
-    """Signals (q, N) that act on every axis alike, or with `each` signals (N, 3) of the axis itself.
+    """Signals (q, N) that act on every axis alike, or with `each` signals (N, 3) of the single axes.
 
-    `family` is what its price goes by (:func:`calib.gap.search.evidence.price_of_kind`); `names` of the single signals,
-    where they are offered alone.
+    `family` sets the price (:func:`calib.gap.search.evidence.price_of_kind`); `names` are those of single signals that
+    are offered alone.
     """
 
     family: str
@@ -99,9 +99,9 @@ class _ShapeGroup:
 
 
 def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[str] = ()) -> tuple[ShapeHypothesis, ...]:
-    """Every shape that can be drawn, of every sensor and instance; of waves that `tones` found, their overtones.
+    """Every shape of every sensor and instance, and the overtones of the waves `tones`.
 
-    What has a name among the effects `named` in every one of its parts is no shape.
+    A shape whose parts all have a name among the effects `named` is omitted.
     """
     found: dict[object, ShapeHypothesis] = {}
     for view in setting.views:
@@ -118,7 +118,7 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[st
 
 
 def _common_growth(setting: Setting) -> Iterator[ShapeHypothesis]:
-    """What grows with time on all instances of a sensor alike: any of them would explain a part of it."""
+    """Growth with time on all instances of a sensor alike, of which each would explain a part."""
     for sensor in dict.fromkeys(view.sensor for view in setting.views):
         own = [view for view in setting.views if view.sensor is sensor and not view.first]
         units = tuple(sorted({i for view in own for i in view.weights}))
@@ -127,7 +127,7 @@ def _common_growth(setting: Setting) -> Iterator[ShapeHypothesis]:
 
 
 def is_broken_line(hypothesis: Hypothesis) -> bool:
-    """Whether it is a broken line, which bends about anything that its covariate drives."""
+    """Whether it is a broken line, which fits anything that its covariate drives."""
     return hypothesis.effect.family in _FLEXIBLE
 
 
@@ -159,12 +159,13 @@ def _shape(trace: Trace, group: _ShapeGroup, instances: tuple[int, ...]) -> Shap
 
 
 def _resampled(trace: Trace, own: Trace, drawn: Array) -> Array:
-    """A signal `drawn` at the times of `own` at those of `trace`: a difference of instances has rows of its own."""
+    """The signal `drawn` at the times of `own`, interpolated to those of `trace`."""
     return drawn if np.array_equal(trace.t, own.t) else np.interp(trace.t, own.t, drawn)
 
 
 def _effect(own: Trace, text: str, group: _ShapeGroup, rows: Rows, *, part: bool) -> MeanEffect:
-    """The columns `rows` of a group drawn along the trace `own`; column ``3 q + axis`` is signal q on that axis."""
+    """An effect with the columns `rows` of a group along the trace `own`; column ``3 q + axis`` is signal q on that axis.
+    """
     sensor = own.sensor
 
     def columns(trace: Trace, _theta: float) -> Array:
@@ -229,7 +230,7 @@ def _scalars(trace: Trace) -> Iterator[tuple[str, Array]]:
 
 
 def _hat_functions(values: Array, observed: NDArray[np.bool_], knots: int) -> Array | None:
-    """Hat functions over quantiles of a covariate; None where it hardly varies."""
+    """Hat functions over quantiles of a covariate; None if it hardly varies."""
     if not _varies(values, observed, 4 * knots):
         return None
     seen = values[observed]
@@ -248,12 +249,12 @@ def _varies(values: Array, observed: NDArray[np.bool_], least: int) -> bool:
 
 
 def _is_no_offset(values: Array) -> bool:
-    """Whether it differs from an offset."""
+    """Whether a signal differs from an offset."""
     return float(values.std()) > _OFFSET * math.sqrt(float((values**2).mean()))
 
 
 def _linear_shapes(trace: Trace, named: Collection[str]) -> Iterator[_ShapeGroup]:
-    """What another sensor of the vehicle reads, or how fast this one's reading changes."""
+    """Readings of other sensors, and the rate of change of the field."""
     for letter, vector in _vectors(trace):
         own = _MATRICES.get((trace.sensor, letter))
         if own is not None and own <= set(named):
@@ -266,7 +267,7 @@ def _linear_shapes(trace: Trace, named: Collection[str]) -> Iterator[_ShapeGroup
 
 
 def _product_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
-    """Products of two vectors, and of a scalar with the sensor's own ideal reading: axes that turn or stretch."""
+    """Products of two vectors, and of a scalar with the ideal reading: axes that rotate or scale with a covariate."""
     vectors = dict(_vectors(trace))
     for one, other in (("a", "a"), ("w", "w"), ("a", "w")):
         if one in vectors and other in vectors:
@@ -282,7 +283,7 @@ def _product_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
 
 
 def _driver_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
-    """One driver, to the first or second power; a battery, which sags with current and charge; an approach."""
+    """First or second power of one covariate; current and charge of a battery; exponential approaches."""
     if trace.current is not None:
         charge = np.cumsum(trace.current) / trace.fs
         yield _ShapeGroup("driven", "current and charge", np.stack([trace.current, charge]), ("current", "charge"))
@@ -298,7 +299,7 @@ def _driver_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
 
 
 def _growth_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
-    """What grows evenly, from the start of the recording or of the clock: an autopilot's begins with its power."""
+    """Linear growth from the start of the recording, or from power-up, when an autopilot's clock starts."""
     start, span = float(trace.t[0]), float(trace.t[-1] - trace.t[0])
     yield _ShapeGroup("driven", _SINCE_START, (trace.t - start)[None])
     if 0.0 < start < span:
@@ -306,7 +307,7 @@ def _growth_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
 
 
 def _reading_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
-    """Shapes of each axis' own ideal reading: low orders, the direction of its change, and dead travels."""
+    """Functions of each axis' ideal reading: low orders, direction of change, and backlash."""
     x = trace.ideal
     size = np.sqrt((x**2).mean(axis=0)) + 1e-300
     slope = np.gradient(x, axis=0)
@@ -328,7 +329,7 @@ def _reading_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
 
 
 def _simplest_shapes(trace: Trace, named: Collection[str]) -> Iterator[_ShapeGroup]:
-    """An offset and a factor of each axis, where the catalogue does without."""
+    """An offset and a factor of each axis, if the catalogue lacks them."""
     if _OFFSETS[trace.sensor] not in named:
         yield _ShapeGroup("simplest", "an offset", np.ones((1, len(trace.t))))
     if _SCALES[trace.sensor] not in named:
@@ -339,9 +340,9 @@ def _simplest_shapes(trace: Trace, named: Collection[str]) -> Iterator[_ShapeGro
 
 
 def _play_operator(x: Array) -> Array:
-    """Where pointers with play stand between the ends of their travels, -1..1, (travels, N, 3): the play operator.
+    """Position of pointers with play between the ends of their travel, -1..1, (travels, N, 3).
 
-    A long series is thinned to every few samples.
+    A long series is thinned.
     """
     every = max(1, len(x) // _POINTS)
     half = 0.5 * np.array(_TRAVELS)[:, None] * np.ptp(x, axis=0) + 1e-300
@@ -355,7 +356,7 @@ def _play_operator(x: Array) -> Array:
 
 
 def _periodic(trace: Trace, tone: Term) -> Iterator[_ShapeGroup]:
-    """Shapes of a wave that was found: it is periodic and no sine, or it switches on and off."""
+    """Shapes of a wave that was found: overtones, or switching on and off."""
     hz = tone.theta
     phase = 2.0 * np.pi * hz * (trace.t - trace.t[0])
     orders = [k for k in _HARMONICS if k * hz < _HIGHEST * trace.fs]

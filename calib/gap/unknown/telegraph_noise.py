@@ -1,7 +1,7 @@
-"""Readings that switch to and fro between two levels: telegraph noise, known as popcorn or burst noise of electronics.
+"""Telegraph noise: readings that switch between two levels, known as popcorn or burst noise of electronics.
 
-Its spectrum is that of a drift that comes back, and a few of its jumps look like an effect that comes and goes. What
-tells it from both is that only two levels occur: each axis is a Markov chain of two states, seen through white noise.
+Its spectrum is that of a drift that returns to its mean, and a few of its jumps look like a transient effect. Only two
+levels occur: each axis is a Markov chain of two states, observed through white noise.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ time; a twentieth of a nat decides nothing."""
 
 @dataclass(frozen=True, eq=False)
 class TelegraphNoise:
-    """Effects in whose place two levels are far likelier."""
+    """Effects that two levels explain far better."""
 
     keys: tuple[Key, ...]
     text: str
@@ -57,9 +57,9 @@ class TelegraphNoise:
 def telegraph_noise(
     model: Model, attributions: Sequence[Attribution], floor: Mapping[Sensor, float] | None = None
 ) -> tuple[TelegraphNoise, ...]:
-    """Effects of a model, alone or all of a sensor together, that stand for jumps to and fro.
+    """Effects of a model, one or all of a sensor together, that stand for jumps between two levels.
 
-    Jumps that gain less than the `floor` of their sensor are what two recordings differ by anyway.
+    Jumps that gain less than the `floor` of their sensor are differences between any two recordings.
     """
     found: list[TelegraphNoise] = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
@@ -74,12 +74,12 @@ def telegraph_noise(
 
 
 def _has_reference_error(model: Model, v: int) -> bool:
-    """Whether the error of the reference is a part of the model there: any levels would be its own."""
+    """Whether the model has the reference's attitude error in that series, which could be any levels."""
     return model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
 
 
 def _slow_term(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
-    """The term of a key if it acts on a sensor and is not noise of every frequency."""
+    """The term of a key if it acts on a sensor and is not broadband noise."""
     term = next((t for t in model.members if t.hypothesis.key == key), None)
     views = [view for view in model.setting.views if view.sensor is sensor]
     if term is None or not any(term.hypothesis.touches(view) for view in views):
@@ -88,11 +88,11 @@ def _slow_term(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | Non
 
 
 def _levels_explain_better(model: Model, terms: Sequence[Term | NoiseTerm], least: float) -> bool:
-    """Whether two levels on each axis are far likelier than `terms`, the others being as they are.
+    """Whether two levels on each axis are far likelier than `terms`, with the other terms unchanged.
 
-    Over all series that the terms change: what a few levels take of one of them is no match for an effect that
-    explains them all. A constant is no jump: the terms have one on each axis, too, and what the levels gain beyond
-    theirs must be at least `least`.
+    All series that the terms change count: a few levels in one of them are no match for an effect that explains them
+    all. A constant is no jump, so the terms have one on each axis too, and the levels must gain at least `least` beyond
+    it.
     """
     own, chains, switched, jumping = 0.0, 0.0, 0.0, False
     for v, view in enumerate(model.setting.views):
@@ -115,7 +115,7 @@ def _levels_explain_better(model: Model, terms: Sequence[Term | NoiseTerm], leas
 
 
 def _gain_of_model(model: Model, v: int, series: Array, rest: Array) -> float:
-    """Twice the log-likelihood by which a model is better than a `series` (n, 3) under the noise `rest` (3, n)."""
+    """Twice the log-likelihood of a model over a `series` (n, 3) with noise `rest` (3, n)."""
     view = model.setting.views[v]
     full = np.array([noise.power for noise in model.noise[3 * v : 3 * v + 3]])
     bare = np.log(rest) + view.spectra(series) ** 2 / rest
@@ -123,15 +123,15 @@ def _gain_of_model(model: Model, v: int, series: Array, rest: Array) -> float:
 
 
 def _gain_of_constant(model: Model, v: int) -> float:
-    """Twice the log-likelihood that a constant on each axis would gain beside a model."""
+    """Twice the log-likelihood that a constant on each axis gains beside a model."""
     lowest = model.setting.views[v].spectra(model.residual[v])[:, 0]
     return float(sum(y**2 / noise.power[0] for y, noise in zip(lowest, model.noise[3 * v : 3 * v + 3], strict=True)))
 
 
 def _level_gains(series: Array, rest: Array) -> tuple[Array, Array, Array]:
-    """Gain and jumps of :func:`two_levels` of a series (n, 3), and between them the gain of a constant level.
+    """Gain of two levels of a series (n, 3), gain of a constant, and number of jumps, by axis.
 
-    Nothing where the noise of its averages is not white.
+    Zero if the noise of the averages is not white.
     """
     width = -(-len(series) // _WINDOWS)
     count = len(series) // width
@@ -145,16 +145,17 @@ def _level_gains(series: Array, rest: Array) -> tuple[Array, Array, Array]:
 
 
 def _remaining_power(noise: AxisNoise, names: Collection[str]) -> Array:
-    """The power of noise without those of its densities that have one of `names`."""
+    """Power of the noise without the densities `names`."""
     own = [name for name in names if name in noise.densities]
     return noise.power - sum((noise.amplitudes[name] * noise.densities[name] for name in own), 0.0)
 
 
 def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
-    """For each column of `x` (n, p), twice the log-likelihood ratio of a Markov chain of two levels against zero.
+    """By column of `x` (n, p), twice the log-likelihood ratio of a Markov chain of two levels against zero, and its
+    jumps.
 
-    Beside it (p,) the expected number of jumps. `variance` (p,): of the white noise. Levels and chances of a jump are
-    estimated (Baum & Welch; Rabiner 1989, III).
+    `variance` (p,) is that of the white noise. Levels and transition probabilities are estimated (Baum & Welch; Rabiner
+    1989, III).
     """
     middle, spread = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-300)
     best, jumps = np.full(x.shape[1], -np.inf), np.zeros(x.shape[1])
@@ -173,7 +174,7 @@ def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
 
 
 def _baum_welch_round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array, Array, Array, Array]:
-    """One round of Baum and Welch: the log-likelihood at `levels` and `jump` (p, 2), the next of both, the jumps."""
+    """One round of Baum and Welch: log-likelihood at `levels` and `jump` (p, 2), their next values, and the jumps."""
     exponent = 0.5 * (x[..., None] ** 2 - (x[..., None] - levels) ** 2) / variance[:, None]
     top = exponent.max(axis=2, keepdims=True)
     emission = np.exp(exponent - top)
@@ -198,7 +199,7 @@ def _baum_welch_round(x: Array, variance: Array, levels: Array, jump: Array) -> 
 
 
 def _cumulative_products(steps: Array) -> tuple[Array, Array]:
-    """All products of matrices (n, p, 2, 2) from the first on, their largest entries one, and their log scales (n, p).
+    """Cumulative products of matrices (n, p, 2, 2), scaled to largest entry one, and their log scales (n, p).
 
     By doubling (Hillis & Steele 1986): log2(n) steps over whole arrays instead of n over small ones.
     """

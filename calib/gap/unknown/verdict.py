@@ -1,7 +1,7 @@
-"""What of a model is not of the catalogue, and what is left over beside it.
+"""Unnamed causes in a model, and the unexplained part of the gap.
 
-Shapes, noise that is no sensor's own, jumps that are no single events, bands that nothing explains, and what held-out
-data took back. None of it is named as an effect: a wrong name looks right.
+Unnamed shapes, noise of no sensor, frequent jumps, unexplained bands, and withdrawn effects. None of them is reported
+as an effect: a wrong name looks right.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ not measured: a line that wanders is as wide, and four fifths are most of a dire
 
 @dataclass(frozen=True, eq=False)
 class UnnamedCause:
-    """Terms of a model that stand for something that has no name."""
+    """Terms of a model that stand for a cause without a name."""
 
     keys: tuple[Key, ...]
     text: str
@@ -49,9 +49,9 @@ class UnnamedCause:
 def unnamed_causes_in(
     model: Model, attributions: Sequence[Attribution], floor: Mapping[Sensor, float] | None = None
 ) -> tuple[UnnamedCause, ...]:
-    """Every unnamed term of a model, and every effect in whose place one is likelier.
+    """Every unnamed term of a model, and every effect with a likelier unnamed cause.
 
-    `floor`: twice the nats by sensor that two recordings differ by anyway.
+    `floor`: by sensor, the gain by which two recordings differ anyway.
     """
     shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.nameless]
     levels = [UnnamedCause(found.keys, found.text) for found in telegraph_noise(model, attributions, floor)]
@@ -76,7 +76,7 @@ def unnamed_causes_in(
 
 
 def _frequent_jumps(model: Model) -> list[UnnamedCause]:
-    """Jumps of one sensor that are too many to be events."""
+    """Jumps of a sensor that are too many for single events."""
     found = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
         events = events_of(model, sensor)
@@ -89,7 +89,7 @@ def _frequent_jumps(model: Model) -> list[UnnamedCause]:
 
 
 def _beating_waves(model: Model) -> list[UnnamedCause]:
-    """Waves of one sensor so near each other that they are one, which comes and goes."""
+    """Waves of a sensor so close in frequency that they are one wave of varying amplitude."""
     found = []
     waves = sorted((t for t in model.terms if t.effect.tonal), key=lambda t: t.theta)
     for sensor in dict.fromkeys(t.effect.sensor for t in waves):
@@ -104,7 +104,7 @@ def _beating_waves(model: Model) -> list[UnnamedCause]:
 
 
 def _one_wave(model: Model, one: Term, other: Term) -> bool:
-    """Whether two waves of a sensor agree in direction and frequency, as one that lasts a part of the recording."""
+    """Whether two waves agree in direction and frequency like one wave in a part of the recording."""
     if one.hypothesis.instances != other.hypothesis.instances:
         return False
     seen = [v.t for v in model.setting.views if one.hypothesis.touches(v)]
@@ -124,9 +124,9 @@ def unknown_of(
     *,
     outside: bool = False,
 ) -> Unknown:
-    """What is not of the catalogue: unnamed causes in the model, bands that are left over, and what did not last.
+    """The unexplained part of the gap: unnamed causes, unexplained power, and withdrawn effects.
 
-    Each is compared with the gap of its own sensor: a large effect on another one hides nothing.
+    Each is compared with the gap of its own sensor, so that a large effect on another one hides nothing.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def unknown_of(
 
 @dataclass(frozen=True)
 class _EffectNats:
-    """Nats of effects by key, and on which sensors each of them is seen."""
+    """Nats of effects by key, and the sensors on which each of them acts."""
 
     nats: Mapping[Key, float]
     seen: Mapping[Key, frozenset[Sensor]]
@@ -175,18 +175,18 @@ class _EffectNats:
 
     @property
     def whole(self) -> float:
-        """Worth of all effects."""
+        """Nats of all effects."""
         return sum(self.nats.values())
 
     def on_sensor(self, sensor: Sensor) -> float:
-        """Worth of the effects that are seen on a sensor."""
+        """Nats of the effects on a sensor."""
         return sum(n for key, n in self.nats.items() if sensor in self.seen[key])
 
     def restricted_to(self, keys: Collection[Key]) -> _EffectNats:
-        """Worth of some of them alone."""
+        """The same of some effects."""
         return _EffectNats({key: n for key, n in self.nats.items() if key in keys}, self.seen)
 
     def shares(self, part: _EffectNats) -> tuple[float, float]:
-        """Which share of the whole a `part` of it is, and the largest that it is of what is seen on one sensor."""
+        """Share of a `part` in the whole, and its largest share in what acts on one sensor."""
         each = [part.on_sensor(sensor) / max(self.on_sensor(sensor), 1e-300) for sensor in Sensor]
         return part.whole / max(self.whole, 1e-300), max(each)
