@@ -16,7 +16,7 @@ from mavcal.calib.airframe.answer import AirframePart
 from mavcal.calib.airframe.diagnose import airframe_alone, airframe_gap
 from mavcal.calib.airframe.effects import IDS as AIRFRAME_IDS
 from mavcal.calib.errors import IncomparableError, InvalidInputError
-from mavcal.calib.gap.companion.compensation import problem_of
+from mavcal.calib.gap.companion.baselines import problem_of
 from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
@@ -54,7 +54,7 @@ def run(
     sim_frame: Mapping[str, Any] | None = None,
     mass: float | None = None,
 ) -> GapReport:
-    """The gap between a real recording and its reference: sensors, and airframe and air where both recordings fly.
+    """The gap between a real recording and its reference: sensors, and airframe and air if both recordings fly.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def run(
     selected = tuple(effect for effect in effects if effect.id not in without)
     pace = pace or GapPace()
     flown = None
-    if sim is not None and _flies(real) and _flies(sim):
+    if sim is not None and _is_flight(real) and _is_flight(sim):
         pace.begin(GapStage.AIRFRAME)
         flown = airframe_gap(real, sim, without=without, frame=frame, ended=pace.ends)
     pace.begin(GapStage.REFERENCE)
@@ -106,22 +106,19 @@ def run(
         report = untestable(error.reason, error.need, digests)
     if flown is not None:
         report = joined(report, flown, real, sim)
-    elif sim is None and _flies(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
+    elif sim is None and _is_flight(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
         report = dataclasses.replace(report, airframe=alone)
     base, vehicle = simulator_of(real, sim), real.parameters.final()
     return with_patches(report, base, frame=sim_frame, mass=mass, vehicle=vehicle)
 
 
 def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:
-    """Parameters of the simulator that the remedy is for: of the one that was recorded; empty where none was.
-
-    ArduPilot's has ``SIM_*``, PX4's simulation in hardware ``SIH_*``.
-    """
+    """Parameters of the recorded simulator: ArduPilot's ``SIM_*`` or PX4's ``SIH_*``; empty if none was recorded."""
     found = (r.parameters.final() for r in (sim, real) if r is not None)
     return next((p for p in found if any(name.startswith(("SIM_", "SIH_")) for name in p)), {})
 
 
-def _flies(recording: Recording) -> bool:
-    """Whether the recording may be of a flight: it says what motors were told."""
+def _is_flight(recording: Recording) -> bool:
+    """Whether the recording has motor outputs or commanded forces, and so may be of a flight."""
     told = any(c.sensor == Sensor.MOTOR and c.values.any() for c in recording.channels)
     return told or any(c.sensor == Sensor.CONTROL for c in recording.dynamics)

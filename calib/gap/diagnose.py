@@ -1,4 +1,4 @@
-"""From a problem to its report: lattice first, then all effects in one contest, then what the answer is worth."""
+"""From a problem to its report: lattice effects, one contest of all other effects, held-out blocks, and the report."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.heldout.consistency import inconsistent_effects
-from mavcal.calib.gap.heldout.shrink import Heldout, held_out, nested_in, shrink_of
+from mavcal.calib.gap.heldout.shrink import Heldout, held_out, shrink_of, with_nested_selection
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.model.joint import Model, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.progress import GapPace, GapStage, with_limit
@@ -32,30 +32,37 @@ from mavcal.calib.gap.schema import (
     NotTestable,
     Unknown,
 )
-from mavcal.calib.gap.search.added_noise import unsteady_line
+from mavcal.calib.gap.search.added_noise import is_line_unsteadiness, nominal_has_tone
 from mavcal.calib.gap.search.contest import Contest, ContestScore
-from mavcal.calib.gap.search.exchange import SettledModel, settled, steadily
+from mavcal.calib.gap.search.exchange import StableModel, stable_model, without_drift_noise
 from mavcal.calib.gap.search.lattice_effects import Lattice, covered_by, lattice_of
-from mavcal.calib.gap.search.nominal_check import nominal_has_tone
 from mavcal.calib.gap.search.power import powers_of
-from mavcal.calib.gap.search.selection import ChosenModel, reduced, select
+from mavcal.calib.gap.search.selection import ChosenModel, refitted_without, select
 from mavcal.calib.gap.search.thresholds import GainThresholds
-from mavcal.calib.gap.search.wander import WanderFit, wandering
-from mavcal.calib.gap.telling.effect_report import effect_of, on_either_unit, on_late_unit, wandering_reference
-from mavcal.calib.gap.telling.equals import with_equals
-from mavcal.calib.gap.telling.inputs import inputs_of
+from mavcal.calib.gap.search.wander import WanderFit, fit_wander
+from mavcal.calib.gap.telling.effect_report import (
+    attitude_error_effect,
+    delay_on_late_unit,
+    effect_of,
+    with_other_unit_as_rival,
+)
+from mavcal.calib.gap.telling.identifiability import (
+    inseparable,
+    inseparable_notice,
+    is_bounded,
+    unbounded_causes,
+    unbounded_parameters,
+    with_equal_effects,
+)
 from mavcal.calib.gap.telling.locate import located
-from mavcal.calib.gap.telling.overstated_noise import overstated_noise
-from mavcal.calib.gap.telling.separability import inseparable, inseparable_notice
-from mavcal.calib.gap.telling.series import series_of
-from mavcal.calib.gap.telling.undetermined import bounded, undetermined, without_a_name
+from mavcal.calib.gap.telling.recordings import inputs_of, overstated_noise, series_of
 from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
-from mavcal.calib.gap.unknown.plausibility import nameless, unresponsive_sensors, without_sensors
-from mavcal.calib.gap.unknown.shape_search import explained
-from mavcal.calib.gap.unknown.transitions import JumpSpan, passing, transitions, without_transitions
+from mavcal.calib.gap.unknown.plausibility import improbable_effects, unresponsive_sensors, without_sensors
+from mavcal.calib.gap.unknown.shape_search import with_shapes
+from mavcal.calib.gap.unknown.transitions import JumpSpan, transient_events, transitions, without_transitions
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING, UnnamedCause, unknown_of, unnamed_causes_in
-from mavcal.calib.gap.worth.attitude_error import BY_CHANCE, below_reference, either_unit
-from mavcal.calib.gap.worth.attribution import Attribution, attributed
+from mavcal.calib.gap.worth.attitude_error import REFERENCE_CHANCE, below_reference, on_uncertain_unit
+from mavcal.calib.gap.worth.attribution import Attribution, attributions
 from mavcal.calib.recording import Sensor
 
 _ROUNDS = 3
@@ -64,11 +71,10 @@ it bounds the time of a selection that goes to and fro."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
-    """A problem made ready: what its samples show, the model without an effect, and what competes to explain it.
+class _Setup:
+    """A problem ready for the search: lattice effects, the model without effects, and the competing hypotheses.
 
-    `missing` says of effects that cannot be tested (id, reason, need); `left_out` are events whose samples are not in
-    the problem any more.
+    `missing` lists effects that cannot be tested (id, reason, need); `left_out` are events whose samples were removed.
     """
 
     problem: GapProblem
@@ -81,38 +87,38 @@ class _Task:
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """A model, what its effects are worth, and the contest that it comes from.
+    """A model, the attributions of its effects, and the contest that it comes from.
 
-    `wander` is the reference's own error, None where it has none to speak of. `heldout` is None where no block can be
-    held out; `gates` say of each effect whether it held there (None: no block tells), and `withdrawn` is what the
-    effects that did not had gained. `small` are effects that nobody can tell from the reference's error.
+    `wander` is the reference's own attitude error, None if it is negligible. `heldout` is None if no block can be held
+    out. `gates` hold, by effect, whether held-out blocks confirm it (None: undecided), and `withdrawn` the gains of
+    effects that they deny. `inseparable` effects cannot be told from the reference's error.
     """
 
-    settled: SettledModel
+    stable: StableModel
     attributions: tuple[Attribution, ...]
     contest: Contest
     wander: WanderFit | None
     heldout: Heldout | None = None
     gates: Mapping[Key, bool | None] = field(default_factory=dict)
     withdrawn: tuple[Unexplained, ...] = ()
-    small: frozenset[Key] = frozenset()
+    inseparable: frozenset[Key] = frozenset()
 
     @property
     def chosen(self) -> ChosenModel:
-        """The model."""
-        return self.settled.chosen
+        """The model with its fit."""
+        return self.stable.chosen
 
     @cached_property
     def tolerated(self) -> frozenset[Key]:
-        """Effects by which two recordings differ anyway, or that the reference's own error makes: they are no gap."""
+        """Effects that are not reported: two recordings differ by as much, or the reference's error explains them."""
         thresholds, gains = self.contest.thresholds, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
-        small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.reporting(h))
-        return self.small | small | below_reference(self.chosen.model, self.chosen.joint, BY_CHANCE)
+        small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.to_report(h))
+        return self.inseparable | small | below_reference(self.chosen.model, self.chosen.joint, REFERENCE_CHANCE)
 
     @property
-    def gap(self) -> tuple[Attribution, ...]:
-        """What the others are worth; of what they gain together each has its share."""
+    def reported(self) -> tuple[Attribution, ...]:
+        """Attributions of the reported effects, with shares of their common gain."""
         reported = tuple(a for a in self.attributions if a.key not in self.tolerated)
         whole = sum(a.share for a in reported) if len(reported) < len(self.attributions) else 1.0
         return tuple(replace(a, share=a.share / (whole or 1.0)) for a in reported)
@@ -144,50 +150,51 @@ def diagnose(
     """
     effects, pace = catalogue() if effects is None else effects, pace or GapPace()
     pace.begin(GapStage.SELECTION)
-    problem, begun = _begun(problem, effects, alpha, pace)
-    if begun is None:
-        return _nothing(problem)
-    task, chosen = begun
+    left_out: tuple[JumpSpan, ...] = ()
+    rounds = 0
+    while True:
+        task = _setup_of(problem, effects, pace)
+        if task is None:
+            return _empty_report(problem)
+        chosen = _with_steps(task, select(task.bare, task.contest, alpha), alpha)
+        problem, events = _without_unusable(task, chosen, rounds)
+        if problem is task.problem:
+            break
+        left_out, rounds = (*left_out, *events), rounds + bool(events)
+    task = replace(task, left_out=left_out)
     pace.begin(GapStage.RIVALS)
-    answer = _settled(task, chosen, alpha, frozenset(e.id for e in effects))
+    answer = _stable_answer(task, chosen, alpha, frozenset(e.id for e in effects))
     pace.begin(GapStage.HELD_OUT)
-    confirmed = _confirmed(answer, alpha, nested=nested and not task.problem.alone)
+    confirmed = _confirmed_by_blocks(answer, alpha, nested=nested and not task.problem.alone)
     if task.problem.alone:
-        confirmed = _holding(task, confirmed, alpha, nested=nested)
+        confirmed = _consistent_answer(task, confirmed, alpha, nested=nested)
     pace.begin(GapStage.REPORT)
     return with_limit(_report(task, confirmed, alpha, nested=nested and GapStage.BLOCKS not in pace.left_out), pace)
 
 
-def _begun(
-    problem: GapProblem, effects: tuple[CatalogueEffect, ...], alpha: float, pace: GapPace
-) -> tuple[GapProblem, tuple[_Task, ChosenModel] | None]:
-    """The problem without what says nothing, and the effects that are selected for it; None: no series is left.
+def _with_steps(task: _Setup, chosen: ChosenModel, alpha: float) -> ChosenModel:
+    """The selected model with level shifts, unless the error of a re-estimated attitude looks like them."""
+    if any(view.att_sd > 0.0 for view in task.bare.setting.views):
+        return chosen
+    problem = task.problem
+    return with_level_shifts(chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1))
 
-    A selection tells of sensors that do not follow their reference, and of samples during events that take time.
-    Neither belongs to any model: they are left out, and it is selected again.
+
+def _without_unusable(task: _Setup, chosen: ChosenModel, rounds: int) -> tuple[GapProblem, tuple[JumpSpan, ...]]:
+    """The problem without unresponsive sensors or, if there are none, without samples during events, and these.
+
+    The problem of `task` itself if everything in it is usable, time is over, or `rounds` of removal were made.
     """
-    left_out: tuple[JumpSpan, ...] = ()
-    rounds = 0
-    while True:
-        task = _task_of(problem, effects, pace)
-        if task is None:
-            return problem, None
-        chosen = select(task.bare, task.contest, alpha)
-        if all(view.att_sd == 0.0 for view in task.bare.setting.views):
-            chosen = with_level_shifts(
-                chosen, task.contest, problem.traces, problem.nominal, alpha / max(chosen.tests, 1)
-            )
-        if (unresponsive := unresponsive_sensors(chosen.model)) and not pace.ended:
-            problem = without_sensors(problem, unresponsive)
-        elif rounds < _ROUNDS and (taking := transitions(chosen.model, _gains(chosen))) and not pace.ends():
-            problem, rounds = without_transitions(problem, taking), rounds + 1
-            left_out = (*left_out, *taking)
-        else:
-            return problem, (replace(task, left_out=left_out), chosen)
+    pace = task.contest.pace
+    if (unresponsive := unresponsive_sensors(chosen.model)) and not pace.ended:
+        return without_sensors(task.problem, unresponsive), ()
+    if rounds < _ROUNDS and (events := transitions(chosen.model, _gains(chosen))) and not pace.ends():
+        return without_transitions(task.problem, events), events
+    return task.problem, ()
 
 
-def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: GapPace | None = None) -> _Task | None:
-    """None: no sensor has enough samples beside a reference."""
+def _setup_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: GapPace | None = None) -> _Setup | None:
+    """Everything that a selection needs; None if no sensor has enough samples beside a reference."""
     lattice = lattice_of(problem, effects)
     masked = {i: found.masked for i, found in lattice.masks.items()}
     views = split(views_of(problem, masked, lattice.variance))
@@ -196,80 +203,80 @@ def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: Ga
     setting = setting_of(views)
     hypotheses, missing = hypotheses_of(effects, views, problem.worse)
     start = starting_model(setting, starting_noise(setting))
-    bare = refitted(start).model
+    bare = noise_fitted(start).model
     contest = Contest(hypotheses, thresholds=GainThresholds(problem.minimum_gain), pace=pace)
     contest = above_nuisance(contest, start, problem.nuisance)
-    return _Task(problem, lattice, bare, contest, missing)
+    return _Setup(problem, lattice, bare, contest, missing)
 
 
 def _gains(chosen: ChosenModel) -> dict[Key, float]:
     return {s.hypothesis.key: s.gain for s in chosen.scores}
 
 
-def _settled(task: _Task, chosen: ChosenModel, alpha: float, named: Collection[str]) -> _Answer:
-    """The model in which nothing has a better one in its place: the reference's own error, other effects, shapes."""
+def _stable_answer(task: _Setup, chosen: ChosenModel, alpha: float, named: Collection[str]) -> _Answer:
+    """The model after the wandering reference, exchanges of effects and unnamed shapes were tried."""
     contest, start = task.contest, task.bare
-    wander = wandering(chosen, contest, start, alpha) if REFERENCE in named else None
+    wander = fit_wander(chosen, contest, start, alpha) if REFERENCE in named else None
     if wander is None:
-        chosen = steadily(chosen, start, contest, alpha)
+        chosen = without_drift_noise(chosen, start, contest, alpha)
     else:
         chosen, contest = wander.chosen, wander.contest
         start = starting_model(chosen.model.setting, wander.noise, chosen.model.ridge)
-    found = settled(chosen, contest, alpha)
-    best = explained(found.chosen, contest, start, alpha, named)
-    found = settled(best.chosen, best.contest, alpha, found)
+    found = stable_model(chosen, contest, alpha)
+    best = with_shapes(found.chosen, contest, start, alpha, named)
+    found = stable_model(best.chosen, best.contest, alpha, found)
     small = inseparable(found.chosen, task.problem.reference)
-    return _Answer(found, attributed(found, best.contest), best.contest, wander, small=small)
+    return _Answer(found, attributions(found, best.contest), best.contest, wander, inseparable=small)
 
 
-def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
+def _confirmed_by_blocks(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     """The answer without the effects that held-out blocks deny.
 
-    The weaker effect of a kind is excluded first: either of two seems to add nothing while the other is there.
+    The weakest effect of each kind is removed first: either of two similar ones seems superfluous beside the other.
     """
     chosen, contest = answer.chosen, answer.contest
     heldout = held_out(chosen, contest, answer.tolerated)
-    gates, excluded = _gates_of(heldout), []
+    gates, excluded = _gate_results(heldout), []
     while failed := [s for s in chosen.scores if gates.get(s.hypothesis.key) is False]:
         kinds = {s.hypothesis.effect.id for s in failed}
         weakest = [min((s for s in failed if s.hypothesis.effect.id == k), key=lambda s: s.gain) for k in sorted(kinds)]
         weakest = failed if contest.pace.ends() else weakest
         excluded += weakest
-        chosen = reduced(chosen, [s.hypothesis.key for s in weakest])
+        chosen = refitted_without(chosen, [s.hypothesis.key for s in weakest])
         known = None if heldout is None or not contest.pace.ended else heldout.gates
         heldout = held_out(chosen, contest, answer.tolerated, known)
         if len(weakest) == len(failed) or contest.pace.ended:
             break
-        gates = _gates_of(heldout)
+        gates = _gate_results(heldout)
     if nested and heldout is not None:
-        heldout = nested_in(heldout, chosen, contest, alpha)
+        heldout = with_nested_selection(heldout, chosen, contest, alpha)
     if not excluded:
         return replace(answer, heldout=heldout, gates=gates)
-    found = settled(chosen, contest, 0.0, answer.settled)
+    found = stable_model(chosen, contest, 0.0, answer.stable)
     return replace(
         answer,
-        settled=found,
-        attributions=attributed(found, contest),
+        stable=found,
+        attributions=attributions(found, contest),
         heldout=heldout,
         gates=gates,
-        withdrawn=_withdrawn(s for s in excluded if s.hypothesis.key not in answer.tolerated and _shifts(s)),
+        withdrawn=_withdrawn_gains(s for s in excluded if s.hypothesis.key not in answer.tolerated and _shifts(s)),
     )
 
 
-def _holding(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
-    """The answer of a flight that stands alone: what holds on every block and along either attitude is reported."""
+def _consistent_answer(task: _Setup, answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
+    """The answer of a flight without a companion: only effects that hold on every block and along either attitude."""
     denied = inconsistent_effects(task.problem, task.lattice, answer.chosen, answer.heldout)
     before = answer.tolerated
-    answer = replace(answer, small=answer.small | denied | undetermined(answer.chosen).keys())
+    answer = replace(answer, inseparable=answer.inseparable | denied | unbounded_parameters(answer.chosen).keys())
     heldout = answer.heldout
     if heldout is not None and answer.tolerated != before:
         heldout = held_out(answer.chosen, answer.contest, answer.tolerated, heldout.gates)
     if nested and heldout is not None:
-        heldout = nested_in(heldout, answer.chosen, answer.contest, alpha)
+        heldout = with_nested_selection(heldout, answer.chosen, answer.contest, alpha)
     return replace(answer, heldout=heldout)
 
 
-def _gates_of(heldout: Heldout | None) -> Mapping[Key, bool | None]:
+def _gate_results(heldout: Heldout | None) -> Mapping[Key, bool | None]:
     return {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
 
 
@@ -278,8 +285,8 @@ def _shifts(score: ContestScore) -> bool:
     return isinstance(score.hypothesis.effect, MeanEffect)
 
 
-def _withdrawn(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
-    """What effects had gained, by sensor."""
+def _withdrawn_gains(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
+    """Nats of the effects that were withdrawn, by sensor."""
     nats: dict[Sensor, float] = {}
     for score in scores:
         sensor = score.hypothesis.effect.sensor
@@ -287,114 +294,120 @@ def _withdrawn(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
     return tuple(Unexplained(n, NOT_LASTING, sensor) for sensor, n in nats.items())
 
 
-def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapReport:
-    """Everything that is said of a problem and of the answer to it."""
+def _report(task: _Setup, answer: _Answer, alpha: float, *, nested: bool) -> GapReport:
+    """The report of a problem and its answer."""
     chosen, model = answer.chosen, answer.chosen.model
-    found = unnamed_causes_in(model, answer.gap, task.problem.minimum_gain.lasting)
+    found = unnamed_causes_in(model, answer.reported, task.problem.minimum_gain.steady_report)
     unnamed = (s for s in found if not answer.tolerated.issuperset(s.keys))
     members = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
-    gap = {a.key for a in answer.gap}
-    loose = {key: names for key, names in undetermined(chosen).items() if key in gap}
-    causes = (*unnamed, *nameless(answer.gap, members, answer.withdrawn), *without_a_name(chosen, loose))
-    unknown = _unknown(task, answer, causes)
+    gap = {a.key for a in answer.reported}
+    loose = {key: names for key, names in unbounded_parameters(chosen).items() if key in gap}
+    causes = (
+        *unnamed,
+        *improbable_effects(answer.reported, members, answer.withdrawn),
+        *unbounded_causes(chosen, loose),
+    )
+    unknown = _unexplained_part(task, answer, causes)
     effects = _effects(task, answer, causes, beside_unknown=unknown.flag)
     return GapReport(
         inputs_of(task.problem),
-        _verdict(task, effects, unknown, small=bool(answer.small)),
-        _where(task, effects, unknown, alpha),
+        _verdict(task, effects, unknown, small=bool(answer.inseparable)),
+        _locations(task, effects, unknown, alpha),
         effects,
         unknown,
         shrink=None if answer.heldout is None else shrink_of(chosen, answer.heldout, nested=nested),
         not_testable=_untestable(task),
         power=powers_of(chosen, answer.contest, alpha),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
-        warnings=(*task.problem.warnings, *_unreported(answer), *overstated_noise(model)),
+        warnings=(*task.problem.warnings, *_tolerated_notices(answer), *overstated_noise(model)),
         series=series_of(model, answer.tolerated),
     )
 
 
-def _unreported(answer: _Answer) -> tuple[str, ...]:
-    """What is in the model, and no gap, for who wants to look closer."""
+def _tolerated_notices(answer: _Answer) -> tuple[str, ...]:
+    """Notices of the effects that are in the model and not reported."""
     known = [t.hypothesis for t in answer.chosen.model.members if not t.hypothesis.effect.nameless]
-    accepted = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated - answer.small)
+    accepted = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated - answer.inseparable)
     said = (f"two recordings differ by as much anyway: {', '.join(accepted)} are no gap here",) if accepted else ()
-    return (*said, *inseparable_notice([h.effect.id for h in known if h.key in answer.small]))
+    return (*said, *inseparable_notice([h.effect.id for h in known if h.key in answer.inseparable]))
 
 
-def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[LocatedGap, ...]:
-    """Where the gap lies; beside errors of the reference, which are everywhere, only on sensors that have one."""
+def _locations(
+    task: _Setup, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float
+) -> tuple[LocatedGap, ...]:
+    """Where the gap lies; if two recordings differ anyway, only on the sensors of the reported effects."""
     found = located(task.bare, alpha)
     shared = any(by_id()[effect.id].shared for effect in effects)
-    if unknown.flag or not task.problem.minimum_gain.lasting or shared:
+    if unknown.flag or not task.problem.minimum_gain.steady_report or shared:
         return found
     named = {effect.sensor.value for effect in effects if effect.sensor is not None}
     return tuple(one for one in found if one.channel.partition(".")[0] in named)
 
 
-def _unknown(task: _Task, answer: _Answer, causes: Iterable[UnnamedCause]) -> Unknown:
-    """What is not of the catalogue, in the model or in none of its effects."""
+def _unexplained_part(task: _Setup, answer: _Answer, causes: Iterable[UnnamedCause]) -> Unknown:
+    """What no effect of the catalogue explains, inside the model and beside it."""
     model, reference = answer.chosen.model, task.problem.reference
     # A reference that turns looks like events that pass.
-    passed = () if answer.wander is not None else passing(task.left_out, model, _gains(answer.chosen))
+    passed = () if answer.wander is not None else transient_events(task.left_out, model, _gains(answer.chosen))
     unexplained = [*answer.withdrawn, *(Unexplained(one.nats, one.text, one.sensor) for one in passed)]
     return unknown_of(
         model,
-        answer.gap,
+        answer.reported,
         tuple(causes),
         unexplained,
         reference.bandwidth_hz,
-        task.problem.minimum_gain.lasting,
+        task.problem.minimum_gain.steady_report,
         outside=reference.kind is ReferenceKind.POSE,
     )
 
 
 def _effects(
-    task: _Task, answer: _Answer, causes: Iterable[UnnamedCause], *, beside_unknown: bool
+    task: _Setup, answer: _Answer, causes: Iterable[UnnamedCause], *, beside_unknown: bool
 ) -> tuple[EffectEstimate, ...]:
-    """What has a name: of the samples, of the reference, and of the model all that stands for nothing else."""
+    """Estimates of all named effects: of the lattice, of the reference's attitude, and of the model."""
     model = answer.chosen.model
     denied = {key for cause in causes for key in cause.keys}
     denied |= {t.hypothesis.key for t in model.terms if nominal_has_tone(t, task.problem.nominal)}
-    denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
-    doubtful = either_unit(model, BY_CHANCE)
+    denied |= {t.hypothesis.key for t in model.noise_terms if is_line_unsteadiness(t, model)}
+    doubtful = on_uncertain_unit(model, REFERENCE_CHANCE)
     found = (
         _effect(task, answer, a, beside_unknown=beside_unknown, either=a.key in doubtful)
-        for a in answer.gap
+        for a in answer.reported
         if a.key not in denied
     )
-    wander = _unstated_wander(task, answer)
-    own = () if wander is None else (wandering_reference(wander, answer.attributions),)
+    wander = _reported_wander(task, answer)
+    own = () if wander is None else (attitude_error_effect(wander, answer.attributions),)
     return (
-        *(e for e in task.lattice.effects if bounded(e.params)),
+        *(e for e in task.lattice.effects if is_bounded(e.params)),
         *own,
         *(e for e in found if not covered_by(task.lattice, e)),
     )
 
 
 def _effect(
-    task: _Task, answer: _Answer, attribution: Attribution, *, beside_unknown: bool, either: bool
+    task: _Setup, answer: _Answer, attribution: Attribution, *, beside_unknown: bool, either: bool
 ) -> EffectEstimate:
-    """One effect of the model; `either`: nobody can tell which of two units has it."""
+    """One effect of the model; `either`: the data do not tell which of two units has it."""
     passed = answer.gates.get(attribution.key)
     effect = effect_of(answer.chosen, attribution, passed, beside_unknown=beside_unknown)
     term = next(t for t in answer.chosen.model.members if t.hypothesis.key == attribution.key)
-    effect = with_equals(effect, answer.chosen.model, term)
+    effect = with_equal_effects(effect, answer.chosen.model, term)
     views = answer.chosen.model.setting.views
     units = {i + FIRST for view in views if view.sensor is effect.sensor for i in view.weights}
     if task.problem.reference.kind is ReferenceKind.ESTIMATOR:
-        effect = on_late_unit(effect, units)
-    return on_either_unit(effect, units) if either else effect
+        effect = delay_on_late_unit(effect, units)
+    return with_other_unit_as_rival(effect, units) if either else effect
 
 
-def _unstated_wander(task: _Task, answer: _Answer) -> WanderFit | None:
-    """The reference's own error, unless a re-estimated trajectory states as much of itself."""
+def _reported_wander(task: _Setup, answer: _Answer) -> WanderFit | None:
+    """The reference's attitude error, unless a re-estimated trajectory already states one as large."""
     wander, reference = answer.wander, task.problem.reference
     if wander is None or reference.kind is not ReferenceKind.ESTIMATOR:
         return wander
     return wander if wander.size_deg > reference.att_sigma_deg else None
 
 
-def _verdict(task: _Task, effects: tuple[EffectEstimate, ...], unknown: Unknown, *, small: bool) -> GapVerdict:
+def _verdict(task: _Setup, effects: tuple[EffectEstimate, ...], unknown: Unknown, *, small: bool) -> GapVerdict:
     if task.problem.reference.useless:
         return GapVerdict.REFERENCE
     if unknown.flag:
@@ -406,19 +419,19 @@ def _verdict(task: _Task, effects: tuple[EffectEstimate, ...], unknown: Unknown,
     return GapVerdict.REFERENCE if all(e.id == REFERENCE for e in effects) else GapVerdict.EXPLAINED
 
 
-def _untestable(task: _Task) -> tuple[NotTestable, ...]:
+def _untestable(task: _Setup) -> tuple[NotTestable, ...]:
     tested = {h.effect.id for h in task.contest.hypotheses}
     entries = [*task.problem.not_testable, *(m for m in task.missing if m[0] not in tested)]
     return tuple(NotTestable(*entry) for entry in {e[0]: e for e in entries}.values())
 
 
 def untestable(reason: str, need: str, inputs: dict[str, str]) -> GapReport:
-    """The report of recordings without anything to compare; `inputs` are digests by role."""
+    """The report of recordings that cannot be compared; `inputs` are digests by role."""
     reference = ReferenceInfo(ReferenceKind.REDUNDANT, text=f"None: {reason}.")
-    return _nothing(GapProblem((), reference, 0.0, inputs=inputs, not_testable=(("all", reason, need),)))
+    return _empty_report(GapProblem((), reference, 0.0, inputs=inputs, not_testable=(("all", reason, need),)))
 
 
-def _nothing(problem: GapProblem) -> GapReport:
+def _empty_report(problem: GapProblem) -> GapReport:
     entries = problem.not_testable or (("all", "no sensor has enough samples beside a reference", "a longer overlap"),)
     return GapReport(
         inputs_of(problem),

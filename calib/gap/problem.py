@@ -203,12 +203,12 @@ class MinimumGain:
         Of noise that wanders or goes with the flight, to be in the model: what moves the mean looks like it.
     """
 
-    joins: Mapping[Sensor, float] = field(default_factory=dict)
-    lasting: Mapping[Sensor, float] = field(default_factory=dict)
+    steady_entry: Mapping[Sensor, float] = field(default_factory=dict)
+    steady_report: Mapping[Sensor, float] = field(default_factory=dict)
     level: Mapping[Sensor, float] = field(default_factory=dict)
-    noise: Mapping[Sensor, float] = field(default_factory=dict)
-    loud: Mapping[Sensor, float] = field(default_factory=dict)
-    unsteady: Mapping[Sensor, float] = field(default_factory=dict)
+    noise_entry: Mapping[Sensor, float] = field(default_factory=dict)
+    noise_report: Mapping[Sensor, float] = field(default_factory=dict)
+    drift_entry: Mapping[Sensor, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class NuisanceEffect:
     """An effect that another recording shows against its own reference, and which part of it is left open in this."""
 
     effect: EffectEstimate
-    open: float
+    uncertain_share: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -94,7 +94,7 @@ class GapProgress:
         return _TEXT[self.stage]
 
 
-def _nowhere(_standing: GapProgress) -> None:
+def _ignore(_standing: GapProgress) -> None:
     """Nobody listens."""
 
 
@@ -114,14 +114,14 @@ class GapPace:
 
     elapsed: Callable[[], float] | None = None
     limit_s: float = math.inf
-    on_progress: Callable[[GapProgress], None] = _nowhere
+    on_progress: Callable[[GapProgress], None] = _ignore
     stage: GapStage = GapStage.REFERENCE
     left_out: dict[GapStage, None] = field(default_factory=dict)
     began: dict[GapStage, float] = field(default_factory=dict)
     steps: int = 0
     fits_s: float = 0.0
     share: float = 0.0
-    told: float = -math.inf
+    reported_s: float = -math.inf
 
     def __post_init__(self) -> None:
         if not self.limit_s > 0.0:
@@ -139,10 +139,10 @@ class GapPace:
         k = list(_BEGINS).index(stage)
         end = begins[k + 1] if k + 1 < len(begins) else 1.0
         self.share = begins[k] + part * (end - begins[k])
-        self._tell()
+        self._notify()
 
-    def _tell(self) -> None:
-        self.told = self.now
+    def _notify(self) -> None:
+        self.reported_s = self.now
         self.on_progress(GapProgress(self.stage, self.share, self._left(self.share)))
 
     def advance(self) -> None:
@@ -155,7 +155,7 @@ class GapPace:
         self.steps += 1
         self.begin(self.stage, self.steps / (self.steps + _MANY))
 
-    def keep_back(self, effects: int, fit_s: float) -> None:
+    def reserve(self, effects: int, fit_s: float) -> None:
         """A model of so many effects took `fit_s` to fit: what comes after the search takes that for each of them."""
         self.fits_s = effects * fit_s
 
@@ -164,7 +164,7 @@ class GapPace:
         """Seconds since the diagnosis began; 0 where nobody measures."""
         return 0.0 if self.elapsed is None else self.elapsed()
 
-    def took(self, stage: GapStage) -> float:
+    def duration_of(self, stage: GapStage) -> float:
         """Seconds from the beginning of a stage that has begun to that of the next one."""
         later = [at for other, at in self.began.items() if at > self.began[stage] and other is not stage]
         return min(later, default=self.now) - self.began[stage]
@@ -182,8 +182,8 @@ class GapPace:
 
         It is asked before every piece of work, so whoever listens hears again from long steps.
         """
-        if self.now - self.told > _TOLD_EVERY_S:
-            self._tell()
+        if self.now - self.reported_s > _TOLD_EVERY_S:
+            self._notify()
         if self.elapsed is None or self.now + needs_s <= self._may_take:
             return False
         self.left_out[self.stage] = None

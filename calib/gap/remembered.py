@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_ABSENT: Final = object()
+ABSENT: Final = object()
+"""In place of a result that is not in the store; None may be one."""
 
 
 class SameArray:
@@ -51,16 +52,16 @@ class ResultStore:
     def __len__(self) -> int:
         return sum(map(len, self._by_function.values()))
 
-    def result(self, function: Callable[..., R], key: Hashable, most: int, compute: Callable[[], R]) -> R:
-        """What `compute` returns, or returned for this `key` before, if it is among the last `most` of `function`."""
+    def taken(self, function: Callable[..., Any], key: Hashable) -> Any:
+        """The result of `function` for `key`, removed until it is kept again; `ABSENT` if there is none."""
+        return self._by_function.setdefault(function, {}).pop(key, ABSENT)
+
+    def keep(self, function: Callable[..., Any], key: Hashable, result: Any, most: int) -> None:
+        """Keep a result as the latest of `function`; of more than `most` the oldest is dropped."""
         own = self._by_function.setdefault(function, {})
-        found = own.pop(key, _ABSENT)
-        if found is _ABSENT:
-            found = compute()
-        own[key] = found  # the last one asked for is the last one to go
+        own[key] = result
         if len(own) > most:
             own.pop(next(iter(own)), None)
-        return cast("R", found)
 
 
 _STORE: ContextVar[ResultStore | None] = ContextVar("mavcal_gap_store", default=None)
@@ -95,7 +96,11 @@ def remembered(most: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
             if store is None:
                 return function(*args, **kwargs)
             key = (*map(_key, args), *((name, _key(value)) for name, value in sorted(kwargs.items())))
-            return store.result(function, key, most, lambda: function(*args, **kwargs))
+            found = store.taken(function, key)
+            if found is ABSENT:
+                found = function(*args, **kwargs)
+            store.keep(function, key, found, most)
+            return cast("R", found)
 
         return asked
 

@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap import run
-from mavcal.calib.gap.companion.compensation import problem_of
+from mavcal.calib.gap.companion.baselines import problem_of
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects.replay import with_effects
 from mavcal.calib.gap.export.airframe import airframe_effects
 from mavcal.calib.gap.export.state import sensor_effects
 from mavcal.calib.gap.problem import GapProblem, ReferenceKind
 from mavcal.calib.gap.reference import build
-from mavcal.calib.gap.reference.ideal import recorded
+from mavcal.calib.gap.reference.ideal import recorded_reference
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import CONVERTER, EffectEstimate, GapReport, GapVerdict, SeriesFit, as_json
 from mavcal.calib.gap.telling.agreement import EffectAgreement, Remainder, agreements, remainders
@@ -130,7 +130,11 @@ def verify(
         If `again` has nothing in common with `real`, or no reference of its own.
     """
     direct = build(real, again, nominal)
-    same = direct.reference.kind is ReferenceKind.SIM and recorded(real) is None and recorded(again) is None
+    same = (
+        direct.reference.kind is ReferenceKind.SIM
+        and recorded_reference(real) is None
+        and recorded_reference(again) is None
+    )
     lost: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
     sensors, flying = sensor_effects(report.effects), airframe_effects(report.effects)

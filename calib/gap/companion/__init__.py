@@ -1,1 +1,1 @@
-"""Effects that a simulated or nominal recording shows by itself. They are no part of the gap."""
+"""Effects that a simulated or nominal recording shows by itself, and the problem without them."""

@@ -1,8 +1,8 @@
-"""Levels that come and go, beside a nominal recording whose noise wanders: what it excuses has the same form.
+"""Level shifts of a compass, beside a nominal recording whose noise drifts.
 
-A spectrum learned from a recording that wanders grants any other as much power at low frequencies. A magnet that is
-put on and taken off has its power there. Neither of its steps says much alone. A nominal recording that wanders shows
-no level that is as far from the one before it, though: steps are compared with the largest that it has itself.
+A spectrum learned from a recording that drifts allows as much power at low frequencies in every other one. A magnet
+that is put on and taken off has its power there, and neither of its steps is significant alone. A drifting nominal
+recording shows no such step between two levels, though: steps are compared with its largest one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.model.joint import NoiseTerm, Term
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.selection import ChosenModel, grown, reduced
+from mavcal.calib.gap.search.selection import ChosenModel, extended, refitted_without
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -24,37 +24,37 @@ Array = NDArray[np.float64]
 _STEP_S = 0.5
 """Seconds over which readings are averaged first. Chosen, not measured: noise averages out, and no level is as
 short."""
-_LEVEL_S, _APART_S = 8.0, 2.0
+_LEVEL_S, _PAUSE_S = 8.0, 2.0
 """Seconds that a level lasts at least on either side of a step, and seconds that are left out between. Chosen, not
 measured: hands take a second or two to change something."""
-_SEEN = 0.5
+_LEAST_COVERAGE = 0.5
 """Part of the averages of a level that has to be there. Chosen, not measured: with fewer than half a hole decides where
 the level lies."""
-_LARGER = 1.5
+_LARGEST_RATIO = 1.5
 """Ratio to the largest step of a nominal recording, above which a step is of another kind. Source: decision 34; the
 ratio is chosen, not measured: the largest of a few steps varies by as much."""
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """How far the levels before and after each moment `t` (K,) are apart, `size` (K,); NaN where there is none."""
+    """Difference `size` (K,) of the levels before and after each moment `t` (K,); NaN where a level is unknown."""
 
     t: Array
     size: Array
 
     @property
     def largest(self) -> float:
-        """Zero where no level is known."""
+        """The largest step; zero if no level is known."""
         return float(np.nanmax(self.size)) if np.isfinite(self.size).any() else 0.0
 
-    def at(self, moment: float) -> float:
-        """The largest that holds the moment within its pause."""
-        near = np.abs(self.t - moment) <= _APART_S
+    def largest_near(self, moment: float) -> float:
+        """The largest step whose pause contains the moment."""
+        near = np.abs(self.t - moment) <= _PAUSE_S
         return Steps(self.t[near], self.size[near]).largest if near.any() else 0.0
 
 
-def steps_of(trace: Trace) -> Steps:
-    """The steps of the residual of a trace at every half second."""
+def level_steps(trace: Trace) -> Steps:
+    """Steps of the residual of a trace, every half second."""
     width = max(1, round(_STEP_S * trace.fs))
     count = len(trace.t) // width
     rows = count * width
@@ -62,7 +62,7 @@ def steps_of(trace: Trace) -> Steps:
     summed = np.where(trace.observed[:rows, None], trace.residual[:rows], 0.0).reshape(count, width, 3).sum(axis=1)
     means = summed / np.maximum(seen.sum(axis=1), 1)[:, None]
     known: NDArray[np.bool_] = np.asarray(seen.any(axis=1))
-    length, pause = round(_LEVEL_S / _STEP_S), round(0.5 * _APART_S / _STEP_S)
+    length, pause = round(_LEVEL_S / _STEP_S), round(0.5 * _PAUSE_S / _STEP_S)
     total = np.vstack([np.zeros(3), np.cumsum(np.where(known[:, None], means, 0.0), axis=0)])
     number = np.append(0, np.cumsum(known))
     k = np.arange(length + pause, count - length - pause)
@@ -72,7 +72,7 @@ def steps_of(trace: Trace) -> Steps:
     def level(start: NDArray[np.intp], end: NDArray[np.intp]) -> Array:
         n = number[end] - number[start]
         mean = (total[end] - total[start]) / np.maximum(n, 1)[:, None]
-        mean[n < _SEEN * length] = np.nan
+        mean[n < _LEAST_COVERAGE * length] = np.nan
         return np.asarray(mean)
 
     apart = level(k + pause, k + pause + length) - level(k - pause - length, k - pause)
@@ -82,10 +82,10 @@ def steps_of(trace: Trace) -> Steps:
 def with_level_shifts(
     chosen: ChosenModel, contest: Contest, traces: Sequence[Trace], nominal: Sequence[Trace], level: float
 ) -> ChosenModel:
-    """The model, or one with steps in place of noise that wanders, on sensors that have larger ones than `nominal`.
+    """The model with steps in place of drift noise, on compasses with larger steps than `nominal` ones; else unchanged.
 
-    Steps of one sensor together need the minimum gain of one. Only compasses are tested: levels of the others change
-    with how the vehicle moves, and a calm nominal recording moves less.
+    All steps of a sensor together need the minimum gain of one. Only compasses are tested: levels of the other sensors
+    change with the movement, and a calm nominal recording moves less.
 
     Parameters
     ----------
@@ -97,40 +97,40 @@ def with_level_shifts(
         Chance of a step where there is none, a test.
     """
     for sensor in dict.fromkeys(view.sensor for view in chosen.model.setting.views):
-        if sensor is not Sensor.MAG or _jumps(chosen, sensor):
+        if sensor is not Sensor.MAG or _jump_terms(chosen, sensor):
             continue
-        nominal_step = max((steps_of(t).largest for t in nominal if _alone(t, sensor)), default=0.0)
-        own = [steps_of(t) for t in traces if _alone(t, sensor)]
-        if nominal_step > 0.0 and max((steps.largest for steps in own), default=0.0) > _LARGER * nominal_step:
-            chosen = _with_steps(chosen, contest, sensor, own, _LARGER * nominal_step, level)
+        nominal_step = max((level_steps(t).largest for t in nominal if _is_single(t, sensor)), default=0.0)
+        own = [level_steps(t) for t in traces if _is_single(t, sensor)]
+        if nominal_step > 0.0 and max((steps.largest for steps in own), default=0.0) > _LARGEST_RATIO * nominal_step:
+            chosen = _with_added_steps(chosen, contest, sensor, own, _LARGEST_RATIO * nominal_step, level)
     return chosen
 
 
-def _alone(trace: Trace, sensor: Sensor) -> bool:
+def _is_single(trace: Trace, sensor: Sensor) -> bool:
     return trace.sensor is sensor and trace.against is None
 
 
-def _with_steps(
+def _with_added_steps(
     chosen: ChosenModel, contest: Contest, sensor: Sensor, own: Sequence[Steps], least: float, level: float
 ) -> ChosenModel:
-    """The model with steps of a sensor, each at a moment where `own` steps are at least that large."""
+    """The model with steps of a sensor, at moments where `own` steps are at least as large as `least`."""
     jumps = [h for h in contest.hypotheses if h.effect.jumps and h.effect.sensor is sensor]
-    drifts = [t.hypothesis.key for t in chosen.model.noise_terms if _drifts(t, sensor)]
-    bare = reduced(chosen, drifts) if drifts else chosen
-    found = grown(bare, contest.among(jumps).without_thresholds(), level)
-    small = [t.hypothesis.key for t in _jumps(found, sensor) if max(s.at(t.theta) for s in own) < least]
-    found = reduced(found, small) if small else found
-    steps = [t.hypothesis for t in _jumps(found, sensor)]
+    drifts = [t.hypothesis.key for t in chosen.model.noise_terms if _is_drift_on(t, sensor)]
+    bare = refitted_without(chosen, drifts) if drifts else chosen
+    found = extended(bare, contest.restricted_to(jumps).without_thresholds(), level)
+    small = [t.hypothesis.key for t in _jump_terms(found, sensor) if max(s.largest_near(t.theta) for s in own) < least]
+    found = refitted_without(found, small) if small else found
+    steps = [t.hypothesis for t in _jump_terms(found, sensor)]
     if not steps:
         return chosen
-    without = reduced(found, [h.key for h in steps])
+    without = refitted_without(found, [h.key for h in steps])
     gain = sum(without.noise.deviance.values()) - sum(found.noise.deviance.values())
-    return found if gain > min(map(contest.thresholds.joining, steps)) else chosen
+    return found if gain > min(map(contest.thresholds.to_enter, steps)) else chosen
 
 
-def _jumps(chosen: ChosenModel, sensor: Sensor) -> list[Term]:
+def _jump_terms(chosen: ChosenModel, sensor: Sensor) -> list[Term]:
     return [t for t in chosen.model.terms if t.effect.jumps and t.effect.sensor is sensor]
 
 
-def _drifts(term: NoiseTerm, sensor: Sensor) -> bool:
+def _is_drift_on(term: NoiseTerm, sensor: Sensor) -> bool:
     return term.hypothesis.effect.drifts and term.hypothesis.effect.sensor is sensor

@@ -1,7 +1,7 @@
-"""The gain of a hypothesis if part of the reference's nuisance effects were still there.
+"""Gain that each hypothesis would have from the uncertainty of the nuisance effects.
 
-A baseline takes off the effects that another recording showed. In this one they are a little different: a hypothesis
-that would explain the difference is no gap.
+A baseline takes off the effects that another recording showed. They differ a little in this one, and a hypothesis that
+explains the difference is no gap.
 """
 
 from __future__ import annotations
@@ -12,46 +12,46 @@ from dataclasses import replace
 import numpy as np
 
 from mavcal.calib.gap.effects.base import MeanEffect
-from mavcal.calib.gap.effects.replay import split_of
+from mavcal.calib.gap.effects.replay import shape_and_amplitudes
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, Term, with_residual
 from mavcal.calib.gap.problem import NuisanceEffect
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.projection import Beside
+from mavcal.calib.gap.search.projection import Projection
 from mavcal.calib.gap.search.thresholds import GainThresholds
 
 
 def above_nuisance(contest: Contest, bare: Model, nuisance: tuple[NuisanceEffect, ...]) -> Contest:
-    """`contest` in which every hypothesis must gain more than it would from what the `nuisance` effects leave open.
+    """`contest` in which every hypothesis must also exceed its gain from the uncertainty of the `nuisance` effects.
 
-    The noise of the `bare` model is the declared one. Noise fitted to a gap would be larger, and the nuisance
-    effects would gain less.
+    The noise of the `bare` model is the declared one: noise fitted to a gap would be larger, and that gain too small.
     """
-    own = _gains(contest, bare, nuisance) if nuisance else {}
+    own = _nuisance_gains(contest, bare, nuisance) if nuisance else {}
     return Contest(
         contest.hypotheses, thresholds=GainThresholds(contest.thresholds.minimum_gain, own), pace=contest.pace
     )
 
 
-def _gains(contest: Contest, bare: Model, nuisance: tuple[NuisanceEffect, ...]) -> Mapping[Key, float]:
+def _nuisance_gains(contest: Contest, bare: Model, nuisance: tuple[NuisanceEffect, ...]) -> Mapping[Key, float]:
     nothing = with_residual(replace(bare, terms=()))
     residual = [np.zeros_like(r) for r in nothing.residual]
     y = [np.zeros_like(r) for r in nothing.y]
     for effect in nuisance:
-        if (term := _term(contest, effect)) is None:
+        if (term := _as_term(contest, effect)) is None:
             continue
         there = with_residual(replace(bare, terms=(term,)))
         residual = [
-            s + effect.open * (a - b) for s, a, b in zip(residual, nothing.residual, there.residual, strict=True)
+            s + effect.uncertain_share * (a - b)
+            for s, a, b in zip(residual, nothing.residual, there.residual, strict=True)
         ]
-        y = [s + effect.open * (a - b) for s, a, b in zip(y, nothing.y, there.y, strict=True)]
+        y = [s + effect.uncertain_share * (a - b) for s, a, b in zip(y, nothing.y, there.y, strict=True)]
     left = replace(nothing, residual=tuple(residual), y=tuple(y))
     means = [h for h in contest.hypotheses if isinstance(h.effect, MeanEffect)]
-    return {score.hypothesis.key: max(score.gain, 0.0) for score in contest.scores(means, Beside(left))}
+    return {score.hypothesis.key: max(score.gain, 0.0) for score in contest.scores(means, Projection(left))}
 
 
-def _term(contest: Contest, nuisance: NuisanceEffect) -> Term | None:
-    """The nuisance effect as a term; None if nothing of its kind can be tested here."""
+def _as_term(contest: Contest, nuisance: NuisanceEffect) -> Term | None:
+    """The nuisance effect as a term; None if no effect of that id can be tested here."""
     effect_id = nuisance.effect.id
     candidates = [h for h in contest.hypotheses if h.effect.id == effect_id and not h.again and not h.effect.form]
     if not candidates:
@@ -59,5 +59,5 @@ def _term(contest: Contest, nuisance: NuisanceEffect) -> Term | None:
     hypothesis = max(candidates, key=lambda h: len(h.instances))
     effect = hypothesis.effect
     assert isinstance(effect, MeanEffect)
-    theta, amplitudes = split_of(effect, nuisance.effect)
+    theta, amplitudes = shape_and_amplitudes(effect, nuisance.effect)
     return Term(hypothesis, np.ones(1) if effect.fixed else amplitudes, theta)

@@ -1,4 +1,4 @@
-"""Steady effects that a recording shows against its own ideal: what a baseline is made of."""
+"""Steady effects that a recording shows against its own ideal reading: the content of a baseline."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.model.joint import Model, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.selection import ChosenModel, last_gains, reduced, select, without
+from mavcal.calib.gap.search.selection import ChosenModel, marginal_gains, refitted_without, select, without_effect
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.telling.estimates import estimates_of
-from mavcal.calib.gap.worth.attitude_error import BY_CHANCE, below_reference
+from mavcal.calib.gap.worth.attitude_error import REFERENCE_CHANCE, below_reference
 from mavcal.calib.recording import Sensor
 
-_FURTHER = 1.2
+_FURTHER_RATIO = 1.2
 """Times what is left without an effect, above which it takes the readings further away. Chosen, not measured: a fifth
 more may be the noise of other samples."""
 _TINY = 1e-30
@@ -35,7 +35,7 @@ _TINY = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class SteadyEffect:
-    """An effect, its gain beside all the others, and the sensors on which it is seen."""
+    """An effect, its gain beside all others, and the sensors on which it acts."""
 
     effect: EffectEstimate
     gain: float
@@ -44,10 +44,7 @@ class SteadyEffect:
 
 @dataclass(frozen=True, eq=False)
 class SteadyEffects:
-    """Effects that are `found` in a flight, and those that are `supported`: another flight is expected to have them.
-
-    Both are empty where nothing is found; they are the same where nothing is doubted.
-    """
+    """Effects `found` in a flight, and those that are `supported`: expected in another flight too."""
 
     found: tuple[SteadyEffect, ...] = ()
     supported: tuple[SteadyEffect, ...] = ()
@@ -61,23 +58,23 @@ def steady_effects(
     without: Sequence[str] = (),
     pace: GapPace | None = None,
 ) -> SteadyEffects:
-    """Steady effects on the mean that are significant beside each other, and above what recordings differ by anyway."""
+    """Steady effects on the mean that are significant beside each other and exceed the accepted differences."""
     views = split(views_of(problem, {}, {}))
-    hypotheses, _ = hypotheses_of([e for e in catalogue() if _carried(e) and e.id not in without], views)
+    hypotheses, _ = hypotheses_of([e for e in catalogue() if _is_steady_mean(e) and e.id not in without], views)
     if not views or not hypotheses:
         return SteadyEffects()
     setting = setting_of(views)
     contest = Contest(hypotheses, thresholds=thresholds, pace=pace)
-    chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
-    chosen = reduced(chosen, _indifferent(chosen, contest))
-    found = _reported(chosen, contest)
+    chosen = select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
+    chosen = refitted_without(chosen, _below_minimum(chosen, contest))
+    found = _estimated(chosen, contest)
     doubted = _unsupported(chosen)
-    return SteadyEffects(found, _reported(reduced(chosen, doubted), contest) if doubted else found)
+    return SteadyEffects(found, _estimated(refitted_without(chosen, doubted), contest) if doubted else found)
 
 
-def _reported(chosen: ChosenModel, contest: Contest) -> tuple[SteadyEffect, ...]:
-    """The effects of a model with their estimates."""
-    gains = {key: gain for key, (gain, _, _) in last_gains(chosen.model, contest).items()}
+def _estimated(chosen: ChosenModel, contest: Contest) -> tuple[SteadyEffect, ...]:
+    """The effects of a model with their estimates and gains."""
+    gains = {key: gain for key, (gain, _, _) in marginal_gains(chosen.model, contest).items()}
     found = []
     for term in chosen.model.terms:
         effect, gain = term.hypothesis.effect, gains[term.hypothesis.key]
@@ -90,9 +87,9 @@ def _reported(chosen: ChosenModel, contest: Contest) -> tuple[SteadyEffect, ...]
     return tuple(found)
 
 
-def _indifferent(chosen: ChosenModel, contest: Contest) -> list[Key]:
+def _below_minimum(chosen: ChosenModel, contest: Contest) -> list[Key]:
     """Effects that gain less than the minimum once the noise is fitted with them."""
-    gains = last_gains(chosen.model, contest)
+    gains = marginal_gains(chosen.model, contest)
     small = []
     for term in chosen.model.terms:
         touched = (v.sensor for v in chosen.model.setting.views if term.hypothesis.touches(v))
@@ -102,22 +99,25 @@ def _indifferent(chosen: ChosenModel, contest: Contest) -> list[Key]:
 
 
 def _unsupported(chosen: ChosenModel) -> list[Key]:
-    """Effects that the reference's own error makes, or that take the readings further away from their ideal.
+    """Effects that the reference's own error explains, or that move the readings further from the ideal ones.
 
-    In another flight, which moves where this one did not, either of them would put something into the ideal that no
-    sensor has. The second kind fits noise: whitened samples weigh fast movement, which a re-estimated trajectory does
-    not follow.
+    In another flight with other movement they would put into the ideal reading what no sensor has. The second kind fits
+    noise: whitened samples give weight to fast movement, which a re-estimated trajectory does not follow.
     """
     model = chosen.model
-    left = _size(model)
-    further = [t.hypothesis.key for t in model.terms if left > _FURTHER * _size(without(model, t.hypothesis.key))]
-    return [*dict.fromkeys([*below_reference(model, chosen.joint, BY_CHANCE), *further])]
+    left = _normalised_residual(model)
+    further = [
+        t.hypothesis.key
+        for t in model.terms
+        if left > _FURTHER_RATIO * _normalised_residual(without_effect(model, t.hypothesis.key))
+    ]
+    return [*dict.fromkeys([*below_reference(model, chosen.joint, REFERENCE_CHANCE), *further])]
 
 
-def _size(model: Model) -> float:
-    """Sum of squares of what is left about its mean, in units of the variance of each series.
+def _normalised_residual(model: Model) -> float:
+    """Sum of squares of the residual about its mean, in units of the variance of each series.
 
-    An offset may stand in for a mean that another effect changes.
+    The mean does not count, because an offset may replace what another effect changes in it.
     """
     return sum(
         float((left.var(axis=0) / np.maximum(view.residual.var(axis=0), _TINY)).sum() * len(left))
@@ -125,5 +125,5 @@ def _size(model: Model) -> float:
     )
 
 
-def _carried(effect: CatalogueEffect) -> bool:
+def _is_steady_mean(effect: CatalogueEffect) -> bool:
     return isinstance(effect, MeanEffect) and Trait.STEADY in effect.traits

@@ -52,7 +52,7 @@ def by_id() -> dict[str, CatalogueEffect]:
 
 @cache
 def forward_models() -> dict[str, tuple[MeanEffect | NoiseEffect, ...]]:
-    """By id, what an effect does to mean or noise, in all its forms; what only the lattice shows is left out."""
+    """By id, every form of the effects on mean or noise, without lattice effects."""
     found: dict[str, tuple[MeanEffect | NoiseEffect, ...]] = {}
     for effect in catalogue():
         if isinstance(effect, MeanEffect | NoiseEffect):
@@ -62,9 +62,9 @@ def forward_models() -> dict[str, tuple[MeanEffect | NoiseEffect, ...]]:
 
 @cache
 def parameter_table() -> dict[str, tuple[EffectParameter, ...]]:
-    """Names, units and whether the value is a root, by effect: its amplitudes and then its shape (GAP 8).
+    """Parameters by effect: amplitudes, then the shape (GAP 8).
 
-    An effect that is found in the lattice or in the mean has the parameters of both.
+    An effect found in the lattice or in the mean has the parameters of both.
     """
     table: dict[str, tuple[EffectParameter, ...]] = {}
     for e in catalogue():

@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
-from mavcal.calib.gap.effects.parts import AXES, INERTIAL, TRIADS, TUMBLE, UNIT, axiswise, crossed, moves, per_axis
+from mavcal.calib.gap.effects.parts import (
+    AXES,
+    INERTIAL,
+    TRIADS,
+    TUMBLE,
+    UNIT,
+    axiswise,
+    crossed,
+    missing_movement,
+    per_axis,
+)
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -21,12 +31,12 @@ OFF_DIAGONAL = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 
 
 def constant(trace: Trace, _theta: float) -> Array:
-    """One signal (1, N): one throughout."""
+    """The constant signal one, (1, N)."""
     return np.ones((1, len(trace.t)))
 
 
 def scale_columns(trace: Trace, _theta: float) -> Array:
-    """Each axis' ideal reading on that axis: ``K - 1``."""
+    """Columns (3, N, 3) of ``K - 1``: each axis' ideal reading on that axis."""
     columns = np.zeros((3, *trace.ideal.shape))
     for axis in range(3):
         columns[axis, :, axis] = trace.ideal[:, axis]
@@ -34,7 +44,7 @@ def scale_columns(trace: Trace, _theta: float) -> Array:
 
 
 def misalignment_columns(trace: Trace, _theta: float) -> Array:
-    """The six elements of the matrix beside its diagonal."""
+    """Columns (6, N, 3) of the off-diagonal elements of the matrix."""
     columns = np.zeros((6, *trace.ideal.shape))
     for j, (row, column) in enumerate(OFF_DIAGONAL):
         columns[j, :, row] = trace.ideal[:, column]
@@ -42,12 +52,12 @@ def misalignment_columns(trace: Trace, _theta: float) -> Array:
 
 
 def rotation_columns(trace: Trace, _theta: float) -> Array:
-    """``e_j x ideal``."""
+    """Columns (3, N, 3) of a small rotation: ``e_j x ideal``."""
     return crossed(trace.ideal)
 
 
 def rotated(trace: Trace, parameters: Array) -> Array:
-    """``exp([r x]) ideal - ideal``: a rotation vector in rad, without linearisation."""
+    """Change of the ideal reading (N, 3) by a rotation vector in rad, without linearisation."""
     matrix = Rotation.from_rotvec(np.array(parameters)).as_matrix()
     return np.asarray(trace.ideal @ (matrix - np.eye(3)).T, dtype=np.float64)
 
@@ -96,7 +106,7 @@ def _matrix_part(
         parameters,
         f"{about} about all three axes",
         "turn about each axis both ways" if sensor == Sensor.GYRO else TUMBLE,
-        moves(sensor),
+        missing_movement(sensor),
         columns=columns,
         rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
         exact=exact,

@@ -1,4 +1,4 @@
-"""What an effect of the catalogue is. Adding one is adding it to the tuple of its family's file."""
+"""The types of an effect of the catalogue. A new effect is one entry in the tuple of its family's file."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """A parameter in the forward sense: what is added to, or multiplies, the ideal sensor (GAP 8).
+    """A forward parameter of an effect: it is added to, or multiplies, the ideal reading (GAP 8).
 
-    `squared`: the contest's linear amplitude is the square of the value that is reported (amplitudes of noise).
+    `squared`: the linear amplitude of the contest is the square of the reported value (amplitudes of noise).
     """
 
     name: str
@@ -34,8 +34,8 @@ class Missing(Protocol):
     def __call__(self, trace: Trace, /) -> tuple[str, str] | None: ...  # noqa: D102
 
 
-def always(_trace: Trace) -> tuple[str, str] | None:
-    """Testable on any trace."""
+def never_missing(_trace: Trace) -> tuple[str, str] | None:
+    """None: testable on any trace."""
     return None
 
 
@@ -43,18 +43,17 @@ def always(_trace: Trace) -> tuple[str, str] | None:
 class EffectShape:
     """The one nonlinear parameter of an effect: a delay, a cut-off, a time constant, a moment.
 
-    `grid(trace)` gives the values that are tried first (M,), ascending; the contest pays for the search, then refines
-    between neighbours. Where M is large, `screen(trace, residual)` picks a few of them (at least one) that are worth
-    trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid. `still`: between two
-    samples nothing depends on it (the moment of a jump), so that no derivative leads to its best value; it stays where
-    the search found it. `chosen`: beside another free effect any value may describe the same (the temperature at which
-    a drift vanishes, beside an offset).
+    `grid(trace)` gives the values that are tried first (M,), ascending; the best is refined between its neighbours, and
+    the search is priced. For a large grid `screen(trace, residual)` picks a few promising values (at least one) from
+    the unexplained residual (N, 3); the price stays that of the whole grid. A `discontinuous` shape (the moment of a
+    jump) has no derivative between two samples and is not refined. A `chosen` one is arbitrary beside another free
+    effect: the temperature at which a drift vanishes, beside an offset.
     """
 
     parameter: EffectParameter
     grid: Callable[[Trace], Array]
     screen: Callable[[Trace, Array], Array] | None = None
-    still: bool = False
+    discontinuous: bool = False
     chosen: bool = False
 
 
@@ -103,7 +102,7 @@ class CatalogueEffect:
     parameters: tuple[EffectParameter, ...]
     excited_by: str
     fix: str
-    missing: Missing = always
+    missing: Missing = never_missing
     shape: EffectShape | None = None
     rivals: tuple[str, ...] = ()
     shared: bool = False
@@ -118,12 +117,12 @@ class CatalogueEffect:
 
     @property
     def nameless(self) -> bool:
-        """Whether it is a shape that the catalogue does not have."""
+        """Whether it is a shape without a name in the catalogue."""
         return bool(self.family)
 
     @property
     def jumps(self) -> bool:
-        """Whether it is an event, in any form: an offset that comes at a moment, which is its shape."""
+        """Whether it is an event: an offset from one moment on, which is its shape."""
         return Trait.JUMPING in self.traits
 
     @property
@@ -133,7 +132,7 @@ class CatalogueEffect:
 
     @property
     def drifts(self) -> bool:
-        """Whether it is noise that wanders."""
+        """Whether it is drift noise: flicker or a random walk."""
         return Trait.WANDERING in self.traits
 
 
@@ -180,9 +179,9 @@ class NoiseEffect(CatalogueEffect):
 
 @dataclass(frozen=True)
 class LatticeEvidence:
-    """Found in the lattice of the samples: exact, before any statistics (GAP 3.0).
+    """Evidence in the sample lattice, exact before any statistics (GAP 3.0).
 
-    `masked` are the rows that leave the likelihood.
+    `masked` rows are excluded from the likelihood.
     """
 
     values: tuple[float, ...]
@@ -194,6 +193,6 @@ class LatticeEvidence:
 
 @dataclass(frozen=True, kw_only=True)
 class LatticeEffect(CatalogueEffect):
-    """Seen in repeated, clipped, zeroed or coarsely rounded samples."""
+    """An effect that shows as repeated, clipped, zeroed or coarsely rounded samples."""
 
     detect: Callable[[Trace], LatticeEvidence | None]

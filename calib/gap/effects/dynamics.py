@@ -1,4 +1,4 @@
-"""What the vehicle's movement does to a sensor that does not stand where, or feel only what, an ideal one would."""
+"""Effects of the vehicle's motion: g-sensitivity of a gyroscope, lever arm of an accelerometer."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ shows 1 mm/s2, a tenth of a milligravity."""
 
 
 def g_sensitivity_signals(trace: Trace, _theta: float) -> Array:
-    """Three signals: the components of the specific force, m/s2."""
+    """The components of the specific force (3, N), m/s2."""
     assert trace.force is not None
     return np.ascontiguousarray(trace.force.T)
 
 
 def lever_columns(trace: Trace, _theta: float) -> Array:
-    """``dw/dt x e_j + w x (w x e_j)``: what an accelerometer feels a metre off the reference point along axis j."""
+    """Columns of the lever arm: ``dw/dt x e_j + w x (w x e_j)``, the acceleration one metre along axis j."""
     assert trace.rate is not None
     assert trace.spin is not None
     w, a = trace.rate, trace.spin
@@ -37,7 +37,7 @@ def lever_columns(trace: Trace, _theta: float) -> Array:
     return columns
 
 
-def _force_moves(trace: Trace) -> tuple[str, str] | None:
+def _missing_force(trace: Trace) -> tuple[str, str] | None:
     need = f"a variation >= 0.3 m/s2: {TUMBLE}"
     if trace.force is None:
         return "specific force unknown", f"an accelerometer or a reference; {need}"
@@ -45,7 +45,7 @@ def _force_moves(trace: Trace) -> tuple[str, str] | None:
     return None if size >= _LEAST_FORCE else (f"specific force varies by {size:.2g} m/s2", need)
 
 
-def _turns_fast(trace: Trace) -> tuple[str, str] | None:
+def _missing_rotation(trace: Trace) -> tuple[str, str] | None:
     need = ">= 0.05 m/s2 per metre of lever: fast turns about two axes"
     if trace.rate is None or trace.spin is None:
         return "angular rate unknown", f"a gyroscope or a reference; {need}"
@@ -64,7 +64,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         tuple(EffectParameter(f"g_sensitivity.{row}{column}", "rad/s/(m/s2)") for column in AXES for row in AXES),
         "attitudes, accelerations",
         TUMBLE,
-        _force_moves,
+        _missing_force,
         columns=_g_columns,
         signals=g_sensitivity_signals,
         plain="a rate that follows the specific force",
@@ -77,7 +77,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         per_axis("lever_arm", "m"),
         "fast turns",
         "fast turns about two axes at different rates; a yaw jerk",
-        _turns_fast,
+        _missing_rotation,
         columns=lever_columns,
         plain="a sensor away from the reference point",
         rivals=("accel_delay", "accel_low_pass"),

@@ -1,4 +1,4 @@
-"""Things that happen once: a bias that jumps (a knock, a magnet put on, a supply switched)."""
+"""Single events: a bias that jumps (a knock, a magnet put on, a supply switched)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 Screen = Callable[[Trace, Array], Array]
 
-SLOW_S = 1.5
+RAMP_S = 1.5
 """Duration, s, of a step that is no jump. Chosen, not measured: hands take about as long to put a magnet on."""
 _CANDIDATES = 4
 """Moments that are tried. Chosen, not measured: it bounds the time; the likeliest ones are among the first."""
@@ -29,30 +29,30 @@ _EDGE = 0.01
 hundredth of the samples."""
 
 
-def after(trace: Trace, moment: float) -> Array:
-    """One signal: zero before `moment` (s), one from then on; in between at the sample before it: it can be refined."""
+def step_signal(trace: Trace, moment: float) -> Array:
+    """Step (1, N) at `moment` (s), linear between the samples beside it, so that it can be refined."""
     return np.clip((trace.t - moment) * trace.fs + 1.0, 0.0, 1.0)[None]
 
 
-def gradually(trace: Trace, moment: float) -> Array:
-    """One signal: from zero to one over `SLOW_S` about `moment` (s): hands take their time."""
-    return np.clip((trace.t - moment) / SLOW_S + 0.5, 0.0, 1.0)[None]
+def ramp_signal(trace: Trace, moment: float) -> Array:
+    """Ramp (1, N) from zero to one over `RAMP_S` about `moment` (s)."""
+    return np.clip((trace.t - moment) / RAMP_S + 0.5, 0.0, 1.0)[None]
 
 
-def moments(trace: Trace) -> Array:
-    """Every moment at which a step could lie, s."""
+def step_moments(trace: Trace) -> Array:
+    """All possible moments of a step, s."""
     margin = max(2, int(_EDGE * len(trace.t)))
     return np.asarray(trace.t[margin:-margin] if len(trace.t) > 3 * margin else trace.t, dtype=np.float64)
 
 
-def likeliest(trace: Trace, residual: Array) -> Array:
+def likeliest_steps(trace: Trace, residual: Array) -> Array:
     """The moments with the largest standardised change of the mean of `residual` (N, 3), ascending.
 
-    The recording is split at the first one, then between those found, so a pulse gives both of its edges.
-    The noise is taken from successive differences, so a slow drift does not hide a jump.
+    The recording is split at the first one, then between those found, so a pulse gives both of its edges. Noise is
+    estimated from successive differences, so a slow drift does not hide a jump.
     """
     n = len(trace.t)
-    first = int(np.searchsorted(trace.t, moments(trace)[0]))
+    first = int(np.searchsorted(trace.t, step_moments(trace)[0]))
     count = np.concatenate([[0.0], np.cumsum(trace.observed.astype(np.float64))])
     y = np.where(trace.observed[:, None], residual, 0.0)
     total = np.hstack([np.zeros((3, 1)), np.cumsum(y.T, axis=1)])
@@ -63,7 +63,7 @@ def likeliest(trace: Trace, residual: Array) -> Array:
         pieces = list(pairwise([0, *sorted(found), n]))
         for start, end in pieces:
             if (start, end) not in known:
-                known[start, end] = _split(count, total, noise, start, end, max(first, 1))
+                known[start, end] = _best_split(count, total, noise, start, end, max(first, 1))
         best = max(known[piece] for piece in pieces)
         if best[0] <= 0.0:
             break
@@ -72,18 +72,18 @@ def likeliest(trace: Trace, residual: Array) -> Array:
 
 
 def likeliest_ramps(trace: Trace, residual: Array) -> Array:
-    """The same of those whose ramp was recorded; beside a hole two levels are all that is known, and a jump says that.
+    """The same for ramps that were sampled; across a hole only the two levels are known, and a jump describes those.
 
-    Where there is none, the first moment of all, which explains nothing.
+    Without any, the first possible moment, which explains nothing.
     """
-    found = likeliest(trace, residual)
-    during = np.abs(trace.t[:, None] - found) < 0.5 * SLOW_S
+    found = likeliest_steps(trace, residual)
+    during = np.abs(trace.t[:, None] - found) < 0.5 * RAMP_S
     seen = (during & trace.observed[:, None]).sum(axis=0) > _SEEN * during.sum(axis=0)
-    return found[seen] if seen.any() else moments(trace)[:1]
+    return found[seen] if seen.any() else step_moments(trace)[:1]
 
 
-def _split(count: Array, total: Array, noise: Array, start: int, end: int, margin: int) -> tuple[float, int]:
-    """Largest standardised change of the mean between rows `start` and `end`, and the row from which it holds."""
+def _best_split(count: Array, total: Array, noise: Array, start: int, end: int, margin: int) -> tuple[float, int]:
+    """Largest standardised change of the mean between rows `start` and `end`, and its row."""
     first, last = start + margin, end - margin
     n = float(count[end] - count[start])
     before = count[first:last] - count[start]
@@ -96,7 +96,7 @@ def _split(count: Array, total: Array, noise: Array, start: int, end: int, margi
     return float(gain[best]), first + best
 
 
-def _of(
+def _effect_of(
     sensor: Sensor, form: str, signal: Callable[[Trace, float], Array], screen: Screen, *, still: bool
 ) -> CatalogueEffect:
     return MeanEffect(
@@ -105,7 +105,7 @@ def _of(
         per_axis("step", UNIT[sensor]),
         "the event itself",
         "the same movement before and after; a log without the event",
-        shape=EffectShape(EffectParameter("time_s", "s"), moments, screen, still=still),
+        shape=EffectShape(EffectParameter("time_s", "s"), step_moments, screen, discontinuous=still),
         columns=axiswise(signal),
         signals=signal,
         plain="an offset that comes or goes at a moment",
@@ -120,7 +120,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = tuple(
     effect
     for sensor in TRIADS
     for effect in (
-        _of(sensor, "", after, likeliest, still=True),
-        _of(sensor, "~slow", gradually, likeliest_ramps, still=False),
+        _effect_of(sensor, "", step_signal, likeliest_steps, still=True),
+        _effect_of(sensor, "~slow", ramp_signal, likeliest_ramps, still=False),
     )
 )

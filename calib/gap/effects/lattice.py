@@ -1,6 +1,6 @@
-"""What the samples themselves show, exactly: levels, repeats, zeros, and an end of the range (GAP 3.0).
+"""Exact effects in the samples: quantisation, repeats, zeros, and the end of the range (GAP 3.0).
 
-What the ideal reading shows as well, and what is declared of the recording, is no gap.
+What the ideal reading shows too, or the recording declares, is no gap.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ _SURROUNDINGS = 51
 _SAFETY = 1.5
 """Factor on the number of repeats by chance, whose noise is an estimate. Chosen, not measured: more than that estimate
 errs by."""
-_TELLING = 0.2
+_INFORMATIVE_CHANCE = 0.2
 """Chance of a repeat above which a row says nothing: it depends on where in its bin the reading lies. Chosen, not
 measured: a chance of one in five surprises nobody."""
-_RARE = 1e-5
+_LEAST_CHANCE = 1e-5
 """The least chance of a repeat: a movement that forbids them is known no better. Chosen, not measured: far below any
 chance that noise of a step's size has."""
-_STANDS = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
+_AT_REST_SHARE = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
 """Chosen, not measured: more than half of them."""
 
 
 def quantisation(trace: Trace) -> LatticeEvidence | None:
-    """Levels coarser than declared and than the ideal reading's. Values: step on x, y, z (0: none)."""
+    """Levels coarser than declared and than those of the ideal reading. Values: step on x, y, z (0: none)."""
     steps, two_delta = [0.0] * 3, 0.0
     for axis in range(3):
         values, ideal = trace.measured[trace.observed, axis], trace.ideal[trace.observed, axis]
@@ -71,11 +71,11 @@ def quantisation(trace: Trace) -> LatticeEvidence | None:
 
 
 def saturation(trace: Trace) -> LatticeEvidence | None:
-    """Samples that pile up at an end of the range while the ideal reading goes on. Value: the range."""
+    """Samples at an end of the range beyond which the ideal reading goes. Value: the limit."""
     limits, two_delta, masked = [], 0.0, np.zeros(trace.measured.shape, dtype=np.bool_)
     for axis in range(3):
         for side in (1.0, -1.0):
-            pile, gain = _pile(side * trace.measured[:, axis], side * trace.ideal[:, axis], trace.observed)
+            pile, gain = _samples_at_limit(side * trace.measured[:, axis], side * trace.ideal[:, axis], trace.observed)
             if gain >= _EVIDENCE:
                 limits.append(float(np.abs(trace.measured[pile, axis]).max()))
                 two_delta += gain
@@ -88,8 +88,8 @@ def saturation(trace: Trace) -> LatticeEvidence | None:
     return _evidence(trace, [float(np.median(limits))], [spread], two_delta, text, rows)
 
 
-def _pile(measured: Array, ideal: Array, observed: Mask) -> tuple[Mask, float]:
-    """Rows at the largest value and the evidence that it is an end: more of them than below, and ideal beyond."""
+def _samples_at_limit(measured: Array, ideal: Array, observed: Mask) -> tuple[Mask, float]:
+    """Rows at the largest value, and the evidence for a limit: more rows than just below, with the ideal beyond."""
     top = float(measured[observed].max(initial=-np.inf))
     near = EQUAL * abs(top)
     pile = observed & (measured >= top - near)
@@ -116,7 +116,7 @@ def dead_band(trace: Trace) -> LatticeEvidence | None:
     widths, errors, two_delta = [0.0] * 3, [0.0] * 3, 0.0
     masked = np.zeros(len(trace.t), dtype=np.bool_)
     for axis in range(3):
-        found = _zeros(trace, axis)
+        found = _zero_band(trace, axis)
         if found is not None:
             widths[axis], errors[axis], gain, zero = found
             two_delta += gain
@@ -127,7 +127,7 @@ def dead_band(trace: Trace) -> LatticeEvidence | None:
     return _evidence(trace, widths, errors, two_delta, f"zero where smaller than {where} {trace.unit}", masked)
 
 
-def _zeros(trace: Trace, axis: int) -> tuple[float, float, float, Mask] | None:
+def _zero_band(trace: Trace, axis: int) -> tuple[float, float, float, Mask] | None:
     values, ideal = trace.measured[:, axis], trace.ideal[:, axis]
     empty = (trace.measured == 0.0).all(axis=1) & (np.abs(trace.ideal).max(axis=1) > 10.0 * noise_of(values))
     seen = trace.observed & ~empty
@@ -154,7 +154,7 @@ def _zeros(trace: Trace, axis: int) -> tuple[float, float, float, Mask] | None:
 
 
 def _shift_towards_zero(values: Array, ideal: Array, rows: Mask) -> tuple[float, float]:
-    """By how much readings of either sign are smaller than ideal ones, a common bias apart, and its standard error."""
+    """Mean reduction of readings of either sign towards zero, without their common bias, and its standard error."""
     missing = ideal[rows] - values[rows]
     up = values[rows] > 0.0
     if min(up.sum(), (~up).sum()) < _FEWEST:
@@ -170,17 +170,17 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     same = trace.measured[1:] == trace.measured[:-1]
     unchanged = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1)
     moved = both & ~same.all(axis=1)
-    if unchanged[moved].sum() > _STANDS * moved.sum():
+    if unchanged[moved].sum() > _AT_REST_SHARE * moved.sum():
         unchanged = np.zeros_like(unchanged)  # an ideal reading that stands still, not one that is held
     standing = unchanged | (trace.measured[1:] == 0.0).all(axis=1)
     by_chance = _repeats_by_chance(trace, same)
-    telling = both & ~standing & (by_chance < _TELLING)
+    telling = both & ~standing & (by_chance < _INFORMATIVE_CHANCE)
     repeat = telling & same.all(axis=1)
     count, n = int(repeat.sum()), int(telling.sum())
-    chance = np.maximum(_SAFETY * by_chance[telling], max(_RARE, 0.1 / max(n, 1)))
+    chance = np.maximum(_SAFETY * by_chance[telling], max(_LEAST_CHANCE, 0.1 / max(n, 1)))
     if count < _FEWEST:
         return None
-    two_delta = _too_many(repeat[telling], chance)
+    two_delta = _repeat_evidence(repeat[telling], chance)
     if two_delta < _EVIDENCE:
         return None
     share = count / n
@@ -191,11 +191,11 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     return _evidence(trace, [held, share], [held * se / max(1.0 - share, 1.0 / n), se], two_delta, text, masked)
 
 
-def _too_many(repeat: Mask, chance: Array) -> float:
-    """Twice the log-likelihood that rows (N,) are held with a chance h beside that of each, against that alone.
+def _repeat_evidence(repeat: Mask, chance: Array) -> float:
+    """Twice the log-likelihood that rows (N,) are held with a chance h beside their own, against their own alone.
 
-    With small chances both are Poisson's: the best h solves ``sum over repeats of 1 / (h + chance) = N``. A repeat
-    where the movement forbids one says more than one of a sensor at rest.
+    With small chances both are Poisson: the best h solves ``sum over repeats of 1 / (h + chance) = N``. A repeat where
+    the movement forbids one has more weight than one of a sensor at rest.
     """
     own, n = chance[repeat], len(chance)
 
@@ -209,13 +209,13 @@ def _too_many(repeat: Mask, chance: Array) -> float:
 
 
 def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
-    """Probability (N - 1,) that a row repeats the one before on all axes because of coarse levels.
+    """Probability (N - 1,) that a row repeats the previous one on all axes because of coarse levels.
 
-    Two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step q is ``q / (2
-    sqrt(pi) sigma)``; noise that is smaller than the levels repeats always. The noise is estimated nearby, since a
-    sensor at rest repeats and a moving one does not. Only rows that do not repeat count, or a hold would hide itself:
-    their mean absolute difference is ``2 sigma / sqrt(pi)``, less the levels' own part. A sensor whose ideal reading
-    goes on by D meanwhile repeats more rarely by ``exp(-D^2 / 4 sigma^2)``, the levels counted as noise.
+    Two samples differ by a Gaussian of sd ``sqrt(2) sigma``; its density at zero times the step q is ``q / (2 sqrt(pi)
+    sigma)``. Noise below the step always repeats. The noise is estimated locally, since a sensor at rest repeats and a
+    moving one does not, and only from rows that do not repeat, or a hold would hide itself: their mean absolute
+    difference is ``2 sigma / sqrt(pi)``, less the part of the levels. A change D of the ideal reading reduces the
+    chance by ``exp(-D^2 / 4 sigma^2)``, with the levels counted as noise.
     """
     changed = (trace.observed[1:] & trace.observed[:-1] & ~same.all(axis=1)).astype(np.float64)
     weight = uniform_filter1d(changed, _SURROUNDINGS, mode="nearest")
@@ -232,16 +232,16 @@ def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
         noise = 0.5 * math.sqrt(math.pi) * size / np.maximum(weight, 0.5 / _SURROUNDINGS)
         variance = np.maximum(noise**2 - step**2 / 12.0, np.finfo(float).tiny)
         chance *= np.minimum(1.0, step / (2.0 * np.sqrt(math.pi * variance)))
-        movement += _moved(trace.ideal[:, axis]) ** 2 / (4.0 * (variance + step**2))
+        movement += _ideal_steps(trace.ideal[:, axis]) ** 2 / (4.0 * (variance + step**2))
     chance = np.where(weight * _SURROUNDINGS < 2.5, 1.0, chance)
     # A sensor whose noise is below its levels in a tenth of the recording has no noise that would forbid repeats.
     return np.asarray(np.maximum(chance, float(np.quantile(chance, 0.9))) * np.exp(-movement))
 
 
-def _moved(ideal: Array) -> Array:
-    """By how much an ideal reading (N,) goes on between rows, (N - 1,): at that row and in the mean of those around it.
+def _ideal_steps(ideal: Array) -> Array:
+    """Change of the ideal reading (N,) between rows, (N - 1,): the smaller of the step and its local mean.
 
-    An estimated reading jitters from row to row, which is no movement.
+    The jitter of an estimated reading is no movement.
     """
     steps = np.diff(ideal)
     return np.asarray(np.minimum(np.abs(steps), np.abs(uniform_filter1d(steps, _STEPS, mode="nearest"))))
@@ -254,7 +254,7 @@ def _evidence(
     return LatticeEvidence(tuple(values), tuple(se), two_delta, rows, text)
 
 
-def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
+def _effects_of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     unit = UNIT[sensor]
     return (
         LatticeEffect(
@@ -304,4 +304,4 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     )
 
 
-EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _effects_of(sensor))

@@ -1,6 +1,6 @@
-"""Ends of the range and dead bands that lie before the noise and the converter: in a mechanism, an analogue stage.
+"""Saturation and dead bands before the noise and the converter: in a mechanism or an analogue stage.
 
-The samples themselves show nothing (:mod:`calib.gap.effects.lattice` finds what the converter does); the mean does.
+The samples show no lattice (:mod:`calib.gap.effects.lattice` finds what the converter does); the mean changes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ decades of `_MOST`."""
 _LEAST, _MOST = 4.0, 1e6
 """Evidence of the least value that is tried, and ratio of the largest to it. Chosen, not measured: 4 is two standard
 errors, and a million times as much is beyond doubt."""
-_BELOW = 0.9
+_BELOW_LIMIT = 0.9
 """Share of the largest reading: an end of the range there leaves some readings alone, an offset none. Chosen, not
 measured: a tenth is beyond any noise."""
 _OUTSIDE = 0.02
@@ -37,29 +37,29 @@ does not say what a sensor should read. Source: decision 41."""
 
 
 def clipped_column(trace: Trace, limit: float) -> Array:
-    """What a range that ends at +-`limit` takes from the ideal reading."""
+    """Change of the ideal reading by a range that ends at +-`limit`."""
     return (np.clip(trace.ideal, -limit, limit) - trace.ideal)[None]
 
 
 def dead_column(trace: Trace, width: float) -> Array:
-    """Difference from the ideal reading of a sensor that reads zero within +-`width`.
+    """Change of the ideal reading by a dead band of half width `width`.
 
-    Nothing where the reference does not say what to read: there it would take the reference's own noise away.
+    Zero where the reference is too noisy to say what to read: there it would remove the reference's own noise.
     """
     size = np.abs(trace.ideal)
     return np.where((size < width) & (size >= _BLURRED * trace.unit_sd), -trace.ideal, 0.0)[None]
 
 
 def _noise(trace: Trace) -> float:
-    """Noise of one sample: the quietest axis'."""
+    """Noise of one sample on the quietest axis."""
     if trace.sigma is not None:
         return float(np.min(trace.sigma))
     steps = np.diff(trace.residual[trace.observed], axis=0)
     return float(np.sqrt(0.5 * steps.var(axis=0)).min()) if len(steps) else 0.0
 
 
-def _at_energies(values: Array, energy: Array, noise: float) -> Array:
-    """The ascending `values` at which the rising `energy` they take reaches steps of a constant ratio."""
+def _at_energy_steps(values: Array, energy: Array, noise: float) -> Array:
+    """The ascending `values` at which the rising `energy` that they remove reaches steps of a constant ratio."""
     seen = _LEAST * noise**2
     top = float(energy[-1])
     if not (noise > 0.0 and top > seen):
@@ -69,45 +69,45 @@ def _at_energies(values: Array, energy: Array, noise: float) -> Array:
 
 
 @remembered(16)
-def limits(trace: Trace) -> Array:
+def candidate_limits(trace: Trace) -> Array:
     """Limits to try, ascending, in the unit of the readings."""
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())[::-1]
     count = np.arange(1, len(size) + 1)
     energy = np.cumsum(size**2) - 2.0 * size * np.cumsum(size) + count * size**2  # what lies above each of them
-    tried = np.sort(_at_energies(size, np.maximum.accumulate(energy), _noise(trace)))
+    tried = np.sort(_at_energy_steps(size, np.maximum.accumulate(energy), _noise(trace)))
     below = tried[tried <= size[0] - _BLURRED * trace.ideal_sd]
     return below if len(below) else tried[:1]
 
 
 @remembered(16)
-def widths(trace: Trace) -> Array:
+def candidate_widths(trace: Trace) -> Array:
     """Half widths to try, ascending, in the unit of the readings."""
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())
-    tried = _at_energies(size, np.cumsum(size**2), _noise(trace))
+    tried = _at_energy_steps(size, np.cumsum(size**2), _noise(trace))
     beyond = tried[tried > _BLURRED * max(trace.ideal_sd, trace.unit_sd)]
     return beyond if len(beyond) else size[-1:]
 
 
 def _within_noise(size: Array, trace: Trace) -> bool:
-    """Whether no ideal reading, of sizes (n, 3), is larger than the noise: nothing moves that could be cut off."""
+    """Whether no ideal reading, of sizes (n, 3), exceeds the noise."""
     return 0.0 < float(size.max(initial=0.0)) < _noise(trace)
 
 
-def _reaches_far(sensor: Sensor) -> Missing:
+def _missing_range(sensor: Sensor) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         size = np.abs(trace.ideal[trace.observed])
         if not len(size) or float(size.max()) <= 0.0:
             return f"the ideal {sensor.value} reads zero", "movement up to the end of the range"
         if _within_noise(size, trace):
             return f"the ideal {sensor.value} stays within the noise", "movement up to the end of the range"
-        if (size.max(axis=1) < _BELOW * size.max()).mean() < _OUTSIDE:
+        if (size.max(axis=1) < _BELOW_LIMIT * size.max()).mean() < _OUTSIDE:
             return f"the ideal {sensor.value} is as large throughout", "movement that comes and goes"
         return None
 
     return missing
 
 
-def _crosses_zero(sensor: Sensor) -> Missing:
+def _missing_zero_crossing(sensor: Sensor) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         ideal = np.abs(trace.ideal[trace.observed])
         if _within_noise(ideal, trace):
@@ -123,11 +123,11 @@ _KINDS = (
     (
         "saturation",
         EffectParameter("limit", ""),
-        limits,
+        candidate_limits,
         clipped_column,
         "readings up to the end of the range",
         "a larger range; less violent movement",
-        _reaches_far,
+        _missing_range,
         "a range that is too small",
         frozenset[Trait](),
         SensorTerm.FULL_SCALE,
@@ -135,11 +135,11 @@ _KINDS = (
     (
         "dead_band",
         EffectParameter("half_width", ""),
-        widths,
+        candidate_widths,
         dead_column,
         "readings about zero",
         "slow movement through zero",
-        _crosses_zero,
+        _missing_zero_crossing,
         "small values read as zero",
         frozenset({Trait.DEAD_BAND}),
         None,
@@ -147,7 +147,7 @@ _KINDS = (
 )
 
 
-def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
+def _effects_of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     return tuple(
         MeanEffect(
             f"{sensor}_{name}",
@@ -168,4 +168,4 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     )
 
 
-EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _effects_of(sensor))

@@ -1,4 +1,4 @@
-"""What is particular to magnetometers: iron on the vehicle, currents, and the field of the place.
+"""Effects of magnetometers: iron on the vehicle, currents, and the local field.
 
 ``measured = (I + S) B_b + h + c I`` with ``B_b = R_bn (B_n + dB + G (p - p_0))``.
 """
@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.affine import constant
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
-from mavcal.calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
+from mavcal.calib.gap.effects.parts import (
+    TUMBLE,
+    axiswise,
+    body_from_ned,
+    first_missing,
+    missing_movement,
+    per_axis,
+    spread,
+)
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.channels import TELLING_CURRENT
@@ -61,19 +69,20 @@ def current_signal(trace: Trace, _theta: float) -> Array:
     return trace.current[None, :]
 
 
-def late_current_signal(trace: Trace, lag: float) -> Array:
-    """The current in A `lag` seconds before, (1, N).
+def lagged_current_signal(trace: Trace, lag: float) -> Array:
+    """The current `lag` seconds earlier, A, (1, N).
 
-    A compass averages over its own interval, a current monitor filters, and both are logged when their turn comes.
+    A compass averages over its interval, a current monitor filters, and both are logged at their own times.
     """
     assert trace.current is not None
     return np.interp(trace.t - lag, trace.t, trace.current)[None, :]
 
 
 def throttle_signal(trace: Trace, exponent: float) -> Array:
-    """A power of the throttle, 0..1, (1, N): for vehicles without a good current monitor (ArduPilot's COMPASS_MOTCT 1).
+    """A power of the throttle 0..1, (1, N), for vehicles without a good current monitor (ArduPilot's COMPASS_MOTCT 1).
 
-    A propeller draws current as the 1.5th power of its thrust; how the throttle goes with that is the firmware's.
+    A propeller's current grows with the 1.5th power of its thrust; the firmware sets the relation of throttle and
+    thrust.
     """
     assert trace.throttle is not None
     return np.maximum(trace.throttle, 0.0)[None, :] ** exponent
@@ -90,13 +99,13 @@ def lags(_trace: Trace) -> Array:
 
 
 def earth_columns(trace: Trace, _theta: float) -> Array:
-    """North, east and down as the body sees them."""
+    """North, east and down in body axes."""
     assert trace.attitude is not None
     return np.ascontiguousarray(body_from_ned(trace.attitude).transpose(2, 0, 1))
 
 
 def gradient_columns(trace: Trace, _theta: float) -> Array:
-    """The five fields of a uniform gradient about the middle of the path, as the body sees them."""
+    """The five fields of a uniform gradient about the mean position, in body axes."""
     assert trace.attitude is not None
     assert trace.place is not None
     path = trace.place - trace.place[trace.observed].mean(axis=0)
@@ -104,7 +113,7 @@ def gradient_columns(trace: Trace, _theta: float) -> Array:
     return np.stack([np.einsum("nij,nj->ni", turn, path @ g.T) for g in GRADIENT])
 
 
-def _no_current(trace: Trace) -> tuple[str, str] | None:
+def _missing_current(trace: Trace) -> tuple[str, str] | None:
     if trace.current is None:
         return "no current recorded", "a current monitor in the log, currents that vary by >= 0.5 A"
     size = spread(trace.current[:, None], trace.observed)
@@ -113,7 +122,7 @@ def _no_current(trace: Trace) -> tuple[str, str] | None:
     return None
 
 
-def _no_throttle(trace: Trace) -> tuple[str, str] | None:
+def _missing_throttle(trace: Trace) -> tuple[str, str] | None:
     if trace.throttle is None:
         return "no current and no throttle recorded", "a current monitor in the log, currents that vary by >= 0.5 A"
     size = spread(trace.throttle[:, None], trace.observed)
@@ -122,11 +131,11 @@ def _no_throttle(trace: Trace) -> tuple[str, str] | None:
     return None
 
 
-def _no_attitude(trace: Trace) -> tuple[str, str] | None:
+def _missing_attitude(trace: Trace) -> tuple[str, str] | None:
     return None if trace.attitude is not None else ("attitude unknown", "a reference attitude")
 
 
-def _no_path(trace: Trace) -> tuple[str, str] | None:
+def _missing_path(trace: Trace) -> tuple[str, str] | None:
     if trace.place is None:
         return "position unknown", "a reference position over a path of a metre or more"
     size = spread(trace.place, trace.observed)
@@ -143,7 +152,7 @@ def _motor_current(
     signals: Callable[[Trace, float], Array],
     shape: EffectShape | None = None,
 ) -> CatalogueEffect:
-    """The field of the motors' current as it goes by one signal: the current, or what stands for it."""
+    """The field of the motors' current, in proportion to one signal: the current, or a substitute."""
     return MeanEffect(
         "mag_motor_current",
         Sensor.MAG,
@@ -189,23 +198,23 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         tuple(EffectParameter(f"soft_iron.{name}", "1") for name in _SYMMETRIC_NAMES),
         _ATTITUDES,
         TUMBLE,
-        moves(Sensor.MAG),
+        missing_movement(Sensor.MAG),
         columns=soft_iron_columns,
         plain="iron that bends the field",
         rivals=("mag_hard_iron", "mag_rotation", "mag_temp_scale"),
         traits=frozenset({Trait.STEADY, Trait.SIZE}),
         term=SensorTerm.SOFT_IRON,
     ),
-    _motor_current("~late", _PER_AMPERE, _CURRENTS, _no_current, late_current_signal, _LAG),
-    _motor_current("~throttle", _FULL_THROTTLE, "throttle that varies", _no_throttle, throttle_signal, _EXPONENT),
-    _motor_current("", _PER_AMPERE, _CURRENTS, _no_current, current_signal),
+    _motor_current("~late", _PER_AMPERE, _CURRENTS, _missing_current, lagged_current_signal, _LAG),
+    _motor_current("~throttle", _FULL_THROTTLE, "throttle that varies", _missing_throttle, throttle_signal, _EXPONENT),
+    _motor_current("", _PER_AMPERE, _CURRENTS, _missing_current, current_signal),
     MeanEffect(
         "mag_earth_field",
         Sensor.MAG,
         tuple(EffectParameter(f"earth_field.{axis}", "uT") for axis in _NED),
         _ATTITUDES,
         f"{TUMBLE}; the same with the sensor turned by 180 degrees in its mounting",
-        first_missing((_no_attitude, moves(Sensor.MAG))),
+        first_missing((_missing_attitude, missing_movement(Sensor.MAG))),
         columns=earth_columns,
         plain="another field of the Earth than assumed",
         rivals=("mag_rotation", "mag_hard_iron", "mag_soft_iron"),
@@ -217,7 +226,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         tuple(EffectParameter(f"gradient.{name}", "uT/m") for name in _GRADIENT_NAMES),
         "a path through the place",
         "fly the same path at two headings, and again elsewhere",
-        first_missing((_no_attitude, _no_path)),
+        first_missing((_missing_attitude, _missing_path)),
         columns=gradient_columns,
         plain="a field that changes with the place",
         rivals=("mag_hard_iron", "mag_earth_field", "mag_random_walk"),

@@ -25,38 +25,38 @@ _LONG = 30.0
 of a walk than its mean."""
 
 
-def white(trace: Trace, omega: Array, _theta: float) -> Array:
+def white_density(trace: Trace, omega: Array, _theta: float) -> Array:
     """Flat: ``fs`` for a density of one."""
-    return (trace.fs * behind_filter(trace, omega))[None]
+    return (trace.fs * filter_power_gain(trace, omega))[None]
 
 
-def flicker(trace: Trace, omega: Array, _theta: float) -> Array:
-    """``1 / (2 sin(w/2))``, the lowest bin in place of the infinite one."""
-    return (0.5 / np.sin(0.5 * _positive(omega)) * behind_filter(trace, omega))[None]
+def flicker_density(trace: Trace, omega: Array, _theta: float) -> Array:
+    """``1 / (2 sin(w/2))``, with the lowest positive bin in place of zero frequency."""
+    return (0.5 / np.sin(0.5 * _positive(omega)) * filter_power_gain(trace, omega))[None]
 
 
-def walk(trace: Trace, omega: Array, _theta: float) -> Array:
-    """``1 / (4 fs sin^2(w/2))``, likewise."""
-    return (0.25 / (trace.fs * np.sin(0.5 * _positive(omega)) ** 2) * behind_filter(trace, omega))[None]
+def walk_density(trace: Trace, omega: Array, _theta: float) -> Array:
+    """``1 / (4 fs sin^2(w/2))``, with the lowest positive bin in place of zero frequency."""
+    return (0.25 / (trace.fs * np.sin(0.5 * _positive(omega)) ** 2) * filter_power_gain(trace, omega))[None]
 
 
-def behind_filter(trace: Trace, omega: Array) -> Array:
-    """Power (K,) that the firmware's own filter leaves at `omega`, rad per sample."""
+def filter_power_gain(trace: Trace, omega: Array) -> Array:
+    """Power gain (K,) of the firmware's filter at `omega`, rad per sample."""
     return filter_gain(omega * (trace.fs / (2.0 * np.pi)), trace.low_pass_hz) ** 2
 
 
 def _positive(omega: Array) -> Array:
-    """`omega` with half the lowest other frequency where it is zero."""
+    """`omega` with half the lowest positive frequency in place of zero."""
     lowest = float(omega[omega > 0.0].min())
     return np.where(omega > 0.0, omega, 0.5 * lowest)
 
 
-def _long(trace: Trace) -> tuple[str, str] | None:
+def _missing_duration(trace: Trace) -> tuple[str, str] | None:
     duration = float(trace.t[-1] - trace.t[0])
     return None if duration >= _LONG else (f"{duration:.0f} s of data", ">= 30 s, better ten minutes at rest")
 
 
-def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
+def _effects_of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     unit = UNIT[sensor]
     return (
         NoiseEffect(
@@ -65,7 +65,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             per_axis("density", f"{unit}/sqrt(Hz)", squared=True),
             "any recording",
             "a minute at rest with the motors off, and one with them on",
-            density=white,
+            density=white_density,
             plain="more white noise",
             rivals=(f"{sensor}_rotor_noise", f"{sensor}_quantisation", f"{sensor}_flicker"),
             traits=frozenset({Trait.BROADBAND}),
@@ -77,8 +77,8 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             per_axis("instability", unit, squared=True),
             "minutes of data",
             "ten minutes or more at rest at a constant temperature",
-            _long,
-            density=flicker,
+            _missing_duration,
+            density=flicker_density,
             plain="1/f noise",
             rivals=(f"{sensor}_random_walk", f"{sensor}_noise"),
             traits=frozenset({Trait.WANDERING}),
@@ -90,8 +90,8 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             per_axis("random_walk", f"{unit}*sqrt(Hz)", squared=True),
             "minutes of data",
             "ten minutes or more at rest at a constant temperature",
-            _long,
-            density=walk,
+            _missing_duration,
+            density=walk_density,
             plain="an offset that wanders",
             rivals=(f"{sensor}_flicker", f"{sensor}_temp_linear", f"{sensor}_step", "reference_attitude"),
             traits=frozenset({Trait.WANDERING}),
@@ -100,4 +100,4 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     )
 
 
-EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _effects_of(sensor))

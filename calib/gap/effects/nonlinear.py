@@ -1,4 +1,4 @@
-"""Readings that bend: what a sensor adds with the square of what it measures (IEEE Std 1293, coefficient K2)."""
+"""Quadratic nonlinearity: an error with the square of the reading (IEEE Std 1293, coefficient K2)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def squared_columns(trace: Trace, _theta: float) -> Array:
     return columns
 
 
-def _strong(trace: Trace) -> tuple[str, str] | None:
+def _missing_force(trace: Trace) -> tuple[str, str] | None:
     need = f"forces beyond {_LEAST_FORCE:g} m/s2 along an axis: a centrifuge, a launch"
     seen = np.abs(trace.ideal[trace.observed])
     if len(seen) and (seen > _LEAST_FORCE).mean(axis=0).max() >= _OFTEN:
@@ -43,7 +43,7 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         per_axis("quadratic", "1/(m/s2)"),
         "forces far beyond gravity",
         "forces of both signs beyond 2.5 g, as on a centrifuge",
-        _strong,
+        _missing_force,
         columns=squared_columns,
         plain="readings that bend at large forces",
         rivals=("accel_scale", "accel_bias", "accel_saturation"),

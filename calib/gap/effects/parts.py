@@ -1,4 +1,4 @@
-"""What the families of the catalogue have in common: names, columns made of signals, and what a trace has to offer."""
+"""Common parts of the families: names, columns made of signals, and requirements of a trace."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def on_each_axis(signals: Array) -> Array:
 
 
 def axiswise(signals: Callable[[Trace, float], Array]) -> Callable[[Trace, float], Array]:
-    """The columns of an effect that is made of `signals`."""
+    """Columns of an effect that acts on each axis with `signals`."""
 
     def columns(trace: Trace, theta: float) -> Array:
         return on_each_axis(signals(trace, theta))
@@ -78,10 +78,10 @@ def body_from_ned(attitude: Array) -> Array:
 
 
 def lagged(values: Array, dt: float, time_constant: float) -> Array:
-    """`values` (N, ...) through one pole that was settled at the first sample, exact for input linear between samples.
+    """`values` (N, ...) through a first-order lag that was settled at the first sample, exact for linear input.
 
-    ``y' = (x - y) / tau``: with ``e = exp(-dt/tau)`` and ``g = (1 - e) tau/dt``,
-    ``y_n = e y_(n-1) + (g - e) x_(n-1) + (1 - g) x_n``.
+    ``y' = (x - y) / tau``: with ``e = exp(-dt/tau)`` and ``g = (1 - e) tau/dt``, ``y_n = e y_(n-1) + (g - e) x_(n-1) +
+    (1 - g) x_n``.
     """
     e = np.exp(-dt / time_constant)
     g = -np.expm1(-dt / time_constant) * time_constant / dt
@@ -96,8 +96,8 @@ def spread(values: Array, observed: NDArray[np.bool_]) -> float:
     return float(seen.std(axis=0).max()) if len(seen) else 0.0
 
 
-def moves(sensor: Sensor) -> Missing:
-    """Missing where the ideal reading stays the same: only its sum with a bias shows then."""
+def missing_movement(sensor: Sensor) -> Missing:
+    """What is missing if the ideal reading is constant: only its sum with a bias would show."""
 
     def missing(trace: Trace) -> tuple[str, str] | None:
         if sensor is Sensor.GYRO and not trace.rate_known:

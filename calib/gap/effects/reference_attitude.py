@@ -1,4 +1,4 @@
-"""The reference's own attitude is wrong: a finding about the reference, which accelerometer and magnetometer share."""
+"""An attitude error of the reference, which accelerometer and magnetometer share: a finding about the reference."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 
 def direction_columns(trace: Trace, theta: float) -> Array:
-    """``e_j x ideal`` of a sensor that sees a direction; a gyroscope sees none."""
+    """``e_j x ideal`` of a sensor of a direction; zero for a gyroscope."""
     if trace.sensor == Sensor.GYRO:
         return np.zeros((3, *trace.ideal.shape))
     return rotation_columns(trace, theta)
 
 
 def direction_turned(trace: Trace, parameters: Array) -> Array:
-    """The same for a rotation that is not small."""
+    """Change of the ideal reading by a rotation that is not small; zero for a gyroscope."""
     return np.zeros_like(trace.ideal) if trace.sensor == Sensor.GYRO else rotated(trace, parameters)
 
 

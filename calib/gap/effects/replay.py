@@ -1,4 +1,4 @@
-"""A problem whose simulator already has effects: the ideal readings become those of the affected sensors."""
+"""Effects of a report added to the ideal readings of a problem: what a remedied simulator would read."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _BINS = 1024
 def with_effects(
     problem: GapProblem, effects: Sequence[EffectEstimate], *, shared: bool = False
 ) -> tuple[GapProblem, tuple[str, ...]]:
-    """`problem` compared with a simulator that has `effects`, and those that could not be replayed.
+    """`problem` compared with a simulator that has `effects`, and the ids that could not be added.
 
-    Mean effects move the ideal reading, noise effects raise the noise that is expected. What is left in its residuals
-    is what such a simulator still lacks. What all sensors share is the reference's and no simulator's, unless `shared`.
+    Mean effects change the ideal reading, noise effects the expected noise; the residual is what that simulator still
+    lacks. Effects that all sensors share belong to the reference and are omitted unless `shared`.
     """
     traces, lost = with_effects_in(problem.traces, effects, shared=shared)
     return dataclasses.replace(problem, traces=traces), lost
@@ -35,15 +35,15 @@ def with_effects(
 def with_effects_in(
     traces: Sequence[Trace], effects: Sequence[EffectEstimate], *, shared: bool = True
 ) -> tuple[tuple[Trace, ...], tuple[str, ...]]:
-    """The same of bare traces."""
+    """The same for traces."""
     lost: dict[str, None] = {}
     made = []
     for trace in traces:
         changed = trace
-        for effect, sign in _acting(trace, effects):
-            described = next((e for e in forward_models().get(effect.id, ()) if _complete(e, effect)), None)
+        for effect, sign in _effects_on(trace, effects):
+            described = next((e for e in forward_models().get(effect.id, ()) if _is_complete(e, effect)), None)
             if isinstance(described, MeanEffect) and (shared or not described.shared):
-                added = sign * forward(described, effect, trace)
+                added = sign * added_by(described, effect, trace)
                 # what never was measured keeps reading as the ideal one does
                 measured = np.where(trace.observed[:, None], changed.measured, changed.measured + added)
                 changed = dataclasses.replace(changed, ideal=changed.ideal + added, measured=measured)
@@ -55,9 +55,9 @@ def with_effects_in(
     return tuple(made), tuple(lost)
 
 
-def forward(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array:
+def added_by(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array:
     """What an effect with its parameters adds to the ideal reading of `trace` (N, 3)."""
-    theta, amplitudes = split_of(described, found)
+    theta, amplitudes = shape_and_amplitudes(described, found)
     if described.exact is not None:
         return described.exact(trace, amplitudes)
     columns = described.columns(trace, theta)
@@ -65,22 +65,23 @@ def forward(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array
     return np.asarray(np.tensordot(weights, columns, axes=1), dtype=np.float64)
 
 
-def split_of(described: CatalogueEffect, found: EffectEstimate) -> tuple[float, Array]:
-    """The shape (NaN where there is none) and the amplitudes, in the catalogue's order."""
+def shape_and_amplitudes(described: CatalogueEffect, found: EffectEstimate) -> tuple[float, Array]:
+    """The shape (NaN without one) and the amplitudes, in the catalogue's order."""
     values: Mapping[str, float] = {p.name: p.value for p in found.params}
     amplitudes = np.array([values.get(p.name, 0.0) for p in described.parameters], dtype=np.float64)
     return (math.nan if described.shape is None else values[described.shape.parameter.name]), amplitudes
 
 
-def _complete(described: CatalogueEffect, found: EffectEstimate) -> bool:
-    """Whether everything that it needs was estimated."""
+def _is_complete(described: CatalogueEffect, found: EffectEstimate) -> bool:
+    """Whether every parameter was estimated."""
     known = {p.name for p in found.params}
     shape = {described.shape.parameter.name} if described.shape is not None else set()
     return {p.name for p in described.parameters} | shape <= known
 
 
-def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:
-    """Effects on the trace's sensor, and minus one for those on the instance that it is compared with."""
+def _effects_on(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:
+    """Effects on the trace's sensor with sign one, and those on the instance that it is compared with with minus one.
+    """
     for effect in effects:
         if effect.sensor is None:  # of airframe or air: it moves no sensor's reading
             continue
@@ -93,8 +94,8 @@ def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[E
 
 
 def _with_noise(trace: Trace, described: NoiseEffect, found: EffectEstimate) -> Trace:
-    """`trace` with the effect's power in the noise that is declared; where none is, it is learned anyway."""
-    theta, values = split_of(described, found)
+    """`trace` with the effect's power in its declared noise; undeclared noise is learned anyway."""
+    theta, values = shape_and_amplitudes(described, found)
     squared = np.array([v**2 if p.squared else v for v, p in zip(values, described.parameters, strict=True)])
     hz = np.linspace(0.0, 0.5 * trace.fs, _BINS) if trace.psd_hz is None else trace.psd_hz
     omega = 2.0 * np.pi * np.asarray(hz) / trace.fs

@@ -1,8 +1,8 @@
-"""Temperature: a bias that follows it, at once or late, and a scale that follows it.
+"""Thermal effects: a bias that follows the temperature, directly or late, and a scale that follows it.
 
-The temperature at which an effect vanishes is one for all axes. The simulator or the calibration chooses it: 25 degC in
-MATLAB, the middle of the range in ArduPilot's SITL. It is therefore a parameter. A wrong fixed value would give every
-thermal effect a bias that is not there.
+The temperature at which an effect vanishes is the same on all axes and depends on the simulator or the calibration: 25
+degC in MATLAB, the middle of the range in ArduPilot's SITL. It is therefore a parameter; a wrong fixed value would add
+a bias to every thermal effect.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.affine import scale_columns
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
-from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, moves, per_axis
+from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, missing_movement, per_axis
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.remembered import remembered
@@ -28,7 +28,7 @@ curve or a lag more than a slope."""
 _TRAITS = frozenset({Trait.THERMAL, Trait.LEVEL})
 _GOOD_SPAN = 15.0
 """Span of the temperature, degC, that tells the rivals apart. Source: GAP 8."""
-_BEYOND = 20.0
+_OUTSIDE_SEEN = 20.0
 """Kelvin by which the reference temperature may lie outside what was seen. Chosen, not measured: few flights are
 further from the temperature of their calibration."""
 _REFERENCES = 13
@@ -52,31 +52,31 @@ def temperature_of(trace: Trace) -> Array:
     return trace.temperature
 
 
-def above(trace: Trace, t_ref: float) -> Array:
-    """One signal: ``T - t_ref``."""
+def temperature_difference(trace: Trace, t_ref: float) -> Array:
+    """``T - t_ref`` (1, N)."""
     return (temperature_of(trace) - t_ref)[None, :]
 
 
-def powers(trace: Trace, t_ref: float) -> Array:
-    """Three signals: ``T - t_ref``, its square and its cube."""
+def temperature_powers(trace: Trace, t_ref: float) -> Array:
+    """``T - t_ref``, its square and its cube (3, N)."""
     d = temperature_of(trace) - t_ref
     return np.stack([d, d * d, d * d * d])
 
 
-def late(trace: Trace, time_constant: float) -> Array:
-    """One signal: ``T_late - t_ref``, `T_late` the temperature through one pole.
+def lagged_temperature(trace: Trace, time_constant: float) -> Array:
+    """``T_lag - t_ref`` (1, N), with `T_lag` the temperature through a first-order lag.
 
-    Its reference temperature is the one that fits the residual best on white noise (rank one in slope and intercept).
+    `t_ref` is the one that fits the residual best on white noise (rank one in slope and intercept).
     """
     delayed = lagged(temperature_of(trace), 1.0 / trace.fs, time_constant)
-    return (delayed - vanishing_at(delayed, trace.residual, trace.observed))[None, :]
+    return (delayed - best_reference_temperature(delayed, trace.residual, trace.observed))[None, :]
 
 
-def vanishing_at(temperature: Array, residual: Array, observed: NDArray[np.bool_]) -> float:
-    """The one temperature at which slopes of `residual` (N, 3) over `temperature` (N,) leave least unexplained.
+def best_reference_temperature(temperature: Array, residual: Array, observed: NDArray[np.bool_]) -> float:
+    """The temperature at which slopes of `residual` (N, 3) over `temperature` (N,) vanish, for the least misfit.
 
-    With ``T = m + s u``, u of mean zero and size one, each axis has its slope ``k s`` and mean ``k (m - t_ref)``: the
-    nearest rank one to the three pairs of both. It lies in the range of :func:`references`.
+    With ``T = m + s u``, u of mean zero and size one, each axis has the slope ``k s`` and the mean ``k (m - t_ref)``:
+    the nearest rank one to the three pairs. It lies in the range of :func:`reference_temperatures`.
     """
     T, y = temperature[observed], residual[observed]
     m, s = float(T.mean()), float(T.std())
@@ -84,39 +84,42 @@ def vanishing_at(temperature: Array, residual: Array, observed: NDArray[np.bool_
         return m
     pairs = np.stack([(T - m) @ y / (len(T) * s), y.mean(axis=0)])
     left = np.linalg.svd(pairs)[0][:, 0]  # proportional to (s, m - t_ref)
-    low, high = float(T.min()) - _BEYOND, float(T.max()) + _BEYOND
+    low, high = float(T.min()) - _OUTSIDE_SEEN, float(T.max()) + _OUTSIDE_SEEN
     ratio = left[1] / left[0] if left[0] != 0.0 else np.inf
     return float(np.clip(m - s * ratio, low, high))
 
 
-def warm_scale_columns(trace: Trace, t_ref: float) -> Array:
+def temperature_scale_columns(trace: Trace, t_ref: float) -> Array:
     """Each axis' ideal reading times ``T - t_ref`` on that axis."""
-    return np.asarray(scale_columns(trace, np.nan) * above(trace, t_ref)[0][None, :, None], dtype=np.float64)
+    return np.asarray(
+        scale_columns(trace, np.nan) * temperature_difference(trace, t_ref)[0][None, :, None], dtype=np.float64
+    )
 
 
-def references(trace: Trace) -> Array:
+def reference_temperatures(trace: Trace) -> Array:
     """Reference temperatures to try, degC."""
     seen = temperature_of(trace)[trace.observed]
-    return np.linspace(float(seen.min()) - _BEYOND, float(seen.max()) + _BEYOND, _REFERENCES)
+    return np.linspace(float(seen.min()) - _OUTSIDE_SEEN, float(seen.max()) + _OUTSIDE_SEEN, _REFERENCES)
 
 
 def best_references(factor: Callable[[Trace], Array], degree: int) -> Callable[[Trace, Array], Array]:
-    """Screen of :func:`references` for an effect of `degree` in temperature on the signals `factor` (N, 3).
+    """Screen of :func:`reference_temperatures` for an effect of `degree` in temperature on the signals `factor` (N, 3).
 
-    Each axis is fitted with a free polynomial c (white noise); that it vanishes at T, ``a'c = 0`` with
-    ``a = (1, T, T^2 ...)``, then costs ``(a'c)^2 / (a' G^-1 a)``, G the Gram matrix. The least dear ones are returned.
+    Each axis is fitted with a free polynomial c (white noise). The constraint that it vanishes at T, ``a'c = 0`` with
+    ``a = (1, T, T^2 ...)``, costs ``(a'c)^2 / (a' G^-1 a)``, with G the Gram matrix. The temperatures of least cost are
+    returned.
     """
 
     @remembered(8)
     def prepared(trace: Trace) -> tuple[Array, Array, Array]:
-        grid = references(trace)
+        grid = reference_temperatures(trace)
         u = (temperature_of(trace)[trace.observed] - 0.5 * (grid[0] + grid[-1])) / (0.5 * (grid[-1] - grid[0]))
         signals, powers_of_u = factor(trace)[trace.observed], u ** np.arange(degree + 1)[:, None]
         grams = np.array([(powers_of_u * column**2) @ powers_of_u.T for column in signals.T])
         return signals, powers_of_u, np.linalg.pinv(grams, hermitian=True)
 
     def screen(trace: Trace, residual: Array) -> Array:
-        grid = references(trace)
+        grid = reference_temperatures(trace)
         middle, half = 0.5 * (grid[0] + grid[-1]), 0.5 * (grid[-1] - grid[0])
         tried = np.linspace(-1.0, 1.0, _TRIED)
         a = tried[:, None] ** np.arange(degree + 1)
@@ -145,12 +148,12 @@ def _ideal(trace: Trace) -> Array:
 
 
 def lags(trace: Trace) -> Array:
-    """Time constants to try, s: none that a third of the recording would not show."""
+    """Time constants to try, s, up to a third of the recording."""
     longest = max(float(trace.t[-1] - trace.t[0]) / 3.0, 2.0 * float(_LAGS[0]))
     return np.asarray(_LAGS[_LAGS <= longest], dtype=np.float64)  # noqa: SIM300
 
 
-def _span(kind: str) -> Missing:
+def _missing_span(kind: str) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         need = f"span >= {_GOOD_SPAN:.0f} C" + (" with tumble" if kind == "temp_scale" else "")
         if trace.temperature is None:
@@ -162,7 +165,7 @@ def _span(kind: str) -> Missing:
     return missing
 
 
-def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
+def _effects_of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     unit = UNIT[sensor]
     vanishes = EffectParameter("t_ref", "degC")
     iron = {Sensor.MAG: "soft_iron"}.get(sensor, "scale")
@@ -178,10 +181,10 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             per_axis("per_degc", f"{unit}/degC"),
             "temperature that varies",
             _HEAT_AND_COOL,
-            _span("temp_linear"),
-            EffectShape(vanishes, references, best_references(_ones, 1), chosen=True),
-            columns=axiswise(above),
-            signals=above,
+            _missing_span("temp_linear"),
+            EffectShape(vanishes, reference_temperatures, best_references(_ones, 1), chosen=True),
+            columns=axiswise(temperature_difference),
+            signals=temperature_difference,
             plain="an offset that follows the temperature",
             rivals=ids("temp_poly", "thermal_lag", "random_walk", offset),
             traits=_TRAITS,
@@ -193,10 +196,10 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             tuple(p for n, to in _POWERS.items() for p in per_axis(n, f"{unit}/degC{to}")),
             "temperature that varies widely",
             _HEAT_AND_COOL,
-            _span("temp_poly"),
-            EffectShape(vanishes, references, best_references(_ones, 3), chosen=True),
-            columns=axiswise(powers),
-            signals=powers,
+            _missing_span("temp_poly"),
+            EffectShape(vanishes, reference_temperatures, best_references(_ones, 3), chosen=True),
+            columns=axiswise(temperature_powers),
+            signals=temperature_powers,
             plain="an offset that follows the temperature along a curve",
             rivals=ids("temp_linear", "thermal_lag", "random_walk"),
             traits=_TRAITS,
@@ -208,9 +211,9 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             per_axis("scale_per_degc", "1/degC"),
             "temperature that varies while the vehicle turns",
             "tumble cold and warm",
-            first_missing((_span("temp_scale"), moves(sensor))),
-            EffectShape(vanishes, references, best_references(_ideal, 1), chosen=True),
-            columns=warm_scale_columns,
+            first_missing((_missing_span("temp_scale"), missing_movement(sensor))),
+            EffectShape(vanishes, reference_temperatures, best_references(_ideal, 1), chosen=True),
+            columns=temperature_scale_columns,
             plain="a scale that follows the temperature",
             rivals=ids(iron, "temp_linear"),
             traits=_TRAITS,
@@ -222,10 +225,10 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             per_axis("per_degc", f"{unit}/degC"),
             "temperature that turns round",
             _HEAT_AND_COOL,
-            _span("thermal_lag"),
+            _missing_span("thermal_lag"),
             EffectShape(EffectParameter("lag_s", "s"), lags),
-            columns=axiswise(late),
-            signals=late,
+            columns=axiswise(lagged_temperature),
+            signals=lagged_temperature,
             plain="an offset that follows the temperature late",
             rivals=ids("temp_linear", "temp_poly", "random_walk"),
             traits=_TRAITS,
@@ -235,4 +238,4 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     )
 
 
-EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _effects_of(sensor))

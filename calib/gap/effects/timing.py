@@ -1,6 +1,6 @@
-"""Effects on time: the sensor is late, slow, or its clock runs differently.
+"""Timing effects: delay, low-pass filter, clock drift.
 
-The ideal reading itself is moved and filtered, not expanded: at 5 ms and 5 Hz the first order is already wrong by a
+The ideal reading itself is shifted and filtered, not expanded: at 5 ms and 5 Hz the first order is already wrong by a
 percent. A quintic spline through its samples is exact to 1e-4 up to half of the Nyquist frequency.
 """
 
@@ -60,17 +60,17 @@ _SHAKE = "a fast shake or a yaw jerk"
 
 @remembered(12)
 def splines_of(trace: Trace) -> Array:
-    """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading; the last are kept.
+    """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading.
 
-    Beyond either end it goes on as steeply as it came, because a recording may begin during a movement. A sudden stop
+    Beyond either end it continues with its last slope, because a recording may begin during a movement. A sudden stop
     would change the first sample by more than the noise of all.
     """
     longer = np.pad(trace.ideal, ((_EDGE, _EDGE), (0, 0)), mode="reflect", reflect_type="odd")
     return np.stack([ndimage.spline_filter1d(column, _SPLINE, mode="nearest") for column in longer.T])
 
 
-def shifted(trace: Trace, samples: float) -> Array:
-    """The ideal reading (N, 3), `samples` later; what lies far outside is held."""
+def shifted_ideal(trace: Trace, samples: float) -> Array:
+    """The ideal reading (N, 3) delayed by `samples`; the ends are held."""
     whole = math.floor(-samples)
     at = -samples - whole + np.arange(2, -4, -1)  # from each of the six knots about a sample
     values = ndimage.correlate1d(splines_of(trace), _KNOT(at), axis=1, mode="nearest", origin=-1)
@@ -79,8 +79,8 @@ def shifted(trace: Trace, samples: float) -> Array:
     return np.ascontiguousarray(values[:, np.clip(inside, 0, count - 1)].T)
 
 
-def stretched(trace: Trace, drift: float) -> Array:
-    """The ideal reading (N, 3) read at ``n (1 - drift)``: its clock runs slow, by `drift`, from the first on."""
+def stretched_ideal(trace: Trace, drift: float) -> Array:
+    """The ideal reading (N, 3) at ``n (1 - drift)``: its clock runs slow by `drift`."""
     at = np.arange(len(trace.ideal)) * (1.0 - drift) + _EDGE
     columns = [
         ndimage.map_coordinates(c, at[None, :], order=_SPLINE, mode="nearest", prefilter=False)
@@ -91,26 +91,26 @@ def stretched(trace: Trace, drift: float) -> Array:
 
 def delay_column(trace: Trace, delay: float) -> Array:
     """``ideal(t - delay) - ideal(t)``."""
-    return (shifted(trace, delay * trace.fs) - trace.ideal)[None]
+    return (shifted_ideal(trace, delay * trace.fs) - trace.ideal)[None]
 
 
 def drift_column(trace: Trace, ppm: float) -> Array:
     """``ideal(t - drift (t - t_0)) - ideal(t)``."""
-    return (stretched(trace, 1e-6 * ppm) - trace.ideal)[None]
+    return (stretched_ideal(trace, 1e-6 * ppm) - trace.ideal)[None]
 
 
 def low_pass_column(trace: Trace, cutoff: float) -> Array:
-    """The filtered ideal reading less the ideal one, of the number of poles that is nearer to what was measured."""
+    """Filtered less ideal reading, with the number of poles that fits the residual better."""
     changes = _filtered_less_ideal(trace, cutoff)
-    return changes[_nearer(trace, changes)][None]
+    return changes[_better_order(trace, changes)][None]
 
 
 def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
-    """``|H|^2`` of the filter at `omega` (K,), rad per sample, (2, K): of noise at the rate of the log, and of faster.
+    """``|H|^2`` (2, K) at `omega` (rad per sample): of noise at the rate of the log, and of folded faster noise.
 
-    A sensor that filters at a higher rate than it is logged at folds what is left beyond half the rate of the log back.
+    A sensor that filters at a higher rate than it is logged at folds the rest beyond half the rate of the log back.
     """
-    order = 1 + _nearer(trace, _filtered_less_ideal(trace, cutoff))
+    order = 1 + _better_order(trace, _filtered_less_ideal(trace, cutoff))
     folds = 2.0 * np.pi * np.arange(-_FOLDS, _FOLDS + 1)[:, None]
     ratio = np.abs(omega + folds) * trace.fs / (2.0 * np.pi * cutoff)
     gains = 1.0 / (1.0 + ratio ** (2 * order))
@@ -119,11 +119,10 @@ def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
 
 @remembered(4)
 def _filtered_less_ideal(trace: Trace, cutoff: float) -> tuple[Array, Array]:
-    """Through one pole (a package, an analogue stage) and a Butterworth of two (ArduPilot's, PX4's, most chips').
+    """Change by one pole (a package, an analogue stage) and by a Butterworth of two (ArduPilot's, PX4's, most chips').
 
-    ``H = 1/(1 + s)`` and ``1/(1 + sqrt(2) s + s^2)`` at ``s = j f/fc``, by Fourier transform. A lead of eight time
-    constants lets the filter settle: the end ramps to where the movement may have come from. The last are kept: a
-    filter is asked for what it does to the movement, and to the noise.
+    ``H = 1/(1 + s)`` and ``1/(1 + sqrt(2) s + s^2)`` at ``s = j f/fc``, by Fourier transform. A lead-in of eight time
+    constants lets the filter settle: the end ramps to the extrapolated start.
     """
     x = trace.ideal
     lead = min(len(x) - 1, max(64, int(8.0 * trace.fs / (2.0 * np.pi * cutoff)))) // 2
@@ -135,71 +134,71 @@ def _filtered_less_ideal(trace: Trace, cutoff: float) -> tuple[Array, Array]:
     spectrum = fft.rfft(padded, axis=0)
     s = 1j * fft.rfftfreq(size, 1.0 / trace.fs)[:, None] / cutoff
     one, two = 1.0 / (1.0 + s), 1.0 / (1.0 + np.sqrt(2.0) * s + s * s)
-    return (_back(spectrum * one, size, x), _back(spectrum * two, size, x))
+    return (_change_in_time(spectrum * one, size, x), _change_in_time(spectrum * two, size, x))
 
 
-def _back(spectrum: NDArray[np.complex128], size: int, x: Array) -> Array:
+def _change_in_time(spectrum: NDArray[np.complex128], size: int, x: Array) -> Array:
     return np.asarray(fft.irfft(spectrum, size, axis=0)[-len(x) :] - x, dtype=np.float64)
 
 
-def _nearer(trace: Trace, changes: tuple[Array, Array]) -> int:
-    """Which of the two changes leaves less of the residual; constants do not count."""
+def _better_order(trace: Trace, changes: tuple[Array, Array]) -> int:
+    """Index of the change that leaves the smaller residual about its mean."""
     residual, seen = trace.residual, trace.observed
-    one, two = (_scatter((residual - change)[seen]) for change in changes)
+    one, two = (_squares_about_mean((residual - change)[seen]) for change in changes)
     return int(two < one)
 
 
-def _scatter(series: Array) -> float:
+def _squares_about_mean(series: Array) -> float:
     """Sum of squares of a series (N, 3) about its mean."""
     about = series - np.full(len(series), 1.0 / max(len(series), 1)) @ series
     return float(np.vdot(about, about))
 
 
 def delays(trace: Trace) -> Array:
-    """Delays to try, s; negative where the reference is the late one."""
+    """Delays to try, s; negative if the reference is late."""
     sizes = np.geomspace(_SHORTEST / trace.fs, max(_LONGEST, 8.0 / trace.fs), _DELAYS)
     return np.concatenate([-sizes[::-1], sizes])
 
 
 def cutoffs(trace: Trace) -> Array:
-    """Cut-offs to try, Hz; far beyond half the sampling rate a filter still is late by some tenths of a millisecond."""
+    """Cut-offs to try, Hz; far beyond half the sampling rate a filter still delays by tenths of a millisecond."""
     return np.geomspace(min(0.5, 0.02 * trace.fs), _FASTEST * trace.fs, _CUTOFFS)
 
 
 def drifts(trace: Trace) -> Array:
-    """Drifts to try, millionths, either way."""
+    """Clock drifts to try, millionths, of either sign."""
     duration = float(trace.t[-1] - trace.t[0])
     smallest = min(_LEAST_SHIFT / max(duration, 1.0), 0.1 * _LARGEST_DRIFT)
     sizes = 1e6 * np.geomspace(smallest, _LARGEST_DRIFT, _DRIFTS)
     return np.concatenate([-sizes[::-1], sizes])
 
 
-def slope(trace: Trace) -> float:
-    """Rms slope over time of the ideal reading's liveliest axis, unit/s."""
+def rms_slope(trace: Trace) -> float:
+    """Rms slope of the ideal reading on its fastest axis, unit/s."""
     steps = np.diff(trace.ideal, axis=0)[trace.observed[1:] & trace.observed[:-1]]
     return float(np.sqrt((steps**2).mean(axis=0).max()) * trace.fs) if len(steps) else 0.0
 
 
-def _turns(trace: Trace) -> tuple[str, str] | None:
-    """The vehicle's turning decides for every sensor alike: the clock is one.
+def _missing_rotation(trace: Trace) -> tuple[str, str] | None:
+    """What is missing for a clock drift: rotation decides for every sensor, since the clock is one.
 
     A trajectory that was re-estimated from the recording itself runs on the clock that is in question.
     """
     if not trace.rate_known:
         return "the re-estimated reference has the clock of the recording", "a reference with a clock of its own"
     if trace.spin is None or trace.sensor == Sensor.GYRO:
-        return _lively(trace.sensor)(trace)
+        return _missing_movement(trace.sensor)(trace)
     found, least = float(np.sqrt((trace.spin[trace.observed] ** 2).mean(axis=0).max())), _SLOPE[Sensor.GYRO]
     if found >= least:
         return None
     return f"the angular rate changes by {found:.2g} rad/s2 rms", f">= {least:g} rad/s2: {_SHAKE}"
 
 
-def _lively(sensor: Sensor) -> Missing:
+def _missing_movement(sensor: Sensor) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         if not trace.rate_known:
             return "the re-estimated reference does not follow fast changes", "a log at a higher rate, or a pose"
-        found, least = slope(trace), _SLOPE[sensor]
+        found, least = rms_slope(trace), _SLOPE[sensor]
         if found >= least:
             return None
         unit = f"{trace.unit}/s"
@@ -208,7 +207,7 @@ def _lively(sensor: Sensor) -> Missing:
     return missing
 
 
-def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
+def _effects_of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     return (
         MeanEffect(
             f"{sensor}_delay",
@@ -216,7 +215,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             (),
             "fast movement",
             _SHAKE,
-            _lively(sensor),
+            _missing_movement(sensor),
             EffectShape(EffectParameter("delay_s", "s"), delays),
             columns=delay_column,
             fixed=True,
@@ -230,7 +229,7 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             (),
             "fast movement; its own noise",
             _SHAKE,
-            _lively(sensor),
+            _missing_movement(sensor),
             EffectShape(EffectParameter("cutoff_hz", "Hz"), cutoffs),
             columns=low_pass_column,
             fixed=True,
@@ -248,7 +247,7 @@ CLOCK_DRIFT = MeanEffect(
     (),
     "fast movement throughout a long recording",
     "a shake at the beginning and another at the end",
-    _turns,
+    _missing_rotation,
     EffectShape(EffectParameter("drift_ppm", "ppm"), drifts),
     shared=True,
     columns=drift_column,
@@ -258,4 +257,4 @@ CLOCK_DRIFT = MeanEffect(
     traits=frozenset({Trait.STEADY}),
 )
 
-EFFECTS: tuple[CatalogueEffect, ...] = (*(effect for sensor in TRIADS for effect in _of(sensor)), CLOCK_DRIFT)
+EFFECTS: tuple[CatalogueEffect, ...] = (*(effect for sensor in TRIADS for effect in _effects_of(sensor)), CLOCK_DRIFT)

@@ -1,4 +1,4 @@
-"""A line at one frequency throughout: a supply's ripple, a pump, a fan."""
+"""A line at one constant frequency: a supply's ripple, a pump, a fan."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _AROUND = 201
 """Bins whose geometric mean is the background. Chosen, not measured: one line of any strength hardly changes it."""
 
 
-def wave(trace: Trace, frequency: float) -> Array:
-    """Two signals: cosine and sine of `frequency` (Hz), phase zero at the first sample.
+def tone_signals(trace: Trace, frequency: float) -> Array:
+    """Cosine and sine (2, N) of `frequency` (Hz), with phase zero at the first sample.
 
-    At the sensor: the firmware's own filter of two poles, where the trace knows one, makes them smaller and later.
+    The amplitude is that of the sensor: the firmware's two-pole filter, if known, attenuates and delays the wave.
     """
     phase = 2.0 * np.pi * frequency * (trace.t - trace.t[0])
     if trace.low_pass_hz is not None:
@@ -36,16 +36,16 @@ def wave(trace: Trace, frequency: float) -> Array:
     return np.stack([np.cos(phase), np.sin(phase)])
 
 
-def bins(trace: Trace) -> Array:
-    """Frequencies that a recording of this length tells apart, Hz."""
+def tone_frequencies(trace: Trace) -> Array:
+    """Frequencies that a recording of this length resolves, Hz."""
     n = len(trace.t)
     k = np.arange(min(_PERIODS, max(1, n // 2 - 2)), max(n // 2, 3))
     return np.asarray(k * (trace.fs / n), dtype=np.float64)
 
 
 def strongest_bins(trace: Trace, residual: Array) -> Array:
-    """The frequencies of :func:`bins` with most power of `residual` (N, 3) above their surroundings, ascending."""
-    grid = bins(trace)
+    """The frequencies of :func:`tone_frequencies` with most power of `residual` (N, 3) above their surroundings."""
+    grid = tone_frequencies(trace)
     y = np.where(trace.observed[:, None], residual, 0.0)
     power = np.abs(np.fft.rfft(y - y.mean(axis=0), axis=0)) ** 2
     power[0] = power[min(1, len(power) - 1)]  # the mean is gone; its logarithm would drown its neighbours
@@ -55,7 +55,7 @@ def strongest_bins(trace: Trace, residual: Array) -> Array:
     return np.sort(grid[np.argsort(ratio)[-_CANDIDATES:]])
 
 
-def _of(sensor: Sensor) -> CatalogueEffect:
+def _effect_of(sensor: Sensor) -> CatalogueEffect:
     unit = UNIT[sensor]
     return MeanEffect(
         f"{sensor}_tone",
@@ -63,9 +63,9 @@ def _of(sensor: Sensor) -> CatalogueEffect:
         per_axis("cos", unit) + per_axis("sin", unit),
         "any recording",
         "sweep the rotor speed: a tone stays, a vibration follows",
-        shape=EffectShape(EffectParameter("frequency_hz", "Hz"), bins, strongest_bins),
-        columns=axiswise(wave),
-        signals=wave,
+        shape=EffectShape(EffectParameter("frequency_hz", "Hz"), tone_frequencies, strongest_bins),
+        columns=axiswise(tone_signals),
+        signals=tone_signals,
         repeatable=True,
         traits=frozenset({Trait.TONAL}),
         plain="a steady tone",
@@ -73,4 +73,4 @@ def _of(sensor: Sensor) -> CatalogueEffect:
     )
 
 
-EFFECTS: tuple[CatalogueEffect, ...] = tuple(_of(sensor) for sensor in TRIADS)
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(_effect_of(sensor) for sensor in TRIADS)

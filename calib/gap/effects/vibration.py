@@ -1,9 +1,9 @@
-"""What turning rotors do: lines that follow their speed, lines folded by the sampling, noise, and a shifted mean.
+"""Effects of rotating rotors: lines at multiples of their speed, aliases of lines, noise, and rectified vibration.
 
-A line is a wave that follows one rotor, and is subtracted, if rotor speeds are logged so well that their integral keeps
-the phase. Otherwise it is power on a track. With recorded rotor speeds the track is a multiple of them, weighted by the
-fourth power of the speed: the force of an imbalance grows with its square. Without them it is a fixed frequency while
-the motors run.
+A line follows one rotor as a wave and is subtracted, if rotor speeds are logged well enough to integrate the phase.
+Otherwise it is power on a frequency track. With recorded rotor speeds the track is a multiple of them, weighted by the
+fourth power of the speed, since the force of an imbalance grows with its square. Without them it is a fixed frequency
+while the motors run.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mavcal.calib.gap.effects.base import (
     Missing,
     NoiseEffect,
 )
-from mavcal.calib.gap.effects.noise import white
+from mavcal.calib.gap.effects.noise import white_density
 from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per_axis
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.likelihood import transform
@@ -60,15 +60,15 @@ _TELEMETRY = ("no rotor speed, motor output or throttle recorded", "rotor speed 
 
 
 def folded(frequency: Array, fs: float) -> Array:
-    """Where a sampling at `fs` shows `frequency`: ``|((f + fs/2) mod fs) - fs/2|``."""
+    """Frequency at which sampling at `fs` shows `frequency`: ``|((f + fs/2) mod fs) - fs/2|``."""
     return np.asarray(np.abs((frequency + 0.5 * fs) % fs - 0.5 * fs), dtype=np.float64)
 
 
 @remembered(12)
-def drive(trace: Trace) -> Array | None:
-    """Power of the rotors' vibration over time (N,), at most one: fourth power of speed, square of thrust.
+def rotor_power(trace: Trace) -> Array | None:
+    """Power of the rotors' vibration over time (N,), at most one: fourth power of speed, or square of thrust.
 
-    None: not recorded.
+    None if neither is recorded.
     """
     if trace.rotor_hz is not None:
         power = np.square(np.square(np.maximum(trace.rotor_hz, 0.0))).mean(axis=1)
@@ -83,8 +83,8 @@ def drive(trace: Trace) -> Array | None:
 
 
 @remembered(12)
-def running(trace: Trace) -> NDArray[np.bool_]:
-    """(N,) True while a motor turns."""
+def motors_running(trace: Trace) -> NDArray[np.bool_]:
+    """True (N,) while a motor turns."""
     if trace.rotor_hz is not None:
         return np.asarray((trace.rotor_hz > LOWEST_ROTOR_HZ).any(axis=1))
     if trace.motors is not None:
@@ -95,19 +95,19 @@ def running(trace: Trace) -> NDArray[np.bool_]:
 
 
 def mean_speed(trace: Trace) -> float:
-    """Mean speed of the rotors while they turn, Hz; 0 where it is not recorded or they never do."""
+    """Mean speed of the turning rotors, Hz; 0 if it is not recorded or they never turn."""
     if trace.rotor_hz is None:
         return 0.0
     turning = trace.rotor_hz[trace.rotor_hz > LOWEST_ROTOR_HZ]
     return float(turning.mean()) if len(turning) else 0.0
 
 
-def line(trace: Trace, omega: Array, frequency: float) -> Array:
-    """Power (1, K) of a line of amplitude one while the motors run, its mean frequency being `frequency` (Hz).
+def line_density(trace: Trace, omega: Array, frequency: float) -> Array:
+    """Power (1, K) of a line of amplitude one and mean frequency `frequency` (Hz) while the motors run.
 
-    The spectrum of a wave that starts and stops with the motors, skirts included: a strong line shows far from its
-    frequency. It follows the rotors where their speed is known. The amplitude is one at the sensor: the
-    firmware's own filter is applied to it.
+    It is the spectrum of a wave that starts and stops with the motors, skirts included: a strong line shows far from
+    its frequency. It follows the rotors if their speed is known. The amplitude is that at the sensor, before the
+    firmware's filter.
     """
     power = _line_over_all_bins(trace, frequency)
     n = len(power)
@@ -116,14 +116,14 @@ def line(trace: Trace, omega: Array, frequency: float) -> Array:
 
 @remembered(24)
 def _line_over_all_bins(trace: Trace, frequency: float) -> Array:
-    """The same at the bins of the whole trace, (N,); kept for the other bands and contrasts of the sensor."""
+    """The same at all bins of the trace, (N,), kept for the other bands and contrasts of the sensor."""
     speed = mean_speed(trace)
     if speed > 0.0 and trace.rotor_hz is not None:
         track = trace.rotor_hz.mean(axis=1) * (frequency / speed)
         size = (np.maximum(trace.rotor_hz, 0.0).mean(axis=1) / speed) ** 2
     else:
         track, size = np.full(len(trace.t), frequency), np.ones(len(trace.t))
-    size = np.where(running(trace), size, 0.0) * filter_gain(np.maximum(track, 1e-3), trace.low_pass_hz)
+    size = np.where(motors_running(trace), size, 0.0) * filter_gain(np.maximum(track, 1e-3), trace.low_pass_hz)
     phase = 2.0 * np.pi * cumulative_trapezoid(track, dx=1.0 / trace.fs, initial=0.0)
     power = 0.5 * (transform(size * np.cos(phase)) ** 2 + transform(size * np.sin(phase)) ** 2)
     bins = max(3, round(LINE_HZ / (0.5 * trace.fs) * len(power)))
@@ -131,49 +131,49 @@ def _line_over_all_bins(trace: Trace, frequency: float) -> Array:
     return np.asarray(np.maximum(smooth, 0.0), dtype=np.float64)  # a running sum leaves -1e-16
 
 
-def while_running(trace: Trace) -> Array:
-    """(N,) of mean one: the drive where it is known, else whether the motors run."""
-    power = drive(trace) if trace.rotor_hz is not None else running(trace).astype(np.float64)
+def running_envelope(trace: Trace) -> Array:
+    """Envelope (N,) of mean one: the rotors' power if known, else whether the motors run."""
+    power = rotor_power(trace) if trace.rotor_hz is not None else motors_running(trace).astype(np.float64)
     assert power is not None
-    return _mean_one(power, trace)
+    return _normalised(power, trace)
 
 
-def with_speed(trace: Trace) -> Array:
-    """(N,) of mean one: power of noise whose size grows as the air's force does, with the square of the speed."""
-    power = drive(trace)
+def speed_envelope(trace: Trace) -> Array:
+    """Envelope (N,) of mean one for noise whose amplitude grows with the square of the speed, as air loads do."""
+    power = rotor_power(trace)
     assert power is not None
-    return _mean_one(power, trace)
+    return _normalised(power, trace)
 
 
-def _mean_one(power: Array, trace: Trace) -> Array:
+def _normalised(power: Array, trace: Trace) -> Array:
     mean = float(power[trace.observed].mean()) if trace.observed.any() else 0.0
     return power / mean if mean > 0.0 else np.ones_like(power)
 
 
-def rectified(trace: Trace, _theta: float) -> Array:
-    """One signal: the vibration's power over time, one at its strongest."""
-    power = drive(trace)
+def vibration_power(trace: Trace, _theta: float) -> Array:
+    """Power of the vibration over time (1, N), one at its maximum."""
+    power = rotor_power(trace)
     assert power is not None
     return power[None]
 
 
-def below(trace: Trace) -> Array:
-    """Frequencies of lines that the sampling shows as they are, Hz."""
+def lines_below_half_rate(trace: Trace) -> Array:
+    """Frequencies of lines that sampling does not fold, Hz."""
     speed = mean_speed(trace)
     if speed > 0.0:
         return np.array([h * speed * d for h in _HARMONICS for d in _DETUNED if h * speed < 0.5 * trace.fs])
     return np.arange(_LOWEST, 0.5 * trace.fs - LINE_HZ, 0.5 * LINE_HZ)
 
 
-def beyond(trace: Trace) -> Array:
-    """Frequencies of lines that the sampling folds, Hz."""
+def lines_beyond_half_rate(trace: Trace) -> Array:
+    """Frequencies of lines that sampling folds, Hz."""
     speed = mean_speed(trace)
     return np.array([h * speed * d for h in _FOLDED for d in _DETUNED if h * speed >= 0.5 * trace.fs])
 
 
 def strongest_bands(trace: Trace, residual: Array) -> Array:
-    """The frequencies of :func:`below` with most power of `residual` (N, 3) above their surroundings, ascending."""
-    grid = below(trace)
+    """Frequencies of unfolded lines with most power of `residual` (N, 3) above their surroundings, ascending."""
+    grid = lines_below_half_rate(trace)
     if mean_speed(trace) > 0.0:
         return grid
     y = np.where(trace.observed[:, None], residual, 0.0)
@@ -185,11 +185,11 @@ def strongest_bands(trace: Trace, residual: Array) -> Array:
     return np.sort(grid[np.argsort(ratio)[-_CANDIDATES:]])
 
 
-def turning(trace: Trace, rotor_order: float) -> Array:
-    """Two signals: cosine and sine of a multiple of one rotor's angle, growing with the square of its speed.
+def rotor_wave(trace: Trace, rotor_order: float) -> Array:
+    """Cosine and sine (2, N) of a multiple of one rotor's angle, growing with the square of its speed.
 
-    `rotor_order` is 100 times the rotor's number, from 1, plus the multiple. What the firmware's own filter takes at
-    the mean frequency is taken.
+    `rotor_order` is 100 times the rotor's number, from 1, plus the multiple. The firmware's filter is applied at the
+    mean frequency.
     """
     assert trace.rotor_hz is not None
     rotor, order = divmod(rotor_order, _ROTOR)
@@ -204,12 +204,12 @@ def turning(trace: Trace, rotor_order: float) -> Array:
 
 
 def orders_below(trace: Trace) -> Array:
-    """Every rotor's multiples that the sampling shows as they are."""
+    """Multiples of every rotor's speed that sampling does not fold."""
     return _orders(trace, _HARMONICS, lambda hz: hz < 0.5 * trace.fs)
 
 
 def orders_beyond(trace: Trace) -> Array:
-    """Every rotor's multiples that the sampling folds."""
+    """Multiples of every rotor's speed that sampling folds."""
     return _orders(trace, _FOLDED, lambda hz: hz >= 0.5 * trace.fs)
 
 
@@ -220,7 +220,7 @@ def _orders(trace: Trace, orders: tuple[int, ...], wanted: Callable[[float], boo
     return np.array(found, dtype=np.float64)
 
 
-def _speed_varies(grid: Callable[[Trace], Array]) -> Missing:
+def _missing_order(grid: Callable[[Trace], Array]) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
         if trace.rotor_hz is None:
             return "no rotor speed recorded", "rotor speed in the log"
@@ -235,7 +235,7 @@ _PLAIN = {
 }
 
 
-def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> CatalogueEffect:
+def _wave_effect(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> CatalogueEffect:
     unit = UNIT[sensor]
     return MeanEffect(
         f"{sensor}_{kind}",
@@ -243,10 +243,10 @@ def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> Catalogu
         per_axis("cos", unit) + per_axis("sin", unit),
         "running motors",
         "sweep the rotor speed: an alias moves against it, a tone stays",
-        _speed_varies(grid),
+        _missing_order(grid),
         EffectShape(EffectParameter("rotor_order", "100 rotor + order"), grid),
-        columns=axiswise(turning),
-        signals=turning,
+        columns=axiswise(rotor_wave),
+        signals=rotor_wave,
         rivals=(f"{sensor}_tone", f"{sensor}_rotor_noise"),
         repeatable=True,
         form="~wave",
@@ -255,14 +255,14 @@ def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> Catalogu
     )
 
 
-def _motors_run(trace: Trace) -> tuple[str, str] | None:
-    if drive(trace) is None:
+def _missing_motors(trace: Trace) -> tuple[str, str] | None:
+    if rotor_power(trace) is None:
         return _TELEMETRY
-    return None if running(trace)[trace.observed].any() else ("the motors never run", "motors on")
+    return None if motors_running(trace)[trace.observed].any() else ("the motors never run", "motors on")
 
 
-def _drive_varies(trace: Trace) -> tuple[str, str] | None:
-    power = drive(trace)
+def _missing_power_variation(trace: Trace) -> tuple[str, str] | None:
+    power = rotor_power(trace)
     if power is None:
         return _TELEMETRY
     size = float(power[trace.observed].std()) if trace.observed.any() else 0.0
@@ -271,8 +271,8 @@ def _drive_varies(trace: Trace) -> tuple[str, str] | None:
     return f"the rotors' power varies by {100.0 * size:.0f} % of its maximum", f"a variation >= 10 %: {_THROTTLE}"
 
 
-def _line_below_half_rate(trace: Trace) -> tuple[str, str] | None:
-    if (lack := _motors_run(trace)) is not None or len(below(trace)):
+def _missing_line(trace: Trace) -> tuple[str, str] | None:
+    if (lack := _missing_motors(trace)) is not None or len(lines_below_half_rate(trace)):
         return lack
     half = f"half the sampling rate, {0.5 * trace.fs:.0f} Hz"
     if mean_speed(trace) == 0.0:
@@ -280,18 +280,18 @@ def _line_below_half_rate(trace: Trace) -> tuple[str, str] | None:
     return f"the rotors turn at {mean_speed(trace):.0f} Hz, beyond {half}", "faster logging"
 
 
-def _rotor_speed_known(trace: Trace) -> tuple[str, str] | None:
+def _missing_folded_line(trace: Trace) -> tuple[str, str] | None:
     if trace.rotor_hz is None:
         return "no rotor speed recorded", "rotor speed in the log"
     if mean_speed(trace) == 0.0:
         return "the rotors never turn", "motors on"
-    if not len(beyond(trace)):
+    if not len(lines_beyond_half_rate(trace)):
         highest = _FOLDED[-1] * mean_speed(trace)
         return f"harmonics up to {highest:.0f} Hz lie below half the sampling rate", "slower logging"
     return None
 
 
-def _line(
+def _line_effect(
     kind: str, sensor: Sensor, grid: Callable[[Trace], Array], missing: Missing, rivals: tuple[str, ...]
 ) -> CatalogueEffect:
     screen = strongest_bands if kind == "vibration" else None
@@ -303,24 +303,24 @@ def _line(
         "sweep the rotor speed: an alias moves against it, a tone stays",
         missing,
         EffectShape(EffectParameter("frequency_hz", "Hz"), grid, screen),
-        density=line,
-        variance=while_running,
+        density=line_density,
+        variance=running_envelope,
         rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
         plain=_PLAIN[kind],
         traits=frozenset({Trait.LINE}),
     )
 
 
-def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
+def _effects_of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     noise = NoiseEffect(
         f"{sensor}_rotor_noise",
         sensor,
         per_axis("density", f"{UNIT[sensor]}/sqrt(Hz)", squared=True),
         "rotor speeds that vary",
         "a minute at rest with the motors off, and one with them on",
-        _drive_varies,
-        density=white,
-        variance=with_speed,
+        _missing_power_variation,
+        density=white_density,
+        variance=speed_envelope,
         plain="noise that follows the rotors",
         rivals=(f"{sensor}_noise", *((f"{sensor}_vibration",) if sensor in INERTIAL else ())),
         traits=frozenset({Trait.BROADBAND}),
@@ -328,10 +328,12 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     if sensor not in INERTIAL:
         return (noise,)
     return (
-        _wave("vibration", sensor, orders_below),
-        _wave("aliasing", sensor, orders_beyond),
-        _line("vibration", sensor, below, _line_below_half_rate, ("tone", "aliasing", "rotor_noise")),
-        _line("aliasing", sensor, beyond, _rotor_speed_known, ("vibration", "tone", "rotor_noise")),
+        _wave_effect("vibration", sensor, orders_below),
+        _wave_effect("aliasing", sensor, orders_beyond),
+        _line_effect("vibration", sensor, lines_below_half_rate, _missing_line, ("tone", "aliasing", "rotor_noise")),
+        _line_effect(
+            "aliasing", sensor, lines_beyond_half_rate, _missing_folded_line, ("vibration", "tone", "rotor_noise")
+        ),
         noise,
         MeanEffect(
             f"{sensor}_vibration_rectification",
@@ -339,9 +341,9 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
             per_axis("shift", UNIT[sensor]),
             "vibration that comes and goes",
             _THROTTLE,
-            _drive_varies,
-            columns=axiswise(rectified),
-            signals=rectified,
+            _missing_power_variation,
+            columns=axiswise(vibration_power),
+            signals=vibration_power,
             plain="an offset caused by vibration",
             rivals=(f"{sensor}_bias", f"{sensor}_step"),
             traits=frozenset({Trait.LEVEL}),
@@ -349,4 +351,4 @@ def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     )
 
 
-EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _effects_of(sensor))

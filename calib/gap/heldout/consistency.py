@@ -14,30 +14,30 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.gap.heldout.folds import contest_of, joined
+from mavcal.calib.gap.heldout.folds import contest_of, with_joined_term
 from mavcal.calib.gap.heldout.gates import Gate
 from mavcal.calib.gap.heldout.shrink import Heldout
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, Trace
 from mavcal.calib.gap.search.lattice_effects import Lattice
-from mavcal.calib.gap.search.selection import ChosenModel, last_gains
+from mavcal.calib.gap.search.selection import ChosenModel, marginal_gains
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_CHANCE = 3.0
+_CHANCE_LOSS = 3.0
 """Nats that an effect may lose on a block by chance: what its other blocks do not know of it. Source: decision 32."""
-_GAINS = 30.0
+_LEAST_GAIN = 30.0
 """Twice the log-likelihood that it must gain along the other attitude. Source: decision 32."""
-_SAME = (0.5, 2.0)
+_SIZE_RATIOS = (0.5, 2.0)
 """Ratio of its size along the other attitude to that along the first, in the direction of the first. Source: decision
 32."""
-_TURNED = (Sensor.ACCEL, Sensor.MAG)
+_ATTITUDE_SENSORS = (Sensor.ACCEL, Sensor.MAG)
 """Sensors whose ideal readings turn with the attitude; a rate of turn does not depend on it."""
 
 
@@ -46,30 +46,30 @@ def inconsistent_effects(
 ) -> frozenset[Key]:
     """Effects and shapes of `chosen` that a block denies or cannot tell of, or the log's own attitude denies."""
     named = chosen.model.members
-    denied = {t.hypothesis.key for t in named} - set(on_every_block(() if heldout is None else heldout.gates))
-    other = along_own_attitude(problem)
+    denied = {t.hypothesis.key for t in named} - set(confirmed_on_every_block(() if heldout is None else heldout.gates))
+    other = along_logged_attitude(problem)
     left = [t for t in named if t.hypothesis.key not in denied]
     if other is not None and left:
-        denied |= set(_not_along(other, lattice, chosen, left))
+        denied |= set(_denied_along(other, lattice, chosen, left))
     return frozenset(denied)
 
 
-def on_every_block(gates: Iterable[Gate]) -> Iterator[Key]:
+def confirmed_on_every_block(gates: Iterable[Gate]) -> Iterator[Key]:
     """Keys of the effects that blocks which were held out confirm, and none of them denies."""
     for gate in gates:
-        if gate.passed and (gate.gains > -_CHANCE).all():
+        if gate.passed and (gate.gains > -_CHANCE_LOSS).all():
             yield gate.key
 
 
-def along_own_attitude(problem: GapProblem) -> GapProblem | None:
+def along_logged_attitude(problem: GapProblem) -> GapProblem | None:
     """`problem` with ideal readings along the attitude that the vehicle logged; None where it logged none."""
     if problem.own_attitude is None:
         return None
-    return replace(problem, traces=tuple(_turned(t, *problem.own_attitude) for t in problem.traces))
+    return replace(problem, traces=tuple(_with_attitude(t, *problem.own_attitude) for t in problem.traces))
 
 
-def _turned(trace: Trace, t: Array, q: Array) -> Trace:
-    if trace.against is not None or trace.attitude is None or trace.sensor not in _TURNED:
+def _with_attitude(trace: Trace, t: Array, q: Array) -> Trace:
+    if trace.against is not None or trace.attitude is None or trace.sensor not in _ATTITUDE_SENSORS:
         return trace
     own = Rotation.from_quat(np.column_stack([np.interp(trace.t, t, c) for c in q.T])[:, [1, 2, 3, 0]])
     turn = own.inv() * Rotation.from_quat(trace.attitude[:, [1, 2, 3, 0]])
@@ -82,28 +82,28 @@ def _turned(trace: Trace, t: Array, q: Array) -> Trace:
     return replace(trace, ideal=ideal, measured=measured, attitude=attitude, force=force, field=field)
 
 
-def _not_along(
+def _denied_along(
     other: GapProblem, lattice: Lattice, chosen: ChosenModel, asked: Collection[Term | NoiseTerm]
 ) -> Iterator[Key]:
     masked = {i: found.masked for i, found in lattice.masks.items()}
     setting = setting_of(split(views_of(other, masked, lattice.variance)))
-    model = refitted(starting_model(setting, starting_noise(setting))).model
+    model = noise_fitted(starting_model(setting, starting_noise(setting))).model
     members = {t.hypothesis.key: t for t in chosen.model.members}
     for score in chosen.scores:
         if score.hypothesis.key in members:
-            model = joined(model, members[score.hypothesis.key])
-    gains = last_gains(model, contest_of([t.hypothesis for t in model.members], GainThresholds()))
+            model = with_joined_term(model, members[score.hypothesis.key])
+    gains = marginal_gains(model, contest_of([t.hypothesis for t in model.members], GainThresholds()))
     for term in asked:
         key = term.hypothesis.key
-        if gains[key][0] < _GAINS or not _as_large(term, model):
+        if gains[key][0] < _LEAST_GAIN or not _agrees_in_size(term, model):
             yield key
 
 
-def _as_large(term: Term | NoiseTerm, other: Model) -> bool:
+def _agrees_in_size(term: Term | NoiseTerm, other: Model) -> bool:
     """Whether the effect points the same way and is about as large; of noise its gain says enough."""
     if isinstance(term, NoiseTerm):
         return True
     again = next(t for t in other.terms if t.hypothesis.key == term.hypothesis.key)
     here, there = (t.values if t.effect.fixed or not len(t.beta) else t.beta for t in (term, again))
     ratio = float(here @ there) / max(float(here @ here), 1e-300)
-    return _SAME[0] < ratio < _SAME[1]
+    return _SIZE_RATIOS[0] < ratio < _SIZE_RATIOS[1]

@@ -1,4 +1,9 @@
-"""Contiguous blocks that are held out in turn: the rest is a problem of its own, on which everything is done again."""
+"""Contiguous blocks that are held out in turn, the models of the other blocks, and their predictive loss on the block.
+
+A curve that is extrapolated beyond what the other blocks cover is known badly there. The amplitudes of the fit are
+therefore integrated out under the posterior of those blocks. Its prior is that of :mod:`calib.gap.search.evidence`,
+widened: amplitudes of one unit are alike, and about as large as these blocks say.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.model.hypotheses import Hypothesis
+from mavcal.calib.gap.model.hypotheses import Hypothesis, units_of
 from mavcal.calib.gap.model.joint import (
     Model,
     NoiseTerm,
@@ -23,11 +28,13 @@ from mavcal.calib.gap.model.joint import (
     with_residual,
 )
 from mavcal.calib.gap.model.noise_fit import starting_noise, with_term
+from mavcal.calib.gap.model.normal_equations import solved
 from mavcal.calib.gap.model.views import View, between
 from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.selection import fitted_about, without
+from mavcal.calib.gap.search.evidence import prior_sd
+from mavcal.calib.gap.search.selection import locally_fitted, without_effect
 from mavcal.calib.gap.search.thresholds import GainThresholds
 
 Array = NDArray[np.float64]
@@ -53,56 +60,56 @@ class Fold:
 @remembered(2)
 def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
     """`count` folds of a setting; fewer where a block has no samples. The last ones asked for are kept."""
-    edges, guard = _edges(setting, count)
+    edges, guard = _block_edges(setting, count)
     found = []
     for low, high in itertools.pairwise(edges):
-        block = _part(setting, low + guard, high - guard)
-        rest = [*_part(setting, -math.inf, low - guard), *_part(setting, high + guard, math.inf)]
+        block = _views_between(setting, low + guard, high - guard)
+        rest = [*_views_between(setting, -math.inf, low - guard), *_views_between(setting, high + guard, math.inf)]
         if block and rest:
-            found.append(Fold(_start(rest), _start(block)))
+            found.append(Fold(_starting_model(rest), _starting_model(block)))
     return tuple(found) if len(found) >= _LEAST_BLOCKS else ()
 
 
 @remembered(1)
 def blocks_of(setting: Setting, count: int) -> tuple[Model, ...]:
     """The blocks of those folds alone."""
-    edges, guard = _edges(setting, count)
-    parts = (_part(setting, low + guard, high - guard) for low, high in itertools.pairwise(edges))
+    edges, guard = _block_edges(setting, count)
+    parts = (_views_between(setting, low + guard, high - guard) for low, high in itertools.pairwise(edges))
     blocks = [part for part in parts if part]
-    return tuple(_start(part) for part in blocks) if len(blocks) >= _LEAST_BLOCKS else ()
+    return tuple(_starting_model(part) for part in blocks) if len(blocks) >= _LEAST_BLOCKS else ()
 
 
-def _edges(setting: Setting, count: int) -> tuple[Array, float]:
+def _block_edges(setting: Setting, count: int) -> tuple[Array, float]:
     """Moments between which `count` blocks of equal length lie, s, and what is cut off at either end of each."""
     start = min(float(view.t[0]) for view in setting.views)
     end = max(float(view.t[-1]) for view in setting.views)
     return np.linspace(start, end, count + 1), min(GUARD_S, 0.1 * (end - start) / count)
 
 
-def _part(setting: Setting, low: float, high: float) -> list[View]:
+def _views_between(setting: Setting, low: float, high: float) -> list[View]:
     return [part for view in setting.views if (part := between(view, low, high)) is not None]
 
 
-def _start(views: Sequence[View]) -> Model:
+def _starting_model(views: Sequence[View]) -> Model:
     setting = setting_of(tuple(views))
     return starting_model(setting, starting_noise(setting))
 
 
-def joined(model: Model, term: Term | NoiseTerm, *, hold: bool = False) -> Model:
+def with_joined_term(model: Model, term: Term | NoiseTerm, *, hold: bool = False) -> Model:
     """The model with a term of another setting, fitted from where that is; with `hold` shapes stay there."""
     if isinstance(term, NoiseTerm):
-        return fitted_about(with_term(model, term), term.hypothesis, hold=hold)
-    return fitted_about(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis, hold=hold)
+        return locally_fitted(with_term(model, term), term.hypothesis, hold=hold)
+    return locally_fitted(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis, hold=hold)
 
 
-def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
+def is_predictable(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
     """Whether the blocks of `train` can know of a term of the `whole` model.
 
     Beside a drift of the bias, only blocks in which a jump happens know of it; without a drift, their levels tell its
     size. Blocks without a sample between two jumps know the sum of both, and neither.
     """
     effect = term.hypothesis.effect
-    if not isinstance(term, Term) or effect.shape is None or not effect.shape.still:
+    if not isinstance(term, Term) or effect.shape is None or not effect.shape.discontinuous:
         return True
     seen = np.concatenate([view.t for view in train.views if term.hypothesis.touches(view)] or [np.zeros(0)])
     for other in whole.terms:
@@ -117,12 +124,12 @@ def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
     return any(view.t[0] < term.theta < view.t[-1] for view in own)
 
 
-def parted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
+def without_hypothesis(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
     """The model without the term of a hypothesis, what remains fitted again; with `hold` shapes stay where they are."""
-    return fitted_about(without(model, hypothesis.key), hypothesis, hold=hold)
+    return locally_fitted(without_effect(model, hypothesis.key), hypothesis, hold=hold)
 
 
-def carried(model: Model, test: Model) -> Model:
+def applied_to(model: Model, test: Model) -> Model:
     """A model of the training blocks applied to the held-out one: the same effects, the same noise."""
     for noise_term in model.noise_terms:
         test = with_term(test, noise_term)
@@ -173,10 +180,10 @@ def expected_gain(term: Term, train: Model, test: Model) -> float:
     least = _UNSEEN * np.eye(len(scale))
     covariance = np.linalg.inv(rest.gram / np.outer(scale, scale) + least)
     cost = float(np.trace((block.gram / np.outer(scale, scale)) @ covariance))
-    return 0.5 * (_energy(term, weighted) - cost)
+    return 0.5 * (_term_energy(term, weighted) - cost)
 
 
-def _energy(term: Term, model: Model) -> float:
+def _term_energy(term: Term, model: Model) -> float:
     """Weighted sum of squares of what a term adds."""
     without = with_residual(replace(model, terms=()))
     alone = with_residual(replace(model, terms=(term,)))
@@ -194,3 +201,95 @@ def with_weight(model: Model) -> Model:
 def contest_of(hypotheses: Sequence[Hypothesis], thresholds: GainThresholds, pace: GapPace | None = None) -> Contest:
     """A contest of its own: every fold has other columns, and only as many are kept as one selection asks for."""
     return Contest(hypotheses, budget=16_000_000, thresholds=thresholds, pace=pace)
+
+
+_WIDE = 10.0
+"""Times the size that the other blocks say, that an amplitude may have by the prior: it is to bound what they do not
+show, and not to shrink what they do. Source: decision 6."""
+_NOTHING = 1e-3
+"""Prior standard deviation of an amplitude without any sign of it, in standard errors of all blocks together. Chosen,
+not measured: nothing, and still a matrix with an inverse."""
+_LEAST = 1e-9
+"""Added to normalised information, so that what nothing tells has an inverse. Source: rounding of a matrix, 1e-16, with
+a margin."""
+
+
+def predictive_loss(fitted: Model, block: Model) -> float:
+    """Negative log predictive density of a held-out block under what was fitted to the others, in nats.
+
+    K and v are the information and the estimates of the other blocks, and L is the prior precision. S and b are the
+    information of the block and the right side of its normal equations at v. The posterior is ``N(v - d, P^-1)`` with
+    ``P = K + L`` and ``P d = L v``. With ``c = b + S d``, the block costs this much more than at a certain v:
+    ``d'b + d'Sd/2 + (log|P + S| - log|P| - c'(P + S)^-1 c) / 2``.
+
+    Parameters
+    ----------
+    fitted
+        A model of the other blocks.
+    block
+        The held-out block's data without an effect.
+    """
+    tested = applied_to(fitted, block)
+    loss = log_loss(tested)
+    if not tested.terms:
+        return loss
+    tested = with_weight(tested)
+    fitted_gram, _ = _information(fitted)
+    tested_gram, b = _information(tested)
+    v = np.concatenate([term.values for term in fitted.terms])
+    precision = _precision(fitted, fitted_gram, tested_gram)
+    free = [i for i in range(len(v)) if i not in _jump_indices(fitted.terms)]
+    fitted_gram, tested_gram = fitted_gram[np.ix_(free, free)], tested_gram[np.ix_(free, free)]
+    b, v, precision = b[free], v[free], precision[free]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(fitted_gram + tested_gram) + precision, np.finfo(float).tiny))
+    S, prior = tested_gram * np.outer(scale, scale), precision * scale**2
+    P = fitted_gram * np.outer(scale, scale) + np.diag(prior + _LEAST)
+    b = b * scale
+    d = np.linalg.solve(P, prior * v / scale)
+    c = b + S @ d
+    moved = float(d @ b + 0.5 * d @ S @ d)
+    return loss + moved + 0.5 * (_log_det(P + S) - _log_det(P) - float(c @ np.linalg.solve(P + S, c)))
+
+
+def _information(model: Model) -> tuple[Array, Array]:
+    """Information on all values of a model's terms, and the right side beside it."""
+    normal = normal_equations([jacobian(t, model.setting) for t in model.terms], model.y, model.weight)
+    return normal.gram, normal.right
+
+
+def _precision(fitted: Model, fitted_gram: Array, tested_gram: Array) -> Array:
+    """Precision of the prior of every value: amplitudes have one of their own size, shapes none."""
+    ends = np.cumsum([0, *(len(term.values) for term in fitted.terms)])
+    error = 1.0 / np.sqrt(np.maximum(np.diag(fitted_gram + tested_gram), np.finfo(float).tiny))
+    values = np.concatenate([term.values for term in fitted.terms])
+    precision = np.zeros(len(fitted_gram))
+    for term, (start, end) in zip(fitted.terms, itertools.pairwise(ends), strict=True):
+        if term.effect.fixed:
+            continue
+        own = np.arange(start, start + len(term.beta))
+        rest = np.setdiff1d(np.arange(len(fitted_gram)), np.arange(start, end))
+        cross = fitted_gram[np.ix_(own, rest)]
+        gram = (
+            fitted_gram[np.ix_(own, own)]
+            - cross @ solved(fitted_gram[np.ix_(rest, rest)], np.zeros(len(rest)))[1] @ cross.T
+        )
+        units = units_of(term.effect, len(own))
+        size = prior_sd(gram, gram @ term.beta, units)
+        if not size.any():  # beside another that does the same there; of both together they may say much
+            size = prior_sd(fitted_gram[np.ix_(own, own)], fitted_gram[own] @ values, units)
+        precision[own] = 1.0 / np.maximum(_WIDE * size, _NOTHING * error[own]) ** 2
+    return precision
+
+
+def _jump_indices(terms: tuple[Term, ...]) -> set[int]:
+    """Where moments are among the values of all terms: nothing is smooth about them."""
+    ends = np.cumsum([len(term.values) for term in terms])
+    return {
+        int(e) - 1
+        for e, t in zip(ends, terms, strict=True)
+        if t.effect.shape is not None and t.effect.shape.discontinuous
+    }
+
+
+def _log_det(matrix: Array) -> float:
+    return float(np.linalg.slogdet(matrix)[1])

@@ -9,20 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.heldout.folds import Fold, carried, expected_gain
+from mavcal.calib.gap.heldout.folds import Fold, applied_to, expected_gain
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import NoiseTerm, Setting, Term
 from mavcal.calib.gap.search.selection import ChosenModel, Gains
 
 Array = NDArray[np.float64]
 
-_SHORT = 2.5
+_SHORTFALL_SD = 2.5
 """Standard deviations by which a held-out gain may be less than was due. Chosen, not measured: one block in 160 falls
 short by chance."""
-_ENOUGH = 0.2
+_SUFFICIENT_SHARE = 0.2
 """Part of what was due that is enough in any case: no model of a real sensor foretells thousands of nats exactly.
 Chosen, not measured: a fifth is far from nothing."""
-_FORETOLD = -5.0
+_LEAST_EXPECTED = -5.0
 """Nats below which the other blocks do not know what to expect of one. Chosen, not measured: a chance of one in 150,
 exp(-5)."""
 
@@ -55,31 +55,31 @@ def gate_of(
     if isinstance(term, NoiseTerm):
         drifts = term.hypothesis.effect.drifts
         return Gate(key, gains, passed=True if total > 0.0 else None if drifts else False)
-    expected = [expected_gain(term, fold.train, carried(chosen.model, fold.test)) for fold in folds]
-    seen = [e > _FORETOLD and t for e, t in zip(expected, determined, strict=True)]
-    sizes = [_touched(term, fold.test.setting) for fold in folds]
-    due = sum(_at_most(e, n) for e, s, n in zip(expected, seen, sizes, strict=True) if s)
+    expected = [expected_gain(term, fold.train, applied_to(chosen.model, fold.test)) for fold in folds]
+    seen = [e > _LEAST_EXPECTED and t for e, t in zip(expected, determined, strict=True)]
+    sizes = [_numbers(term, fold.test.setting) for fold in folds]
+    due = sum(_gain_beside_noise(e, n) for e, s, n in zip(expected, seen, sizes, strict=True) if s)
     joined_with = next((s.gain for s in chosen.scores if s.hypothesis.key == key), math.inf)
     due = min(due, 0.5 * min(joined_with, beside[key][0]))  # what noise or other effects take in its place is no gain
     total = float(gains[seen].sum())
     if due <= 1.0:
         return Gate(key, gains, passed=None)
-    least = min(due - _SHORT * math.sqrt(2.0 * due), _ENOUGH * due)
+    least = min(due - _SHORTFALL_SD * math.sqrt(2.0 * due), _SUFFICIENT_SHARE * due)
     if total <= 0.0 and least < 0.0:
         return Gate(key, gains, passed=None)
     passed = bool(total > max(least, 0.0))  # numpy's False `is` not False
-    return Gate(key, gains, passed=None if not passed and _an_event(term) else passed)
+    return Gate(key, gains, passed=None if not passed and _is_event(term) else passed)
 
 
-def _an_event(term: Term) -> bool:
+def _is_event(term: Term) -> bool:
     """Whether it happens at a moment: the levels of other blocks are then shared with other events and with drifts."""
-    return term.effect.shape is not None and term.effect.shape.still
+    return term.effect.shape is not None and term.effect.shape.discontinuous
 
 
-def _touched(term: Term, setting: Setting) -> int:
+def _numbers(term: Term, setting: Setting) -> int:
     return sum(3 * view.count for view in setting.views if term.hypothesis.touches(view))
 
 
-def _at_most(nats: float, numbers: int) -> float:
+def _gain_beside_noise(nats: float, numbers: int) -> float:
     """What of a gain is left beside a model whose noise grew in place of the effect: ``n/2 log(1 + 2 nats/n)``."""
     return 0.5 * numbers * math.log1p(max(2.0 * nats / max(numbers, 1), -0.9))

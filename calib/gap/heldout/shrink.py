@@ -19,46 +19,46 @@ from scipy.special import chdtrc
 from mavcal.calib.gap.heldout.folds import (
     GUARD_S,
     Fold,
+    applied_to,
     blocks_of,
-    carried,
     contest_of,
     folds_of,
-    foretold,
-    joined,
+    is_predictable,
     log_loss,
-    parted,
     power_ratio,
+    predictive_loss,
+    with_joined_term,
     with_weight,
+    without_hypothesis,
 )
 from mavcal.calib.gap.heldout.gates import Gate, gate_of
-from mavcal.calib.gap.heldout.predictive import predictive_loss
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
-from mavcal.calib.gap.model.noise_fit import is_declared, refitted
+from mavcal.calib.gap.model.noise_fit import is_declared, noise_fitted
 from mavcal.calib.gap.model.normal_equations import solved
 from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.schema import SequenceStep, Shrink
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.selection import ChosenModel, Gains, last_gains, select
+from mavcal.calib.gap.search.selection import ChosenModel, Gains, marginal_gains, select
 
 Array = NDArray[np.float64]
 
 _BLOCKS = 8
 """Blocks of a recording; each is held out once. Source: decision 4."""
-_LONG = 40_000
+_LONG_SAMPLES = 40_000
 """Samples of a series above which a recording is long. Chosen, not measured: it bounds the time of a selection in every
 block."""
-_FEW = 4
-"""Blocks where a series is longer than `_LONG` samples: each repeats the selection. Source: decision 4."""
+_FEW_BLOCKS = 4
+"""Blocks where a series is longer than `_LONG_SAMPLES` samples: each repeats the selection. Source: decision 4."""
 _LEAST_HELD_OUT = 2
 """Blocks that are held out however little time is left. Chosen, not measured: two may contradict each other."""
 _RESAMPLED = 2000
 """Draws of as many blocks, for an interval. Chosen, not measured: fifty lie beyond either end of 95 %."""
-_PROMISING = 0.01
+_CANDIDATE_CHANCE = 0.01
 """Chance, uncorrected, below which a hypothesis takes part in the folds; the level stays that of all tests. Chosen, not
 measured: the rest has no chance at the level of all tests."""
-_SECOND = 0.5
+_REPEATED_TIME_SHARE = 0.5
 """Part of the time of the first selection that one in a block is believed to take: fewer effects compete. Chosen, not
 measured: half as many compete."""
 _SIGNIFICANT = 3.0
@@ -85,7 +85,7 @@ class Heldout:
     losses: Array
     floor: Array
     samples: Array
-    happens: tuple[bool, ...]
+    has_event: tuple[bool, ...]
     order: tuple[str, ...]
     steps: Array
     gates: tuple[Gate, ...]
@@ -133,37 +133,37 @@ def held_out(
         Gates of a model with these effects and others, which stand as they are; None: they are found.
     """
     setting, pace = chosen.model.setting, contest.pace
-    given, order = _order(chosen, tolerated)
+    given, order = _in_order_of_entry(chosen, tolerated)
     if not order:
         return None
     jumps = any(term.hypothesis.effect.jumps for term in order)  # long blocks do not know what was before or after it
-    long = max(view.whole.n for view in setting.views) > _LONG and not jumps
-    folds = folds_of(trusting(chosen.model), _FEW if long else _BLOCKS)
+    long = max(view.whole.n for view in setting.views) > _LONG_SAMPLES and not jumps
+    folds = folds_of(without_reference_error(chosen.model), _FEW_BLOCKS if long else _BLOCKS)
     if not folds:
         return None
-    floor_ratio = _excess(chosen.model)
+    floor_ratio = _unexplained_per_number(chosen.model)
     losses: list[tuple[float, float]] = []
     lowest, gains, steps, determined = [], [], [], []
     began = pace.now
     for k, fold in enumerate(folds):
         if k >= _LEAST_HELD_OUT and pace.ends((pace.now - began) / k):
             break
-        base = refitted(fold.train).model
+        base = noise_fitted(fold.train).model
         for term in given:
-            foreseen = foretold(term, chosen.model, fold.train.setting)
-            base = joined(base, term, hold=pace.ends()) if foreseen else base
+            foreseen = is_predictable(term, chosen.model, fold.train.setting)
+            base = with_joined_term(base, term, hold=pace.ends()) if foreseen else base
         chain = [base]
-        seen = [foretold(term, chosen.model, fold.train.setting) for term in order]
+        seen = [is_predictable(term, chosen.model, fold.train.setting) for term in order]
         for term, foreseen in zip(order, seen, strict=True):
-            chain.append(joined(chain[-1], term, hold=pace.ends()) if foreseen else chain[-1])
+            chain.append(with_joined_term(chain[-1], term, hold=pace.ends()) if foreseen else chain[-1])
         nats = [predictive_loss(model, fold.test) for model in chain]
         losses.append((nats[0], nats[-1]))
-        lowest.append(_floor(chosen, order, chain[-1], fold) - floor_ratio * _numbers(fold.test))
+        lowest.append(_floor(chosen, order, chain[-1], fold) - floor_ratio * _count(fold.test))
         steps.append([nats[0] - loss for loss in nats[1:]])
         if known is not None:
             continue
         less = (
-            parted(chain[-1], term.hypothesis, hold=pace.ends()) if foreseen else chain[-1]
+            without_hypothesis(chain[-1], term.hypothesis, hold=pace.ends()) if foreseen else chain[-1]
             for term, foreseen in zip(order, seen, strict=True)
         )
         determined.append(seen)
@@ -182,8 +182,8 @@ def held_out(
         folds,
         np.array(losses, dtype=np.float64),
         np.array(lowest, dtype=np.float64),
-        np.array([_numbers(fold.test) for fold in folds], dtype=np.float64),
-        tuple(any(_happens_in(term, fold.test) for term in order) for fold in folds),
+        np.array([_count(fold.test) for fold in folds], dtype=np.float64),
+        tuple(any(_is_event_of(term, fold.test) for term in order) for fold in folds),
         tuple(term.hypothesis.effect.id for term in order),
         np.array(steps, dtype=np.float64),
         gates,
@@ -195,32 +195,32 @@ def _gains_beside_noise(chosen: ChosenModel, contest: Contest) -> Gains:
 
     That takes much of a slow effect for its own, on held-out blocks as well.
     """
-    gains = dict(last_gains(chosen.model, contest))
+    gains = dict(marginal_gains(chosen.model, contest))
     unknown = {view.sensor for view in chosen.model.setting.views if not is_declared(view)}
     level = sum(chosen.noise.deviance.values())
     for term in chosen.model.terms:
         key = term.hypothesis.key
         if term.effect.sensor in unknown and key in gains:
-            bare = parted(chosen.model, term.hypothesis, hold=contest.pace.ends())
-            refit = sum(refitted(bare).deviance.values())
+            bare = without_hypothesis(chosen.model, term.hypothesis, hold=contest.pace.ends())
+            refit = sum(noise_fitted(bare).deviance.values())
             gains[key] = (max(min(gains[key][0], refit - level), 0.0), *gains[key][1:])
     return gains
 
 
-def nested_in(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: float) -> Heldout:
+def with_nested_selection(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: float) -> Heldout:
     """The same with effects that are selected again for each block, from the others.
 
     Not where an event lies in it, nor once the time for it is over.
     """
     pace, losses = contest.pace, []
-    took = _SECOND * pace.took(GapStage.SELECTION) if GapStage.SELECTION in pace.began else 0.0
-    for k, (fold, fixed, happens) in enumerate(zip(found.folds, found.losses[:, 1], found.happens, strict=True)):
+    took = _REPEATED_TIME_SHARE * pace.duration_of(GapStage.SELECTION) if GapStage.SELECTION in pace.began else 0.0
+    for k, (fold, fixed, happens) in enumerate(zip(found.folds, found.losses[:, 1], found.has_event, strict=True)):
         pace.begin(GapStage.BLOCKS, k / len(found.folds))
         if happens or pace.ends(took):
             losses.append(float(fixed))
             continue
         began = pace.now
-        loss = _selected_again(fold, chosen, contest, alpha)
+        loss = _loss_of_selection_without(fold, chosen, contest, alpha)
         losses.append(float(fixed) if pace.ends() else loss)  # a search that was cut short selects too little
         took = pace.now - began
     return replace(found, losses=np.column_stack([found.losses[:, 0], losses]))
@@ -237,12 +237,12 @@ def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model
     given = tuple(t for t in fitted.terms if t.hypothesis.key not in tested)
     known = replace(noise, terms=(*(term for term in order if isinstance(term, Term)), *given))
     fitted_numbers = len(chosen.joint.covariance) if chosen.model.ridge is None else 0
-    share = _numbers(fold.test) / max(_numbers(fold.train) + _numbers(fold.test), 1)
-    return log_loss(carried(known, fold.test)) + 0.5 * fitted_numbers * share
+    share = _count(fold.test) / max(_count(fold.train) + _count(fold.test), 1)
+    return log_loss(applied_to(known, fold.test)) + 0.5 * fitted_numbers * share
 
 
 @remembered(2)
-def trusting(model: Model) -> Setting:
+def without_reference_error(model: Model) -> Setting:
     """The setting with the error of the reference taken out: it says nothing about another block."""
     if model.ridge is None:
         return model.setting
@@ -254,7 +254,7 @@ def trusting(model: Model) -> Setting:
     return setting_of(tuple(views))
 
 
-def _happens_in(term: Term | NoiseTerm, block: Model) -> bool:
+def _is_event_of(term: Term | NoiseTerm, block: Model) -> bool:
     """Whether a term is an event of the held-out block: when it happened no other block can tell."""
     if not isinstance(term, Term) or not term.hypothesis.effect.jumps:
         return False
@@ -262,7 +262,9 @@ def _happens_in(term: Term | NoiseTerm, block: Model) -> bool:
     return any(view.t[0] - 2.0 * GUARD_S <= term.theta <= view.t[-1] + 2.0 * GUARD_S for view in own)
 
 
-def _order(chosen: ChosenModel, tolerated: Collection[Key]) -> tuple[list[Term | NoiseTerm], list[Term | NoiseTerm]]:
+def _in_order_of_entry(
+    chosen: ChosenModel, tolerated: Collection[Key]
+) -> tuple[list[Term | NoiseTerm], list[Term | NoiseTerm]]:
     """Terms in the order in which they joined: those that are tolerated, and the others."""
     members = {t.hypothesis.key: t for t in chosen.model.members}
     terms = [members[s.hypothesis.key] for s in chosen.scores if s.hypothesis.key in members]
@@ -270,29 +272,29 @@ def _order(chosen: ChosenModel, tolerated: Collection[Key]) -> tuple[list[Term |
     return given, [term for term in terms if term.hypothesis.key not in tolerated]
 
 
-def _numbers(model: Model) -> int:
+def _count(model: Model) -> int:
     return model.setting.samples
 
 
-def _excess(model: Model) -> float:
+def _unexplained_per_number(model: Model) -> float:
     """Nats a number that the model leaves above its own noise, if more than chance."""
     ratio, count = power_ratio(model)
     excess = 0.5 * (ratio - 1.0)
     return excess if excess > _SIGNIFICANT / math.sqrt(2.0 * count) else 0.0
 
 
-def _selected_again(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: float) -> float:
+def _loss_of_selection_without(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: float) -> float:
     """Loss of the held-out block under what is selected without it."""
-    promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _PROMISING}
+    promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _CANDIDATE_CHANCE}
     few = [h for h in contest.hypotheses if h.key in promising or (h.before is not None and h.before in promising)]
     level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
     if not few:
-        return predictive_loss(refitted(fold.train).model, fold.test)
-    found = select(refitted(fold.train).model, contest_of(few, contest.thresholds, contest.pace), level)
+        return predictive_loss(noise_fitted(fold.train).model, fold.test)
+    found = select(noise_fitted(fold.train).model, contest_of(few, contest.thresholds, contest.pace), level)
     return predictive_loss(found.model, fold.test)
 
 
-def interval(part: Array, whole: Array) -> tuple[float, float]:
+def bootstrap_interval(part: Array, whole: Array) -> tuple[float, float]:
     """95 % interval of ``sum(part) / sum(whole)`` by resampling the blocks."""
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, len(part), (_RESAMPLED, len(part)))
@@ -312,7 +314,7 @@ def shrink_of(chosen: ChosenModel, found: Heldout, *, nested: bool) -> Shrink:
     closed, ci = None, None
     if chosen.model.members and gap > 0.0:
         closed = float((found.before - found.after).sum()) / gap
-        ci = interval(found.before - found.after, found.before)
+        ci = bootstrap_interval(found.before - found.after, found.before)
     known = any(is_declared(view) for view in chosen.model.setting.views)
     source = "declared_noise" if known else "fit_to_all_data"
     if any(view.density is not None or math.isfinite(view.dof) for view in chosen.model.setting.views):
@@ -342,7 +344,7 @@ def rms_of(model: Model) -> dict[str, tuple[float, float, str]]:
 
 
 @dataclass(frozen=True)
-class Dose:
+class BlockAgreement:
     """Whether the blocks, each for itself, agree on an effect's amplitudes: large doses say what small ones say.
 
     `agrees` is None for effects on the noise and where fewer than two blocks show the effect. Where they disagree, the
@@ -353,21 +355,21 @@ class Dose:
     widening: float = 1.0
 
 
-def dose_of(chosen: ChosenModel, key: Key) -> Dose:
+def block_agreement(chosen: ChosenModel, key: Key) -> BlockAgreement:
     """What the blocks say of the effect `key`."""
     model = chosen.model
     term = next((t for t in model.terms if t.hypothesis.key == key), None)
     if term is None:
-        return Dose()
+        return BlockAgreement()
     total, count = 0.0, 0
-    for part in blocks_of(trusting(model), _BLOCKS):
-        block = with_weight(carried(model, part))
+    for part in blocks_of(without_reference_error(model), _BLOCKS):
+        block = with_weight(applied_to(model, part))
         normal = normal_equations([jacobian(term, block.setting)], block.y, block.weight)
         step, _, rank = solved(normal.gram, normal.right)
         total += float(step @ normal.right)
         count += rank
     freedom = count - len(term.values)
     if freedom < 1:
-        return Dose()
+        return BlockAgreement()
     agrees = bool(chdtrc(freedom, total) > _DISAGREE)
-    return Dose(agrees, 1.0 if agrees else math.sqrt(total / freedom))
+    return BlockAgreement(agrees, 1.0 if agrees else math.sqrt(total / freedom))

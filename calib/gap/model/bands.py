@@ -47,7 +47,7 @@ def resampled(series: Array, m: int) -> Array:
     return lower
 
 
-def joined(lower: Array, upper: Array) -> Array:
+def combined(lower: Array, upper: Array) -> Array:
     """Both bands as one series (n, 3): `lower` (m, 3) at its rate, and what `upper` (n, 3) has above it."""
     bins = np.ascontiguousarray(transform(upper.T).T)
     bins[: len(lower)] = transform(lower.T).T * np.sqrt(len(upper) / len(lower))
@@ -57,25 +57,25 @@ def joined(lower: Array, upper: Array) -> Array:
 def split(views: Iterable[View]) -> tuple[View, ...]:
     """Every long series in two bands, the lower one first."""
     slow: dict[tuple[int, int], Trace] = {}
-    return tuple(band for view in views for band in _bands(view, slow))
+    return tuple(band for view in views for band in _bands_of(view, slow))
 
 
-def _bands(view: View, slow: dict[tuple[int, int], Trace]) -> tuple[View, ...]:
+def _bands_of(view: View, slow: dict[tuple[int, int], Trace]) -> tuple[View, ...]:
     if len(view.keep) >= _LONG:
-        view = _shorter(view, slow)
+        view = _at_fast_length(view, slow)
     whole = len(view.keep)
     fs = view.fs
     duration = whole / fs
     rate = max(_LOWEST_HZ, min(_RATE_HZ, _SAMPLES / duration))
     while whole >= _LONG and rate < 0.5 * fs:
         m = fast_length(round(whole * rate / fs))
-        if _still(view, m / whole):
-            return _split(view, m, slow)
+        if _reference_is_slow(view, m / whole):
+            return _split_at(view, m, slow)
         rate *= 2.0
     return (view,)
 
 
-def _shorter(view: View, slow: dict[tuple[int, int], Trace]) -> View:
+def _at_fast_length(view: View, slow: dict[tuple[int, int], Trace]) -> View:
     """Without the last few samples: a length that transforms fast."""
     n = fast_length(len(view.keep))
     keep = view.keep[:n]
@@ -86,21 +86,21 @@ def _shorter(view: View, slow: dict[tuple[int, int], Trace]) -> View:
     for i, trace in view.traces.items():
         key = id(trace), 0
         if key not in slow:
-            slow[key] = _with(trace, {f.name: _first(getattr(trace, f.name), trace, n) for f in fields(trace)})
+            slow[key] = _replaced(trace, {f.name: _first_rows(getattr(trace, f.name), trace, n) for f in fields(trace)})
         traces[i] = slow[key]
-    density = None if view.density is None else _cut(view.density, rows)
+    density = None if view.density is None else _interpolated(view.density, rows)
     return replace(view, traces=traces, residual=view.residual[:rows], keep=keep, density=density)
 
 
-def _first(value: object, trace: Trace, n: int) -> object:
+def _first_rows(value: object, trace: Trace, n: int) -> object:
     return value[:n] if isinstance(value, np.ndarray) and len(value) == len(trace.t) else value
 
 
-def _with(trace: Trace, changes: Mapping[str, Any]) -> Trace:
+def _replaced(trace: Trace, changes: Mapping[str, Any]) -> Trace:
     return replace(trace, **changes)
 
 
-def _still(view: View, share: float) -> bool:
+def _reference_is_slow(view: View, share: float) -> bool:
     """Whether the reference hardly moves above that share of the band."""
     for trace in view.traces.values():
         if trace.against is not None:
@@ -114,7 +114,7 @@ def _still(view: View, share: float) -> bool:
     return True
 
 
-def _split(view: View, m: int, slow: dict[tuple[int, int], Trace]) -> tuple[View, ...]:
+def _split_at(view: View, m: int, slow: dict[tuple[int, int], Trace]) -> tuple[View, ...]:
     whole = len(view.keep)
     starts = (np.arange(m) * whole) // m
     keep = np.logical_and.reduceat(view.keep, starts)
@@ -124,7 +124,7 @@ def _split(view: View, m: int, slow: dict[tuple[int, int], Trace]) -> tuple[View
     for i, trace in view.traces.items():
         key = id(trace), m
         if key not in slow:
-            slow[key] = _slower(trace, m)
+            slow[key] = _at_lower_rate(trace, m)
         traces[i] = slow[key]
     gain = m / whole
     first = round(view.n * gain)
@@ -139,7 +139,7 @@ def _split(view: View, m: int, slow: dict[tuple[int, int], Trace]) -> tuple[View
         residual=np.ascontiguousarray(resampled(residual[None], m)[0][keep]),
         keep=keep,
         variance=None if view.variance is None else gain * view.variance,
-        density=None if view.density is None else gain * _cut(view.density[:first], int(keep.sum())),
+        density=None if view.density is None else gain * _interpolated(view.density[:first], int(keep.sum())),
         fine=view,
         gain=gain,
     )
@@ -150,12 +150,12 @@ def _split(view: View, m: int, slow: dict[tuple[int, int], Trace]) -> tuple[View
     return lower, replace(view, residual=above, density=density, first=first)
 
 
-def _cut(density: Array, m: int) -> Array:
+def _interpolated(density: Array, m: int) -> Array:
     old, new = np.linspace(0.0, 1.0, len(density)), np.linspace(0.0, 1.0, m)
     return density if len(density) == m else np.column_stack([np.interp(new, old, d) for d in density.T])
 
 
-def _slower(trace: Trace, m: int) -> Trace:
+def _at_lower_rate(trace: Trace, m: int) -> Trace:
     """A trace at a lower rate."""
     n = len(trace.t)
     centre = (np.arange(m) + 0.5) * n / m - 0.5
@@ -172,7 +172,7 @@ def _slower(trace: Trace, m: int) -> Trace:
     if trace.attitude is not None:
         made["attitude"] = trace.attitude[np.clip(np.rint(centre).astype(np.intp), 0, n - 1)]
     t, observed = np.interp(centre, np.arange(n), trace.t), np.logical_and.reduceat(trace.observed, starts)
-    return _with(trace, {**made, "t": t, "observed": observed})
+    return _replaced(trace, {**made, "t": t, "observed": observed})
 
 
 def assembled(views: Sequence[View], power: Sequence[Array], v: int, c: int) -> Array:
@@ -181,4 +181,4 @@ def assembled(views: Sequence[View], power: Sequence[Array], v: int, c: int) -> 
     if view.fine is None:
         return power[3 * v + c]
     upper = power[3 * (v + 1) + c]
-    return np.concatenate([_cut(power[3 * v + c][:, None], view.fine.n - len(upper))[:, 0] / view.gain, upper])
+    return np.concatenate([_interpolated(power[3 * v + c][:, None], view.fine.n - len(upper))[:, 0] / view.gain, upper])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from operator import call
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,10 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_AGAIN = "'"
+_REPETITION_MARK = "'"
 _REPEATS = 4
 """Times that an effect that can be repeated is looked for. Chosen, not measured: it bounds the time."""
-_ELSEWHERE = 24.0
+_OTHER_INSTANCE_PRICE = 24.0
 """Price of an effect on another instance than the one that has something: it decides where nothing else does, and no
 more. Chosen, not measured: odds of exp(12) against the other instance."""
 _WAVE = "~wave"
@@ -52,13 +53,13 @@ class Hypothesis:
     @property
     def key(self) -> tuple[str, tuple[int, ...]]:
         """What tells hypotheses apart."""
-        return self.effect.id + self.effect.form + _AGAIN * self.again, self.instances
+        return self.effect.id + self.effect.form + _REPETITION_MARK * self.again, self.instances
 
     @property
     def before(self) -> tuple[str, tuple[int, ...]] | None:
         """Key of the one that must be there first, None for the first."""
         name = self.effect.id + self.effect.form
-        return (name + _AGAIN * (self.again - 1), self.instances) if self.again else None
+        return (name + _REPETITION_MARK * (self.again - 1), self.instances) if self.again else None
 
     def touches(self, view: View) -> bool:
         """Whether it would change this series."""
@@ -76,7 +77,7 @@ class Hypothesis:
         """Whether it is a wave: noise that wanders cannot take its place."""
         return self.effect.tonal or self.effect.form == _WAVE
 
-    def described_by(self, others: Iterable[Hypothesis]) -> bool:
+    def is_covered_by(self, others: Iterable[Hypothesis]) -> bool:
         """Whether one of `others` is the same effect on the same instances, in any form: it happens once."""
         places = [other.instances for other in others if other.effect.id == self.effect.id]
         return not self.effect.repeatable and self.instances in places
@@ -128,19 +129,19 @@ def hypotheses_of(
             else:
                 possible.append(instances)
         sets: list[tuple[int, ...]] = [p for p in possible if len(p) == 1]
-        if (common := _together(possible)) is not None:
+        if (common := _common_instances(possible)) is not None:
             sets = [common] if Trait.OUTSIDE in effect.traits else [*sets, common]
         times = _REPEATS if effect.repeatable else 1
-        at_fault, certain = _at_fault(effect, worse or {}), _certain(effect, worse or {})
+        at_fault, certain = _faulty_instances(effect, worse or {}), _is_certain(effect, worse or {})
         for instances in sets:
             if certain and len(instances) == 1 and instances != at_fault:
                 continue
-            handicap, loud = _handicap(effect, instances, at_fault), _loud(effect, instances, at_fault)
+            handicap, loud = _handicap(effect, instances, at_fault), _is_loud(effect, instances, at_fault)
             tested += [Hypothesis(effect, instances, again, handicap, loud) for again in range(times)]
     return tuple(tested), tuple(dict.fromkeys(missing))
 
 
-def _at_fault(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) -> tuple[int, ...] | None:
+def _faulty_instances(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) -> tuple[int, ...] | None:
     """Which instances have what an effect describes; None: nothing says."""
     faulty = worse.get(effect.sensor)
     if effect.shared or faulty is None:
@@ -151,7 +152,7 @@ def _at_fault(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) 
     return faulty.fast if noise and faulty.slow is None else faulty.slow
 
 
-def _certain(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) -> bool:
+def _is_certain(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) -> bool:
     """Whether an effect that shifts the mean is on the instances at fault, whatever fits better."""
     faulty = worse.get(effect.sensor)
     if faulty is None or faulty.slow is None or effect.shared or isinstance(effect, NoiseEffect):
@@ -164,10 +165,10 @@ def _handicap(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tup
     noise = isinstance(effect, NoiseEffect)
     if at_fault is None or instances == at_fault or not (noise or len(instances) == len(at_fault)):
         return 0.0
-    return _ELSEWHERE
+    return _OTHER_INSTANCE_PRICE
 
 
-def _loud(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> bool | None:
+def _is_loud(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> bool | None:
     """A trajectory that is re-estimated turns with its own gyroscope, which shows none of its noise against it."""
     if at_fault is None or effect.sensor is not Sensor.GYRO or Trait.BROADBAND not in effect.traits:
         return None
@@ -189,7 +190,7 @@ def _instances(effect: CatalogueEffect, views: Sequence[View]) -> list[tuple[tup
     return list(found.items())
 
 
-def _together(possible: Sequence[tuple[int, ...]]) -> tuple[int, ...] | None:
+def _common_instances(possible: Sequence[tuple[int, ...]]) -> tuple[int, ...] | None:
     everything = tuple(sorted({i for p in possible for i in p}))
     if len(everything) < 2:
         return None
@@ -222,9 +223,9 @@ class Binning:
         """Power of the averages, folded, from the power (n,) of the samples."""
         m = self.size - self.first
         if self.factor == 1:
-            return S if m == len(S) else _stretched(S, m)
+            return S if m == len(S) else _interpolated(S, m)
         whole = m * self.factor
-        full = S if whole == len(S) else _stretched(S, whole)
+        full = S if whole == len(S) else _interpolated(S, whole)
         half = 0.5 * np.pi * np.arange(whole) / whole
         gain = np.ones(whole)
         gain[1:] = (np.sin(self.factor * half[1:]) / (self.factor * np.sin(half[1:]))) ** 2
@@ -236,7 +237,7 @@ class Binning:
         return np.asarray(total / self.factor)
 
 
-def _stretched(values: Array, m: int) -> Array:
+def _interpolated(values: Array, m: int) -> Array:
     """Values (n,) drawn at `m` places from the first to the last."""
     left, part = _places(len(values), m)
     return values[left] + part * (values[left + 1] - values[left])
@@ -262,11 +263,11 @@ def columns_of(
         if not hypothesis.touches(view):
             continue
         if effect.signals is None:
-            block = summed(effect.columns, hypothesis, theta, view)
+            block = columns_in(effect.columns, hypothesis, theta, view)
             p = len(block)
             add_block(parts, v, block, frames[v])
             continue
-        signals = summed(effect.signals, hypothesis, theta, view)
+        signals = columns_in(effect.signals, hypothesis, theta, view)
         p = 3 * len(signals)
         X = frames[v].bins(signals)
         for c in range(3):
@@ -280,14 +281,14 @@ def units_of(effect: CatalogueEffect, p: int) -> NDArray[np.intp]:
     return np.array([names.index(name) for name in names] if len(names) == p else [0] * p, np.intp)
 
 
-def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
+def columns_in(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
     """Columns (p, n, 3) or signals (p, n) of a hypothesis in `view`: over its instances, with their weights."""
     total: Array | None = None
     whole = bool(view.keep.all())
     for instance, weight in view.weights.items():
         if instance in hypothesis.instances:
             if view.fine is not None and hypothesis.fast:
-                row = _slower(columns, view.fine.traces[instance], theta, len(view.keep))
+                row = _at_lower_rate(columns, view.fine.traces[instance], theta, len(view.keep))
             else:
                 row = _over_trace(columns, view.traces[instance], theta)
             row = row if whole else np.compress(view.keep, row, axis=1)
@@ -297,14 +298,12 @@ def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, the
     return total
 
 
-@remembered(8)
-def _over_trace(columns: Callable[[Trace, float], Array], trace: Trace, theta: float) -> Array:
-    """Columns of a whole trace; kept for a moment, since blocks of it are asked for one after the other."""
-    return columns(trace, theta)
+_over_trace: Callable[[Callable[[Trace, float], Array], Trace, float], Array] = remembered(8)(call)
+"""Columns or signals of a whole trace, kept because the views of several blocks ask for them one after the other."""
 
 
 @remembered(8)
-def _slower(columns: Callable[[Trace, float], Array], trace: Trace, theta: float, m: int) -> Array:
+def _at_lower_rate(columns: Callable[[Trace, float], Array], trace: Trace, theta: float, m: int) -> Array:
     """The same at a lower rate, of `m` samples."""
     return resampled(_over_trace(columns, trace, theta), m)
 

@@ -21,8 +21,8 @@ from mavcal.calib.gap.model.hypotheses import (
     HypothesisColumns,
     Part,
     add_block,
+    columns_in,
     columns_of,
-    summed,
 )
 from mavcal.calib.gap.model.normal_equations import weighted_gram
 from mavcal.calib.gap.model.views import View
@@ -163,19 +163,19 @@ class Ridge:
     def predicted(self, view: View) -> Array:
         """Change of the mean of a series, (n, 3)."""
         by_axis = self.value.reshape(3, -1)
-        turn = by_axis @ _waves(view, self.span, by_axis.shape[1])
-        x, y, z = _turned(view)
+        turn = by_axis @ _cosines_at(view, self.span, by_axis.shape[1])
+        x, y, z = _ideal_reading(view)
         return np.stack([turn[1] * z - turn[2] * y, turn[2] * x - turn[0] * z, turn[0] * y - turn[1] * x], axis=1)
 
 
 @remembered(6)
-def _waves(view: View, span: tuple[float, float], modes: int) -> Array:
+def _cosines_at(view: View, span: tuple[float, float], modes: int) -> Array:
     """The cosines at the times of a series; kept, since only their amplitudes change from step to step."""
     return cosines(view.t, span, modes)
 
 
 @remembered(6)
-def _turned(view: View) -> Array:
+def _ideal_reading(view: View) -> Array:
     """What an error of the attitude turns: the ideal reading of a series, (3, n)."""
     ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
     return np.ascontiguousarray(ideal.T)
@@ -202,14 +202,16 @@ def with_residual(model: Model) -> Model:
     for v, view in enumerate(setting.views):
         own = tuple(term for term in model.terms if term.hypothesis.touches(view))
         seen = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
-        left, bins = _left(view, setting.frames[v], own, model.ridge if seen else None)
+        left, bins = _residual_of(view, setting.frames[v], own, model.ridge if seen else None)
         residual.append(left)
         y += bins
     return replace(model, residual=tuple(residual), y=tuple(y))
 
 
 @remembered(64)
-def _left(view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, tuple[Array, ...]]:
+def _residual_of(
+    view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None
+) -> tuple[Array, tuple[Array, ...]]:
     """What terms and ridge leave of a series, and its bins by axis; kept, since most terms stay when one changes."""
     left = view.residual
     for term in terms:
@@ -238,21 +240,21 @@ def predicted(term: Term, view: View) -> Array:
     if effect.exact is not None:
         exact = effect.exact
         beta = term.beta
-        return _exactly(exact, term.hypothesis, beta, view)
+        return _exact_change(exact, term.hypothesis, beta, view)
     if effect.signals is not None:
-        signals = _drawn(effect.signals, term.hypothesis, term.theta, view)
+        signals = _columns_in(effect.signals, term.hypothesis, term.theta, view)
         return np.asarray(signals.T @ term.beta.reshape(len(signals), 3))
-    columns = _drawn(effect.columns, term.hypothesis, term.theta, view)
+    columns = _columns_in(effect.columns, term.hypothesis, term.theta, view)
     return np.asarray(np.tensordot(term.beta, columns, axes=1))
 
 
 @remembered(32)
-def _drawn(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
+def _columns_in(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
     """Columns or signals of a hypothesis in `view`; kept, since amplitudes change far more often than shapes."""
-    return summed(columns, hypothesis, theta, view)
+    return columns_in(columns, hypothesis, theta, view)
 
 
-def _exactly(exact: Callable[[Trace, Array], Array], hypothesis: Hypothesis, beta: Array, view: View) -> Array:
+def _exact_change(exact: Callable[[Trace, Array], Array], hypothesis: Hypothesis, beta: Array, view: View) -> Array:
     rows = [
         weight * exact(view.traces[i], beta)[view.keep]
         for i, weight in view.weights.items()
@@ -294,9 +296,7 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
     if not linear:
         return HypothesisColumns(count, parts)
     own = _columns(term.hypothesis, term.theta, setting).parts
-    return HypothesisColumns(
-        count, {a: _with_last(own.get(a), parts.get(a), count - 1) for a in sorted({*own, *parts})}
-    )
+    return HypothesisColumns(count, {a: _with_row(own.get(a), parts.get(a), count - 1) for a in sorted({*own, *parts})})
 
 
 def amplitudes(term: Term, setting: Setting) -> HypothesisColumns:
@@ -312,7 +312,7 @@ def _columns(hypothesis: Hypothesis, theta: float, setting: Setting) -> Hypothes
     return columns_of(hypothesis, theta, setting.views, setting.frames)
 
 
-def _with_last(own: Part | None, last: Part | None, row: int) -> Part:
+def _with_row(own: Part | None, last: Part | None, row: int) -> Part:
     """The columns of an axis, and the one of number `row` behind them."""
     found = [own] if own is not None else []
     if last is not None:

@@ -23,10 +23,10 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_LITTLE = 1.0
+_LEAST_GAIN = 1.0
 """Twice the log-likelihood, to second order, below which a density is not fitted. Source: what a number without meaning
 gains on average (chi-square of one degree)."""
-_DIGITS = 1e-9
+_LEAST_RELATIVE_NOISE = 1e-9
 """Noise of a sample over its reading below which nobody is believed to measure. Chosen, not measured: a converter of 24
 bits has 6e-8."""
 _NUISANCE: dict[str, Callable[[Array], Array]] = {"white": np.ones_like, "walk": random_walk, "flicker": flicker}
@@ -45,7 +45,7 @@ def declared(view: View) -> Array | None:
     return None if view.variance is None else np.broadcast_to(view.variance, (view.count, 3)).copy()
 
 
-def learned_once(setting: Setting, axes: Sequence[int]) -> set[int]:
+def axes_with_learned_noise(setting: Setting, axes: Sequence[int]) -> set[int]:
     """The axes with which the recording that their noise was learned from counts in the fit.
 
     Once for all blocks of a series and for both its bands.
@@ -71,7 +71,7 @@ def starting_noise(setting: Setting) -> tuple[AxisNoise, ...]:
                 continue
             omega = view.omega
             level = max(float(np.diff(view.residual[:, c]).var()) / (2.0 * view.gain), 1e-30)
-            least = max(_DIGITS * view.any_trace.largest, 1e-15) ** 2
+            least = max(_LEAST_RELATIVE_NOISE * view.any_trace.largest, 1e-15) ** 2
             parts = {
                 f"{kind}{view.label}.{c}": view.gain * np.asarray(shape(omega)) for kind, shape in _NUISANCE.items()
             }
@@ -92,17 +92,17 @@ class AxisFit:
     densities: Array
     start: Array
 
-    def promising(self, extra: Sequence[Array]) -> bool:
+    def may_gain(self, extra: Sequence[Array]) -> bool:
         """Whether one of the densities `extra` would gain anything to speak of beside its own, to second order."""
         power = self.base + (self.start @ self.densities if len(self.names) else 0.0)
         excess, information = self.periodogram / power - self.counts, self.counts / power
         for row in extra:
             score = 0.5 * float((row / power) @ excess)
-            if score > 0.0 and score**2 > _LITTLE * 0.5 * float((row**2 / power) @ information):
+            if score > 0.0 and score**2 > _LEAST_GAIN * 0.5 * float((row**2 / power) @ information):
                 return True
         return False
 
-    def known_of(self, extra: Sequence[Array]) -> Array:
+    def information_of(self, extra: Sequence[Array]) -> Array:
         """Information (p,) of the amplitudes of densities `extra` at zero."""
         power = self.base + (self.start @ self.densities if len(self.names) else 0.0)
         return np.array([0.5 * float(self.counts @ (row / power) ** 2) for row in extra])
@@ -117,7 +117,7 @@ class AxisFit:
             return found.amplitudes, found.deviance, found.information
         warm = np.append(self.start, np.zeros(len(extra)))
         found = fit_amplitudes(self.periodogram, self.counts, self.base, rows, warm)
-        if self.promising(extra):
+        if self.may_gain(extra):
             cold = fit_amplitudes(self.periodogram, self.counts, self.base, rows)
             found = min(found, cold, key=lambda fit: fit.deviance)
         return found.amplitudes, found.deviance, found.information
@@ -129,7 +129,7 @@ def axis_fit(model: Model, axes: Sequence[int]) -> AxisFit:
     names = tuple(dict.fromkeys(name for a in axes for name in model.noise[a].densities))
     counts, power, base = [], [], []
     rows: dict[str, list[Array]] = {name: [] for name in names}
-    learned = learned_once(setting, axes)
+    learned = axes_with_learned_noise(setting, axes)
     for a in axes:
         bins, noise, view = setting.bins[a // 3], model.noise[a], setting.views[a // 3]
         pseudo = a in learned
@@ -182,7 +182,7 @@ def extra_rows(model: Model, fit: AxisFit, by_view: Mapping[int, Array]) -> list
     """Merged densities of a candidate in the layout of `fit`; `by_view` (p, n) by series, zero elsewhere."""
     p = len(next(iter(by_view.values())))
     pieces: list[Array] = []
-    learned = learned_once(model.setting, fit.axes)
+    learned = axes_with_learned_noise(model.setting, fit.axes)
     for a in fit.axes:
         v = a // 3
         bins = model.setting.bins[v]
@@ -209,7 +209,7 @@ class FittedNoise:
     estimates: Mapping[tuple[str, tuple[int, ...]], NoiseEstimate] = field(default_factory=dict)
 
 
-def refitted(model: Model, sensors: Iterable[Sensor] | None = None) -> FittedNoise:
+def noise_fitted(model: Model, sensors: Iterable[Sensor] | None = None) -> FittedNoise:
     """The noise fitted again to what the mean leaves over; only that of `sensors` if given."""
     setting = model.setting
     noise = list(model.noise)

@@ -45,12 +45,12 @@ def refined_on(model: Model, sensors: Collection[Sensor], *, hold: bool = False)
 
     With `hold` one step of the amplitudes alone: shapes stay where they are.
     """
-    near = coupled(model, sensors)
+    near = coupled_sensors(model, sensors)
     members = (i for i, t in enumerate(model.terms) if t.effect.shared or t.effect.sensor in near)
     return _refined(model, tuple(members), hold=hold)[0]
 
 
-def coupled(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
+def coupled_sensors(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
     """`sensors`, and all others if a term or an error of the reference ties sensors together."""
     tied = model.ridge is not None or any(t.effect.shared for t in model.terms)
     return frozenset(view.sensor for view in model.setting.views) if tied else frozenset(sensors)
@@ -61,8 +61,10 @@ def _refined(model: Model, members: tuple[int, ...], *, hold: bool = False) -> t
     if not members and model.ridge is None:
         return model, joint
     own = [model.terms[i].effect for i in members]
-    linear = all((e.shape is None or e.shape.still) and e.exact is None for e in own)
-    shaped = frozenset(i for i, e in zip(members, own, strict=True) if e.shape is not None and not e.shape.still)
+    linear = all((e.shape is None or e.shape.discontinuous) and e.exact is None for e in own)
+    shaped = frozenset(
+        i for i, e in zip(members, own, strict=True) if e.shape is not None and not e.shape.discontinuous
+    )
     stuck = shaped if hold else frozenset()
     for _ in range(1 if linear or hold else _STEPS):
         terms = [model.terms[i] for i in members]
@@ -70,25 +72,25 @@ def _refined(model: Model, members: tuple[int, ...], *, hold: bool = False) -> t
         normal = normal_equations(blocks, model.y, model.weight, model.ridge)
         joint = Joint(solved(normal.gram, normal.right)[1], normal.slices[: len(blocks)], normal)
         rows = dict(zip(members, joint.slices, strict=True))
-        model, gained = _tried(model, joint, rows, shaped - stuck)
+        model, gained = _after_step(model, joint, rows, shaped - stuck)
         if gained < _WORTH_A_STEP and shaped and not hold:
-            before, stuck = stuck, _stuck(model, joint, rows, shaped, stuck)
+            before, stuck = stuck, _held_shapes(model, joint, rows, shaped, stuck)
             if stuck != before:
-                model, gained = _tried(model, joint, rows, shaped - stuck)
+                model, gained = _after_step(model, joint, rows, shaped - stuck)
         if gained < _WORTH_A_STEP:
             break
     return model, joint
 
 
-def _tried(model: Model, joint: Joint, rows: Mapping[int, slice], free: Collection[int]) -> tuple[Model, float]:
+def _after_step(model: Model, joint: Joint, rows: Mapping[int, slice], free: Collection[int]) -> tuple[Model, float]:
     """The model after the Gauss-Newton step of amplitudes and `free` shapes, if that promises enough, and the gain."""
-    step = _step_of(model, joint, rows, free)
+    step = _gauss_newton_step(model, joint, rows, free)
     if float(step @ joint.normal.right) < _WORTH_A_STEP:
         return model, 0.0
-    return _stepped(model, step, rows)
+    return _line_search(model, step, rows)
 
 
-def _stuck(
+def _held_shapes(
     model: Model, joint: Joint, rows: Mapping[int, slice], shaped: frozenset[int], stuck: frozenset[int]
 ) -> frozenset[int]:
     """Shapes that stay for the next step, after one in which `stuck` ones stayed had led nowhere.
@@ -96,15 +98,15 @@ def _stuck(
     Far from its best shape the tangent leads nowhere (a frequency between two peaks), and one such shape spoils the
     step of all: amplitudes and the other shapes still lead somewhere. From there it may lead somewhere too.
     """
-    step = _step_of(model, joint, rows, shaped)
+    step = _gauss_newton_step(model, joint, rows, shaped)
     if not float(step @ joint.normal.right) >= _WORTH_A_STEP:
         return stuck
     asked = stuck or shaped
-    leading = frozenset(i for i in asked if _stepped(model, step, {i: rows[i]})[1] > 0.0)
+    leading = frozenset(i for i in asked if _line_search(model, step, {i: rows[i]})[1] > 0.0)
     return stuck - leading if stuck else shaped - leading or shaped
 
 
-def _step_of(model: Model, joint: Joint, rows: Mapping[int, slice], free: Collection[int]) -> Array:
+def _gauss_newton_step(model: Model, joint: Joint, rows: Mapping[int, slice], free: Collection[int]) -> Array:
     """The Gauss-Newton step; shapes that are not `free` have no part in it."""
     normal = joint.normal
     shaped = {i for i in rows if model.terms[i].effect.shape is not None}
@@ -117,10 +119,10 @@ def _step_of(model: Model, joint: Joint, rows: Mapping[int, slice], free: Collec
     return step
 
 
-def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Model, float]:
+def _line_search(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Model, float]:
     """The model after the step, shortened until it is no worse; and what was gained in twice the log-likelihood."""
     parts = _misfits(model)
-    level = _summed(parts, model)
+    level = _total_misfit(parts, model)
     for _ in range(_SHORTENED):
         moved = list(model.terms)
         for i, own in rows.items():
@@ -130,7 +132,7 @@ def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Mode
         if ridge is not None:
             ridge = replace(ridge, value=ridge.value + step[len(step) - len(ridge.value) :])
         trial = with_residual(replace(model, terms=tuple(moved), ridge=ridge))
-        new = _summed(_misfits(trial, (model, parts)), trial)
+        new = _total_misfit(_misfits(trial, (model, parts)), trial)
         if new < level:
             return trial, level - new
         step = 0.3 * step
@@ -139,7 +141,7 @@ def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Mode
 
 def misfit(model: Model) -> float:
     """Weighted sum of squares of what is left, and of the random process against its prior."""
-    return _summed(_misfits(model), model)
+    return _total_misfit(_misfits(model), model)
 
 
 def _misfits(model: Model, before: tuple[Model, Sequence[float]] | None = None) -> list[float]:
@@ -153,7 +155,7 @@ def _misfits(model: Model, before: tuple[Model, Sequence[float]] | None = None) 
     return found
 
 
-def _summed(parts: Sequence[float], model: Model) -> float:
+def _total_misfit(parts: Sequence[float], model: Model) -> float:
     total = sum(parts)
     if model.ridge is not None:
         total += float(model.ridge.precision @ model.ridge.value**2)

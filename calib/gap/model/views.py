@@ -185,16 +185,16 @@ def _of_sensor(entries: Sequence[_Entry], *, uncertain: bool) -> list[View]:
         if all(_same_grid(single[0].trace, e.trace) for e in single[1:]):
             return _contrasts(single)
         if against:
-            return [_single(single[0]), *map(_difference, _spanning(against, set()))]
+            return [_single_view(single[0]), *map(_difference_view, _independent_differences(against, set()))]
     covered = {i for e in single for i in e.trace.instances}
-    return [*map(_single, single), *map(_difference, _spanning(against, covered))]
+    return [*map(_single_view, single), *map(_difference_view, _independent_differences(against, covered))]
 
 
 def _same_grid(a: Trace, b: Trace) -> bool:
     return len(a.t) == len(b.t) and bool(np.abs(a.t - b.t).max() < 0.05 / a.fs)
 
 
-def _spanning(against: Sequence[_Entry], covered: set[int]) -> list[_Entry]:
+def _independent_differences(against: Sequence[_Entry], covered: set[int]) -> list[_Entry]:
     """Differences that each bring an instance that was not there before."""
     chosen = []
     seen = set(covered)
@@ -206,13 +206,13 @@ def _spanning(against: Sequence[_Entry], covered: set[int]) -> list[_Entry]:
     return chosen
 
 
-def _single(entry: _Entry) -> View:
+def _single_view(entry: _Entry) -> View:
     instances = entry.trace.instances
     weights = dict.fromkeys(instances, 1.0 / len(instances))
     return _view([entry], [1.0], weights, dict.fromkeys(instances, entry.trace), reference_error=True)
 
 
-def _difference(entry: _Entry) -> View:
+def _difference_view(entry: _Entry) -> View:
     trace = entry.trace
     assert trace.against is not None
     weights = {**dict.fromkeys(trace.instances, 1.0 / len(trace.instances)), trace.against: -1.0}
@@ -251,14 +251,14 @@ def _view(
         traces,
         np.ascontiguousarray(residual),
         keep,
-        _declared(used),
-        _learned(used, len(residual)),
+        _declared_variance(used),
+        _learned_density(used, len(residual)),
         reference_error,
         min(e.trace.sigma_dof for e, _ in used),
     )
 
 
-def _declared(used: Sequence[tuple[_Entry, float]]) -> Array | None:
+def _declared_variance(used: Sequence[tuple[_Entry, float]]) -> Array | None:
     total = np.zeros(3)
     for entry, f in used:
         if entry.trace.sigma is None:
@@ -269,7 +269,7 @@ def _declared(used: Sequence[tuple[_Entry, float]]) -> Array | None:
     return total if (total > 0.0).all() else None
 
 
-def _learned(used: Sequence[tuple[_Entry, float]], n: int) -> Array | None:
+def _learned_density(used: Sequence[tuple[_Entry, float]], n: int) -> Array | None:
     """Each sensor's own noise adds by squares; the error of the reference is one for all: it cancels, or grows."""
     traces = [entry.trace for entry, _ in used]
     if any(t.psd is None or t.psd_hz is None or (t.own_psd is None and len(used) > 1) for t in traces):

@@ -16,7 +16,7 @@ from scipy.signal import correlate, correlation_lags
 
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.channels import TRIADS
-from mavcal.calib.gap.reference.signals import Signal, linear
+from mavcal.calib.gap.reference.signals import Signal, interpolated
 from mavcal.calib.recording import Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ ANOTHER_UNIT = 3.0
 mistaken units do."""
 
 
-def turn_of(measured: Array, ideal: Array, slight: float = 0.0) -> Array:
+def best_axis_exchange(measured: Array, ideal: Array, slight: float = 0.0) -> Array:
     """The exchange of axes and signs that fits best; the identity unless another leaves a quarter of its misfit.
 
     The identity stands as well where its misfit is less than the share `slight`. Scale and offset are left out of the
@@ -40,15 +40,15 @@ def turn_of(measured: Array, ideal: Array, slight: float = 0.0) -> Array:
     """
     cross = measured.T @ ideal
     best = float(np.sqrt((measured**2).sum() * (ideal**2).sum()))
-    misfit = {key: max(best - float((cross * turn).sum()), 1e-12 * best) for key, turn in TURNS.items()}
+    misfit = {key: max(best - float((cross * turn).sum()), 1e-12 * best) for key, turn in AXIS_EXCHANGES.items()}
     least = min(misfit.values())
     if misfit[_IDENTITY] <= max(least / _BETTER, slight * best):
-        return TURNS[_IDENTITY]
+        return AXIS_EXCHANGES[_IDENTITY]
     tied = [key for key, value in misfit.items() if value <= _TIED * least + 1e-3 * best]
-    return TURNS[max(tied, key=lambda key: float(np.trace(TURNS[key])))]
+    return AXIS_EXCHANGES[max(tied, key=lambda key: float(np.trace(AXIS_EXCHANGES[key])))]
 
 
-def _turns() -> dict[tuple[tuple[int, ...], tuple[int, ...]], Array]:
+def _axis_exchanges() -> dict[tuple[tuple[int, ...], tuple[int, ...]], Array]:
     found = {}
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1, -1), repeat=3):
@@ -58,19 +58,19 @@ def _turns() -> dict[tuple[tuple[int, ...], tuple[int, ...]], Array]:
     return found
 
 
-TURNS = _turns()
+AXIS_EXCHANGES = _axis_exchanges()
 _IDENTITY = ((0, 1, 2), (1, 1, 1))
 
 
-def turned_correlation(a: Array, b: Array) -> float:
+def correlation_in_best_frame(a: Array, b: Array) -> float:
     """Correlation of the movements (N, 3) in whichever frame of `b` it is highest."""
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    return max(correlation(a, b @ turn.T) for turn in TURNS.values())
+    return max(correlation(a, b @ turn.T) for turn in AXIS_EXCHANGES.values())
 
 
-def likened(measured: Array, ideal: Array) -> Array:
+def matched_to(measured: Array, ideal: Array) -> Array:
     """`measured` in the frame and the unit of `ideal`, both (N, 3), where they are not its own."""
-    turn = turn_of(measured, ideal)
+    turn = best_axis_exchange(measured, ideal)
     turned = measured @ turn
     size = float(np.sum(turned * ideal) / max(float(np.sum(ideal**2)), 1e-300))
     return turned / size if size > ANOTHER_UNIT or 0.0 < size < 1.0 / ANOTHER_UNIT else turned
@@ -87,7 +87,7 @@ _OVER_S = 0.5
 vehicle turns within as long."""
 _LATEST_S = 1.0
 """Seconds by which either is late at most. Chosen, not measured: twice the longest delay of the catalogue."""
-UNLIKE = 0.3
+UNCORRELATED = 0.3
 """Correlation below which movements have nothing in common. Chosen, not measured: less than a tenth of the power is
 common then."""
 FOLLOWS = 0.3
@@ -113,10 +113,10 @@ def uncorrelated_axes(trace: Trace, moves: float) -> NDArray[np.bool_]:
     if apart < _FEWEST:
         return np.zeros(3, dtype=bool)
     measured, ideal = (_changes(values, step, both) for values in (trace.measured, trace.ideal))
-    if not np.array_equal(turn_of(measured, ideal), np.eye(3)):
+    if not np.array_equal(best_axis_exchange(measured, ideal), np.eye(3)):
         return np.zeros(3, dtype=bool)
     latest = round(_LATEST_S * trace.fs)
-    return np.array([_unrelated(measured[:, c], ideal[:, c], moves, latest, apart) for c in range(3)])
+    return np.array([_is_uncorrelated(measured[:, c], ideal[:, c], moves, latest, apart) for c in range(3)])
 
 
 def _changes(values: Array, step: int, both: NDArray[np.bool_]) -> Array:
@@ -124,7 +124,7 @@ def _changes(values: Array, step: int, both: NDArray[np.bool_]) -> Array:
     return np.asarray(change - np.where(both[:, None], change[both].mean(axis=0), 0.0))
 
 
-def _unrelated(measured: Array, ideal: Array, moves: float, latest: int, apart: float) -> bool:
+def _is_uncorrelated(measured: Array, ideal: Array, moves: float, latest: int, apart: float) -> bool:
     own, its = float(measured @ measured), float(ideal @ ideal)
     if its < moves**2 * len(ideal) or own == 0.0:
         return False
@@ -132,13 +132,13 @@ def _unrelated(measured: Array, ideal: Array, moves: float, latest: int, apart: 
     lags = np.abs(correlation_lags(len(measured), len(ideal)))
     common = float(np.abs(products[lags <= latest]).max())
     by_chance = min(_BY_CHANCE * math.sqrt(own * its / apart), _MOST * its)
-    return common < UNLIKE * math.sqrt(own * its) and common < max(FOLLOWS * its, by_chance)
+    return common < UNCORRELATED * math.sqrt(own * its) and common < max(FOLLOWS * its, by_chance)
 
 
 SAME = 0.97
 """Correlation above which the movements of two tables are one. Chosen, not measured: 94 % of the power is common
 then."""
-CLOSED = 0.9995
+SAME_LOG = 0.9995
 """The same for logs of autopilots: two simulated flights of one mission reach 0.994 in their turn rates. Chosen, not
 measured: well above that, and below what one flight reaches with itself."""
 _APART = 0.5
@@ -154,7 +154,7 @@ _OVERLAP = 0.7
 """Share of the shorter series that must overlap. Chosen, not measured: most of it; one log may begin later."""
 _LONGEST_S = 3600.0
 """Seconds of a series whose lag is sought. Chosen, not measured: it bounds the time; few flights are longer."""
-_STILL = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.05, Sensor.MAG: 3.0}
+_AT_REST = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.05, Sensor.MAG: 3.0}
 """Standard deviations below which nothing moves, m/s2, rad/s and uT. Chosen, not measured: noise and gusts at rest stay
 below."""
 
@@ -171,14 +171,14 @@ class ClockAlignment:
         return abs(self.lag - lag) < _SAME_LAG_S and self.correlation >= correlation
 
 
-def same_digits(real: Recording, other: Recording) -> bool:
+def have_same_samples(real: Recording, other: Recording) -> bool:
     """Whether all three sensors hold the same samples in both: one recording given twice."""
     pairs = [(_first(real, sensor), _first(other, sensor)) for sensor in TRIADS]
     both = [(a, b) for a, b in pairs if a is not None and b is not None]
     return bool(both) and all(np.array_equal(a.values, b.values) for a, b in both)
 
 
-def one_clock(real: Recording, other: Recording) -> bool:
+def have_same_times(real: Recording, other: Recording) -> bool:
     """Whether a sensor of both was sampled at the very same times: rows of one run."""
     for sensor in TRIADS:
         a, b = _first(real, sensor), _first(other, sensor)
@@ -189,7 +189,7 @@ def one_clock(real: Recording, other: Recording) -> bool:
     return False
 
 
-def unrelated_movement(real: Recording, other: Recording) -> bool:
+def have_unrelated_movement(real: Recording, other: Recording) -> bool:
     """Whether every sensor that moves in both moves otherwise: two runs whose clocks both began at the same number.
 
     Movements that are one in another frame are not apart: which frame, the checks say.
@@ -199,16 +199,16 @@ def unrelated_movement(real: Recording, other: Recording) -> bool:
         a, b = _first(real, sensor), _first(other, sensor)
         if a is None or b is None or min(len(a.t), len(b.t)) < 16:
             continue
-        x, y = a.values - a.values.mean(axis=0), linear(b.t, b.values, a.t)
+        x, y = a.values - a.values.mean(axis=0), interpolated(b.t, b.values, a.t)
         y = y - y.mean(axis=0)
-        if min(x.std(axis=0).max(), y.std(axis=0).max()) > _STILL[sensor]:
+        if min(x.std(axis=0).max(), y.std(axis=0).max()) > _AT_REST[sensor]:
             coefficient = float((x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum()))
-            found.append(1.0 if turned_correlation(x, y) > _TURNED else coefficient)
+            found.append(1.0 if correlation_in_best_frame(x, y) > _TURNED else coefficient)
     return bool(found) and max(found) < _APART
 
 
-def aligned_in_any_frame(real: Recording, other: Recording) -> ClockAlignment | None:
-    """As :func:`aligned`, by the sizes of turn rates and forces, which no frame changes; None where they do not tell.
+def clock_alignment_in_any_frame(real: Recording, other: Recording) -> ClockAlignment | None:
+    """As :func:`clock_alignment`, by the sizes of turn rates and forces, which no frame changes; None where they do not tell.
 
     The correlation is that of the movements in the frame of `other` that fits best.
     """
@@ -217,17 +217,20 @@ def aligned_in_any_frame(real: Recording, other: Recording) -> ClockAlignment | 
         if a is None or b is None or max(a.t[-1] - a.t[0], b.t[-1] - b.t[0]) > _LONGEST_S:
             continue
         sizes = [Signal(s.t, np.linalg.norm(s.values, axis=1, keepdims=True)) for s in (a, b)]
-        if min(s.values.std() for s in sizes) > _STILL[sensor]:
+        if min(s.values.std() for s in sizes) > _AT_REST[sensor]:
             lag = _best_lag(*sizes).lag
             shared = a.t[(a.t >= b.t[0] + lag) & (a.t <= b.t[-1] + lag)]
             if len(shared) >= 16:
                 return ClockAlignment(
-                    lag, turned_correlation(linear(a.t, a.values, shared), linear(b.t + lag, b.values, shared))
+                    lag,
+                    correlation_in_best_frame(
+                        interpolated(a.t, a.values, shared), interpolated(b.t + lag, b.values, shared)
+                    ),
                 )
     return None
 
 
-def aligned(real: Recording, other: Recording) -> ClockAlignment | None:
+def clock_alignment(real: Recording, other: Recording) -> ClockAlignment | None:
     """The shift that makes `other` move as `real` does; None if either does not move, or they have no sensor in common.
 
     Turn rates decide, then specific forces, then fields: the first of them that moves in both.
@@ -236,7 +239,7 @@ def aligned(real: Recording, other: Recording) -> ClockAlignment | None:
         a, b = _first(real, sensor), _first(other, sensor)
         if a is None or b is None or max(a.t[-1] - a.t[0], b.t[-1] - b.t[0]) > _LONGEST_S:
             continue
-        if min(a.values.std(axis=0).max(), b.values.std(axis=0).max()) > _STILL[sensor]:
+        if min(a.values.std(axis=0).max(), b.values.std(axis=0).max()) > _AT_REST[sensor]:
             return _best_lag(a, b)
     return None
 
@@ -261,7 +264,7 @@ def _best_lag(a: Signal, b: Signal) -> ClockAlignment:
 
 
 def _sampled(signal: Signal, step: float) -> Array:
-    values = linear(signal.t, signal.values, np.arange(signal.t[0], signal.t[-1], step))
+    values = interpolated(signal.t, signal.values, np.arange(signal.t[0], signal.t[-1], step))
     return np.asarray(values - values.mean(axis=0))
 
 

@@ -18,18 +18,18 @@ import numpy as np
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.reference.align import (
-    CLOSED,
     SAME,
-    aligned,
-    aligned_in_any_frame,
-    one_clock,
-    same_digits,
-    unrelated_movement,
+    SAME_LOG,
+    clock_alignment,
+    clock_alignment_in_any_frame,
+    have_same_samples,
+    have_same_times,
+    have_unrelated_movement,
 )
-from mavcal.calib.gap.reference.channels import TRIADS, comparable, sensors_of
+from mavcal.calib.gap.reference.channels import TRIADS, comparable_channels, sensors_of
 from mavcal.calib.gap.reference.checks import Refusal, check_times
-from mavcal.calib.gap.reference.ideal import Ideal, recorded, simulated, true_attitude
-from mavcal.calib.gap.reference.posed import Array, Cutoffs, PoseTrajectory, driven, earth_field_of, pose_of
+from mavcal.calib.gap.reference.ideal import Ideal, recorded_reference, simulator_reference, true_attitude
+from mavcal.calib.gap.reference.posed import Array, Cutoffs, PoseTrajectory, earth_field_of, ideal_along, pose_of
 from mavcal.calib.gap.reference.re_estimated import re_estimated
 from mavcal.calib.gap.reference.signals import LONGEST_HOLE_S
 from mavcal.calib.gap.schema import REFERENCE_NEED, USELESS_DEG
@@ -45,36 +45,36 @@ log."""
 
 def notices(real: Recording, sim: Recording | None, nominal: Sequence[Recording], ideal: Ideal) -> Iterator[str]:
     """Sentences for the report."""
-    if sim is not None and sim is not real and same_digits(real, sim):
+    if sim is not None and sim is not real and have_same_samples(real, sim):
         yield (
             "the simulator's recording holds the same samples as the real one: what they show counts as the "
             "simulator's own, and no gap can be seen"
         )
-    if any(same_digits(real, n) for n in nominal):
+    if any(have_same_samples(real, n) for n in nominal):
         yield (
             "a nominal recording holds the same samples as the real one: what they show counts as noise; give one of "
             "another time"
         )
-    yield from _not_compared(real, ideal)
-    yield from _too_slow(real, ideal)
-    yield from _one_stamp(real)
-    yield from _in_parts(real)
+    yield from _uncompared_notices(real, ideal)
+    yield from _slow_reference_notices(real, ideal)
+    yield from _repeated_stamp_notices(real)
+    yield from _hole_notice(real)
 
 
-def _not_compared(real: Recording, ideal: Ideal) -> Iterator[str]:
+def _uncompared_notices(real: Recording, ideal: Ideal) -> Iterator[str]:
     there = {c.sensor for c in sensors_of(real)}
     for sensor in TRIADS:
         if sensor in ideal.readings and sensor not in there:
             if any(c.sensor == sensor for c in real.reference):
                 yield f"{sensor.value} has a reference and no sample with all three axes: are its columns empty?"
-        elif sensor in there and sensor not in ideal.readings and len(comparable(real, sensor)) < 2:
+        elif sensor in there and sensor not in ideal.readings and len(comparable_channels(real, sensor)) < 2:
             why = ""
             if sensor == Sensor.MAG and ideal.info.kind == ReferenceKind.POSE:
                 why = ": along the pose it fits no field in its own frame, and in several others one"
             yield f"{sensor.value} has no reference and was not compared{why}"
 
 
-def _too_slow(real: Recording, ideal: Ideal) -> Iterator[str]:
+def _slow_reference_notices(real: Recording, ideal: Ideal) -> Iterator[str]:
     if ideal.info.kind not in {ReferenceKind.SIM, ReferenceKind.POSE} or math.isfinite(ideal.info.bandwidth_hz):
         return  # of no recording: how fast it is, is known
     for channel in sensors_of(real):
@@ -90,7 +90,7 @@ def _too_slow(real: Recording, ideal: Ideal) -> Iterator[str]:
             )
 
 
-def _one_stamp(real: Recording) -> Iterator[str]:
+def _repeated_stamp_notices(real: Recording) -> Iterator[str]:
     for channel in sensors_of(real):
         lost = 1.0 - len(np.unique(channel.t)) / max(len(channel), 1)
         if lost > _REPEATED:
@@ -98,7 +98,7 @@ def _one_stamp(real: Recording) -> Iterator[str]:
             yield f"{100.0 * lost:.0f} % of the samples of {name} have the time of another and were left out"
 
 
-def _in_parts(real: Recording) -> Iterator[str]:
+def _hole_notice(real: Recording) -> Iterator[str]:
     longest = max((float(np.diff(c.t).max()) for c in sensors_of(real) if len(c) > 1), default=0.0)
     if longest > LONGEST_HOLE_S:
         yield (
@@ -109,7 +109,7 @@ def _in_parts(real: Recording) -> Iterator[str]:
 
 def why_no_reference(real: Recording, sim: Recording) -> str:
     """Why the simulator's recording is no reference for the real one, and what would be."""
-    if same_digits(real, sim):
+    if have_same_samples(real, sim):
         return "the simulator's recording holds the same samples as the real one: was one file given twice?"
     ours, theirs = ({c.sensor for c in sensors_of(r)} for r in (real, sim))
     if not ours & theirs:
@@ -117,7 +117,9 @@ def why_no_reference(real: Recording, sim: Recording) -> str:
             f"the recordings have no sensor in common: the real one has {_names(ours)}, the simulator's "
             f"{_names(theirs)}"
         )
-    found = [a.correlation for a in (aligned(real, sim), aligned_in_any_frame(real, sim)) if a is not None]
+    found = [
+        a.correlation for a in (clock_alignment(real, sim), clock_alignment_in_any_frame(real, sim)) if a is not None
+    ]
     best = f"correlation {max(found):.2f} at best, {SAME} is needed" if found else "too little moves in both to tell"
     return (
         f"the simulator's recording is of another movement ({best}), and nothing else says what an ideal sensor would "
@@ -174,44 +176,46 @@ def best_references(real: Recording, sim: Recording | None, nominal: Sequence[Re
         If time is not in seconds, or there is a simulator's recording that is no reference, and no other.
     """
     check_times((real, *nominal, *(() if sim is None else (sim,))))
-    chosen = _best(real, sim, nominal)
+    chosen = _best_available(real, sim, nominal)
     if chosen is not None:
         said = (*notices(real, sim, nominal, chosen.ideal), *_not_learned(chosen))
         warned = dataclasses.replace(chosen.ideal, warnings=(*chosen.ideal.warnings, *said))
-        return BestReferences(warned, tuple((n, _useful(its)) for n, its in chosen.nominal))
-    if sim is not None and sim is not real and not any(len(comparable(real, s)) > 1 for s in TRIADS):
+        return BestReferences(warned, tuple((n, _unless_useless(its)) for n, its in chosen.nominal))
+    if sim is not None and sim is not real and not any(len(comparable_channels(real, s)) > 1 for s in TRIADS):
         raise InvalidInputError(why_no_reference(real, sim))
     return None
 
 
-def _best(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> BestReferences | None:
+def _best_available(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> BestReferences | None:
     clean = [*nominal, *(() if sim is None else (sim,))]
-    ideal = recorded(real)
+    ideal = recorded_reference(real)
     if ideal is not None:
-        return BestReferences(_completed(ideal, real), tuple((n, _of_nominal(n, real, ideal)) for n in clean))
-    if sim is not None and (ideal := of_same_trajectory(real, sim)) is not None:
         return BestReferences(
-            ideal, tuple((n, recorded(n) or (ideal if n is sim and ideal.noise else None)) for n in clean)
+            _with_missing_sensors(ideal, real), tuple((n, _nominal_reference(n, real, ideal)) for n in clean)
+        )
+    if sim is not None and (ideal := same_trajectory_reference(real, sim)) is not None:
+        return BestReferences(
+            ideal, tuple((n, recorded_reference(n) or (ideal if n is sim and ideal.noise else None)) for n in clean)
         )
     logged = real.identity.autopilot is not None  # of a vehicle: a simulator's truth is there too slow for a gyroscope
     truth = all(true_attitude(r) is not None for r in (real, *clean))
     if logged and (ideal := re_estimated(real, with_truth=truth)) is not None:
         others = ((n, ideal if n is real else re_estimated(n, with_truth=truth)) for n in clean)
-        return BestReferences(_doubted(ideal), tuple(others))
+        return BestReferences(_with_attitude_warning(ideal), tuple(others))
     if (pose := pose_of(real)) is not None:
         poses = [(n, pose_of(n)) for n in clean]
         if any(p is not None and p.cutoffs != pose.cutoffs for _, p in poses):
             common = functools.reduce(Cutoffs.lower, (p.cutoffs for _, p in poses if p is not None), pose.cutoffs)
             pose, poses = pose_of(real, common) or pose, [(n, pose_of(n, common)) for n in clean]
-        earth = earth_of([(n, p) for n, p in poses if p is not None] or [(real, pose)])
-        made = tuple((n, None if p is None else driven(p, earth)) for n, p in poses)
-        return BestReferences(driven(pose, earth), made)
+        earth = earth_field_along([(n, p) for n, p in poses if p is not None] or [(real, pose)])
+        made = tuple((n, None if p is None else ideal_along(p, earth)) for n, p in poses)
+        return BestReferences(ideal_along(pose, earth), made)
     if not logged and (ideal := re_estimated(real)) is not None:
-        return BestReferences(_doubted(ideal), tuple((n, re_estimated(n)) for n in clean))
+        return BestReferences(_with_attitude_warning(ideal), tuple((n, re_estimated(n)) for n in clean))
     return None
 
 
-def _useful(ideal: Ideal | None) -> Ideal | None:
+def _unless_useless(ideal: Ideal | None) -> Ideal | None:
     return None if ideal is None or ideal.info.useless else ideal
 
 
@@ -220,55 +224,55 @@ def _not_learned(chosen: BestReferences) -> tuple[str, ...]:
     return tuple(dict.fromkeys(map(not_learned, poor)))
 
 
-def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
+def same_trajectory_reference(real: Recording, sim: Recording) -> Ideal | None:
     """What `sim` says of the trajectory of `real`, on the clock of `real`; None if it flew another one.
 
     A log of a simulated autopilot closes the loop through its own sensors: it counts only if it moves as one.
     """
-    ideal = recorded(sim) or simulated(sim)
-    if ideal is None or same_digits(real, sim):
+    ideal = recorded_reference(sim) or simulator_reference(sim)
+    if ideal is None or have_same_samples(real, sim):
         return None
-    shift = aligned(real, sim)
+    shift = clock_alignment(real, sim)
     table = sim.identity.autopilot is None
     if table and (shift is None or shift.correlation < SAME):
-        shift = aligned_in_any_frame(real, sim) or shift
-    if one_clock(real, sim) and (
-        not unrelated_movement(real, sim) if table else shift is not None and shift.near(0.0, CLOSED)
+        shift = clock_alignment_in_any_frame(real, sim) or shift
+    if have_same_times(real, sim) and (
+        not have_unrelated_movement(real, sim) if table else shift is not None and shift.near(0.0, SAME_LOG)
     ):
         return ideal
-    if shift is None or shift.correlation < (SAME if table else CLOSED):
+    if shift is None or shift.correlation < (SAME if table else SAME_LOG):
         return None
     said = f"the simulator's clock was set {shift.lag:+.4f} s: a delay common to all sensors cannot be told from it"
     return dataclasses.replace(ideal.shifted(shift.lag), warnings=(*ideal.warnings, said))
 
 
-def flew_another(real: Recording, sim: Recording) -> bool:
+def is_another_flight(real: Recording, sim: Recording) -> bool:
     """Whether a simulated vehicle's log is of another flight: each is compared with an ideal sensor of its own."""
     table = sim.identity.autopilot is None or real.identity.autopilot is None
-    return not table and recorded(real) is None and of_same_trajectory(real, sim) is None
+    return not table and recorded_reference(real) is None and same_trajectory_reference(real, sim) is None
 
 
-def posed(real: Recording, nominal: Sequence[Recording]) -> Recording | None:
+def companion_with_pose(real: Recording, nominal: Sequence[Recording]) -> Recording | None:
     """The first of the `nominal` recordings with a pose, where `real` is compared with one as well."""
-    if real.identity.autopilot is not None or recorded(real) is not None or true_attitude(real) is None:
+    if real.identity.autopilot is not None or recorded_reference(real) is not None or true_attitude(real) is None:
         return None
-    return next((n for n in nominal if recorded(n) is None and true_attitude(n) is not None), None)
+    return next((n for n in nominal if recorded_reference(n) is None and true_attitude(n) is not None), None)
 
 
-def posed_apart(real: Recording, sim: Recording) -> bool:
+def have_separate_poses(real: Recording, sim: Recording) -> bool:
     """Whether two tables are of two flights and each has a pose of its own: what `sim` shows against its is no gap."""
-    return posed(real, [sim]) is not None and of_same_trajectory(real, sim) is None
+    return companion_with_pose(real, [sim]) is not None and same_trajectory_reference(real, sim) is None
 
 
-def earth_of(posed: Sequence[tuple[Recording, PoseTrajectory]]) -> Array | None:
-    """The field that the magnetometers of the first of `posed` saw that has any."""
+def earth_field_along(posed: Sequence[tuple[Recording, PoseTrajectory]]) -> Array | None:
+    """The field that the magnetometers of the first of `companion_with_pose` saw that has any."""
     for recording, pose in posed:
         if magnetometers := [c for c in sensors_of(recording) if c.sensor == Sensor.MAG]:
             return earth_field_of(magnetometers, pose)
     return None
 
 
-def _doubted(ideal: Ideal) -> Ideal:
+def _with_attitude_warning(ideal: Ideal) -> Ideal:
     """With a warning, if the attitude of the reference is so poor that it imitates an effect."""
     if ideal.info.att_sigma_deg < DOUBTFUL_DEG or ideal.info.useless:  # that ends the diagnosis
         return ideal
@@ -280,18 +284,18 @@ def _doubted(ideal: Ideal) -> Ideal:
     return dataclasses.replace(ideal, warnings=(*ideal.warnings, said))
 
 
-def _completed(ideal: Ideal, real: Recording) -> Ideal:
+def _with_missing_sensors(ideal: Ideal, real: Recording) -> Ideal:
     """With a pose, what an ideal sensor read is also known where it was not recorded."""
     sensors = {c.sensor for c in sensors_of(real)} - set(ideal.readings)
     pose = pose_of(real) if sensors else None
     if pose is None:
         return ideal
-    other = driven(pose, earth_of([(real, pose)]))
+    other = ideal_along(pose, earth_field_along([(real, pose)]))
     added = {sensor: signal for sensor, signal in other.readings.items() if sensor in sensors}
     return dataclasses.replace(ideal, readings={**ideal.readings, **added}) if added else ideal
 
 
-def _of_nominal(nominal: Recording, real: Recording, ideal: Ideal) -> Ideal | None:
+def _nominal_reference(nominal: Recording, real: Recording, ideal: Ideal) -> Ideal | None:
     """What a nominal recording itself says, or the real one's reference if both are of one run."""
-    own = recorded(nominal)
-    return own if own is not None else (ideal if one_clock(real, nominal) else None)
+    own = recorded_reference(nominal)
+    return own if own is not None else (ideal if have_same_times(real, nominal) else None)

@@ -15,26 +15,24 @@ from mavcal.calib.gap.reference.best_reference import BestReferences, best_refer
 from mavcal.calib.gap.reference.channels import SAME_RATE, corrected, not_undone, offset_changed, sensors_of
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.expected_noise import (
+    age_noise_of,
+    age_of,
     motor_noise_of,
     movement_of,
+    with_age_noise,
+    with_aged_noise,
     with_heave_noise,
     with_motor_noise,
     with_movement_noise,
     with_sway_noise,
-)
-from mavcal.calib.gap.reference.ideal import Ideal, continuous, trace_of, with_unit_noise
-from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
-from mavcal.calib.gap.reference.redundant import differences, faulty_instances_of
-from mavcal.calib.gap.reference.resolution import steps_of, with_simulated_step
-from mavcal.calib.gap.reference.sample_age import (
-    age_noise_of,
-    age_of,
-    with_age_noise,
-    with_aged_noise,
     without_aged_samples,
 )
+from mavcal.calib.gap.reference.ideal import Ideal, continuous, trace_of, with_unit_noise
+from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned_spectrum, pooled, with_noise
+from mavcal.calib.gap.reference.redundant import differences, faulty_instances_of
+from mavcal.calib.gap.reference.resolution import steps_of, with_simulated_step
 from mavcal.calib.gap.reference.signals import Signal
-from mavcal.calib.gap.reference.simulator import deviations, error_sd, simulated_ideal, with_error
+from mavcal.calib.gap.reference.simulator import error_sd, mean_deviations, with_reference_error, with_simulated_offset
 from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
@@ -109,7 +107,7 @@ class PreparedProblem:
         companion: Recording | None = None,
     ) -> GapProblem:
         """The problem with the noise that the companions show beside `nuisance`; parameters as in :func:`build`."""
-        return _learned(self, nuisance, companion)
+        return _with_learned_noise(self, nuisance, companion)
 
 
 def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Recording] = ()) -> PreparedProblem:
@@ -128,7 +126,7 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     ideal = None if chosen is None or useless else chosen.ideal
     single = () if ideal is None else single_traces(real, channels, ideal)
     pairs = differences(real, ideal, single)
-    worse = faulty_instances_of(single, _singles_of(sim, chosen), _tilt_sd(chosen))
+    worse = faulty_instances_of(single, _simulator_traces(sim, chosen), _tilt_sd(chosen))
     single = informative(single, pairs)
     if not single and not pairs and not useless:
         raise InvalidInputError(_NO_OVERLAP) if ideal is not None else IncomparableError(_NO_REFERENCE, need=_NEED)
@@ -136,7 +134,7 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     return PreparedProblem(real, sim, companions, tuple(channels), chosen, single, pairs, judged, worse)
 
 
-def _learned(
+def _with_learned_noise(
     made: PreparedProblem, nuisance: Callable[[Sequence[Trace]], tuple[Trace, ...]], companion: Recording | None
 ) -> GapProblem:
     chosen, channels, real = made.chosen, made.channels, made.real
@@ -149,25 +147,25 @@ def _learned(
             (n, replace(f, traces=nuisance(f.traces)) if k else f) for (n, f), k in zip(judged, known, strict=True)
         ]
     ages = ages_of([t for _, found in judged for t in found.traces])
-    clean = [(n, tuple(_settled(t, ages) for t in found.traces)) for n, found in judged]
-    info = _info(chosen)
+    clean = [(n, tuple(_without_old_samples(t, ages) for t in found.traces)) for n, found in judged]
+    info = _reference_info(chosen)
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))
     total, own = noise_of([trace for n, traces in clean for trace in traces if n is not sim or not of_readings])
-    total |= {s: with_error(total[s], noise) if s in total else noise for s, noise in of_readings.items()}
-    offsets = deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
+    total |= {s: with_reference_error(total[s], noise) if s in total else noise for s, noise in of_readings.items()}
+    offsets = mean_deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
     sound = checked(single + pairs)
     rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
-    total = _of_one_rate(total, of_readings, sound.traces)
+    total = _at_same_rate(total, of_readings, sound.traces)
     rounded = [replace(t, ideal_sd=error_sd(n)) if (n := of_readings.get(t.sensor)) else t for t in rounded]
     rounded = [with_unit_noise(t, info) for t in rounded]
     companion_traces = [trace for _, its in clean for trace in its]
-    noisy = [with_noise(_settled(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
+    noisy = [with_noise(_without_old_samples(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
     driven = motor_noise_of(companion_traces)
     moved = movement_of([t for t in companion_traces if t.against is None]) if info.kind is ReferenceKind.POSE else {}
     noisy = [with_motor_noise(_with_more_noise(t, ages, companion_traces), driven) for t in noisy]
     aged = {} if info.kind is ReferenceKind.POSE else age_noise_of(companion_traces)
     noisy = [with_aged_noise(with_movement_noise(t, moved), aged) for t in noisy]
-    traces = tuple(simulated_ideal(with_heave_noise(t, info), offsets) for t in noisy)
+    traces = tuple(with_simulated_offset(with_heave_noise(t, info), offsets) for t in noisy)
     warnings = (
         *not_undone(list(channels), real),
         *offset_changed(list(channels), real),
@@ -204,7 +202,7 @@ def _tilt_sd(chosen: BestReferences | None) -> float:
     return math.radians(chosen.ideal.info.att_sigma_deg)
 
 
-def _info(chosen: BestReferences | None) -> ReferenceInfo:
+def _reference_info(chosen: BestReferences | None) -> ReferenceInfo:
     """The reference; a useless one bounds nothing, since nothing is judged by it."""
     if chosen is None:
         return ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT)
@@ -223,13 +221,13 @@ def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:
     return {sensor: age for sensor, age in found.items() if age > 0.0}
 
 
-def _singles_of(sim: Recording | None, chosen: BestReferences | None) -> tuple[Trace, ...]:
+def _simulator_traces(sim: Recording | None, chosen: BestReferences | None) -> tuple[Trace, ...]:
     """Each instance of a simulator's recording against its own reference, where it flew by itself."""
     own = None if chosen is None else next((its for n, its in chosen.nominal if n is sim), None)
     return () if sim is None or own is None else single_traces(sim, sensors_of(sim), own)
 
 
-def _settled(trace: Trace, ages: Mapping[Sensor, float]) -> Trace:
+def _without_old_samples(trace: Trace, ages: Mapping[Sensor, float]) -> Trace:
     age = ages.get(trace.sensor) if trace.against is not None else None
     return trace if age is None else without_aged_samples(trace, age)
 
@@ -246,7 +244,7 @@ def _with_more_noise(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequen
     return with_sway_noise(trace, [t for t in same_sensor if t.against is not None])
 
 
-def _of_one_rate(
+def _at_same_rate(
     total: dict[Sensor, ResidualSpectrum], of_readings: Mapping[Sensor, ResidualSpectrum], traces: Sequence[Trace]
 ) -> dict[Sensor, ResidualSpectrum]:
     """Without what was learned from readings of another rate: whether these were averaged or picked, nobody knows."""
@@ -273,7 +271,7 @@ def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, ResidualSpectrum], 
     total: dict[Sensor, list[ResidualSpectrum]] = {}
     own: dict[Sensor, list[ResidualSpectrum]] = {}
     for trace in nominal:
-        if (noise := learned(trace)) is not None:
+        if (noise := learned_spectrum(trace)) is not None:
             (total if trace.against is None else own).setdefault(trace.sensor, []).append(noise)
     return {s: pooled(n) for s, n in total.items()}, {s: pooled(n) for s, n in own.items()}
 

@@ -46,20 +46,20 @@ def corrected(recording: Recording) -> Recording:
     temperature: bare, they are what their table says. A compass whose offset in force changed is kept as long as it had
     one offset, over the longest such time.
     """
-    if not _known(recording):
+    if not _has_calibration(recording):
         return recording
     changes = compass_offset_changes(recording)
     return recording.with_channels(
         _corrected(c, recording)
         if c.sensor in TRIADS and c.stage == Stage.RAW and len(c)
-        else _of_one_offset(c, changes)
+        else _with_constant_offset(c, changes)
         for c in recording.channels
     )
 
 
 def offset_changed(channels: Sequence[Channel], recording: Recording) -> tuple[str, ...]:
     """A warning for each compass that lost a part of its readings, because its offset in force changed there."""
-    changes = compass_offset_changes(recording) if _known(recording) else {}
+    changes = compass_offset_changes(recording) if _has_calibration(recording) else {}
     said = []
     for channel in channels:
         if channel.sensor is Sensor.MAG and channel.stage != Stage.RAW and (moments := changes.get(channel.instance)):
@@ -71,7 +71,7 @@ def offset_changed(channels: Sequence[Channel], recording: Recording) -> tuple[s
     return tuple(said)
 
 
-def _of_one_offset(channel: Channel, changes: Mapping[int, Sequence[float]]) -> Channel:
+def _with_constant_offset(channel: Channel, changes: Mapping[int, Sequence[float]]) -> Channel:
     """A corrected compass without what its firmware wrote with other offsets."""
     moments = changes.get(channel.instance, ()) if channel.sensor is Sensor.MAG else ()
     if channel.stage == Stage.RAW or not moments or not len(channel):
@@ -86,7 +86,7 @@ def sensor_from_corrected(channel: Channel, recording: Recording) -> Array:
 
     The identity for what is not corrected, or not known.
     """
-    about = _model(channel, recording) if channel.stage != Stage.RAW else None
+    about = _calibration(channel, recording) if channel.stage != Stage.RAW else None
     if about is None:
         return np.eye(3)
     model, mounting = about
@@ -95,26 +95,26 @@ def sensor_from_corrected(channel: Channel, recording: Recording) -> Array:
 
 def not_undone(channels: Sequence[Channel], recording: Recording) -> tuple[str, ...]:
     """A warning, if the scale of a correction in force on any of `channels` is not known."""
-    unknown = [c for c in channels if c.stage != Stage.RAW and _model(c, recording) is None]
+    unknown = [c for c in channels if c.stage != Stage.RAW and _calibration(c, recording) is None]
     if not unknown:
         return ()
     names = ", ".join(f"{c.sensor.value} {c.instance + 1}" for c in unknown)
     return (f"the calibration in force on {names} is not known: what is found there is stated as it was logged",)
 
 
-def _known(recording: Recording) -> bool:
+def _has_calibration(recording: Recording) -> bool:
     return recording.identity.autopilot in {"ardupilot", "px4"} and bool(recording.parameters)
 
 
 def _corrected(channel: Channel, recording: Recording) -> Channel:
-    about = _model(channel, recording)
+    about = _calibration(channel, recording)
     if about is None or about[0].polynomial is not None:
         return channel
     return dataclasses.replace(channel, values=about[0].apply(channel.values), stage=Stage.CORRECTED)
 
 
-def _model(channel: Channel, recording: Recording) -> tuple[TriadModel, Array] | None:
-    if not _known(recording) or channel.sensor not in TRIADS:
+def _calibration(channel: Channel, recording: Recording) -> tuple[TriadModel, Array] | None:
+    if not _has_calibration(recording) or channel.sensor not in TRIADS:
         return None
     parameters = recording.parameters.at(float(channel.t[len(channel) // 2]))
     autopilot = recording.identity.autopilot
@@ -151,7 +151,7 @@ def sensors_of(recording: Recording) -> list[Channel]:
     """One channel of every instance of the three sensors: the ones that can be compared, where there are several."""
     chosen: list[Channel] = []
     for sensor in TRIADS:
-        together = comparable(recording, sensor)
+        together = comparable_channels(recording, sensor)
         for instance in recording.instances(sensor):
             if len(together) > 1 and instance in together:
                 chosen.append(together[instance])
@@ -160,7 +160,7 @@ def sensors_of(recording: Recording) -> list[Channel]:
     return chosen
 
 
-def comparable(real: Recording, sensor: Sensor) -> dict[int, Channel]:
+def comparable_channels(real: Recording, sensor: Sensor) -> dict[int, Channel]:
     """A channel of every instance, all of one source and stage; the source that most instances have, then the longest.
 
     Sources whose instances were sampled at different times are passed over: their difference would be movement.
@@ -168,7 +168,7 @@ def comparable(real: Recording, sensor: Sensor) -> dict[int, Channel]:
     sources: dict[tuple[str, Stage], dict[int, Channel]] = {}
     for channel in real.channels:
         if channel.sensor == sensor and channel.stage != Stage.DEBIASED and len(channel) >= 4:
-            sources.setdefault(_kind(channel), {}).setdefault(channel.instance, channel)
+            sources.setdefault(_source_and_stage(channel), {}).setdefault(channel.instance, channel)
     found = [{i: c for i, c in group.items() if _same_times(c, group[min(group)])} for group in sources.values()]
     return max(found, key=lambda group: (len(group), sum(len(c) for c in group.values())), default={})
 
@@ -180,17 +180,19 @@ def with_common_channels(real: Recording, other: Recording) -> tuple[Recording, 
     """
     dropped: set[tuple[Sensor, tuple[str, Stage]]] = set()
     for sensor in TRIADS:
-        ours, theirs = ({_kind(c) for c in r.channels if c.sensor == sensor} for r in (real, other))
+        ours, theirs = ({_source_and_stage(c) for c in r.channels if c.sensor == sensor} for r in (real, other))
         common = ours & theirs
-        covered = {c.instance for c in real.channels if c.sensor == sensor and _kind(c) in common}
+        covered = {c.instance for c in real.channels if c.sensor == sensor and _source_and_stage(c) in common}
         if covered == set(real.instances(sensor)):
             dropped |= {(sensor, kind) for kind in (ours | theirs) - common}
-    common_channels = ([c for c in r.channels if (c.sensor, _kind(c)) not in dropped] for r in (real, other))
+    common_channels = (
+        [c for c in r.channels if (c.sensor, _source_and_stage(c)) not in dropped] for r in (real, other)
+    )
     first, second = (r.with_channels(channels) for r, channels in zip((real, other), common_channels, strict=True))
     return first, second
 
 
-def _kind(channel: Channel) -> tuple[str, Stage]:
+def _source_and_stage(channel: Channel) -> tuple[str, Stage]:
     """Where a channel comes from; older logs number their messages: IMU, IMU2, IMU3."""
     return channel.source.rstrip("0123456789"), channel.stage
 

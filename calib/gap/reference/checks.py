@@ -11,7 +11,13 @@ from scipy.signal.windows import hann
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.align import ANOTHER_UNIT, UNLIKE, correlation, turn_of, uncorrelated_axes
+from mavcal.calib.gap.reference.align import (
+    ANOTHER_UNIT,
+    UNCORRELATED,
+    best_axis_exchange,
+    correlation,
+    uncorrelated_axes,
+)
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Recording, Sensor
 
@@ -102,17 +108,17 @@ def refusal_of(trace: Trace) -> Refusal | None:
         return trace.sensor.value, reason, f"at least {SHORTEST_S:.0f} s, better a minute"
     measured, ideal = trace.measured[rows], trace.ideal[rows]
     return (
-        _impossible(trace, name, measured, ideal)
-        or _unrelated(trace, name)
-        or (_of_field(name, measured, ideal) if trace.sensor == Sensor.MAG else None)
-        or _dead(trace, name, measured, ideal)
-        or _copied(trace, name, measured, ideal)
+        _impossible_reading(trace, name, measured, ideal)
+        or _uncorrelated(trace, name)
+        or (_wrong_field(name, measured, ideal) if trace.sensor == Sensor.MAG else None)
+        or _constant_axis(trace, name, measured, ideal)
+        or _noise_free_difference(trace, name, measured, ideal)
         or _in_another_frame(trace, name, measured, ideal)
         or _worse_reference(trace, name, measured, ideal)
     )
 
 
-def _impossible(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
+def _impossible_reading(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
     for whose, values in ((name, measured), (f"the reference of {name}", ideal)):
         row, axis = np.unravel_index(int(np.argmax(np.abs(values))), values.shape)
         if abs(values[row, axis]) > _POSSIBLE:
@@ -128,7 +134,7 @@ def _impossible(trace: Trace, name: str, measured: Array, ideal: Array) -> Refus
     return trace.sensor.value, reason, "damaged rows left out"
 
 
-def _dead(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
+def _constant_axis(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
     """An axis that never changes says nothing, even at rest: a live sensor has noise."""
     stuck = np.ptp(measured, axis=0) < _ONE_VALUE
     if stuck.any():
@@ -143,7 +149,7 @@ def _dead(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | N
     return None
 
 
-def _unrelated(trace: Trace, name: str) -> Refusal | None:
+def _uncorrelated(trace: Trace, name: str) -> Refusal | None:
     """A sensor that does not follow its reference: one of them is dead, or of another movement."""
     if trace.against is not None or not trace.rate_known:
         return None
@@ -154,7 +160,7 @@ def _unrelated(trace: Trace, name: str) -> Refusal | None:
     return trace.sensor.value, reason, "a live sensor, and a reference of the same movement"
 
 
-def _copied(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
+def _noise_free_difference(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
     """A difference without noise: the reference was made from the sensor, or both by one formula.
 
     Two instances of a simulator may read the same digits, noise and all: what they differ by is then known exactly.
@@ -184,7 +190,7 @@ def _in_another_frame(trace: Trace, name: str, measured: Array, ideal: Array) ->
         return None
     else:
         slight = 0.0  # gravity is most of it, whatever x and y do
-    return _of_frame(trace, name, measured, ideal, slight) if _tells(trace.sensor, ideal) else None
+    return _wrong_frame_or_unit(trace, name, measured, ideal, slight) if _is_large_enough(trace.sensor, ideal) else None
 
 
 def _spreads(values: Array) -> Array:
@@ -192,7 +198,7 @@ def _spreads(values: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(values.T))[::-1], 0.0)))
 
 
-def _of_field(name: str, measured: Array, ideal: Array) -> Refusal | None:
+def _wrong_field(name: str, measured: Array, ideal: Array) -> Refusal | None:
     """Units of a magnetometer, by the size of the whole field: iron adds to it, but not several times of it."""
     read, true = (float(np.median(np.linalg.norm(v, axis=1))) for v in (measured, ideal))
     if true == 0.0 or read == 0.0:
@@ -203,7 +209,11 @@ def _of_field(name: str, measured: Array, ideal: Array) -> Refusal | None:
     size = read / true
     if 1.0 / _FAR_OFF < size < _FAR_OFF:
         return None
-    return Sensor.MAG.value, f"{name} is {size:.4g} times its reference: {_factor(size, Sensor.MAG)}", _unit(Sensor.MAG)
+    return (
+        Sensor.MAG.value,
+        f"{name} is {size:.4g} times its reference: {_factor(size, Sensor.MAG)}",
+        _unit_need(Sensor.MAG),
+    )
 
 
 def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
@@ -240,36 +250,40 @@ def _median_power(values: Array, length: int) -> Array:
     return np.asarray(2.0 * np.median(np.abs(spectra) ** 2, axis=0).T / (middle * (window @ window)))
 
 
-def _tells(sensor: Sensor, ideal: Array) -> bool:
+def _is_large_enough(sensor: Sensor, ideal: Array) -> bool:
     """Whether the vectors are long enough that a frame or a unit would show."""
     return bool(np.sqrt((ideal**2).sum(axis=1).mean()) > MOVES[sensor])
 
 
-def _of_frame(trace: Trace, name: str, measured: Array, ideal: Array, slight: float) -> Refusal | None:
-    turn = turn_of(measured, ideal, slight)
+def _wrong_frame_or_unit(trace: Trace, name: str, measured: Array, ideal: Array, slight: float) -> Refusal | None:
+    turn = best_axis_exchange(measured, ideal, slight)
     similarity = correlation(measured, ideal @ turn.T)
     if similarity < _SAME:
-        if similarity >= UNLIKE or trace.sensor != Sensor.GYRO:
+        if similarity >= UNCORRELATED or trace.sensor != Sensor.GYRO:
             return None
         reason = f"{name} and its reference have nothing in common (correlation {similarity:.2f})"
         return trace.sensor.value, reason, "a reference of the same movement, better than the sensor"
     size = float(np.sum(measured * (ideal @ turn.T)) / np.sum(ideal**2))
     if not 1.0 / ANOTHER_UNIT < size < ANOTHER_UNIT:
         reason = f"{name} is {size:.4g} times its reference: {_factor(size, trace.sensor)}"
-        return trace.sensor.value, reason, _unit(trace.sensor)
+        return trace.sensor.value, reason, _unit_need(trace.sensor)
     if not np.array_equal(turn, np.eye(3)):
-        return trace.sensor.value, f"{name} is in another frame than its reference: {_in_words(turn)}", _FRAME_NEED
+        return (
+            trace.sensor.value,
+            f"{name} is in another frame than its reference: {_exchange_in_words(turn)}",
+            _FRAME_NEED,
+        )
     return None
 
 
 _FRAME_NEED = "the same frame in both: --body, --world or --map"
 
 
-def _unit(sensor: Sensor) -> str:
+def _unit_need(sensor: Sensor) -> str:
     return f"the right unit: --unit-{sensor.value}, or a factor in --map"
 
 
-def _in_words(turn: Array) -> str:
+def _exchange_in_words(turn: Array) -> str:
     """Which axis of the sensor reads which of the reference."""
     said = []
     for row in range(3):

@@ -1,14 +1,18 @@
-"""Noise that a recording is expected to have because it has more motor power, or moves more, than the nominal ones.
+"""Noise that a recording is expected to have because it flies differently from the nominal recordings.
 
 Motors: ArduPilot's SITL shakes the vehicle by a random force in proportion to the throttle (``Aircraft::add_noise``).
-Its inertial units sample that at their own moments. The power of their difference goes with the square of the throttle,
-and is zero on the ground. Another flight with more throttle has more of it, and that is no gap.
+Its inertial units sample that force at different moments. The power of their difference goes with the square of the
+throttle, and is zero on the ground.
 
-Movement: a pose errs by a share of the movement. Stamps that jitter, markers that give way and a body that bends leave
-a residual in proportion to the movement at each frequency. It has no fixed phase. An example: 2 ms of jitter are 6 % of
-a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
+Movement: a pose errs by a share of the movement. Jitter of the time stamps, markers that yield and a body that bends
+leave a residual in proportion to the movement at each frequency, without a fixed phase. Example: 2 ms of jitter are 6 %
+of a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
 
-The age of samples: :mod:`calib.gap.reference.sample_age`.
+Age of samples: a log writes the latest sample of every unit under one time stamp. Each is older by up to a period of
+its own driver (SITL runs its inertial units at 1000 and 760 Hz). The difference of two units then has noise in
+proportion to the rate of change of the reading, which no stationary spectrum describes. A nominal recording shows the
+variance of that age. Samples in which it exceeds the other noise are left out; in the others it is expected. A single
+unit beside the trajectory of its vehicle has the same noise, with the spectrum of the driver's beats.
 """
 
 from __future__ import annotations
@@ -21,20 +25,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from mavcal.calib.gap.likelihood import fit_amplitudes
+from mavcal.calib.gap.likelihood import AmplitudeFit, fit_amplitudes
 from mavcal.calib.gap.problem import ReferenceInfo, Trace
 from mavcal.calib.gap.reference.noise import (
     FEWEST,
     UNSTEADY,
     ResidualSpectrum,
-    hz_of,
-    learned,
-    on,
-    own_on,
+    learned_spectrum,
+    noise_frequencies,
+    own_psd_at,
     pooled,
-    psd_of,
-    squares_of,
-    with_more,
+    psd_at,
+    spectrum_at,
+    squared_residuals,
+    with_added_variance,
 )
 from mavcal.calib.recording import Sensor
 
@@ -48,17 +52,17 @@ def with_sway_noise(trace: Trace, nominal: Sequence[Trace]) -> Trace:
     as there is, up to that bound. The movement is what both instances show, without the noise of either. A calmer
     recording is not expected to have less noise.
     """
-    before, now = [_common(n) for n in nominal], _common(trace)
+    before, now = [_common_movement(n) for n in nominal], _common_movement(trace)
     if trace.against is None or not before:
         return trace
     nominal_movement = np.maximum(np.mean(before, axis=0), np.maximum(1e-12 * now, np.finfo(float).tiny))
-    left = np.mean([squares_of(n).mean(axis=0) for n in nominal], axis=0)
+    left = np.mean([squared_residuals(n).mean(axis=0) for n in nominal], axis=0)
     known = trace.observed[1:] & trace.observed[:-1]
     there = 0.5 * (np.diff(trace.residual, axis=0)[known] ** 2).mean(axis=0)
-    return with_more(trace, np.clip(there - left, 0.0, left * np.maximum(now / nominal_movement - 1.0, 0.0)))
+    return with_added_variance(trace, np.clip(there - left, 0.0, left * np.maximum(now / nominal_movement - 1.0, 0.0)))
 
 
-def _common(trace: Trace) -> Array:
+def _common_movement(trace: Trace) -> Array:
     """How much of the fast movement both instances of a difference show, (3,).
 
     Second differences: manoeuvres are far larger than what changes from one sample to the next, and hide it in the
@@ -90,7 +94,7 @@ def motor_noise_of(nominal: Sequence[Trace]) -> dict[Sensor, MotorNoise]:
     """By sensor what differences of instances in `nominal` recordings show; without those that show nothing."""
     found: dict[Sensor, list[MotorNoise]] = {}
     for trace in nominal:
-        if trace.against is not None and (one := _driven(trace)) is not None:
+        if trace.against is not None and (one := _motor_noise(trace)) is not None:
             found.setdefault(trace.sensor, []).append(one)
     return {
         sensor: MotorNoise(np.mean([d.variance for d in each], axis=0), float(np.mean([d.power for d in each])))
@@ -98,17 +102,19 @@ def motor_noise_of(nominal: Sequence[Trace]) -> dict[Sensor, MotorNoise]:
     }
 
 
-def _driven(trace: Trace) -> MotorNoise | None:
+def _motor_noise(trace: Trace) -> MotorNoise | None:
     power = motor_power(trace)
     rows = trace.observed
     if power is None or rows.sum() < FEWEST or not power[rows].any():
         return None
     mean = float(power[rows].mean())
     residual = trace.residual[rows]
-    return MotorNoise(np.array([_variance(column, power[rows] / mean) / mean for column in residual.T]), mean)
+    return MotorNoise(
+        np.array([_variance_with_power(column, power[rows] / mean) / mean for column in residual.T]), mean
+    )
 
 
-def _variance(residual: Array, power: Array) -> float:
+def _variance_with_power(residual: Array, power: Array) -> float:
     """Part of the variance of `residual` (N,) that goes with `power` (N,) of mean one; 0 if none does."""
     squares = (residual - np.median(residual)) ** 2
     unit = float(squares.mean())
@@ -128,7 +134,7 @@ def with_motor_noise(trace: Trace, found: Mapping[Sensor, MotorNoise]) -> Trace:
         return trace
     instances = 2.0 if trace.against is None else 1.0  # of a difference, two sensors have a half each
     more = driven.variance / instances * max(float(power[trace.observed].mean()) - driven.power, 0.0)
-    return with_more(trace, more) if more.any() else trace
+    return with_added_variance(trace, more) if more.any() else trace
 
 
 _ABOUT = 0.3
@@ -146,14 +152,16 @@ def movement_of(traces: Sequence[Trace]) -> dict[Sensor, ResidualSpectrum]:
     """By sensor, the mean spectrum of what ideal sensors read in `traces`, those that are too short left out."""
     found: dict[Sensor, list[ResidualSpectrum]] = {}
     for trace in traces:
-        if (spectrum := _movement(trace)) is not None:
+        if (spectrum := _movement_spectrum(trace)) is not None:
             found.setdefault(trace.sensor, []).append(spectrum)
     return {sensor: pooled(spectra) for sensor, spectra in found.items()}
 
 
-def _movement(trace: Trace) -> ResidualSpectrum | None:
+def _movement_spectrum(trace: Trace) -> ResidualSpectrum | None:
     everywhere = np.ones(len(trace.t), dtype=bool)  # no holes: their edges would be movement
-    return learned(dataclasses.replace(trace, measured=trace.ideal, ideal=0.0 * trace.ideal, observed=everywhere))
+    return learned_spectrum(
+        dataclasses.replace(trace, measured=trace.ideal, ideal=0.0 * trace.ideal, observed=everywhere)
+    )
 
 
 def with_movement_noise(trace: Trace, nominal: Mapping[Sensor, ResidualSpectrum]) -> Trace:
@@ -164,15 +172,15 @@ def with_movement_noise(trace: Trace, nominal: Mapping[Sensor, ResidualSpectrum]
     """
     if trace.against is not None or trace.sensor not in nominal or (trace.psd is None and trace.sigma is None):
         return trace
-    own = _movement(trace)
+    own = _movement_spectrum(trace)
     if own is None:
         return trace
     before = nominal[trace.sensor]
-    hz = np.unique(np.concatenate([own.hz, before.hz[before.hz < 0.5 * trace.fs], hz_of(trace)]))
-    psd = psd_of(trace, hz)
-    was, now = (on(spectrum, hz, trace.fs, trace.low_pass_hz) for spectrum in (before, own))
+    hz = np.unique(np.concatenate([own.hz, before.hz[before.hz < 0.5 * trace.fs], noise_frequencies(trace)]))
+    psd = psd_at(trace, hz)
+    was, now = (spectrum_at(spectrum, hz, trace.fs, trace.low_pass_hz) for spectrum in (before, own))
     expected = psd * (1.0 + np.maximum(now - was, 0.0) / (was + psd))
-    return dataclasses.replace(trace, psd=expected, psd_hz=hz, own_psd=own_on(trace, hz))
+    return dataclasses.replace(trace, psd=expected, psd_hz=hz, own_psd=own_psd_at(trace, hz))
 
 
 def with_heave_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
@@ -185,20 +193,20 @@ def with_heave_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
     bandwidth = {Sensor.ACCEL: reference.bandwidth_hz, Sensor.GYRO: reference.turns_hz}.get(trace.sensor, math.inf)
     if trace.against is not None or trace.psd is None or math.isinf(bandwidth):
         return trace
-    own = learned(trace)
+    own = learned_spectrum(trace)
     if own is None:
         return trace
-    hz = np.unique(np.concatenate([hz_of(trace), own.hz]))
-    psd, felt = psd_of(trace, hz), on(own, hz, trace.fs, trace.low_pass_hz)
+    hz = np.unique(np.concatenate([noise_frequencies(trace), own.hz]))
+    psd, felt = psd_at(trace, hz), spectrum_at(own, hz, trace.fs, trace.low_pass_hz)
     heaves, shakes = (hz > bandwidth) & (hz < _BODY_HZ), hz > max(bandwidth, _BODY_HZ)
     psd[heaves] = np.maximum(psd[heaves], felt[heaves])
-    if not _loud_at_rest(trace, hz, psd):
-        between_lines = np.exp(_median_about(hz, np.log(felt)))
+    if not _exceeds_at_rest(trace, hz, psd):
+        between_lines = np.exp(_local_median(hz, np.log(felt)))
         psd[shakes] = np.maximum(psd[shakes], between_lines[shakes])
-    return dataclasses.replace(trace, psd=psd, psd_hz=hz, own_psd=own_on(trace, hz))
+    return dataclasses.replace(trace, psd=psd, psd_hz=hz, own_psd=own_psd_at(trace, hz))
 
 
-def _loud_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
+def _exceeds_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
     """Whether fast noise is more than expected while the motors are off; without such a time, it is of the flight."""
     power = motor_power(trace)
     if power is None:
@@ -214,7 +222,119 @@ def _loud_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
     return bool((steps > _EXCESS * expected).any())
 
 
-def _median_about(hz: Array, values: Array) -> Array:
+def _local_median(hz: Array, values: Array) -> Array:
     """Medians of `values` (K, 3) over frequencies within a part of each: what lies between lines."""
     low, high = np.searchsorted(hz, hz * (1.0 - _ABOUT)), np.searchsorted(hz, hz * (1.0 + _ABOUT))
     return np.array([np.median(values[a : max(b, a + 1)], axis=0) for a, b in zip(low, high, strict=True)])
+
+
+def slopes_squared(trace: Trace) -> Array:
+    """Square of the change of the reading in a second, (N, 3): mean of the steps to the samples before and after."""
+    known = trace.observed[1:] & trace.observed[:-1]
+    steps = np.where(known[:, None], (np.diff(trace.measured, axis=0) * trace.fs) ** 2, 0.0)
+    total = np.vstack([steps, np.zeros(3)]) + np.vstack([np.zeros(3), steps])
+    return np.asarray(total / np.maximum(np.convolve(known, [1.0, 1.0]), 1.0)[:, None])
+
+
+def age_of(nominal: Sequence[Trace]) -> float:
+    """Variance (s2) of the age of one unit's samples against the other's, the largest of differences `nominal`.
+
+    Zero where the noise does not follow the change of the reading.
+    """
+    return max((_age_variance(trace) for trace in nominal if trace.observed.sum() >= FEWEST), default=0.0)
+
+
+def _age_variance(trace: Trace, change: Array | None = None) -> float:
+    """Variance of the age by the squares (N, 3) of a `change` in a second; None: of the trace's own readings."""
+    squares = slopes_squared(trace) if change is None else change
+    slopes = squares[trace.observed].T.ravel()
+    steady = _fitted_variances(trace, np.zeros(len(slopes)), ())
+    if not slopes.any() or steady is None:
+        return 0.0
+    unit = float(squared_residuals(trace).mean() / slopes.mean())
+    aged = _fitted_variances(trace, np.zeros(len(slopes)), (unit * slopes,))
+    if aged is None or chdtrc(1, max(steady.deviance - aged.deviance, 0.0)) > UNSTEADY:
+        return 0.0
+    return unit * float(aged.amplitudes[3])
+
+
+def _fitted_variances(trace: Trace, base: Array, more: Sequence[Array]) -> AmplitudeFit | None:
+    """Steady noise of each axis, in units of its mean square, beside `base` and variances `more`, all (3 n,)."""
+    squares = squared_residuals(trace)
+    if not squares.any(axis=0).all():
+        return None
+    steady = np.kron(np.diag(squares.mean(axis=0)), np.ones(len(squares)))
+    return fit_amplitudes(squares.T.ravel(), np.ones(squares.size), base, [*steady, *more])
+
+
+def without_aged_samples(trace: Trace, age: float) -> Trace:
+    """`trace` without the samples in which an `age` of that variance (s2) is more than the noise beside it."""
+    expected = age * slopes_squared(trace)
+    rest = _fitted_variances(trace, expected[trace.observed].T.ravel(), ())
+    if rest is None:
+        return trace
+    noise = rest.amplitudes * squared_residuals(trace).mean(axis=0)
+    return dataclasses.replace(trace, observed=trace.observed & ~(expected > noise).any(axis=1))
+
+
+def with_age_noise(trace: Trace, age: float, nominal: Sequence[Trace]) -> Trace:
+    """`trace` with the noise that its faster movement adds to what the `nominal` ones show, all of them settled."""
+    nominal_slopes = np.mean([slopes_squared(n)[n.observed].mean(axis=0) for n in nominal], axis=0)
+    more = age * np.maximum(slopes_squared(trace)[trace.observed].mean(axis=0) - nominal_slopes, 0.0)
+    return with_added_variance(trace, more)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AgeNoise:
+    """Noise of units against a reference that follows the change of their reading, in another flight.
+
+    `density` (K,) at `hz` (K,) is the power in a bin of the cosine transform for each square of the change, s2;
+    `change` (3,) the mean square of the change in a second.
+    """
+
+    hz: Array
+    density: Array
+    change: Array
+
+
+def age_noise_of(nominal: Sequence[Trace]) -> dict[tuple[Sensor, bool], AgeNoise]:
+    """Noise by the age of samples in `nominal` flights, by sensor; True: against the trajectory, False: against a unit.
+
+    Every axis is as old as the others: one that did not move has the noise of those that did.
+    """
+    found: dict[tuple[Sensor, bool], list[AgeNoise]] = {}
+    for trace in nominal:
+        if trace.rate_known and (one := _age_noise(trace)) is not None:
+            found.setdefault((trace.sensor, trace.against is None), []).append(one)
+    return {kind: max(each, key=lambda one: float(one.density.mean())) for kind, each in found.items()}
+
+
+def _age_noise(trace: Trace) -> AgeNoise | None:
+    spectrum = learned_spectrum(trace)
+    ideal = dataclasses.replace(trace, measured=trace.ideal)
+    if spectrum is None or trace.observed.sum() < FEWEST or not (age := _age_variance(trace, slopes_squared(ideal))):
+        return None
+    change = slopes_squared(ideal)[trace.observed].mean(axis=0)
+    there = spectrum.psd.sum(axis=1)
+    size = float(spectrum.dof @ there / spectrum.dof.sum())
+    return AgeNoise(spectrum.hz, there / size * min(age, size / float(change.sum())), change)
+
+
+def with_aged_noise(trace: Trace, found: Mapping[tuple[Sensor, bool], AgeNoise]) -> Trace:
+    """`trace` with the noise expected that its reading has for changing faster than in other flights.
+
+    A calmer recording is not expected to have less noise.
+    """
+    aged = found.get((trace.sensor, trace.against is None))
+    if aged is None or (trace.psd is None and trace.sigma is None):
+        return trace
+    now = slopes_squared(dataclasses.replace(trace, measured=trace.ideal))[trace.observed].mean(axis=0)
+    faster = np.maximum(now - aged.change, 0.0)
+    if not faster.any():
+        return trace
+    hz = np.unique(np.concatenate([noise_frequencies(trace), aged.hz[aged.hz < 0.5 * trace.fs]]))
+    more = np.interp(hz, aged.hz, aged.density)[:, None] * faster
+    own = own_psd_at(trace, hz)
+    return dataclasses.replace(
+        trace, psd=psd_at(trace, hz) + more, psd_hz=hz, own_psd=None if own is None else own + more
+    )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.channels import TRIADS, filter_in_force, sensor_from_corrected
 from mavcal.calib.gap.reference.noise import ResidualSpectrum
-from mavcal.calib.gap.reference.signals import Signal, grid_of, slow
+from mavcal.calib.gap.reference.signals import Signal, grid_of, slow_values
 from mavcal.calib.gap.reference.simulator import denoised
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
@@ -103,7 +103,7 @@ def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: 
     measured = ideal_values.copy()
     rows = observed[grid.point]
     measured[grid.point[rows]] = channel.values[grid.sample[rows]] @ scale.T
-    keep = _span(observed)
+    keep = _observed_span(observed)
     trace = Trace(
         sensor=channel.sensor,
         instances=(channel.instance,),
@@ -115,7 +115,7 @@ def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: 
         low_pass_hz=filter_in_force(channel, recording),
     )
     body = {} if ideal is None else ideal.body(at_points[keep])
-    return dataclasses.replace(trace, **body, **_vehicle(recording, channel, trace.t))
+    return dataclasses.replace(trace, **body, **_vehicle_data(recording, channel, trace.t))
 
 
 def with_unit_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
@@ -135,24 +135,24 @@ def with_unit_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
     return dataclasses.replace(trace, unit_sd=quietest)
 
 
-def _span(observed: NDArray[np.bool_]) -> slice:
+def _observed_span(observed: NDArray[np.bool_]) -> slice:
     """From the first to the last observed point."""
     seen = np.flatnonzero(observed)
     return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0, 0)
 
 
-def _vehicle(recording: Recording, channel: Channel, t: Array) -> dict[str, Any]:
+def _vehicle_data(recording: Recording, channel: Channel, t: Array) -> dict[str, Any]:
     """Temperature, current, throttle, motors and rotors at `t`; None where they were not recorded."""
     thermometers = [c for i in (channel.instance, 0) for c in recording.find(Sensor.TEMPERATURE, i)]
     single = {
-        "temperature": slow(thermometers, t),
-        "current": slow(recording.find(Sensor.CURRENT), t),
-        "throttle": slow(recording.find(Sensor.THROTTLE), t),
+        "temperature": slow_values(thermometers, t),
+        "current": slow_values(recording.find(Sensor.CURRENT), t),
+        "throttle": slow_values(recording.find(Sensor.THROTTLE), t),
     }
     return {
         **{name: None if values is None else values[:, 0] for name, values in single.items()},
-        "motors": slow(recording.find(Sensor.MOTOR), t),
-        "rotor_hz": slow(recording.find(Sensor.ROTOR_SPEED), t),
+        "motors": slow_values(recording.find(Sensor.MOTOR), t),
+        "rotor_hz": slow_values(recording.find(Sensor.ROTOR_SPEED), t),
     }
 
 
@@ -165,7 +165,7 @@ def reference_readings(recording: Recording) -> dict[Sensor, Signal]:
     return _signals(recording.reference)
 
 
-def recorded(recording: Recording) -> Ideal | None:
+def recorded_reference(recording: Recording) -> Ideal | None:
     """The reference that `recording` carries itself; None if it has none.
 
     Attitude: ``ref_q_*``, else that of a table, which counts as truth; never an estimator's.
@@ -178,7 +178,7 @@ def recorded(recording: Recording) -> Ideal | None:
     return Ideal(ReferenceInfo(ReferenceKind.SIM, text=text), readings, true_attitude(recording), true_place(recording))
 
 
-def simulated(recording: Recording) -> Ideal | None:
+def simulator_reference(recording: Recording) -> Ideal | None:
     """What the sensors of a simulator's `recording` read, without its noise where it has some; None if it has none."""
     channels = [
         recording.channel(sensor, recording.instances(sensor)[0])

@@ -93,7 +93,7 @@ class ResidualSpectrum:
         """Whether every band agrees with the mean of all, at any time."""
         if self.smooth:
             return self.steady and bool(np.ptp(self.psd, axis=0).max() == 0.0)
-        chance = chances(self.psd / self.sigma**2, self.dof)
+        chance = two_sided_chances(self.psd / self.sigma**2, self.dof)
         return self.steady and bool(chance.min() * chance.size > _COLOURED)
 
     def smoothed(self) -> ResidualSpectrum:
@@ -112,10 +112,10 @@ class ResidualSpectrum:
         for c, column in enumerate(self.psd.T):
             scale = max(float(self.dof @ column / self.dof.sum()), np.finfo(float).tiny)
             measured = np.maximum(column / scale, _FLOOR)
-            model = _smooth(measured, self.dof, shapes)
+            model = _smooth_model(measured, self.dof, shapes)
             ratio = measured / model
             shrunk = (self.dof * ratio + _SHRUNK) / (self.dof + _SHRUNK)
-            made[:, c] = scale * model * np.where(chances(ratio[:, None], self.dof)[:, 0] < _OFF, shrunk, 1.0)
+            made[:, c] = scale * model * np.where(two_sided_chances(ratio[:, None], self.dof)[:, 0] < _OFF, shrunk, 1.0)
         return dataclasses.replace(self, psd=made)
 
     def widened(self) -> ResidualSpectrum:
@@ -129,7 +129,7 @@ class ResidualSpectrum:
         return dataclasses.replace(self, psd=psd * gain)
 
 
-def _smooth(measured: Array, dof: Array, shapes: Sequence[Array]) -> Array:
+def _smooth_model(measured: Array, dof: Array, shapes: Sequence[Array]) -> Array:
     """The sum of `shapes` that fits `measured` (K,), lines left out: one strong line would raise all of it."""
     quiet = np.ones(len(measured), dtype=bool)
     model = measured
@@ -137,20 +137,20 @@ def _smooth(measured: Array, dof: Array, shapes: Sequence[Array]) -> Array:
         rows = [shape[quiet] for shape in shapes]
         fit = fit_amplitudes((dof * measured)[quiet], dof[quiet], np.zeros(int(quiet.sum())), rows)
         model = np.maximum(fit.amplitudes @ np.asarray(shapes), _FLOOR)
-        loud = (measured > model) & (chances((measured / model)[:, None], dof)[:, 0] < _OFF)
+        loud = (measured > model) & (two_sided_chances((measured / model)[:, None], dof)[:, 0] < _OFF)
         if not (loud & quiet).any() or (quiet & ~loud).sum() < len(shapes) + 2:
             break
         quiet &= ~loud
     return np.asarray(model)
 
 
-def chances(ratio: Array, dof: Array) -> Array:
+def two_sided_chances(ratio: Array, dof: Array) -> Array:
     """Chance, to either side, of means (K, k) of `dof` (K,) squared numbers of variance one as far off as `ratio`."""
     total = ratio * dof[:, None]
     return np.asarray(2.0 * np.minimum(chdtrc(dof[:, None], total), chdtr(dof[:, None], total)))
 
 
-def learned(trace: Trace) -> ResidualSpectrum | None:
+def learned_spectrum(trace: Trace) -> ResidualSpectrum | None:
     """The noise in the residual of a nominal `trace`; None if it is too short.
 
     Few holes are filled with zeros; what lies between many is taken as one series, as the likelihood takes it.
@@ -170,13 +170,13 @@ def learned(trace: Trace) -> ResidualSpectrum | None:
     count = np.bincount(group).astype(np.float64)
     mean = np.column_stack([np.bincount(group, weights=column) for column in power.T]) / count[:, None]
     centre = np.exp(np.bincount(group, weights=np.log(bins)) / count) * trace.fs / (2.0 * n)
-    steady = _steady(residual[seen])
+    steady = _is_stationary(residual[seen])
     return ResidualSpectrum(
-        centre, np.maximum(mean, digits_of(trace)), count, trace.fs, trace.low_pass_hz, steady=steady
+        centre, np.maximum(mean, digit_variance(trace)), count, trace.fs, trace.low_pass_hz, steady=steady
     )
 
 
-def _steady(residual: Array) -> bool:
+def _is_stationary(residual: Array) -> bool:
     """Whether the differences of successive rows of `residual` (N, 3) are as large in every part of the recording."""
     squares = np.diff(residual, axis=0)[::2] ** 2
     width = len(squares) // _PARTS
@@ -188,7 +188,7 @@ def _steady(residual: Array) -> bool:
     return bool(chdtrc(_PARTS - 1, scatter).min() * len(scatter) > _COLOURED)
 
 
-def digits_of(trace: Trace) -> float:
+def digit_variance(trace: Trace) -> float:
     """Variance of the rounding of single-precision numbers: instances of a simulator may agree to the last digit."""
     return max((_SINGLE * float(np.abs(trace.measured).max())) ** 2, float(np.finfo(float).tiny))
 
@@ -208,7 +208,7 @@ def pooled(noises: Sequence[ResidualSpectrum]) -> ResidualSpectrum:
     if len(noises) == 1:
         return first
     steady = all(n.steady for n in noises)
-    brought = [first.psd, *(on(n, first.hz, first.fs, first.low_pass_hz) for n in noises[1:])]
+    brought = [first.psd, *(spectrum_at(n, first.hz, first.fs, first.low_pass_hz) for n in noises[1:])]
     return dataclasses.replace(first, psd=np.mean(brought, axis=0), dof=first.dof * len(noises), steady=steady)
 
 
@@ -231,7 +231,9 @@ def with_noise(trace: Trace, total: ResidualSpectrum | None, own: ResidualSpectr
     white = own if own is not None else total
     if whole is None or white is None:
         return trace
-    whole, white = (dataclasses.replace(n, psd=np.maximum(n.psd, _rounding(trace))) for n in (whole, white))
+    whole, white = (
+        dataclasses.replace(n, psd=np.maximum(n.psd, _quantisation_variance(trace))) for n in (whole, white)
+    )
     close = abs(math.log(trace.fs / white.fs)) < 0.02 and trace.low_pass_hz == white.low_pass_hz
     if close:
         trace = dataclasses.replace(trace, sigma=white.sigma, sigma_dof=float(white.dof.sum()))
@@ -240,13 +242,17 @@ def with_noise(trace: Trace, total: ResidualSpectrum | None, own: ResidualSpectr
     whole, own = whole.smoothed().widened(), None if own is None else own.smoothed().widened()
     hz = np.geomspace(trace.fs / (2.0 * len(trace.t)), trace.fs / 2.0, 3 * _BANDS)
     hz = np.unique(np.concatenate([hz, whole.hz[whole.hz < 0.5 * trace.fs]]))
-    trace = dataclasses.replace(trace, psd=on(whole, hz, trace.fs, trace.low_pass_hz), psd_hz=hz)
+    trace = dataclasses.replace(trace, psd=spectrum_at(whole, hz, trace.fs, trace.low_pass_hz), psd_hz=hz)
     if own is not None:
-        own = dataclasses.replace(own, psd=np.maximum(own.psd, _rounding(trace)))
-    return dataclasses.replace(trace, own_psd=on(own, hz, trace.fs, trace.low_pass_hz)) if own is not None else trace
+        own = dataclasses.replace(own, psd=np.maximum(own.psd, _quantisation_variance(trace)))
+    return (
+        dataclasses.replace(trace, own_psd=spectrum_at(own, hz, trace.fs, trace.low_pass_hz))
+        if own is not None
+        else trace
+    )
 
 
-def with_more(trace: Trace, variance: Array) -> Trace:
+def with_added_variance(trace: Trace, variance: Array) -> Trace:
     """`trace` with noise of `variance` (3,) expected on top, which comes and goes: a spectrum, and no steady number."""
     if trace.sigma is None and trace.psd is None:
         return trace
@@ -263,12 +269,12 @@ def with_more(trace: Trace, variance: Array) -> Trace:
     )
 
 
-def _rounding(trace: Trace) -> float:
+def _quantisation_variance(trace: Trace) -> float:
     """Variance of the rounding, twice that of a difference: less is an accident of digits that did not change."""
     return trace.quantum**2 / 12.0 * (1.0 if trace.against is None else 2.0)
 
 
-def on(noise: ResidualSpectrum, hz: Array, fs: float, low_pass_hz: float | None) -> Array:
+def spectrum_at(noise: ResidualSpectrum, hz: Array, fs: float, low_pass_hz: float | None) -> Array:
     """Its spectrum at `hz` in samples of rate `fs`, behind the filter `low_pass_hz`.
 
     It is carried over as a density, and brought to the other filter as far as it was still to be seen behind its own;
@@ -282,27 +288,27 @@ def on(noise: ResidualSpectrum, hz: Array, fs: float, low_pass_hz: float | None)
     return np.asarray(np.exp(np.column_stack([np.interp(np.log(hz), np.log(at), column) for column in logs.T])))
 
 
-def hz_of(trace: Trace) -> Array:
+def noise_frequencies(trace: Trace) -> Array:
     """Frequencies (K,) at which the noise of `trace` is known; none where it is white or not known."""
     return np.zeros(0) if trace.psd_hz is None else trace.psd_hz
 
 
-def psd_of(trace: Trace, hz: Array) -> Array:
+def psd_at(trace: Trace, hz: Array) -> Array:
     """The noise (K, 3) that is known of `trace`, at `hz` (K,); it has a spectrum or a `sigma`."""
     if trace.psd is None:
         assert trace.sigma is not None
         return np.tile(trace.sigma**2, (len(hz), 1))
-    return np.column_stack([np.interp(hz, hz_of(trace), column) for column in trace.psd.T])
+    return np.column_stack([np.interp(hz, noise_frequencies(trace), column) for column in trace.psd.T])
 
 
-def own_on(trace: Trace, hz: Array) -> Array | None:
+def own_psd_at(trace: Trace, hz: Array) -> Array | None:
     """The same of the sensor alone; None where that is not known."""
     if trace.own_psd is None:
         return None
-    return np.column_stack([np.interp(hz, hz_of(trace), column) for column in trace.own_psd.T])
+    return np.column_stack([np.interp(hz, noise_frequencies(trace), column) for column in trace.own_psd.T])
 
 
-def squares_of(trace: Trace) -> Array:
+def squared_residuals(trace: Trace) -> Array:
     """Squares (n, 3) of what the observed samples are off the median."""
     residual = trace.residual[trace.observed]
     return np.asarray((residual - np.median(residual, axis=0)) ** 2)

@@ -13,9 +13,15 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.reference.align import TURNS, UNLIKE, correlation, likened, turned_correlation
+from mavcal.calib.gap.reference.align import (
+    AXIS_EXCHANGES,
+    UNCORRELATED,
+    correlation,
+    correlation_in_best_frame,
+    matched_to,
+)
 from mavcal.calib.gap.reference.ideal import Ideal, continuous, true_attitude, true_place
-from mavcal.calib.gap.reference.signals import LowPassedSignal, Signal, bandwidth, linear, low_passed
+from mavcal.calib.gap.reference.signals import LowPassedSignal, Signal, bandwidth, interpolated, low_passed
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -73,12 +79,12 @@ def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTraject
     attitude = true_attitude(recording)
     if attitude is None:
         return None
-    smooth, q, rate = _turned(attitude, None)
-    gyro = _judge(recording, Sensor.GYRO, smooth.t)
+    smooth, q, rate = _attitude_and_rate(attitude, None)
+    gyro = _readings_at(recording, Sensor.GYRO, smooth.t)
     if gyro is not None:
-        _check_convention(smooth, gyro, _judge(recording, Sensor.ACCEL, smooth.t))
-        if (cutoff := _lower(bandwidth(smooth.t, rate, likened(gyro, rate)), highest.rotation)) is not None:
-            smooth, q, rate = _turned(attitude, cutoff)
+        _check_convention(smooth, gyro, _readings_at(recording, Sensor.ACCEL, smooth.t))
+        if (cutoff := _lower(bandwidth(smooth.t, rate, matched_to(gyro, rate)), highest.rotation)) is not None:
+            smooth, q, rate = _attitude_and_rate(attitude, cutoff)
     acceleration, cutoff_hz = _acceleration(recording, smooth.t, q, highest.translation)
     return PoseTrajectory(
         t=smooth.t,
@@ -128,14 +134,14 @@ def _check_convention(smooth: LowPassedSignal, gyro: Array, force: Array | None)
     made = {what: change(smooth.values) for what, change in _CONVENTIONS.items()}
     others = {what: correlation(reading, turns(q)) for what, q in made.items()}
     what = max(others, key=lambda name: others[name])
-    given = turned_correlation(reading, turns(smooth.values))
+    given = correlation_in_best_frame(reading, turns(smooth.values))
     need = "give q_w, q_x, q_y, q_z from the body to north-east-down"
     if others[what] > _SAME and hangs(made[what]) >= hangs(smooth.values):
         raise InvalidInputError(
             f"the attitude does not turn as the gyroscope does, and would (correlation {others[what]:.2f}) if it were "
             f"{what}: {need}"
         )
-    if given < UNLIKE:
+    if given < UNCORRELATED:
         raise InvalidInputError(
             f"the attitude and the gyroscope have nothing in common (correlation {given:.2f}): {need}, of the same "
             "movement"
@@ -157,18 +163,18 @@ _SAME = 0.9
 """Correlation above which turns are the same. Chosen, not measured: four fifths of the power are common then."""
 
 
-def _turned(attitude: Signal, cutoff: float | None) -> tuple[LowPassedSignal, Array, Array]:
+def _attitude_and_rate(attitude: Signal, cutoff: float | None) -> tuple[LowPassedSignal, Array, Array]:
     """Attitudes below `cutoff`, as unit quaternions, and the rates in the body."""
     smooth = low_passed(attitude, cutoff)
     q = smooth.values / np.linalg.norm(smooth.values, axis=1, keepdims=True)
     return smooth, q, body_rate(q, smooth.first)
 
 
-def _judge(recording: Recording, sensor: Sensor, t: Array) -> Array | None:
+def _readings_at(recording: Recording, sensor: Sensor, t: Array) -> Array | None:
     """Readings of the first instance at `t`, by which the bandwidth of a pose is judged; None without one."""
     channel = next((c for c in recording.channels if c.sensor == sensor and c.stage != Stage.DEBIASED), None)
     signal = None if channel is None else Signal.of(channel)
-    return None if signal is None else linear(signal.t, signal.values, t)
+    return None if signal is None else interpolated(signal.t, signal.values, t)
 
 
 def body_rate(q: Array, change: Array) -> Array:
@@ -184,18 +190,18 @@ def _acceleration(recording: Recording, t: Array, q: Array, highest: float | Non
     """
     found: dict[Sensor, Channel] = {c.sensor: c for c in recording.reference if len(c) >= 16}
     turn = rotation(q)
-    force = _judge(recording, Sensor.ACCEL, t)
+    force = _readings_at(recording, Sensor.ACCEL, t)
     for sensor in (Sensor.VELOCITY, Sensor.PLACE):
         signal = None if sensor not in found else Signal.of(found[sensor])
         if signal is not None:
             cutoff = None
             if force is not None:
                 plain = low_passed(signal)
-                moved = linear(plain.t, _derivative(plain, sensor), t)
-                likely = likened(force, turn.inv().apply(moved - GRAVITY_NED))
+                moved = interpolated(plain.t, _derivative(plain, sensor), t)
+                likely = matched_to(force, turn.inv().apply(moved - GRAVITY_NED))
                 cutoff = bandwidth(t, moved, turn.apply(likely) + GRAVITY_NED)
             smooth = low_passed(signal, _lower(cutoff, highest))
-            return linear(smooth.t, _derivative(smooth, sensor), t), smooth.cutoff_hz
+            return interpolated(smooth.t, _derivative(smooth, sensor), t), smooth.cutoff_hz
     return None, None
 
 
@@ -203,7 +209,7 @@ def _derivative(smooth: LowPassedSignal, sensor: Sensor) -> Array:
     return smooth.first if sensor == Sensor.VELOCITY else smooth.second
 
 
-def driven(pose: PoseTrajectory, earth: Array | None) -> Ideal:
+def ideal_along(pose: PoseTrajectory, earth: Array | None) -> Ideal:
     """Ideal sensors along `pose`; the magnetometer in the field `earth` (3,), uT, north-east-down, None: unknown.
 
     Without a place or a velocity the vehicle is taken not to accelerate, and the text says so.
@@ -252,11 +258,11 @@ def earth_field_of(channels: list[Channel], pose: PoseTrajectory) -> Array | Non
         offsets[owners == i, :, 3 * i : 3 * i + 3] = np.eye(3)
     separable = np.linalg.svd(turns.mean(axis=0), compute_uv=False)[0] < _SPREAD
     both = np.concatenate([turns, offsets], axis=2)
-    frame = _frame_of(both, m)
-    return None if frame is None else _robust(both if separable else turns, m @ frame)[:3]
+    frame = _magnetometer_frame(both, m)
+    return None if frame is None else _robust_fit(both if separable else turns, m @ frame)[:3]
 
 
-def _frame_of(design: Array, m: Array) -> Array | None:
+def _magnetometer_frame(design: Array, m: Array) -> Array | None:
     """Exchange of axes and signs after which `m` (N, 3) fits a field; None: several do, and its own does not.
 
     A frame and its opposite fit alike, with opposite fields: the one in which the field points north.
@@ -273,14 +279,14 @@ def _frame_of(design: Array, m: Array) -> Array | None:
     own = misfit(np.eye(3))
     if own < _FITS * np.sum((m[few] - m[few].mean(axis=0)) ** 2):
         return np.eye(3)
-    found = {key: misfit(turn) for key, turn in TURNS.items()}
+    found = {key: misfit(turn) for key, turn in AXIS_EXCHANGES.items()}
     least = min(found.values())
     if own <= 4.0 * least:
         return np.eye(3)
-    fitting = [TURNS[key] for key, value in found.items() if value <= 2.0 * least]
+    fitting = [AXIS_EXCHANGES[key] for key, value in found.items() if value <= 2.0 * least]
     if len(fitting) > 2:  # one and its opposite
         return None
-    north = [turn for turn in fitting if _robust(design[few], m[few] @ turn)[0] > 0.0]
+    north = [turn for turn in fitting if _robust_fit(design[few], m[few] @ turn)[0] > 0.0]
     return (north or fitting)[0]
 
 
@@ -294,7 +300,7 @@ _SPREAD = 0.98
 attitudes within some 10 degrees of each other."""
 
 
-def _robust(design: Array, m: Array) -> Array:
+def _robust_fit(design: Array, m: Array) -> Array:
     weight = np.ones(len(m))
     solution: Array = np.zeros(design.shape[2])
     for _ in range(12):

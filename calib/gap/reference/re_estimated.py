@@ -21,8 +21,8 @@ from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.reference.channels import TELLING_CURRENT, filter_delay, filter_in_force, sensors_of
 from mavcal.calib.gap.reference.ideal import Ideal, continuous, true_attitude
 from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
-from mavcal.calib.gap.reference.signals import Signal, linear, slow
-from mavcal.calib.gap.reference.strapdown import STEPS, Between, Increments
+from mavcal.calib.gap.reference.signals import Signal, interpolated, slow_values
+from mavcal.calib.gap.reference.strapdown import STEPS, Increments, IntervalMotion
 from mavcal.calib.gap.reference.trajectory import (
     EARTH,
     GYRO,
@@ -32,9 +32,9 @@ from mavcal.calib.gap.reference.trajectory import (
     WALK,
     Aiding,
     TrajectoryState,
+    initial_state,
     log_evidence,
     smooth,
-    start_at,
 )
 from mavcal.calib.recording import Channel, Recording, Sensor
 
@@ -110,7 +110,7 @@ def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | N
     several inertial units, and several magnetometers, the one is taken with which everything agrees best.
     """
     found = best_trajectory(recording, with_truth=with_truth)
-    return None if found is None else _driven(found)
+    return None if found is None else _ideal_along(found)
 
 
 def best_trajectory(recording: Recording, *, with_truth: bool = False) -> SmoothedTrajectory | None:
@@ -127,32 +127,32 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
     if not _SHORTEST_S <= end - start <= _LONGEST_S:
         return None
     t: Array = start + STEP_S * np.arange(int((end - start) / STEP_S) + 1, dtype=np.float64)
-    compass = mags.get(_typical(mags)) if mags else None
+    compass = mags.get(_median_instance(mags)) if mags else None
     aiding = _aiding(recording, velocity, compass, t)
     truth = true_attitude(recording) if with_truth else None
     if truth is not None:
         seen = truth.known(truth.t) & (truth.t >= t[0]) & (truth.t <= t[-1])
         aiding = dataclasses.replace(aiding, truth_t=truth.t[seen], truth=rotation(truth.values[seen]))
-    guess = _first_guess(recording, gyros[units[0]], accels[units[0]], aiding, t)
+    guess = _initial_attitude(recording, gyros[units[0]], accels[units[0]], aiding, t)
     made = []
     for unit in units:
         gyro, accel = Signal.of(gyros[unit]), Signal.of(accels[unit])
         if gyro is not None and accel is not None:
             late = tuple(filter_delay(filter_in_force(c, recording)) for c in (gyros[unit], accels[unit]))
-            warmth = slow(recording.find(Sensor.TEMPERATURE, unit), t)
+            warmth = slow_values(recording.find(Sensor.TEMPERATURE, unit), t)
             temperature = None if warmth is None else warmth[:, 0]
             imu = Increments.of(gyro.shifted(-late[0]), accel.shifted(-late[1]), t, temperature)
-            state = smooth(imu, aiding, start_at(t, guess, aiding), _TRIALS if len(units) > 1 else ITERATIONS)
+            state = smooth(imu, aiding, initial_state(t, guess, aiding), _TRIALS if len(units) > 1 else ITERATIONS)
             mag = compass.instance if compass else None
             made.append(SmoothedTrajectory(state, imu, unit, mag, truth is not None, (late[0], late[1])))
     best = min(made, key=lambda s: s.state.cost, default=None)
     if best is None:
         return None
     close = [m for m in made if m.state.cost < best.state.cost + _CLOSE]
-    return _refined(_first_to_tell(best, close, gyros), aiding)
+    return _with_unit_errors(_unit_without_delay(best, close, gyros), aiding)
 
 
-def _first_to_tell(
+def _unit_without_delay(
     best: SmoothedTrajectory, close: Sequence[SmoothedTrajectory], gyros: Mapping[int, Channel]
 ) -> SmoothedTrajectory:
     """Among units that fit about as well, the one whose gyroscope is not late: no sensor reads the future."""
@@ -171,7 +171,7 @@ def _first_to_tell(
     return best
 
 
-def _refined(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTrajectory:
+def _with_unit_errors(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTrajectory:
     """With scales and axes that may differ, and biases that follow the temperature or walk where that says much more.
 
     As it was if they were turned to explain something else, like a crash.
@@ -179,16 +179,16 @@ def _refined(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTrajectory:
     state = smooth(found.imu, aiding, found.state)
     free = smooth(found.imu, aiding, state, matrices=True)
     best, drifts = free if free.plausible else state, False
-    if found.imu.warm.any():
+    if found.imu.warmth.any():
         warm = smooth(found.imu, aiding, state, matrices=True, drifts=True)
         if warm.plausible and warm.cost < best.cost - _WARMER:
             best, drifts = warm, True
     if aiding.truth is None:
-        best = _walking(found.imu, aiding, best, matrices=best is not state, drifts=drifts)
+        best = _with_bias_walk(found.imu, aiding, best, matrices=best is not state, drifts=drifts)
     return dataclasses.replace(found, state=best)
 
 
-def _walking(
+def _with_bias_walk(
     imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool, drifts: bool
 ) -> TrajectoryState:
     """`state`, or with a gyroscope whose bias wanders as much as its own readings say beside the aiding.
@@ -196,7 +196,7 @@ def _walking(
     A bias that wanders more than a smoother grants turns the attitude: axes, scales and the Earth's field would seem
     to be wrong. A crash says nothing of it: intervals that are not believed have no voice.
     """
-    strained = _strained(state, imu, state.between(imu))
+    strained = _contradicted_intervals(state, imu, state.interval_motion(imu))
     calm = dataclasses.replace(imu, known=imu.known & ~strained) if strained.any() else imu
     best = smooth(calm, aiding, state, matrices=matrices, drifts=drifts) if strained.any() else state
     evidence = log_evidence(calm, aiding, best, matrices=matrices, drifts=drifts)
@@ -220,7 +220,7 @@ def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:
     return max(starts), min(ends)
 
 
-def _typical(mags: dict[int, Channel]) -> int:
+def _median_instance(mags: dict[int, Channel]) -> int:
     """The instance that is nearest to all others; of two, the first."""
 
     def apart(i: int) -> float:
@@ -241,15 +241,15 @@ def _aiding(recording: Recording, velocity: Signal, compass: Channel | None, t: 
             velocity.t[seen], velocity.values[seen], none[:, 0], none, none[:, 0], np.array([20.0, 0.0, 40.0])
         )
     inside = (field.t >= t[0]) & (field.t <= t[-1])
-    amperes = slow(recording.find(Sensor.CURRENT), field.t[inside])
+    amperes = slow_values(recording.find(Sensor.CURRENT), field.t[inside])
     current = np.zeros(int(inside.sum())) if amperes is None or amperes.std() < TELLING_CURRENT else amperes[:, 0]
-    earth, sd, gain = _earth(recording, field)
+    earth, sd, gain = _expected_field(recording, field)
     return Aiding(
         velocity.t[seen], velocity.values[seen], field.t[inside], field.values[inside], current, earth, sd, gain
     )
 
 
-def _earth(recording: Recording, field: Signal) -> tuple[Array, float, float]:
+def _expected_field(recording: Recording, field: Signal) -> tuple[Array, float, float]:
     """The field of the World Magnetic Model where the recording was made, how well it is known, uT, and the gain by it.
 
     Without a position: one of the size that was measured, north and down as in middle latitudes.
@@ -273,18 +273,18 @@ def _year(recording: Recording) -> float:
         return _DEFAULT_YEAR
 
 
-def _first_guess(recording: Recording, gyro: Channel, accel: Channel, aiding: Aiding, t: Array) -> Rotation:
+def _initial_attitude(recording: Recording, gyro: Channel, accel: Channel, aiding: Aiding, t: Array) -> Rotation:
     """Where the search starts: the estimator's attitude, else levelled at the start and turned by the gyroscope."""
     estimate = next((s for c in recording.find(Sensor.ATTITUDE) if (s := Signal.of(c)) is not None), None)
     if estimate is not None and estimate.t[0] < t[0] + 2.0 and estimate.t[-1] > t[-1] - 2.0:
-        return rotation(linear(estimate.t, continuous(estimate.values), t))
+        return rotation(interpolated(estimate.t, continuous(estimate.values), t))
     rates, forces = Signal.of(gyro), Signal.of(accel)
     assert rates is not None
     assert forces is not None
     imu = Increments.of(rates, forces, t)
     zero = np.zeros((len(t) - 1, 3))
-    turns = imu.between(zero, zero).turn
-    attitude = _levelled(accel, aiding, t[0])
+    turns = imu.integrated(zero, zero).turn
+    attitude = _levelled_attitude(accel, aiding, t[0])
     found = [attitude]
     for k in range(len(turns)):
         attitude = attitude * turns[k]
@@ -292,7 +292,7 @@ def _first_guess(recording: Recording, gyro: Channel, accel: Channel, aiding: Ai
     return Rotation.concatenate(found)
 
 
-def _levelled(accel: Channel, aiding: Aiding, start: float) -> Rotation:
+def _levelled_attitude(accel: Channel, aiding: Aiding, start: float) -> Rotation:
     """From the first second: gravity is down; the magnetometer, if there is one, points along the Earth's field."""
     early = accel.values[accel.t <= start + 1.0].mean(axis=0)
     body, world = [early / np.linalg.norm(early)], [np.array([0.0, 0.0, -1.0])]
@@ -305,9 +305,9 @@ def _levelled(accel: Channel, aiding: Aiding, start: float) -> Rotation:
     return turn
 
 
-def _driven(found: SmoothedTrajectory) -> Ideal:
+def _ideal_along(found: SmoothedTrajectory) -> Ideal:
     state, imu = found.state, found.imu
-    between = state.between(imu)
+    between = state.interval_motion(imu)
     slip = (state.attitude[1:].inv() * state.attitude[:-1] * between.turn).inv().as_rotvec()
     steps = []
     for j, within in enumerate(between.within):
@@ -315,10 +315,10 @@ def _driven(found: SmoothedTrajectory) -> Ideal:
     fine_t = imu.t[0] + imu.dt / STEPS * np.arange(len(slip) * STEPS)
     q = np.stack([s.as_quat() for s in steps], axis=1).reshape(-1, 4)[:, [3, 0, 1, 2]]
     rate = (between.rate + slip[:, None, :] / imu.dt).reshape(-1, 3)
-    held = np.repeat(~_strained(state, imu, between), STEPS)
+    held = np.repeat(~_contradicted_intervals(state, imu, between), STEPS)
     attitude = Signal(fine_t, continuous(q))
     if not held.any():  # nowhere do trajectory and inertial unit agree: the attitude is known nowhere
-        return Ideal(dataclasses.replace(_info(found), att_sigma_deg=np.inf), {}, attitude)
+        return Ideal(dataclasses.replace(_reference_info(found), att_sigma_deg=np.inf), {}, attitude)
     down = CubicSpline(imu.t, state.velocity, axis=0)(fine_t, 1) - GRAVITY_NED
     body_from_ned = rotation(q).inv()
     readings = {
@@ -327,10 +327,10 @@ def _driven(found: SmoothedTrajectory) -> Ideal:
     }
     if found.mag_instance is not None:
         readings[Sensor.MAG] = Signal(fine_t[held], body_from_ned.apply(np.tile(state.earth, (len(fine_t), 1)))[held])
-    return Ideal(_info(found), readings, attitude)
+    return Ideal(_reference_info(found), readings, attitude)
 
 
-def _strained(state: TrajectoryState, imu: Increments, between: Between) -> NDArray[np.bool_]:
+def _contradicted_intervals(state: TrajectoryState, imu: Increments, between: IntervalMotion) -> NDArray[np.bool_]:
     """Intervals about which the trajectory and the inertial unit contradict each other: a crash, a clipped sensor."""
     here, there = state.attitude[:-1], state.attitude[1:]
     turned = (there.inv() * here * between.turn).as_rotvec()
@@ -340,7 +340,7 @@ def _strained(state: TrajectoryState, imu: Increments, between: Between) -> NDAr
     return np.asarray(maximum_filter1d(off, 2 * _AROUND + 1) > _STRAIN)
 
 
-def _info(found: SmoothedTrajectory) -> ReferenceInfo:
+def _reference_info(found: SmoothedTrajectory) -> ReferenceInfo:
     sources = (
         "GPS velocity and the inertial unit"
         if found.mag_instance is None

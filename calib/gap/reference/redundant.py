@@ -23,7 +23,7 @@ from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import FaultyInstances, Trace
-from mavcal.calib.gap.reference.channels import SAME_RATE, SAME_SAMPLE, TRIADS, comparable
+from mavcal.calib.gap.reference.channels import SAME_RATE, SAME_SAMPLE, TRIADS, comparable_channels
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.simulator import denoised, error_sd
@@ -50,10 +50,10 @@ def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...])
     """
     made: list[Trace] = []
     for sensor in TRIADS:
-        channels = comparable(real, sensor)
+        channels = comparable_channels(real, sensor)
         if len(channels) < 2:
             continue
-        base = _best(channels, _misfit(sensor, single))
+        base = _base_instance(channels, _misfit(sensor, single))
         made += [_difference(c, channels[base], ideal, real) for i, c in sorted(channels.items()) if i != base]
     return tuple(trace for trace in made if trace.observed.sum() > 1)
 
@@ -67,11 +67,11 @@ def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Reco
         channel = dataclasses.replace(channel, t=within.t, values=faster.at(within.t), zero_bin=None)
     trace = dataclasses.replace(trace_of(channel, reading, ideal, real), against=base.instance)
     if ideal is None:
-        return _beside_movement(trace, channel, base, real)
-    return dataclasses.replace(trace, observed=trace.observed & ~_contradicted(channel.sensor, ideal, trace.t))
+        return _with_movement_as_ideal(trace, channel, base, real)
+    return dataclasses.replace(trace, observed=trace.observed & ~_contradicted_rows(channel.sensor, ideal, trace.t))
 
 
-def _beside_movement(trace: Trace, channel: Channel, base: Channel, real: Recording) -> Trace:
+def _with_movement_as_ideal(trace: Trace, channel: Channel, base: Channel, real: Recording) -> Trace:
     """`trace` with the movement in the readings of `base` as ideal, and the same residual.
 
     Its own noise is in the residual too: what follows such a reading would seem to explain it.
@@ -90,7 +90,7 @@ def _rate(channel: Channel) -> float:
     return 1.0 / max(float(np.median(np.diff(channel.t))), 1e-9)
 
 
-def _contradicted(sensor: Sensor, ideal: Ideal, t: Array) -> NDArray[np.bool_]:
+def _contradicted_rows(sensor: Sensor, ideal: Ideal, t: Array) -> NDArray[np.bool_]:
     """Where a re-estimated trajectory does not believe its own inertial unit: in a crash no unit is a reference."""
     own = ideal.readings.get(sensor)
     if own is None or ideal.attitude is None or math.isinf(ideal.info.bandwidth_hz) or sensor is Sensor.MAG:
@@ -109,15 +109,15 @@ def _slow_square(residual: Array, fs: float) -> float:
     return float(np.mean(smooth**2))
 
 
-def _best(channels: Mapping[int, Channel], misfit: Mapping[int, float]) -> int:
+def _base_instance(channels: Mapping[int, Channel], misfit: Mapping[int, float]) -> int:
     if all(i in misfit for i in channels):
         return min(channels, key=lambda i: misfit[i])
     if len(channels) == 2:
         return max(channels)
-    return min(channels, key=lambda i: sum(_apart(channels[i], other) for other in channels.values()))
+    return min(channels, key=lambda i: sum(_mean_distance(channels[i], other) for other in channels.values()))
 
 
-def _apart(a: Channel, b: Channel) -> float:
+def _mean_distance(a: Channel, b: Channel) -> float:
     reading = Signal.of(b)
     assert reading is not None
     return float(np.mean(np.abs(reading.at(a.t) - a.values)))
@@ -168,11 +168,11 @@ def faulty_instances_of(
         pair = _pair(real, sensor)
         if pair is None:
             continue
-        fast = _fast(pair, _pair(sim, sensor))
-        if sensor is Sensor.ACCEL and _hidden_by_tilt(*pair, tilt_sd):
+        fast = _instances_with_excess(pair, _pair(sim, sensor))
+        if sensor is Sensor.ACCEL and _tilt_explains_difference(*pair, tilt_sd):
             worse = FaultyInstances(_along_gravity(*pair), fast, certain=True)
         else:
-            worse = FaultyInstances(_slow(*pair), fast)
+            worse = FaultyInstances(_instance_off_reference(*pair), fast)
         if worse.slow is not None or worse.fast is not None:
             found[sensor] = worse
     return found
@@ -180,23 +180,23 @@ def faulty_instances_of(
 
 def _pair(traces: Sequence[Trace], sensor: Sensor) -> tuple[Trace, Trace] | None:
     own = [t for t in traces if t.sensor is sensor and len(t.instances) == 1]
-    return (own[0], own[1]) if len(own) == 2 and _together(own[0], own[1]) else None
+    return (own[0], own[1]) if len(own) == 2 and _have_same_times(own[0], own[1]) else None
 
 
-def _together(one: Trace, other: Trace) -> bool:
+def _have_same_times(one: Trace, other: Trace) -> bool:
     """Whether both were sampled at the same moments, row by row, and some rows are known of both."""
     if len(one.t) != len(other.t) or float(np.abs(one.t - other.t).max(initial=0.0)) > SAME_SAMPLE / one.fs:
         return False
     return bool(_known(one, other).any())
 
 
-def _slow(one: Trace, other: Trace) -> tuple[int, ...] | None:
+def _instance_off_reference(one: Trace, other: Trace) -> tuple[int, ...] | None:
     """The one that is off the reference while the other is not."""
     known = _known(one, other)
     return _off_reference((one, other), one.residual[known], other.residual[known])
 
 
-def _hidden_by_tilt(one: Trace, other: Trace, tilt_sd: float) -> bool:
+def _tilt_explains_difference(one: Trace, other: Trace, tilt_sd: float) -> bool:
     """Whether a tilt of the reference may stand for all that two accelerometers differ by across gravity.
 
     The attitude follows one of them. If that one is off, the other seems to be, with the opposite sign.
@@ -247,7 +247,7 @@ class _Band:
     count: int
 
 
-def _fast(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] | None) -> tuple[int, ...] | None:
+def _instances_with_excess(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] | None) -> tuple[int, ...] | None:
     """Who has what the difference has more than in the simulator's recording, in the band where that is most."""
     if sim is not None and abs(math.log(real[0].fs / sim[0].fs)) > SAME_RATE:
         return None
@@ -260,12 +260,14 @@ def _fast(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] | None) -> tuple[i
         chance = before.difference * math.sqrt(2.0 / band.count)
         if excess > _MORE * chance:
             if (energy := band.count * excess) > best:
-                best, found = energy, _of(real, band, before, excess)
-            also |= sim is not None and 0.25 * real[0].fs / 2**k > _CONTROLLED_HZ and _the_other_too(band, before)
+                best, found = energy, _owner_of_excess(real, band, before, excess)
+            also |= (
+                sim is not None and 0.25 * real[0].fs / 2**k > _CONTROLLED_HZ and _quieter_is_louder_too(band, before)
+            )
     return tuple(sorted(real[0].instances + real[1].instances)) if found and also else found
 
 
-def _the_other_too(band: _Band, before: _Band) -> bool:
+def _quieter_is_louder_too(band: _Band, before: _Band) -> bool:
     """Whether the quieter of two instances has become louder as well, by its own noise and more.
 
     One may have nine tenths of what the difference gained, and the other is ten times as loud as it should be.
@@ -277,7 +279,7 @@ def _the_other_too(band: _Band, before: _Band) -> bool:
     return part > 0.5 * _SURE * error and part * excess > _LOUDER * 0.5 * before.difference
 
 
-def _of(real: tuple[Trace, Trace], band: _Band, before: _Band, excess: float) -> tuple[int, ...] | None:
+def _owner_of_excess(real: tuple[Trace, Trace], band: _Band, before: _Band, excess: float) -> tuple[int, ...] | None:
     side = 2.0 * (band.product - before.product) / excess
     error = 2.0 * math.sqrt(band.mean * band.difference / band.count) / excess
     if abs(side) > _BEYOND + error:

@@ -51,7 +51,7 @@ class Signal:
         smooth = np.asarray(CubicSpline(self.t, self.values, axis=0)(inside), dtype=np.float64)
         hole = self._in_hole(inside)
         if hole.any():
-            smooth[hole] = linear(self.t, self.values, inside[hole])
+            smooth[hole] = interpolated(self.t, self.values, inside[hole])
         return smooth
 
     def known(self, t: Array) -> NDArray[np.bool_]:
@@ -71,12 +71,12 @@ class Signal:
         return np.asarray((differences[after - 1] > _HOLE * np.median(differences)) & ~at_sample)
 
 
-def linear(t: Array, values: Array, wanted: Array) -> Array:
+def interpolated(t: Array, values: Array, wanted: Array) -> Array:
     """Columns of `values` (N, k) at `t` (N,), straight between the samples and held at the ends."""
     return np.column_stack([np.interp(wanted, t, column) for column in values.T])
 
 
-def slow(channels: Iterable[Channel], wanted: Array) -> Array | None:
+def slow_values(channels: Iterable[Channel], wanted: Array) -> Array | None:
     """The first of `channels` that has samples, at the times `wanted`; None if none has.
 
     For what changes slowly: temperature, current, throttle. Held at the ends.
@@ -84,7 +84,7 @@ def slow(channels: Iterable[Channel], wanted: Array) -> Array | None:
     for channel in channels:
         good = np.isfinite(channel.values).all(axis=1) & np.isfinite(channel.t)
         if good.sum() >= 2:
-            return linear(channel.t[good], channel.values[good], wanted)
+            return interpolated(channel.t[good], channel.values[good], wanted)
     return None
 
 
@@ -141,7 +141,7 @@ def grid_of(channel: Channel) -> Grid:
     first, last = _longest_part(t)
     cut = last - first < len(t)
     good, t = good[first:last], t[first:last]
-    dt, start, number = _steps(t)
+    dt, start, number = _uniform_steps(t)
     points, index = np.unique(number, return_index=True)
     grid = start + dt * np.arange(points[-1] + 1)
     return Grid(grid, points, good[index], t[index], repeated + len(number) - len(points), cut)
@@ -153,7 +153,7 @@ def _longest_part(t: Array) -> tuple[int, int]:
     return int(edges[best]), int(edges[best + 1])
 
 
-def _steps(t: Array) -> tuple[float, float, NDArray[np.intp]]:
+def _uniform_steps(t: Array) -> tuple[float, float, NDArray[np.intp]]:
     """Step, start and number of every stamp on the line that fits them best."""
     if len(t) < 2:
         return 1.0, float(t[0]), np.zeros(len(t), dtype=np.intp)

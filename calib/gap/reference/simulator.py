@@ -23,8 +23,8 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import chdtri
 
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, on
-from mavcal.calib.gap.reference.signals import Signal, grid_of, linear
+from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned_spectrum, spectrum_at
+from mavcal.calib.gap.reference.signals import Signal, grid_of, interpolated
 from mavcal.calib.recording import Channel, Sensor
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def denoised(channel: Channel) -> Denoised | None:
     """The readings of `channel` without their white noise; None if they have none that can be told from movement."""
     grid = grid_of(channel)
     n = len(grid.t)
-    values = linear(grid.stamps, channel.values[grid.sample], grid.t)
+    values = interpolated(grid.stamps, channel.values[grid.sample], grid.t)
     values[grid.point] = channel.values[grid.sample]
     spectrum = dct(values, axis=0, norm="ortho")
     power = spectrum[1:] ** 2 / grid.observed.mean()
@@ -83,7 +83,7 @@ def denoised(channel: Channel) -> Denoised | None:
     mean = np.add.reduceat(power, edges[:-1] - 1, axis=0) / count[:, None]
     seen = mean > floor * (1.0 + _SURE * np.sqrt(2.0 / count))[:, None]
     gain = np.repeat(np.where(seen, 1.0 - floor / np.maximum(mean, floor), 0.0), np.diff(edges), axis=0)
-    gain = np.maximum(gain, _lines(power / floor))
+    gain = np.maximum(gain, _line_gains(power / floor))
     passed = np.vstack([np.ones((1, 3)), gain])
     gain = np.add.reduceat(gain, edges[:-1] - 1, axis=0) / count[:, None]
     smooth = idct(spectrum * passed, axis=0, norm="ortho")[grid.point]
@@ -92,7 +92,7 @@ def denoised(channel: Channel) -> Denoised | None:
     return Denoised(Signal(grid.stamps, smooth), ResidualSpectrum(hz, floor * (1.0 + gain), count, fs, smooth=True))
 
 
-def _lines(ratio: Array) -> Array:
+def _line_gains(ratio: Array) -> Array:
     """Gains (n - 1, 3) where a few neighbours of power `ratio` over the floor stand out: a frame that swings."""
     gain = np.zeros_like(ratio)
     for width in _LINES:
@@ -105,18 +105,18 @@ def _lines(ratio: Array) -> Array:
     return gain
 
 
-def with_error(own: ResidualSpectrum, noise: ResidualSpectrum) -> ResidualSpectrum:
+def with_reference_error(own: ResidualSpectrum, noise: ResidualSpectrum) -> ResidualSpectrum:
     """The noise `own` of a sensor, learned elsewhere, with the error of the reference that is in `noise`."""
-    error = dataclasses.replace(noise, psd=np.maximum(_error(noise), 1e-9 * noise.psd))
-    return dataclasses.replace(own, psd=own.psd + on(error, own.hz, own.fs, own.low_pass_hz))
+    error = dataclasses.replace(noise, psd=np.maximum(_error_power(noise), 1e-9 * noise.psd))
+    return dataclasses.replace(own, psd=own.psd + spectrum_at(error, own.hz, own.fs, own.low_pass_hz))
 
 
 def error_sd(noise: ResidualSpectrum) -> float:
     """Standard deviation of the noise that is left in the reference, of the axis that has most."""
-    return float(np.sqrt((noise.dof @ _error(noise) / noise.dof.sum()).max()))
+    return float(np.sqrt((noise.dof @ _error_power(noise) / noise.dof.sum()).max()))
 
 
-def _error(noise: ResidualSpectrum) -> Array:
+def _error_power(noise: ResidualSpectrum) -> Array:
     """Power of the noise that is left in the reference: the filter is closed in some band, and there is none of it."""
     return np.asarray(noise.psd - noise.psd.min(axis=0))
 
@@ -145,14 +145,14 @@ _SURE_OF_MEAN = 5.0
 """Standard errors above which a mean counts. Chosen, not measured: a level by chance would be a false offset."""
 
 
-def deviations(single: Sequence[Trace]) -> dict[tuple[Sensor, int], Array]:
+def mean_deviations(single: Sequence[Trace]) -> dict[tuple[Sensor, int], Array]:
     """Mean (3,) of the simulator's residuals by sensor and instance; axes on which it could be chance are zero.
 
     The firmware's own calibration makes one: a simulated sensor without errors reads off by what it corrects.
     """
     found: dict[tuple[Sensor, int], Array] = {}
     for trace in single:
-        noise = learned(trace)
+        noise = learned_spectrum(trace)
         if noise is None:
             continue
         mean = trace.residual[trace.observed].mean(axis=0)
@@ -161,7 +161,7 @@ def deviations(single: Sequence[Trace]) -> dict[tuple[Sensor, int], Array]:
     return found
 
 
-def simulated_ideal(trace: Trace, found: Mapping[tuple[Sensor, int], Array]) -> Trace:
+def with_simulated_offset(trace: Trace, found: Mapping[tuple[Sensor, int], Array]) -> Trace:
     """`trace` against what the simulator's sensor would have read; its first instance stands for one that it lacks."""
     offset = found.get((trace.sensor, trace.instances[0]), found.get((trace.sensor, 0)))
     if offset is None or trace.against is not None or not offset.any():

@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 STEPS = 8
 """Steps from node to node; within one the rate counts as constant. Chosen, not measured: 80 steps a second follow turns
 up to 20 Hz."""
-WARM = 10.0
+WARMTH_UNIT = 10.0
 """Kelvin in which a unit's temperature is counted. Chosen, not measured: a usual warm-up, so that coefficients are as
 large as the drift itself."""
-_WARMS = 3.0
+_LEAST_WARMTH = 3.0
 """Kelvin that a temperature has to cover to drive anything. Chosen, not measured: a smaller span drives less than its
 sensor's noise."""
 
@@ -31,7 +31,7 @@ class Increments:
     much the sums change when every second sample is left out. It bounds the error, since sampled turns and vibrations
     alias. An error of slow samples lasts over several intervals and adds up; it is counted as independent errors of the
     same sum. `known` (K,) is False for intervals that lie in a hole of the recording. `warm` (K,) is how much warmer
-    than on average the unit is in each interval, in units of :data:`WARM`; 0 where nobody knows, or it hardly changes.
+    than on average the unit is in each interval, in units of :data:`WARMTH_UNIT`; 0 where nobody knows, or it hardly changes.
     """
 
     t: Array
@@ -40,7 +40,7 @@ class Increments:
     velocity: Array
     sampling: Array
     known: NDArray[np.bool_]
-    warm: Array
+    warmth: Array
 
     @classmethod
     def of(cls, gyro: Signal, accel: Signal, t: Array, temperature: Array | None = None) -> Increments:
@@ -56,11 +56,11 @@ class Increments:
         change = [np.sqrt(np.mean((a.sum(axis=1) - b)[rows] ** 2)) for a, b in zip(sums, coarse, strict=True)]
         lasting = [np.sqrt(max(1.0, float(np.median(np.diff(s.t))) / dt)) for s in (gyro, accel)]
         sampling = np.array(change) * lasting
-        return cls(t, dt, sums[0], sums[1], sampling, known, _warm(temperature, len(t) - 1))
+        return cls(t, dt, sums[0], sums[1], sampling, known, _relative_warmth(temperature, len(t) - 1))
 
-    def between(
+    def integrated(
         self, gyro_bias: Array, accel_bias: Array, gyro_matrix: Array | None = None, accel_turn: Rotation | None = None
-    ) -> Between:
+    ) -> IntervalMotion:
         """With the biases (K, 3) of each interval taken off, and what the gyroscope's matrix (3, 3) and the
         accelerometer's turn do to what they measure.
         """
@@ -79,11 +79,11 @@ class Increments:
             total = total + half.apply(velocity[:, j])
             turn = turn * Rotation.from_rotvec(angle[:, j])
             within.append(turn)
-        return Between(turn, total, tuple(within[:-1]), angle / step)
+        return IntervalMotion(turn, total, tuple(within[:-1]), angle / step)
 
 
 @dataclass(frozen=True, eq=False)
-class Between:
+class IntervalMotion:
     """Turn and velocity (K, 3), in the axes at its start, over each interval; attitudes and rates at its steps."""
 
     turn: Rotation
@@ -92,11 +92,11 @@ class Between:
     rate: Array
 
 
-def _warm(temperature: Array | None, count: int) -> Array:
-    if temperature is None or float(np.ptp(temperature)) < _WARMS:
+def _relative_warmth(temperature: Array | None, count: int) -> Array:
+    if temperature is None or float(np.ptp(temperature)) < _LEAST_WARMTH:
         return np.zeros(count)
     middle = 0.5 * (temperature[1:] + temperature[:-1])
-    return np.asarray((middle - middle.mean()) / WARM)
+    return np.asarray((middle - middle.mean()) / WARMTH_UNIT)
 
 
 def _integrals(signal: Signal, edges: Array) -> Array:

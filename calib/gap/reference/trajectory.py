@@ -19,7 +19,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.reference.posed import GRAVITY_NED
-from mavcal.calib.gap.reference.strapdown import Between, Increments
+from mavcal.calib.gap.reference.strapdown import Increments, IntervalMotion
 
 Array = NDArray[np.float64]
 
@@ -149,27 +149,29 @@ class TrajectoryState:
         matrices = slice(SOFT_IRON.start, None)
         return bool((np.abs(self.constants[matrices]) < _IMPLAUSIBLE * CONSTANT[matrices]).all())
 
-    def between(self, imu: Increments) -> Between:
+    def interval_motion(self, imu: Increments) -> IntervalMotion:
         """What the inertial unit measured from node to node, without its errors."""
         turn = Rotation.from_rotvec(self.constants[ACCEL])
-        gyro, accel = (_powers(imu) @ self.constants[drift].reshape(2, 3) for drift in (GYRO_DRIFT, ACCEL_DRIFT))
-        return imu.between(self.gyro_bias[:-1] + gyro, self.accel_bias[:-1] + accel, self.gyro_matrix, turn)
+        gyro, accel = (
+            _drift_regressors(imu) @ self.constants[drift].reshape(2, 3) for drift in (GYRO_DRIFT, ACCEL_DRIFT)
+        )
+        return imu.integrated(self.gyro_bias[:-1] + gyro, self.accel_bias[:-1] + accel, self.gyro_matrix, turn)
 
 
-def _powers(imu: Increments) -> Array:
+def _drift_regressors(imu: Increments) -> Array:
     """What drifts follow, (K, 2): the unit's temperature and its square."""
-    return np.stack([imu.warm, imu.warm**2], axis=1)
+    return np.stack([imu.warmth, imu.warmth**2], axis=1)
 
 
-def start_at(t: Array, attitude: Rotation, aiding: Aiding) -> TrajectoryState:
+def initial_state(t: Array, attitude: Rotation, aiding: Aiding) -> TrajectoryState:
     """Where the search starts: the attitudes of the nodes `t`, the velocity of the GPS, no errors."""
     velocity = np.column_stack([np.interp(t, aiding.velocity_t, v) for v in aiding.velocity.T])
-    constants = _expected(aiding)
+    constants = _prior_constants(aiding)
     zero = np.zeros((len(t), 3))
     return TrajectoryState(t, attitude, velocity, zero, zero, constants, np.full(3, 0.3), 3.0)
 
 
-def _expected(aiding: Aiding) -> Array:
+def _prior_constants(aiding: Aiding) -> Array:
     """The constants a priori."""
     constants = np.zeros(CONSTANTS)
     constants[EARTH] = aiding.earth
@@ -191,14 +193,14 @@ def smooth(
     `matrices`: whether scales and axes may differ from the ideal ones, `drifts`: whether biases may follow the
     temperature; not where the attitude is known, since they would take what is the sensor's.
     """
-    prior = _prior(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
+    prior = _prior_sd(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
     for _ in range(iterations):
         normal = _normal_equations(imu, aiding, state, prior)
-        state, moved = _stepped(state, normal)
+        state, moved = _updated(state, normal)
         if moved < 5e-5:
             break
     cautious = replace(state, velocity_sd=_CAUTION * state.velocity_sd, mag_sd=_CAUTION * state.mag_sd)
-    att_sd, constants_sd = _known_to(_normal_equations(imu, aiding, cautious, prior))
+    att_sd, constants_sd = _standard_deviations(_normal_equations(imu, aiding, cautious, prior))
     cost = _normal_equations(imu, aiding, state, prior).cost
     return replace(state, cost=cost, att_sd=att_sd, constants_sd=constants_sd)
 
@@ -210,12 +212,12 @@ def log_evidence(
 
     It compares walks: a free one fits no worse than a narrow one, but it had more to choose from.
     """
-    prior = _prior(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
+    prior = _prior_sd(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
     normal = _normal_equations(imu, aiding, state, prior)
     return -0.5 * (normal.cost + normal.log_determinant + 2.0 * float(np.log(prior).sum()))
 
 
-def _prior(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
+def _prior_sd(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
     """Standard deviations of the constants a priori, (41,)."""
     sd = CONSTANT.copy()
     sd[EARTH] = aiding.earth_sd
@@ -226,7 +228,7 @@ def _prior(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
     return sd
 
 
-class _Normal:
+class _NormalEquations:
     """Normal equations: blocks on the diagonal (n, 12, 12) and beside it (n - 1, 12, 12), border, corner, right."""
 
     def __init__(self, n: int) -> None:
@@ -287,20 +289,20 @@ class _Normal:
         return banded
 
 
-def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, sd: Array) -> _Normal:
-    normal = _Normal(len(state.t))
-    between = state.between(imu)
-    _tie(normal, imu, between, state)
-    _observe_velocity(normal, imu.dt, between, aiding, state)
+def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, sd: Array) -> _NormalEquations:
+    normal = _NormalEquations(len(state.t))
+    between = state.interval_motion(imu)
+    _add_inertial(normal, imu, between, state)
+    _add_velocity(normal, imu.dt, between, aiding, state)
     if len(aiding.mag_t):
-        _observe_field(normal, imu.dt, between, aiding, state)
+        _add_field(normal, imu.dt, between, aiding, state)
     if aiding.truth is not None and aiding.truth_t is not None:
-        _observe_truth(normal, imu.dt, between, aiding.truth_t, aiding.truth, state)
+        _add_truth(normal, imu.dt, between, aiding.truth_t, aiding.truth, state)
     prior = 1.0 / BIAS**2
     normal.diagonal[0, range(6, NODE), range(6, NODE)] += prior
     bias = np.concatenate([state.gyro_bias[0], state.accel_bias[0]])
     normal.right[0, 6:] -= prior * bias
-    off = _expected(aiding) - state.constants
+    off = _prior_constants(aiding) - state.constants
     normal.corner[range(CONSTANTS), range(CONSTANTS)] += 1.0 / sd**2
     normal.right_constants += off / sd**2
     gain = slice(SOFT_IRON.start, SOFT_IRON.start + 3)
@@ -311,7 +313,7 @@ def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, s
     return normal
 
 
-def _tie(normal: _Normal, imu: Increments, between: Between, state: TrajectoryState) -> None:
+def _add_inertial(normal: _NormalEquations, imu: Increments, between: IntervalMotion, state: TrajectoryState) -> None:
     """Neighbours: ``x[k+1] = F x[k] + B c + defect + walk``; of the constants c those of the inertial unit."""
     dt = imu.dt
     here, there = state.attitude[:-1], state.attitude[1:]
@@ -340,7 +342,7 @@ def _tie(normal: _Normal, imu: Increments, between: Between, state: TrajectorySt
     for i in range(3):
         b[:, i, GYRO.start + 3 * i : GYRO.start + 3 * i + 3] = -turned
     b[:, 3:6, ACCEL] = matrix @ _cross(between.velocity)
-    for j, power in enumerate(_powers(imu).T):
+    for j, power in enumerate(_drift_regressors(imu).T):
         own = slice(3 * j, 3 * j + 3)
         b[:, :3, GYRO_DRIFT][:, :, own] = -dt * power[:, None, None] * np.eye(3)
         b[:, 3:6, ACCEL_DRIFT][:, :, own] = -dt * power[:, None, None] * matrix
@@ -353,8 +355,10 @@ def _tie(normal: _Normal, imu: Increments, between: Between, state: TrajectorySt
     normal.cost += float((weight * defect**2).sum() - np.log(weight).sum())
 
 
-def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: TrajectoryState) -> None:
-    node, since = _nodes(aiding.velocity_t - state.constants[LATE_GPS], state.t)
+def _add_velocity(
+    normal: _NormalEquations, dt: float, between: IntervalMotion, aiding: Aiding, state: TrajectoryState
+) -> None:
+    node, since = _node_before(aiding.velocity_t - state.constants[LATE_GPS], state.t)
     here = state.attitude[node]
     acceleration = here.apply(between.velocity[np.minimum(node, len(between.velocity) - 1)]) / dt + GRAVITY_NED
     residual = aiding.velocity - state.velocity[node] - acceleration * since[:, None]
@@ -366,7 +370,9 @@ def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aidi
     normal.velocity_residual = residual
 
 
-def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: TrajectoryState) -> None:
+def _add_field(
+    normal: _NormalEquations, dt: float, between: IntervalMotion, aiding: Aiding, state: TrajectoryState
+) -> None:
     node, body_from_ned, rate = _attitudes(aiding.mag_t - state.constants[LATE_MAG], dt, between, state)
     ideal, iron = body_from_ned.apply(state.earth), state.soft_iron
     offset, per_ampere = state.constants[OFFSET], state.constants[PER_AMPERE]
@@ -385,8 +391,13 @@ def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding,
     normal.mag_residual = residual
 
 
-def _observe_truth(
-    normal: _Normal, dt: float, between: Between, truth_t: Array, truth: Rotation, state: TrajectoryState
+def _add_truth(
+    normal: _NormalEquations,
+    dt: float,
+    between: IntervalMotion,
+    truth_t: Array,
+    truth: Rotation,
+    state: TrajectoryState,
 ) -> None:
     node, body_from_ned, _ = _attitudes(truth_t, dt, between, state)
     residual = (body_from_ned * truth).as_rotvec()
@@ -397,15 +408,15 @@ def _observe_truth(
 
 
 def _attitudes(
-    t: Array, dt: float, between: Between, state: TrajectoryState
+    t: Array, dt: float, between: IntervalMotion, state: TrajectoryState
 ) -> tuple[NDArray[np.intp], Rotation, Array]:
     """The node before each of `t`, the turn from north-east-down to the body then, and the rate in the body."""
-    node, since = _nodes(t, state.t)
+    node, since = _node_before(t, state.t)
     rate = between.turn.as_rotvec()[np.minimum(node, len(between.velocity) - 1)] / dt
     return node, (state.attitude[node] * Rotation.from_rotvec(rate * since[:, None])).inv(), rate
 
 
-def _nodes(t: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:
+def _node_before(t: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:
     """The node before each of `t`, and the time since then."""
     node = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 1)
     return node, t - nodes[node]
@@ -416,7 +427,7 @@ def _weights(residual: Array, sd: Array) -> Array:
     return np.asarray(np.minimum(1.0, _HUBER * sd / np.maximum(np.abs(residual), 1e-12)) / sd**2)
 
 
-def _stepped(state: TrajectoryState, normal: _Normal) -> tuple[TrajectoryState, float]:
+def _updated(state: TrajectoryState, normal: _NormalEquations) -> tuple[TrajectoryState, float]:
     """The state moved by the solution, with the noise of the aiding learned again, and how far attitudes moved, rad."""
     nodes, constants = normal.solved(normal.right[:, :, None], normal.right_constants[:, None])
     step = nodes[:, :, 0]
@@ -434,7 +445,7 @@ def _stepped(state: TrajectoryState, normal: _Normal) -> tuple[TrajectoryState, 
     return new, float(np.abs(step[:, :3]).max())
 
 
-def _known_to(normal: _Normal) -> tuple[float, Array]:
+def _standard_deviations(normal: _NormalEquations) -> tuple[float, Array]:
     """Standard deviations: of roll, pitch and yaw, rad, the median over a few nodes, and of the constants (41,)."""
     n = len(normal.diagonal)
     nodes = np.linspace(0, n - 1, 8).astype(np.intp)

@@ -1,1 +1,1 @@
-"""The search for effects: what each hypothesis would gain, at what price, and which of them the data show."""
+"""The search for effects: the gain of each hypothesis, its price, and the selection."""

@@ -1,8 +1,12 @@
-"""Whether louder noise is an effect: more than flights differ by, of the instances named, and in its own right."""
+"""Checks of added noise, lines and tones before they count as effects of a sensor.
+
+Noise must exceed what two flights differ by, be on the instances that show it, and be more than the unsteadiness of a
+line beside it. A tone must not be in a nominal recording as well.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +14,13 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import Model, NoiseTerm
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
 from mavcal.calib.gap.model.noise_fit import densities_of
 from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.search import prices
 
 Array = NDArray[np.float64]
-
-"""Ends of the ids of what rotors shake."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,21 +32,21 @@ class AddedNoise:
     amplitudes: Array
 
     def power(self, model: Model, v: int) -> Array:
-        """Added to the bins of series `v`, (3, n)."""
+        """Power that it adds to the bins of series `v`, (3, n)."""
         return self.amplitudes.T @ densities_of(self.hypothesis, model.setting.views[v], self.theta)
 
 
-def _touched(hypothesis: Hypothesis, model: Model) -> list[int]:
+def _series_of(hypothesis: Hypothesis, model: Model) -> list[int]:
     return [v for v, view in enumerate(model.setting.views) if hypothesis.touches(view)]
 
 
-def stands_out(added: AddedNoise, model: Model) -> bool:
-    """Whether added noise is more than two flights of one vehicle differ by.
+def exceeds_flight_differences(added: AddedNoise, model: Model) -> bool:
+    """Whether added noise is more than the noise of two flights of one vehicle differs by.
 
-    A spectrum that was learned from another recording is the mean over its rest and its flight; how much of either
-    there was is no effect. On noise that is declared anything counts.
+    A spectrum learned from another recording is a mean over its rest and its flight, in unknown proportion. Beside
+    declared noise any addition counts.
     """
-    touched = _touched(added.hypothesis, model)
+    touched = _series_of(added.hypothesis, model)
     if any(model.setting.views[v].density is None for v in touched):
         return True
     for v in touched:
@@ -53,26 +56,26 @@ def stands_out(added: AddedNoise, model: Model) -> bool:
     return False
 
 
-def unsteady_line(term: NoiseTerm, model: Model) -> bool:
-    """Whether broad noise of a model is no more than the unsteadiness of a line beside it."""
+def is_line_unsteadiness(term: NoiseTerm, model: Model) -> bool:
+    """Whether broadband noise of a model is no more than the unsteadiness of a line beside it."""
     if Trait.LINE in term.hypothesis.effect.traits:
         return False
-    return _power_of(term, term.hypothesis, model) <= prices.LINE_UNSTEADINESS * line_power(term.hypothesis, model)
+    return _term_power(term, term.hypothesis, model) <= prices.LINE_UNSTEADINESS * line_power(term.hypothesis, model)
 
 
-def drift_beside_lines(added: AddedNoise, model: Model) -> bool:
-    """Whether noise that wanders is more than the unsteadiness of the lines of a model, whose skirts reach low bins."""
+def drift_exceeds_lines(added: AddedNoise, model: Model) -> bool:
+    """Whether drift noise is more than the unsteadiness of the model's lines, whose skirts reach the lowest bins."""
     if not added.hypothesis.effect.drifts:
         return True
-    power = sum(float(added.power(model, v).sum()) for v in _touched(added.hypothesis, model))
+    power = sum(float(added.power(model, v).sum()) for v in _series_of(added.hypothesis, model))
     return power > prices.LINE_UNSTEADINESS * line_power(added.hypothesis, model)
 
 
-def tone_beside_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:
-    """The same of a tone with amplitudes `beta`."""
+def tone_exceeds_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:
+    """Whether a tone with amplitudes `beta` is more than the unsteadiness of the model's lines."""
     if not hypothesis.effect.tonal:
         return True
-    samples = sum(model.setting.views[v].whole.n for v in _touched(hypothesis, model) if not _upper(model, v))
+    samples = sum(model.setting.views[v].whole.n for v in _series_of(hypothesis, model) if not _upper(model, v))
     return 0.5 * float(beta @ beta) * samples > prices.LINE_UNSTEADINESS * line_power(hypothesis, model)
 
 
@@ -81,26 +84,26 @@ def _upper(model: Model, v: int) -> bool:
 
 
 def line_power(hypothesis: Hypothesis, model: Model) -> float:
-    """Power of the lines of a model on the sensor of `hypothesis`, summed over bins and axes."""
+    """Power of the model's lines on the sensor of `hypothesis`, summed over bins and axes."""
     return sum(
-        _power_of(term, hypothesis, model)
+        _term_power(term, hypothesis, model)
         for term in model.noise_terms
         if term.hypothesis.effect.sensor is hypothesis.effect.sensor and Trait.LINE in term.hypothesis.effect.traits
     )
 
 
-def _power_of(term: NoiseTerm, hypothesis: Hypothesis, model: Model) -> float:
+def _term_power(term: NoiseTerm, hypothesis: Hypothesis, model: Model) -> float:
     names = [term.name(j) for j in range(len(term.hypothesis.effect.parameters) // 3)]
     seen = [n for a, n in enumerate(model.noise) if hypothesis.touches(model.setting.views[a // 3])]
     return sum(n.amplitudes[k] * float(n.densities[k].sum()) for n in seen for k in names if k in n.amplitudes)
 
 
-def whose(added: AddedNoise, model: Model) -> bool:
+def is_on_loud_instances(added: AddedNoise, model: Model) -> bool:
     """Whether the instances of a hypothesis are those that show the noise.
 
-    Sums and differences of instances have the same spectra whichever of them is loud; their own do not.
+    Sums and differences of instances have the same spectra whichever of them is loud; the single instances do not.
     """
-    excess = _excess(added, model)
+    excess = _excess_by_instance(added, model)
     if not excess:
         return True
     largest = max(excess.values())
@@ -109,10 +112,10 @@ def whose(added: AddedNoise, model: Model) -> bool:
     return {i for i, e in excess.items() if e > prices.INSTANCE_SHARE * largest} == set(added.hypothesis.instances)
 
 
-def _excess(added: AddedNoise, model: Model) -> Mapping[int, float]:
-    """By instance: power above the noise, weighted as the added noise is seen; empty where series are of one each."""
+def _excess_by_instance(added: AddedNoise, model: Model) -> Mapping[int, float]:
+    """By instance, power above the noise, weighted by the added density; empty if every series is of one instance."""
     found: dict[int, float] = {}
-    for v in _touched(added.hypothesis, model):
+    for v in _series_of(added.hypothesis, model):
         view = model.setting.views[v]
         if len(view.weights) < 2:
             continue
@@ -125,7 +128,7 @@ def _excess(added: AddedNoise, model: Model) -> Mapping[int, float]:
         rows = np.array(list(weights.values()))
         if np.abs(rows @ rows.T - np.eye(len(rows))).max() > 1e-6:
             return {}  # not orthonormal: no way back to single instances
-        shape = _about(added, model, v)
+        shape = _search_band(added, model, v)
         spectra = [model.setting.views[u].spectra(model.residual[u]) for u in group]
         power = np.array([[model.noise[3 * u + c].power for c in range(3)] for u in group])
         for i, row in weights.items():
@@ -135,33 +138,34 @@ def _excess(added: AddedNoise, model: Model) -> Mapping[int, float]:
     return found
 
 
-def _about(added: AddedNoise, model: Model, v: int) -> Array:
-    """Where added noise is looked for, (3, n): of a line all about it, since units with clocks of their own have it at
-    frequencies of their own.
+def _search_band(added: AddedNoise, model: Model, v: int) -> Array:
+    """Bins in which added noise is searched for, (3, n).
+
+    A line is searched for around its frequency, because units have clocks of their own.
     """
     power = added.power(model, v)
     if Trait.LINE not in added.hypothesis.effect.traits:
         return power
     view = model.setting.views[v]
-    near = _near(view, int(np.argmax(power.sum(axis=0))))
+    near = _near_peak(view, int(np.argmax(power.sum(axis=0))))
     return np.where(near, power.max(axis=1, keepdims=True), 0.0)
 
 
-def _near(view: View, peak: int) -> NDArray[np.bool_]:
-    """The bins beside the one of a line's largest density."""
+def _near_peak(view: View, peak: int) -> NDArray[np.bool_]:
+    """Bins near the peak of a line."""
     return np.asarray(np.abs(view.omega - view.omega[peak]) < prices.LINE_REACH_HZ * 2.0 * np.pi / view.whole.fs)
 
 
 def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
-    """Squared amplitudes (3,) of a line from the power at its frequency alone, and their standard errors.
+    """Squared amplitudes (3,) of a line from the power near its frequency alone, and their standard errors.
 
-    The likelihood is of all bins: where a strong line is unsteady its skirts outweigh it.
+    The likelihood uses all bins; the skirts of a strong and unsteady line would dominate it.
     """
     total, size, scatter = np.zeros(3), np.zeros(3), np.zeros(3)
-    for v in _touched(term.hypothesis, model):
+    for v in _series_of(term.hypothesis, model):
         view = model.setting.views[v]
         density = densities_of(term.hypothesis, view, term.theta)[0]
-        near = _near(view, int(np.argmax(density)))
+        near = _near_peak(view, int(np.argmax(density)))
         spectra = view.spectra(model.residual[v])
         for c in range(3):
             noise = model.noise[3 * v + c]
@@ -172,3 +176,43 @@ def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
             scatter[c] += float((spectra[c] ** 4)[near].sum()) * 2.0 / 3.0
     size = np.maximum(size, np.finfo(float).tiny)
     return np.maximum(total / size, 0.0), np.sqrt(scatter) / size
+
+
+def nominal_has_tone(term: Term, nominal: Iterable[Trace]) -> bool:
+    """Whether a nominal recording has a line at the frequency of a tone: the mains, a converter's clock.
+
+    A learned spectrum holds band means and does not show it.
+    """
+    if not term.effect.tonal:
+        return False
+    size = float(np.sqrt((term.beta**2).sum()))
+    return any(
+        trace.sensor is term.hypothesis.effect.sensor
+        and term.theta < 0.5 * trace.fs
+        and _amplitude(trace, term.theta) > prices.NOMINAL_TONE_SHARE * size
+        and _line_to_neighbours(trace, term.theta) > prices.LINE_TO_NEIGHBOURS
+        for trace in nominal
+    )
+
+
+def _amplitude(trace: Trace, hz: float) -> float:
+    """Amplitude of the residual of `trace` at that frequency, over all axes."""
+    return float(np.sqrt((_wave_amplitudes(trace, hz) ** 2).sum()))
+
+
+def _line_to_neighbours(trace: Trace, hz: float) -> float:
+    """Energy at `hz` over the median energy of its neighbours."""
+    step = trace.fs / len(trace.t)
+    near = [
+        _amplitude(trace, hz + k * step)
+        for k in range(-prices.LINE_NEIGHBOURS, prices.LINE_NEIGHBOURS + 1)
+        if abs(k) > 2
+    ]
+    return float((_amplitude(trace, hz) / max(np.median(near), 1e-300)) ** 2)
+
+
+def _wave_amplitudes(trace: Trace, hz: float) -> Array:
+    rows = trace.observed
+    left = trace.residual[rows] - trace.residual[rows].mean(axis=0)
+    angle = 2.0 * np.pi * hz * trace.t[rows]
+    return np.asarray(2.0 / len(left) * np.vstack([np.cos(angle) @ left, np.sin(angle) @ left]))

@@ -1,4 +1,4 @@
-"""Transformed columns that are asked for again and again, by every contest on one setting."""
+"""Cache of transformed columns, shared by every contest on one setting."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ measured: most of the budget stays for what is asked again."""
 
 
 class ColumnCache:
-    """Transformed columns of hypotheses on one setting, as many as fit into `budget` numbers.
+    """Transformed columns of hypotheses on one setting, up to `budget` numbers.
 
-    Those on a fixed grid stay, since every step of a selection asks for all of them; of the others the last ones do.
+    Columns on a fixed grid stay, since every step of a selection needs them. Of the others the latest stay.
     """
 
     def __init__(self, budget: int) -> None:
@@ -29,7 +29,7 @@ class ColumnCache:
         self._left_passing = self._most_passing
 
     def of(self, hypothesis: Hypothesis, theta: float, setting: Setting) -> HypothesisColumns:
-        """Those of `hypothesis` at the shape `theta`."""
+        """Columns of `hypothesis` at the shape `theta`."""
         key = (*hypothesis.key, theta)
         known = self._lasting.get(key)
         if known is None and (known := self._passing.get(key)) is not None:
@@ -55,11 +55,11 @@ class ColumnCache:
 
 
 def _is_picked(hypothesis: Hypothesis) -> bool:
-    """Whether its shapes are picked for a residual, out of many."""
+    """Whether a screen picks its shapes for the present residual."""
     effect = hypothesis.effect
     return isinstance(effect, MeanEffect) and effect.shape is not None and effect.shape.screen is not None
 
 
 def numbers_of(columns: HypothesisColumns) -> int:
-    """Numbers that columns hold; axes may share an array."""
+    """Count of the numbers that columns hold; axes may share an array."""
     return sum({id(part.X): part.X.size for part in columns.parts.values()}.values())

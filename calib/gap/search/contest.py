@@ -1,8 +1,7 @@
-"""How much each hypothesis would gain beside what the model already has.
+"""Gain of each hypothesis beside the effects that the model already has.
 
-Groups of columns gain by their Schur complement in the weighted Gram matrix; effects on the noise by their deviance.
-The chance of so large a gain without the effect is corrected for the grid that was searched: the number of values tried
-multiplies the tail probability (GAP 3.2).
+The gain of columns is their Schur complement in the weighted Gram matrix, that of an effect on the noise its deviance.
+The chance of such a gain without the effect is multiplied by the number of shapes that were tried (GAP 3.2).
 """
 
 from __future__ import annotations
@@ -17,9 +16,9 @@ from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc
 from scipy.stats import binom
 
-from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
-from mavcal.calib.gap.model.bands import joined
-from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, columns_of
+from mavcal.calib.gap.effects.base import EffectShape, MeanEffect, NoiseEffect
+from mavcal.calib.gap.model.bands import combined
+from mavcal.calib.gap.model.hypotheses import Hypothesis, columns_of
 from mavcal.calib.gap.model.joint import Model, Term, with_residual
 from mavcal.calib.gap.model.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
 from mavcal.calib.gap.model.refinement import misfit, refined
@@ -27,7 +26,13 @@ from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.added_noise import AddedNoise, drift_beside_lines, stands_out, tone_beside_lines, whose
+from mavcal.calib.gap.search.added_noise import (
+    AddedNoise,
+    drift_exceeds_lines,
+    exceeds_flight_differences,
+    is_on_loud_instances,
+    tone_exceeds_lines,
+)
 from mavcal.calib.gap.search.column_cache import ColumnCache
 from mavcal.calib.gap.search.evidence import (
     price_of_fixed,
@@ -36,8 +41,8 @@ from mavcal.calib.gap.search.evidence import (
     price_of_repetition,
     price_of_search,
 )
-from mavcal.calib.gap.search.filtered_noise import filter_evidence, shaped
-from mavcal.calib.gap.search.projection import Beside, Gain
+from mavcal.calib.gap.search.filtered_noise import evidence_of_filters, filter_evidence
+from mavcal.calib.gap.search.projection import Gain, Projection
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.recording import Sensor
 
@@ -52,10 +57,10 @@ _STEPS_FIXED = 25
 
 @dataclass(frozen=True, eq=False)
 class ContestScore:
-    """What a hypothesis would gain.
+    """Score of a hypothesis beside a model.
 
-    `gain` is twice the gain of log-likelihood, `p` the chance of so much without it, corrected for the grid; `delta`
-    the gain less its price (:mod:`calib.gap.search.evidence`); `beta` the amplitudes beside the model as it is.
+    `gain` is twice the gain of log-likelihood, `p` the chance of it without the effect, corrected for the grid. `delta`
+    is the gain less its price (:mod:`calib.gap.search.evidence`), and `beta` the amplitudes.
     """
 
     hypothesis: Hypothesis
@@ -71,16 +76,16 @@ class ContestScore:
 
     @property
     def price(self) -> float:
-        """What its degrees of freedom and the search cost, in twice the log-likelihood."""
+        """Price of its degrees of freedom and of the search, in twice the log-likelihood."""
         return self.gain - self.delta
 
 
-def tail(gain: float, df: int, grid: int) -> float:
-    """Chance that the best of `grid` values gains so much without an effect."""
+def tail_probability(gain: float, df: int, grid: int) -> float:
+    """Chance that the best of `grid` values has that gain without an effect."""
     return 1.0 if df == 0 or gain <= 0.0 else min(1.0, grid * float(chdtrc(df, gain)))
 
 
-def one_sided_tail(gain: float, df: int, grid: int) -> float:
+def one_sided_tail_probability(gain: float, df: int, grid: int) -> float:
     """The same for `df` amplitudes that cannot be negative: each is zero half of the time (chi-bar squared)."""
     if gain <= 0.0:
         return 1.0
@@ -89,7 +94,7 @@ def one_sided_tail(gain: float, df: int, grid: int) -> float:
 
 
 def refinable(score: ContestScore) -> bool:
-    """Whether another fit of its shape, or without linearisation, could gain more."""
+    """Whether a fit of the shape, or a fit without linearisation, could gain more."""
     effect = score.hypothesis.effect
     return isinstance(effect, MeanEffect) and (
         (effect.shape is not None and score.gain > prices.REFINEMENT_GAIN)
@@ -98,7 +103,7 @@ def refinable(score: ContestScore) -> bool:
 
 
 class Contest:
-    """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory.
+    """Scores of hypotheses against models of one setting; `columns` keeps transformed columns while they fit in memory.
 
     `pace` says when the search for effects has to end.
     """
@@ -108,38 +113,39 @@ class Contest:
         hypotheses: Sequence[Hypothesis],
         budget: int = 40_000_000,
         thresholds: GainThresholds | None = None,
-        cache: ColumnCache | None = None,
+        columns: ColumnCache | None = None,
         pace: GapPace | None = None,
     ) -> None:
         self.hypotheses = tuple(hypotheses)
         self.thresholds = thresholds or GainThresholds()
         self.pace = pace or GapPace()
-        self._cache = ColumnCache(budget) if cache is None else cache
+        self.columns = ColumnCache(budget) if columns is None else columns
 
-    def among(self, hypotheses: Sequence[Hypothesis]) -> Contest:
-        """A contest of other hypotheses on the same setting, which shares the columns that were made."""
-        return Contest(hypotheses, thresholds=self.thresholds, cache=self._cache, pace=self.pace)
+    def restricted_to(self, hypotheses: Sequence[Hypothesis]) -> Contest:
+        """A contest of other hypotheses on the same setting, with the same cache of columns."""
+        return Contest(hypotheses, thresholds=self.thresholds, columns=self.columns, pace=self.pace)
 
     def without_thresholds(self) -> Contest:
-        """The same in which any gain may join that is significant."""
-        return Contest(self.hypotheses, cache=self._cache, pace=self.pace)
+        """The same contest without minimum gains."""
+        return Contest(self.hypotheses, columns=self.columns, pace=self.pace)
 
-    def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> HypothesisColumns:
-        """Transformed columns of `hypothesis`, kept."""
-        return self._cache.of(hypothesis, theta, model.setting)
-
-    def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> ContestScore:
-        """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
-        if isinstance(hypothesis.effect, NoiseEffect):
+    def score(self, hypothesis: Hypothesis, beside: Projection, *, refine: bool = True) -> ContestScore:
+        """Score of `hypothesis` at its best shape; without `refine` at the best shape of its grid."""
+        effect = hypothesis.effect
+        if isinstance(effect, NoiseEffect):
             return noise_score(hypothesis, beside.model)
-        found = self._mean_score(hypothesis, beside, refine=refine)
+        if effect.shape is None:
+            gain = beside.gain(self.columns.of(hypothesis, math.nan, beside.model.setting))
+            found = free_score(hypothesis, math.nan, _exact(hypothesis, gain, beside) if refine else gain, 1)
+        else:
+            found = self._shape_score(hypothesis, effect.shape, beside, refine=refine)
         return found if refine else replace(found, sure=not refinable(found))
 
-    def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[ContestScore]:
-        """Scores of several on their grids; those that are not `sure` are to be asked for alone before they count.
+    def scores(self, hypotheses: Sequence[Hypothesis], beside: Projection) -> list[ContestScore]:
+        """Scores on the grids. A score that is not `sure` has to be refined before it counts.
 
-        A free amplitude gains more at its best shape than on the grid, and no less than an effect that is nothing but a
-        shape: both are close, and most are never looked at again. Those for which there is no time are left out.
+        Refinement can only raise the gain of a free amplitude; the grid gain of a fixed one is an upper bound.
+        Hypotheses for which no time is left are omitted.
         """
         found = []
         for hypothesis in hypotheses:
@@ -148,46 +154,41 @@ class Contest:
             found.append(self.score(hypothesis, beside, refine=False))
         return found
 
-    def assured(self, scores: Sequence[ContestScore], beside: Beside, least: float) -> list[ContestScore]:
-        """The same, with every one whose `delta` may be above `least` at its best shape."""
+    def refined_scores(self, scores: Sequence[ContestScore], beside: Projection, least: float) -> list[ContestScore]:
+        """The scores, refined where their `delta` may exceed `least`."""
         found = []
         for score in scores:
             known = score.sure or score.delta < least or self.pace.ends()
             found.append(score if known else self.score(score.hypothesis, beside))
         return found
 
-    def _mean_score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool) -> ContestScore:
+    def _shape_score(
+        self, hypothesis: Hypothesis, shape: EffectShape, beside: Projection, *, refine: bool
+    ) -> ContestScore:
+        """Score of an effect on the mean with a shape: the best of its grid, refined where it gains enough."""
         effect = hypothesis.effect
         assert isinstance(effect, MeanEffect)
-        if effect.shape is None:
-            found = beside.gain(self.columns(hypothesis, math.nan, beside.model))
-            if refine and effect.exact is not None and found.gain > prices.EXACT_FIT_GAIN:
-                gain, beta = exactly(hypothesis, found.beta, beside)
-                found = replace(found, gain=gain, beta=beta, evidence=gain - found.price)
-            return priced(hypothesis, math.nan, found, 1)
-        trace, view = widest(hypothesis, beside.model)
+        trace, view = most_sensitive_series(hypothesis, beside.model)
         setting = beside.model.setting
-        own = trace if effect.shape.screen is not None else setting.views[view].whole.any_trace
-        grid = np.asarray(effect.shape.grid(own))
-        tried = grid
-        if effect.shape.screen is not None:
-            tried = effect.shape.screen(trace, unexplained(beside.model, view, trace))
+        own = trace if shape.screen is not None else setting.views[view].whole.any_trace
+        grid = np.asarray(shape.grid(own))
+        tried = grid if shape.screen is None else shape.screen(trace, residual_on_grid(beside.model, view, trace))
         if effect.fixed:
             return self._fixed_score(hypothesis, tried, beside, refine=refine)
-        gains = beside.free_gains([self.columns(hypothesis, float(theta), beside.model) for theta in tried])
+        gains = beside.free_gains([self.columns.of(hypothesis, float(theta), setting) for theta in tried])
         if not gains:
-            return priced(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
+            return free_score(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
         best = int(np.argmax(gains))
         theta = float(tried[best])
         if refine and gains[best] > prices.REFINEMENT_GAIN:
             theta = self._refined(hypothesis, theta, grid, beside)
-        found = beside.gain(self.columns(hypothesis, theta, beside.model))
-        score = priced(hypothesis, theta, found, len(grid))
-        return score if tone_beside_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
+        found = beside.gain(self.columns.of(hypothesis, theta, setting))
+        score = free_score(hypothesis, theta, found, len(grid))
+        return score if tone_exceeds_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
 
-    def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> ContestScore:
-        """Score of an effect that is only a shape; without `refine` what a free amplitude gains, which is no less."""
-        columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
+    def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Projection, *, refine: bool) -> ContestScore:
+        """Score of an effect that is only a shape; without `refine` the gain of a free amplitude, an upper bound."""
+        columns = [self.columns.of(hypothesis, float(theta), beside.model.setting) for theta in grid]
         gains = beside.free_and_fixed_gains(columns)
         free, best = float(gains[:, 0].max()), int(np.argmax(gains[:, 1]))
         if not refine and free > prices.REFINEMENT_GAIN:
@@ -195,14 +196,11 @@ class Contest:
         if free <= prices.REFINEMENT_GAIN:
             return fixed_score(hypothesis, float(grid[best]), float(gains[best, 1]))
         theta = self._refined(hypothesis, float(grid[best]), grid, beside)
-        gain = self._fixed_gain(hypothesis, theta, beside)
+        setting = beside.model.setting
+        gain = beside.fixed_gain(columns_of(hypothesis, theta, setting.views, setting.frames))
         return fixed_score(hypothesis, theta, gain + filter_evidence(hypothesis, theta, beside.model))
 
-    def _fixed_gain(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> float:
-        columns = columns_of(hypothesis, theta, beside.model.setting.views, beside.model.setting.frames)
-        return beside.fixed_gain(columns)
-
-    def _refined(self, hypothesis: Hypothesis, theta: float, grid: Array, beside: Beside) -> float:
+    def _refined(self, hypothesis: Hypothesis, theta: float, grid: Array, beside: Projection) -> float:
         """The best shape between the neighbours of `theta` on the grid."""
         i = int(np.argmin(np.abs(grid - theta)))
         low, high = float(grid[max(i - 1, 0)]), float(grid[min(i + 1, len(grid) - 1)])
@@ -220,75 +218,91 @@ class Contest:
         return float(found.x) if found.fun < loss(theta) else theta
 
 
-def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float, Array]:
+def _exact(hypothesis: Hypothesis, found: Gain, beside: Projection) -> Gain:
+    """`found` without linearisation, for an effect that is nonlinear in its amplitudes and gains enough."""
+    effect = hypothesis.effect
+    if not isinstance(effect, MeanEffect) or effect.exact is None or found.gain <= prices.EXACT_FIT_GAIN:
+        return found
+    gain, beta = exact_gain(hypothesis, found.beta, beside)
+    return replace(found, gain=gain, beta=beta, evidence=gain - found.price)
+
+
+def exact_gain(hypothesis: Hypothesis, beta: Array, beside: Projection) -> tuple[float, Array]:
     """Gain and amplitudes of an effect beside a model, without linearisation."""
     bare = beside.model
     rest = tuple(t for i, t in enumerate(bare.terms) if i not in beside.omit)
     terms = (*rest, Term(hypothesis, beta, math.nan))
     model, _ = refined(with_residual(replace(bare, terms=terms)))
-    return beside.misfit_alone - misfit(model), model.terms[-1].beta
+    return beside.misfit_without_omitted - misfit(model), model.terms[-1].beta
 
 
-def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> ContestScore:
-    """A score of an effect on the mean with free amplitudes."""
+def free_score(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> ContestScore:
+    """Score of an effect on the mean with free amplitudes."""
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
     price += price_of_kind(hypothesis.effect) + hypothesis.handicap
     price += price_of_repetition(hypothesis.again) if hypothesis.effect.jumps else 0.0
-    p = tail(found.gain, found.df + hidden, grid)
+    p = tail_probability(found.gain, found.df + hidden, grid)
     return ContestScore(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
 
 
 def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> ContestScore:
-    """A score of an effect on the mean that has nothing but a shape."""
+    """Score of an effect on the mean that has only a shape."""
     delta = gain - price_of_fixed(gain) - hypothesis.handicap
     return ContestScore(
-        hypothesis, theta, gain, 1, prices.FIXED_SHAPE_SIDES, tail(gain, 1, prices.FIXED_SHAPE_SIDES), delta, np.ones(1)
+        hypothesis,
+        theta,
+        gain,
+        1,
+        prices.FIXED_SHAPE_SIDES,
+        tail_probability(gain, 1, prices.FIXED_SHAPE_SIDES),
+        delta,
+        np.ones(1),
     )
 
 
 def noise_score(hypothesis: Hypothesis, model: Model) -> ContestScore:
-    """What an effect on the noise would gain, its amplitudes and those of the model fitted together."""
+    """Score of an effect on the noise, with its amplitudes and those of the model fitted together."""
     effect = hypothesis.effect
     assert isinstance(effect, NoiseEffect)
     thetas, grid = [math.nan], 1
     if effect.shape is not None:
-        trace, view = widest(hypothesis, model)
+        trace, view = most_sensitive_series(hypothesis, model)
         tried, screen = effect.shape.grid(trace), effect.shape.screen
         grid = len(tried)
         thetas = [
-            float(theta) for theta in (tried if screen is None else screen(trace, unexplained(model, view, trace)))
+            float(theta) for theta in (tried if screen is None else screen(trace, residual_on_grid(model, view, trace)))
         ]
     fits = noise_fits(model, effect.sensor)
     scores = [_noise_gain(hypothesis, theta, model, fits) for theta in thetas]
     best = max(range(len(thetas)), key=lambda i: scores[i][0])
     gain, values, price = scores[best]
-    gain = max(gain - shaped(model, effect.sensor), 0.0)
+    gain = max(gain - evidence_of_filters(model, effect.sensor), 0.0)
     df = len(effect.parameters)
     added = AddedNoise(hypothesis, thetas[best], values)
-    own = whose(added, model) if hypothesis.loud is None else hypothesis.loud
-    believed = gain > 0.0 and stands_out(added, model) and drift_beside_lines(added, model) and own
-    p = one_sided_tail(gain, df, grid) if believed else 1.0
+    own = is_on_loud_instances(added, model) if hypothesis.loud is None else hypothesis.loud
+    believed = gain > 0.0 and exceeds_flight_differences(added, model) and drift_exceeds_lines(added, model) and own
+    p = one_sided_tail_probability(gain, df, grid) if believed else 1.0
     price += price_of_search(grid, gain) + price_of_kind(effect) + hypothesis.handicap
     return ContestScore(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 
 @remembered(6)
 def noise_fits(model: Model, sensor: Sensor) -> tuple[AxisFit, ...]:
-    """The fits of the three axes of a sensor."""
+    """Noise fits of the three axes of a sensor."""
     return tuple(axis_fit(model, axes_of(model.setting, sensor, c)) for c in range(3))
 
 
 @remembered(32)
-def alone(fit: AxisFit) -> float:
-    """``-2 log L`` of an axis without anything new."""
+def unchanged_deviance(fit: AxisFit) -> float:
+    """``-2 log L`` of an axis without an added density."""
     return fit.fitted()[1]
 
 
 def _noise_gain(
     hypothesis: Hypothesis, theta: float, model: Model, fits: Sequence[AxisFit]
 ) -> tuple[float, Array, float]:
-    """Gain, amplitudes and price."""
+    """Gain, amplitudes and price of added noise at one shape."""
     by_view = {
         v: densities_of(hypothesis, view, theta)
         for v, view in enumerate(model.setting.views)
@@ -299,11 +313,11 @@ def _noise_gain(
     gain, values, known = 0.0, [], []
     for fit in fits:
         rows = extra_rows(model, fit, by_view)
-        if not fit.promising(rows):
+        if not fit.may_gain(rows):
             values.append(np.zeros(len(rows)))
-            known.append(fit.known_of(rows))
+            known.append(fit.information_of(rows))
             continue
-        without = alone(fit)
+        without = unchanged_deviance(fit)
         amplitudes, level, information = fit.fitted(rows)
         known.append(_marginal(information)[len(fit.names) :])
         gain += max(without - level, 0.0)
@@ -317,22 +331,22 @@ def _noise_gain(
                         (i for i in view.weights if i in hypothesis.instances), key=lambda i: view.weights[i]
                     )
                     envelope = effect.variance(view.traces[instance])
-                    gain += modulation(model, a, envelope, added @ by_view[a // 3])
+                    gain += envelope_gain(model, a, envelope, added @ by_view[a // 3])
     by_density = zip(np.array(values).T, np.array(known).T, strict=True)
     return gain, np.array(values).T, sum(price_of_noise(a, i) for a, i in by_density)
 
 
 def _marginal(information: Array) -> Array:
-    """Information of each amplitude when all others are unknown as well."""
+    """Information of each amplitude when the others are unknown too."""
     variance = np.diag(np.linalg.pinv(information, rcond=1e-12, hermitian=True))
     return np.asarray(1.0 / np.maximum(variance, np.finfo(float).tiny))
 
 
-def modulation(model: Model, axis: int, envelope: Array, density: Array) -> float:
-    """Twice the log-likelihood by which added noise that follows `envelope` (N,), of mean one, beats a steady one.
+def envelope_gain(model: Model, axis: int, envelope: Array, density: Array) -> float:
+    """Twice the log-likelihood by which added noise that follows `envelope` (N,), of mean one, beats stationary noise.
 
-    The added `density` (n,) is a good part of all power in some bins. There the residual's power should follow the
-    envelope in that proportion.
+    Only bins count in which the added `density` (n,) is a good part of the power. There the residual's power should
+    follow the envelope in that proportion.
     """
     v, c = divmod(axis, 3)
     power = model.noise[axis].power + density
@@ -351,10 +365,10 @@ def modulation(model: Model, axis: int, envelope: Array, density: Array) -> floa
     return width * float((squares * (1.0 - 1.0 / expected) - np.log(expected)).sum())
 
 
-def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
-    """The trace, and the index of the series, that show most of it: of several alike the one with most left over.
+def most_sensitive_series(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
+    """The trace and the index of the series in which a hypothesis shows most; of equal ones the one with most residual.
 
-    What is sought may have been in one block only. The lower one of two bands stands for both.
+    The effect may have occurred in one block only. The lower band of a series stands for both.
     """
     found = [
         (abs(weight), v, i)
@@ -365,22 +379,22 @@ def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
     ]
     most = max(weight for weight, _, _ in found)
     alike = [(v, i) for weight, v, i in found if weight == most]
-    v, i = alike[0] if len(alike) == 1 else max(alike, key=lambda one: _loudness(model, one[0]))
+    v, i = alike[0] if len(alike) == 1 else max(alike, key=lambda one: _weighted_power(model, one[0]))
     view = model.setting.views[v]
     whole = hypothesis.fast or isinstance(hypothesis.effect, NoiseEffect)
     return (view.whole if whole else view).traces[i], v
 
 
-def _loudness(model: Model, v: int) -> float:
-    """What a series has left over for its noise, in both bands."""
+def _weighted_power(model: Model, v: int) -> float:
+    """Largest weighted mean square of the residual of a series, over axes and bands."""
     views = model.setting.views
     bands = [v, v + 1] if v + 1 < len(views) and views[v + 1].first else [v]
     return max(float((model.weight[a] * model.y[a] ** 2).mean()) for b in bands for a in range(3 * b, 3 * b + 3))
 
 
 @remembered(8)
-def unexplained(model: Model, v: int, trace: Trace) -> Array:
-    """The residual of a series on the whole grid of `trace`, zero where it is not kept; of both bands at its rate."""
+def residual_on_grid(model: Model, v: int, trace: Trace) -> Array:
+    """The residual of a series on the grid of `trace`, zero where rows are not kept; both bands at its own rate."""
     view, left = model.setting.views[v], model.residual[v]
     full = np.zeros((len(trace.t), 3))
     if view.fine is None or len(trace.t) == len(view.keep):
@@ -392,4 +406,4 @@ def unexplained(model: Model, v: int, trace: Trace) -> Array:
     lower[view.keep] = left
     if upper is not None:
         rest[view.fine.keep] = upper
-    return joined(lower, rest)
+    return combined(lower, rest)

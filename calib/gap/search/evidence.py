@@ -1,13 +1,13 @@
-"""What an effect is worth beside its price: the marginal likelihood of its amplitudes under a prior of their own size.
+"""Evidence of an effect: the marginal likelihood of its amplitudes under a prior of their own size.
 
-A penalty of ``log N`` an amplitude would be the same for a direction that the movement excites and for one that it does
-not. It would be larger for a long recording than for a short one. Here the amplitudes of one unit share a prior ``N(0,
-s^2)``, and s is the size that explains the data best (empirical Bayes; Clyde & George 2000): an amplitude that is seen
-well costs about the logarithm of its own evidence, one that is not seen costs nothing.
+A penalty of ``log N`` for each amplitude would be the same for a direction that the movement excites and for one that
+it does not, and larger for a long recording than for a short one. Here the amplitudes of one unit share a prior ``N(0,
+s^2)``, and s is the size that explains the data best (empirical Bayes; Clyde & George 2000). An amplitude that is
+observed well costs about the logarithm of its own evidence, an unobserved one nothing.
 
-Amplitudes need not be alike in size, and two other priors are tried as well, each for what a choice among them costs:
-that they are alike in what they make of the readings (Zellner 1986), as those of a curve are whose orders take each
-other back; and that there is only one, as of a fault on a single axis.
+Amplitudes may differ in size, so two other priors are tried, each at the price of the choice. In one all amplitudes
+change the readings alike (Zellner 1986), as those of a polynomial do, whose terms cancel each other. In the other a
+single amplitude is not zero, as for a fault on one axis.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
     """
     seen = _Directions.of(gram, right, groups)
     _, worth = seen.with_common_variance()
-    return max(worth, seen.with_g_prior(), _only_one(gram, right))
+    return max(worth, seen.with_g_prior(), _single_amplitude_evidence(gram, right))
 
 
 def prior_sd(gram: Array, right: Array, groups: NDArray[np.intp]) -> Array:
-    """Standard deviations (p,) of the prior at its best size; zero where the data would rather have no amplitudes."""
+    """Standard deviations (p,) of the prior at its best size; zero if the data favour zero amplitudes."""
     seen = _Directions.of(gram, right, groups)
     size, worth = seen.with_common_variance()
     return seen.scale * math.sqrt(size) if worth > 0.0 else np.zeros(len(gram))
@@ -70,7 +70,7 @@ class _Directions:
         return cls(scale, np.maximum(values, 0.0), (vectors.T @ (right * scale)) ** 2)  # below zero by rounding only
 
     def with_common_variance(self) -> tuple[float, float]:
-        """The variance of the amplitudes that explains the data best, and twice the log evidence there."""
+        """The variance of the amplitudes that explains the data best, and twice the log evidence at it."""
         if not self.values.any():
             return 0.0, 0.0
         sizes = prices.PRIOR_VARIANCES[:, None] / self.values[-1]
@@ -80,7 +80,7 @@ class _Directions:
         return float(sizes[best, 0]), float(worth[best])
 
     def with_g_prior(self) -> float:
-        """Evidence where every direction that is seen moves the readings by as much."""
+        """Evidence if every observed direction changes the readings equally."""
         if not self.values.any():
             return -math.inf
         seen = self.values > _SEEN * self.values[-1]
@@ -90,27 +90,27 @@ class _Directions:
         )
 
 
-def _only_one(gram: Array, right: Array) -> float:
-    """Evidence where one amplitude is all there is: it was sought among all."""
+def _single_amplitude_evidence(gram: Array, right: Array) -> float:
+    """Evidence if only the best amplitude is not zero."""
     information = np.diag(gram)
     seen = information > 0.0
     if not seen.any():
         return -math.inf
-    return _at_best_size(float((right[seen] ** 2 / information[seen]).max()), 1) - _price_of_one(len(right))
+    return _at_best_size(float((right[seen] ** 2 / information[seen]).max()), 1) - _single_amplitude_price(len(right))
 
 
-def _price_of_one(count: int) -> float:
-    """Price of the claim that one amplitude of so many is all there is."""
+def _single_amplitude_price(count: int) -> float:
+    """Price of choosing one amplitude among `count`."""
     return 2.0 * math.log(2.0 * count)
 
 
 def _at_best_size(gain: float, rank: int) -> float:
-    """Twice the log evidence ``g - r - r log(g / r)`` of r directions that gain g together, alike in what they gain."""
+    """Twice the log evidence ``g - r - r log(g / r)`` of r directions with the common gain g."""
     return gain - rank - rank * math.log(gain / rank) if gain > rank else -math.inf
 
 
 def _scale(gram: Array, groups: NDArray[np.intp]) -> Array:
-    """One over the root of the mean information of each amplitude's group; zero where there is none."""
+    """One over the root of the mean information of each amplitude's group; zero without information."""
     information = np.diag(gram)
     scale = np.ones(len(gram))
     for g in np.unique(groups):
@@ -121,14 +121,14 @@ def _scale(gram: Array, groups: NDArray[np.intp]) -> Array:
 
 
 def price_of_fixed(gain: float) -> float:
-    """Price of the shape of an effect that has nothing else, to either side."""
+    """Price of the shape of an effect that has no other parameter, to either side."""
     return math.log1p(max(gain, 0.0)) + 2.0 * math.log(2.0)
 
 
 def price_of_search(grid: int, gain: float) -> float:
-    """Price of a shape that was sought over `grid` values; none for one value.
+    """Price of a shape that was searched for over `grid` values; zero for one value.
 
-    No more values can be told apart than the evidence has to offer: a jump of evidence g is known to N/g samples.
+    The evidence limits how many values can be told apart: the moment of a jump of evidence g is known to N/g samples.
     """
     if grid <= 1:
         return 0.0
@@ -138,26 +138,28 @@ def price_of_search(grid: int, gain: float) -> float:
 def price_of_noise(amplitudes: Array, information: Array) -> float:
     """Price of amplitudes (p,) of noise, in twice the log-likelihood, under a prior of their own size.
 
-    `information`: of each beside all others. A sensor's axes are alike, and one on which such noise is excluded costs;
-    or it is on one axis alone, and what the others gain is given up.
+    `information` is that of each beside all others. Either the axes of a sensor are alike, and an axis without the
+    noise costs; or the noise is on one axis, and the gain on the others is lost.
     """
     square = np.maximum(amplitudes, 0.0) ** 2
     if not len(square):
         return 0.0
     together = float(np.log1p(square.mean() * information).sum())
     lost = float((square * information).sum()) - square * information
-    alone = np.log1p(square * information) + lost + _price_of_one(len(square))
+    alone = np.log1p(square * information) + lost + _single_amplitude_price(len(square))
     return min(together, float(alone.min()))
 
 
 def price_of_repetition(again: int) -> float:
-    """Price of one more event of a kind that is there `again` times already: enough of them make any drift a stair."""
+    """Price of a further event of the same kind: enough events approximate any drift by a staircase."""
     return prices.REPEATED_JUMP_PRICE if again else 0.0
 
 
 def price_of_kind(effect: CatalogueEffect) -> float:
-    """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything. What
-    seems to go with temperature is often there at every temperature that was seen.
+    """Price of the kind of an effect.
+
+    Drift noise and lines over time fit any slow change, and unnamed shapes fit almost anything. A thermal effect is
+    often present at every temperature.
     """
     if effect.nameless:
         return prices.SHAPE_PRICES[effect.family] + prices.SHAPE_PART_PRICE * effect.part

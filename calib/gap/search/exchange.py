@@ -1,8 +1,8 @@
-"""Exchanges of one effect of a model for another that stands better in its place.
+"""Exchanges of one effect of a model for a better one.
 
-Forward steps take the best single effect first: one that stands for two of them, noise for a mean. Each effect is
-therefore compared with every other hypothesis in its own place, beside all the other effects. `kappa` is the part of
-its fitted energy that a rival can imitate; what separates them is ``gain (1 - kappa)``.
+Forward selection takes the best single effect first, even if it stands for two of them, or noise for a change of the
+mean. Each effect is therefore compared with every other hypothesis, beside the remaining effects. `kappa` is the part
+of its fitted energy that a rival can imitate; ``gain (1 - kappa)`` separates them.
 """
 
 from __future__ import annotations
@@ -15,57 +15,56 @@ import numpy as np
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, Key, columns_of
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
-from mavcal.calib.gap.model.noise_fit import refitted, without_term
+from mavcal.calib.gap.model.noise_fit import noise_fitted, without_term
 from mavcal.calib.gap.model.refinement import misfit, refined
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.contest import Contest, ContestScore, exactly, fixed_score, noise_score, priced
+from mavcal.calib.gap.search.contest import Contest, ContestScore, exact_gain, fixed_score, free_score, noise_score
 from mavcal.calib.gap.search.evidence import price_of_kind
 from mavcal.calib.gap.search.filtered_noise import filter_evidence
-from mavcal.calib.gap.search.projection import Beside, existing
+from mavcal.calib.gap.search.projection import Projection, independent_directions
 from mavcal.calib.gap.search.selection import (
     ChosenModel,
-    fitted,
-    grown,
+    extended,
+    has_learned_spectrum,
+    jointly_fitted,
     largest_gain,
     objective,
-    of_flights,
-    restored,
     select,
     with_score,
-    without,
+    with_term_in_residual,
+    without_effect,
 )
 from mavcal.calib.recording import Sensor
 
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another hypothesis instead of an effect; `kappa` is 0 where it is too far behind to be listed."""
+    """Another hypothesis in place of an effect; `kappa` is 0 if it is too far behind to be listed."""
 
     score: ContestScore
     kappa: float
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
-    """Every other hypothesis instead of one effect, and the penalised evidence of its `own`."""
+class Comparison:
+    """All alternatives to one effect, and the penalised evidence of the effect itself, `own`."""
 
-    others: tuple[Alternative, ...]
+    alternatives: tuple[Alternative, ...]
     own: float
 
 
 @dataclass(frozen=True, eq=False)
-class SettledModel:
-    """A model in which no effect has a better one in its place, and the places of its effects."""
+class StableModel:
+    """A model that no single exchange improves, and the comparisons of its effects."""
 
     chosen: ChosenModel
-    places: Mapping[Key, Place]
+    comparisons: Mapping[Key, Comparison]
 
 
-def settled(chosen: ChosenModel, contest: Contest, alpha: float, before: SettledModel | None = None) -> SettledModel:
-    """A model in which no effect has a better one in its place.
+def stable_model(chosen: ChosenModel, contest: Contest, alpha: float, before: StableModel | None = None) -> StableModel:
+    """The model after exchanges of effects, until no exchange improves it.
 
-    Each effect is compared with all others once the model is complete. After an exchange only the effects of its
-    sensors are compared again; once none is better, all are.
+    After an exchange only the effects of the same sensors are compared again; at the end all are.
 
     Parameters
     ----------
@@ -77,68 +76,73 @@ def settled(chosen: ChosenModel, contest: Contest, alpha: float, before: Settled
     """
     level = alpha / max(chosen.tests, 1)
     members = {term.hypothesis.key for term in chosen.model.members}
-    if before is not None and members <= before.places.keys() and contest.pace.ends():
-        return SettledModel(chosen, {key: before.places[key] for key in members})
-    places = _places(chosen, contest, before.places if before is not None and before.chosen is chosen else {})
+    if before is not None and members <= before.comparisons.keys() and contest.pace.ends():
+        return StableModel(chosen, {key: before.comparisons[key] for key in members})
+    comparisons = _comparisons(
+        chosen, contest, before.comparisons if before is not None and before.chosen is chosen else {}
+    )
     fresh, exchanges = True, 0
     while True:
-        other = _improved(chosen, places, level, contest) if exchanges < prices.MOST_EXCHANGES else None
+        other = _after_best_exchange(chosen, comparisons, level, contest) if exchanges < prices.MOST_EXCHANGES else None
         if other is None and (fresh or contest.pace.ends()):
-            return SettledModel(chosen, places)
+            return StableModel(chosen, comparisons)
         if other is None:
-            places, fresh = _places(chosen, contest, {}), True
+            comparisons, fresh = _comparisons(chosen, contest, {}), True
             continue
-        elsewhere = _elsewhere(chosen.model, other.model)
-        still = {key: place for key, place in places.items() if key in elsewhere}
+        elsewhere = _unaffected(chosen.model, other.model)
+        still = {key: comparison for key, comparison in comparisons.items() if key in elsewhere}
         chosen, exchanges, fresh = other, exchanges + 1, not still
-        places = {**still, **_places(chosen, contest, {}, still)}
+        comparisons = {**still, **_comparisons(chosen, contest, {}, still)}
 
 
-def _places(
-    chosen: ChosenModel, contest: Contest, known: Mapping[Key, Place], but: Collection[Key] = ()
-) -> dict[Key, Place]:
-    """The places of the effects of a model, except `but`; a place that is `known` gets only the missing rivals."""
+def _comparisons(
+    chosen: ChosenModel, contest: Contest, known: Mapping[Key, Comparison], but: Collection[Key] = ()
+) -> dict[Key, Comparison]:
+    """Comparisons of the effects of a model, except `but`; a `known` one gets only its missing alternatives."""
     keys = {term.hypothesis.key: term for term in chosen.model.members}
     return {
-        key: _place(chosen, contest, term, known[key].others if key in known else ())
+        key: _comparison(chosen, contest, term, known[key].alternatives if key in known else ())
         for key, term in keys.items()
         if key not in but
     }
 
 
-def _elsewhere(model: Model, other: Model) -> frozenset[Key]:
-    """Effects of both models whose sensor neither has an effect on that the other has not."""
+def _unaffected(model: Model, other: Model) -> frozenset[Key]:
+    """Effects of both models on sensors whose effects are the same in both."""
     own, new = ({t.hypothesis.key: t.hypothesis.effect for t in m.members} for m in (model, other))
     changed = [(own | new)[key] for key in own.keys() ^ new.keys()]
     sensors = set(Sensor) if any(e.shared for e in changed) else {e.sensor for e in changed}
     return frozenset(key for key in own.keys() & new.keys() if not own[key].shared and own[key].sensor not in sensors)
 
 
-def _improved(chosen: ChosenModel, places: Mapping[Key, Place], level: float, contest: Contest) -> ChosenModel | None:
-    """The model after the best exchange that keeps what it promised once everything was fitted again; None: none does.
+def _after_best_exchange(
+    chosen: ChosenModel, comparisons: Mapping[Key, Comparison], level: float, contest: Contest
+) -> ChosenModel | None:
+    """The model after the best exchange that still improves it after a complete fit; None if there is none.
 
-    Every exchange is judged beside the others as they are fitted to that moment, and they may have leant on what goes.
+    An exchange is judged beside the other effects as they were fitted, and they may depend on the effect that leaves.
     """
-    for worth, key, score in _exchanges(chosen, places, level, contest)[: prices.EXCHANGES_TRIED]:
+    for worth, key, score in _gainful_exchanges(chosen, comparisons, level, contest)[: prices.EXCHANGES_TRIED]:
         if contest.pace.ends():
             break
-        other = grown(_exchanged(chosen, key, score), contest, level)
+        other = extended(_with_exchange(chosen, key, score), contest, level)
         if objective(other) < objective(chosen) + worth:
             return other
     return None
 
 
-def _exchanged(chosen: ChosenModel, old: Key, new: ContestScore) -> ChosenModel:
-    model, joint, noise = fitted(with_score(without(chosen.model, old), new))
+def _with_exchange(chosen: ChosenModel, old: Key, new: ContestScore) -> ChosenModel:
+    model, joint, noise = jointly_fitted(with_score(without_effect(chosen.model, old), new))
     scores = (*(s for s in chosen.scores if s.hypothesis.key != old), new)
     return replace(chosen, model=model, joint=joint, noise=noise, scores=scores)
 
 
-def steadily(chosen: ChosenModel, start: Model, contest: Contest, alpha: float) -> ChosenModel:
-    """The model, or a better one without noise that wanders, whose effects were exchanged until none has a better one.
+def without_drift_noise(chosen: ChosenModel, start: Model, contest: Contest, alpha: float) -> ChosenModel:
+    """The model, or a better one that was selected without drift noise and stabilised by exchanges.
 
-    Forward steps may stop where two of the wrong effects stand; wandering noise then beats them, and not the right two.
-    A magnet that is put on and taken off makes two jumps. Neither alone says much, so events are also tried first.
+    Forward selection may stop at two wrong effects, which drift noise then beats, while the two right ones would not be
+    beaten. A magnet that is put on and taken off makes two jumps, neither significant alone: events are also tried
+    first.
     """
     drifting = {t.hypothesis.effect.sensor for t in chosen.model.noise_terms if t.hypothesis.effect.drifts}
     if not drifting or {Sensor.ACCEL, Sensor.MAG} <= drifting:  # both: it is the reference, which comes next
@@ -147,11 +151,11 @@ def steadily(chosen: ChosenModel, start: Model, contest: Contest, alpha: float) 
         return chosen
     steady = [h for h in contest.hypotheses if not h.effect.drifts]
     level = alpha * len(steady) / max(len(contest.hypotheses), 1)
-    without_drift = contest.among(steady)
-    other = settled(select(start, without_drift, level), without_drift, level).chosen
+    without_drift = contest.restricted_to(steady)
+    other = stable_model(select(start, without_drift, level), without_drift, level).chosen
     best = other if objective(other) < objective(chosen) else chosen
     jumps = [h for h in steady if h.effect.jumps and h.effect.sensor in drifting]
-    events = _events_first(start, jumps, without_drift, level)
+    events = _starting_with_events(start, jumps, without_drift, level)
     if events is not None and objective(events) < objective(best) - prices.EVENT_GAIN_SHARE * largest_gain(
         chosen, contest
     ):
@@ -159,74 +163,78 @@ def steadily(chosen: ChosenModel, start: Model, contest: Contest, alpha: float) 
     return replace(best, tests=chosen.tests, first=chosen.first)
 
 
-def _events_first(start: Model, jumps: Sequence[Hypothesis], contest: Contest, alpha: float) -> ChosenModel | None:
-    """A model that begins with `jumps` alone; None where there are no two of them."""
+def _starting_with_events(
+    start: Model, jumps: Sequence[Hypothesis], contest: Contest, alpha: float
+) -> ChosenModel | None:
+    """A model that was selected from `jumps` first; None if fewer than two were selected."""
     tests = sum(not h.again for h in contest.hypotheses)
-    events = select(start, contest.among(jumps), alpha * len(jumps) / max(len(contest.hypotheses), 1))
+    events = select(start, contest.restricted_to(jumps), alpha * len(jumps) / max(len(contest.hypotheses), 1))
     if len(events.scores) < 2:
         return None
-    begun = grown(replace(events, tests=tests), contest, alpha / max(tests, 1))
-    return settled(begun, contest, alpha).chosen
+    begun = extended(replace(events, tests=tests), contest, alpha / max(tests, 1))
+    return stable_model(begun, contest, alpha).chosen
 
 
-def _exchanges(
-    chosen: ChosenModel, places: Mapping[Key, Place], level: float, contest: Contest
+def _gainful_exchanges(
+    chosen: ChosenModel, comparisons: Mapping[Key, Comparison], level: float, contest: Contest
 ) -> list[tuple[float, Key, ContestScore]]:
-    """Exchanges of one effect for another that gain, best first, and by how much the model may seem worse after each.
+    """Exchanges that gain, best first, and by how much the objective may rise after each.
 
-    Beside noise that was learned from flights a hundredth of an effect is a second order of it: for that much the one
-    with fewer numbers is believed.
+    Beside noise learned from flights a hundredth of an effect is of second order: by that much the effect with fewer
+    parameters is preferred.
     """
     found = []
-    for key, place in places.items():
-        second = second_order(chosen, place.own)
-        for score in (other.score for other in place.others):
-            gain = -behind(place.own, score, freedom_of(chosen, key), second)
-            if score.p < level and score.gain >= contest.thresholds.joining(score.hypothesis) and gain > 0.0:
-                found.append((gain, max(second, prices.SECOND_ORDER_SHARE * place.own), key, score))
+    for key, comparison in comparisons.items():
+        second = second_order_evidence(chosen, comparison.own)
+        for score in (other.score for other in comparison.alternatives):
+            gain = -evidence_deficit(comparison.own, score, flexibility_of(chosen, key), second)
+            if score.p < level and score.gain >= contest.thresholds.to_enter(score.hypothesis) and gain > 0.0:
+                found.append((gain, max(second, prices.SECOND_ORDER_SHARE * comparison.own), key, score))
     return [exchange[1:] for exchange in sorted(found, key=lambda exchange: -exchange[0])]
 
 
-def second_order(chosen: ChosenModel, own: float) -> float:
-    """Part of an effect's evidence that is its second order; zero unless the noise was learned from flights."""
-    return prices.FLIGHT_SECOND_ORDER_SHARE * max(own, 0.0) if of_flights(chosen.model) else 0.0
+def second_order_evidence(chosen: ChosenModel, own: float) -> float:
+    """Second-order part of an effect's evidence; zero unless the noise was learned from flights."""
+    return prices.FLIGHT_SECOND_ORDER_SHARE * max(own, 0.0) if has_learned_spectrum(chosen.model) else 0.0
 
 
-Freedom = tuple[bool, int]
+Flexibility = tuple[bool, int]
 """Whether an effect is noise that wanders, and its degrees of freedom. In this order: such noise takes the place of
 anything slow, and is freer than any number of amplitudes.
 """
 
 
-def freedom_of(chosen: ChosenModel, key: Key) -> Freedom | None:
-    """The freedom of an effect of the model; None for one that did not compete."""
-    return next((_freedom(score) for score in chosen.scores if score.hypothesis.key == key), None)
+def flexibility_of(chosen: ChosenModel, key: Key) -> Flexibility | None:
+    """The flexibility of an effect of the model; None if it did not compete."""
+    return next((_flexibility(score) for score in chosen.scores if score.hypothesis.key == key), None)
 
 
-def _freedom(score: ContestScore) -> Freedom:
+def _flexibility(score: ContestScore) -> Flexibility:
     return score.hypothesis.effect.drifts, score.df
 
 
-def behind(own: float, score: ContestScore, freedom: Freedom | None, second: float) -> float:
-    """Evidence by which a rival is behind an effect; the freer of the two explains more of a `second` order."""
-    if freedom is None or _freedom(score) == freedom:
+def evidence_deficit(own: float, score: ContestScore, freedom: Flexibility | None, second: float) -> float:
+    """Evidence by which a rival is behind an effect; the more flexible one is discounted by a `second` order."""
+    if freedom is None or _flexibility(score) == freedom:
         return own - score.delta
-    return own - score.delta + (second if _freedom(score) > freedom else -prices.SECOND_ORDER_LOSS * second)
+    return own - score.delta + (second if _flexibility(score) > freedom else -prices.SECOND_ORDER_LOSS * second)
 
 
-def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known: Sequence[Alternative]) -> Place:
-    """Every other hypothesis instead of `term`; some are `known` already."""
+def _comparison(
+    chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known: Sequence[Alternative]
+) -> Comparison:
+    """Every other hypothesis in place of `term`; some are `known` already."""
     model = chosen.model
     key = term.hypothesis.key
     if isinstance(term, NoiseTerm):
-        bare = refitted(without_term(model, term), [term.hypothesis.effect.sensor]).model
-        beside, own_columns, energy, stiff = Beside(bare), None, 0.0, 0.0
+        bare = noise_fitted(without_term(model, term), [term.hypothesis.effect.sensor]).model
+        beside, own_columns, energy, stiff = Projection(bare), None, 0.0, 0.0
         own = noise_score(term.hypothesis, bare)
         own_gain, own_delta = own.gain, own.delta
     else:
         i = model.terms.index(term)
-        bare, _ = refined(without(model, key))
-        beside = Beside(restored(model, i), omit=(i,))
+        bare, _ = refined(without_effect(model, key))
+        beside = Projection(with_term_in_residual(model, i), omit=(i,))
         own_columns = columns_of(term.hypothesis, term.theta, model.setting.views, model.setting.frames)
         gram, _, _ = beside.projected(own_columns)
         energy = float(term.beta @ gram @ term.beta)
@@ -239,53 +247,59 @@ def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known:
     rivals = [
         rival
         for rival in contest.hypotheses
-        if not (rival.key in taken or rival.again) and _meets(rival, term.hypothesis, model)
+        if not (rival.key in taken or rival.again) and _share_a_series(rival, term.hypothesis, model)
     ]
-    likely = [rival for rival in rivals if _is_near(rival, term.hypothesis)]  # never left out, or nothing is probable
-    far = [rival for rival in rivals if not _is_near(rival, term.hypothesis)]
-    scores = [_less(noise_score(rival, bare), stiff) for rival in likely if isinstance(rival.effect, NoiseEffect)]
+    likely = [
+        rival for rival in rivals if _is_known_rival(rival, term.hypothesis)
+    ]  # never left out, or nothing is probable
+    far = [rival for rival in rivals if not _is_known_rival(rival, term.hypothesis)]
+    scores = [_lowered(noise_score(rival, bare), stiff) for rival in likely if isinstance(rival.effect, NoiseEffect)]
     for rival in far:
         if isinstance(rival.effect, NoiseEffect) and not contest.pace.ends():
-            scores.append(_less(noise_score(rival, bare), stiff))
+            scores.append(_lowered(noise_score(rival, bare), stiff))
     means = [rival for rival in likely if not isinstance(rival.effect, NoiseEffect)]
     coarse = [contest.score(rival, beside, refine=False) for rival in means]
     coarse += contest.scores([rival for rival in far if not isinstance(rival.effect, NoiseEffect)], beside)
-    scores += contest.assured(coarse, beside, own_delta - prices.RIVAL_REACH)
+    scores += contest.refined_scores(coarse, beside, own_delta - prices.RIVAL_REACH)
     for score in scores:
         near = own_delta - score.delta < prices.RIVAL_REACH + price_of_kind(score.hypothesis.effect)
-        kappa = _imitated(contest, beside, own_columns, term, score, energy=energy, own_gain=own_gain) if near else 0.0
+        kappa = (
+            _imitated_share(contest, beside, own_columns, term, score, energy=energy, own_gain=own_gain)
+            if near
+            else 0.0
+        )
         found.append(Alternative(score, kappa))
-    return Place(tuple(found), own_delta)
+    return Comparison(tuple(found), own_delta)
 
 
-def _less(score: ContestScore, gain: float) -> ContestScore:
+def _lowered(score: ContestScore, gain: float) -> ContestScore:
     return replace(score, gain=score.gain - gain, delta=score.delta - gain)
 
 
-def _own_score(chosen: ChosenModel, term: Term, columns: HypothesisColumns, beside: Beside) -> ContestScore:
+def _own_score(chosen: ChosenModel, term: Term, columns: HypothesisColumns, beside: Projection) -> ContestScore:
     if term.effect.fixed:
         gain = beside.fixed_gain(columns) + filter_evidence(term.hypothesis, term.theta, beside.model)
         return fixed_score(term.hypothesis, term.theta, gain)
     found = beside.gain(columns)
     if term.effect.exact is not None:
-        gain, beta = exactly(term.hypothesis, term.beta, beside)
+        gain, beta = exact_gain(term.hypothesis, term.beta, beside)
         found = replace(found, gain=gain, beta=beta, evidence=gain - found.price)
     grid = next((s.grid for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), 1)
-    return priced(term.hypothesis, term.theta, found, grid)
+    return free_score(term.hypothesis, term.theta, found, grid)
 
 
-def _is_near(rival: Hypothesis, own: Hypothesis) -> bool:
-    """Whether it is the same effect elsewhere or in another form, or one that is known to imitate it."""
+def _is_known_rival(rival: Hypothesis, own: Hypothesis) -> bool:
+    """Whether it is the same effect elsewhere or in another form, or a listed rival."""
     return rival.effect.id == own.effect.id or rival.effect.id in own.effect.rivals
 
 
-def _meets(rival: Hypothesis, own: Hypothesis, model: Model) -> bool:
+def _share_a_series(rival: Hypothesis, own: Hypothesis, model: Model) -> bool:
     return any(rival.touches(view) and own.touches(view) for view in model.setting.views)
 
 
-def _imitated(
+def _imitated_share(
     contest: Contest,
-    beside: Beside,
+    beside: Projection,
     own: HypothesisColumns | None,
     term: Term | NoiseTerm,
     score: ContestScore,
@@ -293,12 +307,12 @@ def _imitated(
     energy: float,
     own_gain: float,
 ) -> float:
-    """The part of the effect's energy that the rival's columns can take."""
+    """The part of the effect's energy that the rival's columns can imitate."""
     if own is None or isinstance(score.hypothesis.effect, NoiseEffect) or score.df == 0:
         return float(np.clip(score.gain / max(own_gain, 1e-12), 0.0, 1.0))
     assert isinstance(term, Term)
-    columns = contest.columns(score.hypothesis, score.theta, beside.model)
+    columns = contest.columns.of(score.hypothesis, score.theta, beside.model.setting)
     gram, _, before = beside.projected(columns)
-    basis = existing(gram, before)
+    basis = independent_directions(gram, before)
     taken = basis.T @ (beside.cross(columns, own) @ term.beta)
     return float(np.clip((taken @ taken) / max(energy, 1e-300), 0.0, 1.0))

@@ -1,7 +1,7 @@
-"""What the noise says of a filter: a sensor's own filter passes its noise as it passes the movement (GAP 3.1).
+"""Evidence for a filter in the noise: a sensor's filter shapes its noise as it shapes the movement (GAP 3.1).
 
-Over the little band in which vehicles move, a filter is a delay; beyond it the noise tells them apart. Rounding comes
-after the filter and is not shaped. Only the form counts, not the level: a quieter sensor is no filter.
+In the narrow band of vehicle movement a filter is a delay; above it the noise tells them apart. Quantisation comes
+after the filter and is not shaped. Only the form of the spectrum counts, not its level: a quieter sensor is no filter.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ _TINY = 1e-300
 """In place of no power at all. Source: it guards a logarithm; the least normal double is 2e-308."""
 
 
-def shaped(model: Model, sensor: Sensor) -> float:
-    """Twice the log-likelihood of what the filters of a model have done to the noise of a sensor.
+def evidence_of_filters(model: Model, sensor: Sensor) -> float:
+    """Twice the log-likelihood that the filters of a model gain in the noise of a sensor.
 
-    The model's noise does not have that form: an effect on the noise gains as much by imitating it.
+    The model's noise does not have that form, so an effect on the noise could gain as much by imitating it.
     """
     own = [t for t in model.terms if t.effect.sensor is sensor]
     return sum(max(filter_evidence(t.hypothesis, t.theta, model), 0.0) for t in own)
 
 
 def filter_evidence(hypothesis: Hypothesis, theta: float, model: Model) -> float:
-    """Twice the log-likelihood that is gained if the noise went through a filter as well; 0 where none is declared.
+    """Twice the log-likelihood gained if the noise went through the filter too; 0 without declared noise.
 
-    In the likeliest of the ways in which it may have done so. Noise that was learned from this recording alone has the
-    filter in it already, and differences of instances have the noise of both.
+    The likeliest of the noise forms counts. Noise that was learned from this recording already contains the filter, and
+    differences of instances contain the noise of both.
     """
     effect = hypothesis.effect
     if not isinstance(effect, MeanEffect) or effect.noise_gain is None:
@@ -48,13 +48,13 @@ def filter_evidence(hypothesis: Hypothesis, theta: float, model: Model) -> float
             continue
         gains = np.maximum(effect.noise_gain(view.whole.any_trace, view.omega, theta), _LEAST)
         for c in range(3):
-            pieces.setdefault((view.label, c), []).append(_compared(model, v, c, gains))
+            pieces.setdefault((view.label, c), []).append(_filter_statistics(model, v, c, gains))
     ratios = [_log_ratio(np.sum(parts, axis=0)) for parts in pieces.values()]
     return float(np.sum(ratios, axis=0).max()) if ratios else 0.0
 
 
-def _compared(model: Model, v: int, c: int, gains: Array) -> Array:
-    """Axis `c` of series `v` beside filters (R, K): numbers, log ratios, and misfit without and with, (R, 4)."""
+def _filter_statistics(model: Model, v: int, c: int, gains: Array) -> Array:
+    """Statistics (R, 4) of axis `c` of series `v` for filters (R, K): count, log ratios, misfit without and with."""
     view, bins = model.setting.views[v], model.setting.bins[v]
     fast = bins.mean(view.omega) > prices.FILTER_BAND_SHARE * np.pi
     power = model.noise[3 * v + c].power
@@ -68,6 +68,6 @@ def _compared(model: Model, v: int, c: int, gains: Array) -> Array:
 
 
 def _log_ratio(compared: Array) -> Array:
-    """Twice the log-likelihood ratio (R,), the level of the noise being free on either side."""
+    """Twice the log-likelihood ratio (R,), with a free noise level on either side."""
     count, logs, before, after = compared.T
     return np.where(count > 0.0, logs + count * np.log(np.maximum(before, _TINY) / np.maximum(after, _TINY)), 0.0)

@@ -1,4 +1,4 @@
-"""What the samples of a problem themselves show, trace by trace: effects of the lattice, and rows that say no more."""
+"""Effects of the sample lattice of each trace, and the rows that they exclude from the likelihood."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mavcal.calib.gap.effects.base import CatalogueEffect, LatticeEffect, Lattic
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.problem import GapProblem, Trace
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, ParameterEstimate
-from mavcal.calib.gap.search.nominal_check import nominal_has_samples
+from mavcal.calib.gap.search import prices
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """What the samples themselves show, by index of the trace where it matters to the rest."""
+    """Lattice effects of a problem; `masks` and added `variance` by index of the trace."""
 
     effects: tuple[EffectEstimate, ...]
     masks: Mapping[int, LatticeEvidence]
@@ -25,7 +25,7 @@ class Lattice:
 
 
 def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Lattice:
-    """Lattice effects of every trace."""
+    """Lattice effects of every trace that no nominal recording shows as well."""
     found: list[EffectEstimate] = []
     masks: dict[int, LatticeEvidence] = {}
     variance: dict[int, float] = {}
@@ -35,23 +35,34 @@ def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Latti
             evidence = effect.detect(trace) if effect.sensor is trace.sensor else None
             if evidence is None or nominal_has_samples(effect, evidence, problem.nominal):
                 continue
-            if evidence.two_delta_loglik < problem.minimum_gain.lasting.get(trace.sensor, 0.0):
+            if evidence.two_delta_loglik < problem.minimum_gain.steady_report.get(trace.sensor, 0.0):
                 continue  # two recordings differ by as much
-            found.append(_from_lattice(effect, trace.instances, evidence))
+            found.append(_estimate(effect, trace.instances, evidence))
             if evidence.masked.any():
-                masks[i] = evidence if i not in masks else _both(masks[i], evidence)
+                masks[i] = evidence if i not in masks else _merged(masks[i], evidence)
             if Trait.COARSE in effect.traits:
                 variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
     return Lattice(tuple(found), masks, variance)
 
 
+def nominal_has_samples(effect: LatticeEffect, evidence: LatticeEvidence, nominal: Iterable[Trace]) -> bool:
+    """Whether a nominal recording shows the same lattice effect."""
+    for trace in nominal:
+        other = effect.detect(trace) if trace.sensor is effect.sensor else None
+        if other is not None and len(other.values) == len(evidence.values):
+            mine, its = np.array(evidence.values), np.array(other.values)
+            if (np.abs(mine - its) <= prices.SAMPLE_DIFFERENCE * np.maximum(np.abs(mine), np.abs(its))).all():
+                return True
+    return False
+
+
 def covered_by(lattice: Lattice, effect: EffectEstimate) -> bool:
-    """Whether an effect is what the samples show already: themselves, or because coarse levels have one at zero."""
+    """Whether a lattice effect already describes an effect, itself or by coarse levels around zero."""
     return any(_explains(e, effect) and set(effect.instances) <= set(e.instances) for e in lattice.effects)
 
 
 def _explains(shown: EffectEstimate, effect: EffectEstimate) -> bool:
-    """Whether an effect of the samples is `effect` itself, or makes its dead band."""
+    """Whether a lattice effect is `effect` itself, or causes its dead band."""
     if shown.id == effect.id:
         return True
     coarse, dead = Trait.COARSE in by_id()[shown.id].traits, Trait.DEAD_BAND in by_id()[effect.id].traits
@@ -59,7 +70,7 @@ def _explains(shown: EffectEstimate, effect: EffectEstimate) -> bool:
 
 
 def _each_instance(traces: Sequence[Trace]) -> Iterator[tuple[int, Trace]]:
-    """Index and trace of every instance: against the reference or, where it has none, against another instance."""
+    """Index and trace of every instance: against the reference or, without one, against another instance."""
     single = {(t.sensor, i) for t in traces if t.against is None for i in t.instances}
     for index, trace in enumerate(traces):
         if trace.against is None:
@@ -74,12 +85,12 @@ def _each_instance(traces: Sequence[Trace]) -> Iterator[tuple[int, Trace]]:
                 yield index, one
 
 
-def _both(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
+def _merged(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
     masked = one.masked | other.masked
     return LatticeEvidence(one.values, one.se, one.two_delta_loglik, masked, one.text)
 
 
-def _from_lattice(effect: LatticeEffect, instances: tuple[int, ...], evidence: LatticeEvidence) -> EffectEstimate:
+def _estimate(effect: LatticeEffect, instances: tuple[int, ...], evidence: LatticeEvidence) -> EffectEstimate:
     params = tuple(
         ParameterEstimate(p.name, value, se, (value - 1.96 * se, value + 1.96 * se), p.unit)
         for p, value, se in zip(effect.parameters, evidence.values, evidence.se, strict=True)

@@ -1,4 +1,4 @@
-"""What columns would gain beside a model: their Schur complement in the weighted Gram matrix."""
+"""Gain of columns beside a model: their Schur complement in the weighted Gram matrix."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """What a model gains by a group of columns.
+    """Gain of a group of columns.
 
     `gain` is twice the gain of log-likelihood, `df` the degrees of freedom, `beta` the amplitudes; `evidence` is twice
     the log marginal likelihood ratio.
@@ -34,12 +34,12 @@ class Gain:
 
     @property
     def price(self) -> float:
-        """By which the evidence is less than the gain."""
+        """The difference of gain and evidence."""
         return self.gain - self.evidence
 
 
-class Beside:
-    """The model's own columns, against which every candidate is projected."""
+class Projection:
+    """Projection of candidates orthogonal to the columns of a model."""
 
     def __init__(self, model: Model, omit: Sequence[int] = ()) -> None:
         self.model = model
@@ -48,20 +48,20 @@ class Beside:
         normal: Normal = normal_equations(blocks, model.y, model.weight, model.ridge)
         self._solution, self.covariance, _ = solved(normal.gram, normal.right)
         self._right = normal.right
-        self._own = [_own_on(a, blocks, normal.slices, model.ridge) for a in range(len(model.y))]
+        self._own = [_model_columns(a, blocks, normal.slices, model.ridge) for a in range(len(model.y))]
 
     @cached_property
-    def misfit_alone(self) -> float:
-        """Misfit of the model without the terms that are left out, the others at their joint maximum."""
+    def misfit_without_omitted(self) -> float:
+        """Misfit of the model without the omitted terms, the others at their joint maximum."""
         rest = tuple(t for i, t in enumerate(self.model.terms) if i not in self.omit)
         return misfit(refined(replace(self.model, terms=rest))[0])
 
     def projected(self, columns: HypothesisColumns) -> tuple[Array, Array, Array]:
-        """Gram matrix, right side and original energies of `columns` with the model's own columns taken out."""
+        """Gram matrix, right side and original energies of `columns`, orthogonal to the model's columns."""
         return self._projected_each([columns])[0]
 
     def _projected_each(self, groups: Sequence[HypothesisColumns]) -> list[tuple[Array, Array, Array]]:
-        """The same of each of several groups of columns."""
+        """The same for several groups of columns."""
         weighted = [self._weighted(columns) for columns in groups]
         found = []
         for columns, own, cross in zip(groups, weighted, self._with_own(groups, weighted), strict=True):
@@ -77,7 +77,7 @@ class Beside:
         return found
 
     def cross(self, one: HypothesisColumns, other: HypothesisColumns) -> Array:
-        """Products of two groups of columns with the model's own columns taken out, (p, q)."""
+        """Products (p, q) of two groups of columns, orthogonal to the model's columns."""
         total = np.zeros((one.p, other.p))
         left, right = self._weighted(one), self._weighted(other)
         for a in left.keys() & right.keys():
@@ -89,7 +89,7 @@ class Beside:
         return {a: part.X * self.model.weight[a] for a, part in columns.parts.items()}
 
     def _with_own(self, groups: Sequence[HypothesisColumns], weighted: Sequence[Mapping[int, Array]]) -> list[Array]:
-        """Products of groups of `weighted` columns with the model's own, (p, own) each: these are read once for all."""
+        """Products (p, own) of groups of `weighted` columns with the model's columns, which are read once for all."""
         products = [np.zeros((columns.p, len(self._right))) for columns in groups]
         for a, own in enumerate(self._own):
             touched = [k for k, columns in enumerate(groups) if a in columns.parts]
@@ -103,30 +103,32 @@ class Beside:
         return products
 
     def gain(self, columns: HypothesisColumns) -> Gain:
-        """What a group of free columns would gain."""
+        """Gain of a group of columns with free amplitudes."""
         gram, right, energy = self.projected(columns)
-        basis = existing(gram, energy)
+        basis = independent_directions(gram, energy)
         found = basis.T @ right
         worth = evidence(gram, right, columns.units)
         return Gain(float(found @ found), basis.shape[1], basis @ found, worth)
 
     def free_gains(self, groups: Sequence[HypothesisColumns]) -> list[float]:
-        """The gains alone of several groups, which is all that a search for a shape asks for."""
+        """Gains of several groups without amplitudes and evidence, as a search for a shape needs them."""
         return [_free_gain(*found) for found in self._projected_each(groups)]
 
     def fixed_gain(self, columns: HypothesisColumns) -> float:
-        """What one column would gain whose amplitude is one."""
+        """Gain of one column with amplitude one."""
         gram, right, _ = self.projected(columns)
         return float(2.0 * right[0] - gram[0, 0])
 
     def free_and_fixed_gains(self, groups: Sequence[HypothesisColumns]) -> Array:
-        """What single columns would gain, each with a free amplitude and with one of one, (k, 2)."""
+        """Gains of single columns with a free amplitude and with amplitude one, (k, 2)."""
         found = self._projected_each(groups)
         return np.array([[_free_gain(*one), 2.0 * one[1][0] - one[0][0, 0]] for one in found])
 
 
-def _own_on(axis: int, blocks: Sequence[HypothesisColumns], slices: Sequence[slice], ridge: Ridge | None) -> list[Part]:
-    """Columns of a model on an axis: of its terms together, and of its ridge, which are too many to be copied."""
+def _model_columns(
+    axis: int, blocks: Sequence[HypothesisColumns], slices: Sequence[slice], ridge: Ridge | None
+) -> list[Part]:
+    """Columns of a model on an axis: of its terms, and of its ridge, which is too large to be copied."""
     index, X = stacked(blocks, slices[: len(blocks)], axis)
     found = [Part(index, X)] if len(index) else []
     if ridge is not None and axis in ridge.columns.parts:
@@ -136,11 +138,11 @@ def _own_on(axis: int, blocks: Sequence[HypothesisColumns], slices: Sequence[sli
 
 
 def _free_gain(gram: Array, right: Array, energy: Array) -> float:
-    found = existing(gram, energy).T @ right
+    found = independent_directions(gram, energy).T @ right
     return float(found @ found)
 
 
-def existing(gram: Array, energy: Array) -> Array:
+def independent_directions(gram: Array, energy: Array) -> Array:
     """Whitening basis (p, r) of the directions of a projected Gram matrix that keep some of their `energy`."""
     scale = np.sqrt(energy)
     used = scale > 0.0

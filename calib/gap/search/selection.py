@@ -1,6 +1,6 @@
-"""Forward-backward selection: the best hypothesis that is significant and worth its price joins, until none is.
+"""Forward-backward selection of significant effects that are worth their price.
 
-After every step all parameters are fitted together, the noise again, and what has become superfluous leaves again.
+After every step all parameters and the noise are fitted again, and effects that became superfluous leave.
 """
 
 from __future__ import annotations
@@ -25,13 +25,20 @@ from mavcal.calib.gap.model.joint import (
     with_noise,
     with_residual,
 )
-from mavcal.calib.gap.model.noise_fit import FittedNoise, is_declared, refitted, starting_noise, with_term, without_term
+from mavcal.calib.gap.model.noise_fit import (
+    FittedNoise,
+    is_declared,
+    noise_fitted,
+    starting_noise,
+    with_term,
+    without_term,
+)
 from mavcal.calib.gap.model.normal_equations import solved
-from mavcal.calib.gap.model.refinement import coupled, refined, refined_on
+from mavcal.calib.gap.model.refinement import coupled_sensors, refined, refined_on
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.added_noise import unsteady_line
+from mavcal.calib.gap.search.added_noise import is_line_unsteadiness
 from mavcal.calib.gap.search.contest import Contest, ContestScore
-from mavcal.calib.gap.search.projection import Beside, existing
+from mavcal.calib.gap.search.projection import Projection, independent_directions
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -43,7 +50,7 @@ Gains = Mapping[Key, tuple[float, int, int]]
 
 @dataclass(frozen=True, eq=False)
 class ChosenModel:
-    """A fitted model, its covariance, the scores when each term joined, and the level of significance."""
+    """A fitted model, its covariance, the scores of its terms when they entered, and the number of tests."""
 
     model: Model
     joint: Joint
@@ -55,34 +62,34 @@ class ChosenModel:
 
 
 def largest_gain(chosen: ChosenModel, contest: Contest) -> float:
-    """Largest gain of the effects in a model, each beside all the others."""
-    return max((gain for gain, _, _ in last_gains(chosen.model, contest).values()), default=0.0)
+    """Largest marginal gain of the effects in a model."""
+    return max((gain for gain, _, _ in marginal_gains(chosen.model, contest).values()), default=0.0)
 
 
-def fitted(model: Model) -> tuple[Model, Joint, FittedNoise]:
+def jointly_fitted(model: Model) -> tuple[Model, Joint, FittedNoise]:
     """Mean and noise of a model fitted in turn."""
     model, _ = refined(model)
-    noise = refitted(model)
+    noise = noise_fitted(model)
     model, joint = refined(noise.model)
     return model, joint, replace(noise, model=model)
 
 
-def fitted_about(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
-    """The same of the sensors that `hypothesis` touches, where it came or went: the others are not moved by it.
+def locally_fitted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
+    """The same for the sensors that `hypothesis` acts on and those coupled with them.
 
     With `hold` shapes stay where they are, which takes a fraction of the time.
     """
     own = {view.sensor for view in model.setting.views if hypothesis.touches(view)}
-    near = coupled(model, own)
-    noise = refitted(refined_on(model, near, hold=hold), sorted(near))
+    near = coupled_sensors(model, own)
+    noise = noise_fitted(refined_on(model, near, hold=hold), sorted(near))
     return refined_on(noise.model, near, hold=hold)
 
 
 def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
-    """The effects that the data show; noise that wanders comes last.
+    """The effects that the data show.
 
-    It can take the place of any slow effects on the mean, even of two at once where neither is better alone. It is
-    therefore left out at first, and may join beside them. Only then is it tested in their place.
+    Drift noise can replace any slow effects on the mean, even two at once. It is therefore excluded at first, then
+    admitted beside the selected effects, and only then tested in their place.
 
     Parameters
     ----------
@@ -97,23 +104,25 @@ def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
     steady = [h for h in candidates if not h.effect.drifts]
     tests = sum(not h.again for h in candidates)
     level = alpha / max(tests, 1)
-    model, joint, noise = fitted(start)
-    first = tuple(_scored(model, contest, candidates, {}, None).values())
+    model, joint, noise = jointly_fitted(start)
+    first = tuple(_candidate_scores(model, contest, candidates, {}, None).values())
     bare = ChosenModel(model, joint, noise, (), tests, first)
-    chosen = grown(bare, contest, level, steady)
+    chosen = extended(bare, contest, level, steady)
     if not contest.pace.ended:
-        chosen = grown(chosen, contest, level, candidates)
-    if _slow_is_left(chosen.model) and not contest.pace.ends():
-        quiet = _quiet(model)
-        scores = tuple(_scored(quiet, contest, steady, {}, None).values())
-        chosen = _better(chosen, grown(replace(bare, model=quiet, first=scores), contest, level, steady), contest)
-    if not (wanders(chosen) or _drift_leads(first, level)) or contest.pace.ends():
+        chosen = extended(chosen, contest, level, candidates)
+    if _undeclared_noise_is_slow(chosen.model) and not contest.pace.ends():
+        quiet = _with_white_noise(model)
+        scores = tuple(_candidate_scores(quiet, contest, steady, {}, None).values())
+        chosen = _better_by_sensor(
+            chosen, extended(replace(bare, model=quiet, first=scores), contest, level, steady), contest
+        )
+    if not (has_drift_noise(chosen) or _drift_is_best(first, level)) or contest.pace.ends():
         return chosen
-    return _better(chosen, grown(bare, contest, level, candidates), contest)
+    return _better_by_sensor(chosen, extended(bare, contest, level, candidates), contest)
 
 
-def _slow_is_left(model: Model) -> bool:
-    """Whether noise that nobody declared is slow, and not by an error of a trajectory that was re-estimated."""
+def _undeclared_noise_is_slow(model: Model) -> bool:
+    """Whether undeclared noise has most power at low frequencies, and no re-estimated trajectory causes it."""
     views = model.setting.views
     if any(view.att_sd > 0.0 for view in views):
         return False
@@ -121,45 +130,45 @@ def _slow_is_left(model: Model) -> bool:
     return any(power[0] > prices.SLOW_POWER_RATIO * power[-1] for power in powers)
 
 
-def _quiet(model: Model) -> Model:
-    """The model with noise that nobody declared as if none of it were slow.
+def _with_white_noise(model: Model) -> Model:
+    """The model with white noise on every axis whose noise is not declared.
 
-    An offset lies in one number of its transform, and a slow effect in a few: noise that is fitted while they are in
-    it takes them for its own.
+    An offset is in one bin of the transform and a slow effect in a few. Noise that is fitted before they are explained
+    absorbs them.
     """
     start = starting_noise(model.setting)
     views = model.setting.views
     return with_noise(model, tuple(n if is_declared(views[a // 3]) else start[a] for a, n in enumerate(model.noise)))
 
 
-def _better(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> ChosenModel:
-    """`other` where it says materially more: sensor by sensor, unless effects or the reference's error tie them."""
+def _better_by_sensor(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> ChosenModel:
+    """`other` if its objective is materially better: by sensor, unless shared effects or the reference tie them."""
     if any(t.effect.shared for c in (chosen, other) for t in c.model.terms) or chosen.model.ridge is not None:
         worth = prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest)
         return other if objective(other) < objective(chosen) - worth else chosen
     skirts = {
         t.hypothesis.effect.sensor
         for t in other.model.noise_terms
-        if t.hypothesis.effect.drifts and unsteady_line(t, other.model)
+        if t.hypothesis.effect.drifts and is_line_unsteadiness(t, other.model)
     }
     named = [t.hypothesis for t in chosen.model.members if not t.hypothesis.effect.nameless]
-    gains, taken = last_gains(chosen.model, contest), set()
-    part = prices.FLIGHT_SECOND_ORDER_SHARE if of_flights(chosen.model) else prices.SECOND_ORDER_SHARE
+    gains, taken = marginal_gains(chosen.model, contest), set()
+    part = prices.FLIGHT_SECOND_ORDER_SHARE if has_learned_spectrum(chosen.model) else prices.SECOND_ORDER_SHARE
     for sensor in {view.sensor for view in chosen.model.setting.views} - skirts:
         worth = part * max((gains[h.key][0] for h in named if h.effect.sensor is sensor), default=0.0)
-        if _objective_of(other, sensor) < _objective_of(chosen, sensor) - worth:
+        if _sensor_objective(other, sensor) < _sensor_objective(chosen, sensor) - worth:
             taken.add(sensor)
-    return _joined(chosen, other, taken) if taken else chosen
+    return _merged_by_sensor(chosen, other, taken) if taken else chosen
 
 
-def _objective_of(chosen: ChosenModel, sensor: Sensor) -> float:
-    """The part of :func:`objective` that is of one sensor."""
+def _sensor_objective(chosen: ChosenModel, sensor: Sensor) -> float:
+    """The part of :func:`objective` of one sensor."""
     deviance = sum(level for (own, _), level in chosen.noise.deviance.items() if own is sensor)
-    return deviance + price_of_all(s for s in chosen.scores if s.hypothesis.effect.sensor is sensor)
+    return deviance + total_price(s for s in chosen.scores if s.hypothesis.effect.sensor is sensor)
 
 
-def _joined(chosen: ChosenModel, other: ChosenModel, taken: Collection[Sensor]) -> ChosenModel:
-    """The effects of `other` on the sensors `taken`, those of `chosen` on the rest."""
+def _merged_by_sensor(chosen: ChosenModel, other: ChosenModel, taken: Collection[Sensor]) -> ChosenModel:
+    """The effects of `other` on the sensors `taken`, and those of `chosen` on the rest."""
     others = [s for s in chosen.scores if s.hypothesis.effect.sensor not in taken]
     scores = (*others, *(s for s in other.scores if s.hypothesis.effect.sensor in taken))
     pair = (chosen.model, other.model)
@@ -167,21 +176,21 @@ def _joined(chosen: ChosenModel, other: ChosenModel, taken: Collection[Sensor]) 
     own = [pair[views[a // 3].sensor in taken] for a in range(chosen.model.setting.axes)]
     mixed = replace(
         chosen.model,
-        terms=tuple(t for m in pair for t in m.terms if _is_of(t, taken) is (m is other.model)),
-        noise_terms=tuple(t for m in pair for t in m.noise_terms if _is_of(t, taken) is (m is other.model)),
+        terms=tuple(t for m in pair for t in m.terms if _is_on(t, taken) is (m is other.model)),
+        noise_terms=tuple(t for m in pair for t in m.noise_terms if _is_on(t, taken) is (m is other.model)),
         noise=tuple(m.noise[a] for a, m in enumerate(own)),
         weight=tuple(m.weight[a] for a, m in enumerate(own)),
     )
-    model, joint, fit = fitted(with_residual(mixed))
+    model, joint, fit = jointly_fitted(with_residual(mixed))
     return ChosenModel(model, joint, fit, scores, chosen.tests, chosen.first)
 
 
-def _is_of(term: Term | NoiseTerm, sensors: Collection[Sensor]) -> bool:
+def _is_on(term: Term | NoiseTerm, sensors: Collection[Sensor]) -> bool:
     return term.hypothesis.effect.sensor in sensors
 
 
-def _drift_leads(first: Sequence[ContestScore], level: float) -> bool:
-    """Whether noise that wanders is the best single effect on some sensor."""
+def _drift_is_best(first: Sequence[ContestScore], level: float) -> bool:
+    """Whether drift noise is the best single effect on some sensor."""
     best: dict[Sensor, ContestScore] = {}
     for score in (s for s in first if s.p < level):
         sensor = score.hypothesis.effect.sensor
@@ -190,66 +199,66 @@ def _drift_leads(first: Sequence[ContestScore], level: float) -> bool:
     return any(score.hypothesis.effect.drifts for score in best.values())
 
 
-def grown(
+def extended(
     chosen: ChosenModel, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None
 ) -> ChosenModel:
-    """A model with everything that is still significant beside it, at `level` a test."""
+    """The model with every further effect that is significant at `level` a test and worth its price."""
     candidates = contest.hypotheses if candidates is None else candidates
     model, joined, first = chosen.model, list(chosen.scores), chosen.first
     gains: Gains = {}
     if joined:  # what was exchanged may have made others superfluous
         model, joined, gains = pruned(model, contest, joined, level)
     known = {} if joined else {s.hypothesis.key: s for s in first}
-    scores = _scored(model, contest, candidates, known, None if joined else set())
+    scores = _candidate_scores(model, contest, candidates, known, None if joined else set())
     step = 0
     while step < prices.MOST_IN_A_ROW + prices.MOST_EVENTS:
         full = step >= prices.MOST_IN_A_ROW
         still = {key: s for key, s in scores.items() if _happens(s)} if full else scores
-        best, trial = _best(still, level, gains, contest, model)
+        best, trial = _best_candidate(still, level, gains, contest, model)
         if best is None or contest.pace.ends():
             break
         contest.pace.advance()
         joined.append(best)
         if trial is None:
             began = contest.pace.now
-            trial = fitted_about(with_score(model, best), best.hypothesis)
-            contest.pace.keep_back(len(joined), contest.pace.now - began)
+            trial = locally_fitted(with_score(model, best), best.hypothesis)
+            contest.pace.reserve(len(joined), contest.pace.now - began)
         model, joined, gains = pruned(trial, contest, joined, level)
         changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
-        scores = _scored(model, contest, candidates, scores, changed)
+        scores = _candidate_scores(model, contest, candidates, scores, changed)
         step += 1
-    model, joined = _material(model, joined, gains)
-    model, joint, noise = fitted(model)
+    model, joined = _without_second_order(model, joined, gains)
+    model, joint, noise = jointly_fitted(model)
     return ChosenModel(model, joint, noise, tuple(joined), chosen.tests, first)
 
 
 def _happens(score: ContestScore) -> bool:
-    """Whether it is an event: one that waits for room behind errors of other sensors spoils their noise meanwhile."""
+    """Whether it is an event. An event that waits for errors of other sensors to enter spoils its noise meanwhile."""
     return score.hypothesis.effect.jumps
 
 
 def with_score(model: Model, score: ContestScore) -> Model:
-    """The model with a hypothesis that was scored beside it."""
+    """The model with the hypothesis of a score."""
     if isinstance(score.hypothesis.effect, NoiseEffect):
         return with_term(model, NoiseTerm(score.hypothesis, score.theta))
     term = Term(score.hypothesis, score.beta, score.theta)
     return with_residual(replace(model, terms=(*model.terms, term)))
 
 
-def _scored(
+def _candidate_scores(
     model: Model,
     contest: Contest,
     candidates: Sequence[Hypothesis],
     old: dict[Key, ContestScore],
     changed: set[Sensor] | None,
 ) -> dict[Key, ContestScore]:
-    """Scores of all candidates that are not in the model; those of sensors that did not change stay."""
+    """Scores of all candidates that are not in the model; those of unchanged sensors are kept from `old`."""
     there = [term.hypothesis for term in model.members]
     taken = {hypothesis.key for hypothesis in there}
-    beside = Beside(model)
+    beside = Projection(model)
     scores, stale = {}, []
     for hypothesis in candidates:
-        if hypothesis.key in taken or hypothesis.described_by(there):
+        if hypothesis.key in taken or hypothesis.is_covered_by(there):
             continue
         if hypothesis.before is not None and hypothesis.before not in taken:
             continue
@@ -262,13 +271,13 @@ def _scored(
     return {**scores, **{s.hypothesis.key: s for s in contest.scores(stale, beside)}}
 
 
-def _best(
+def _best_candidate(
     scores: dict[Key, ContestScore], level: float, gains: Gains, contest: Contest, model: Model
 ) -> tuple[ContestScore | None, Model | None]:
-    """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
+    """The best significant score, refined and no second order of the model's effects, and its fitted model, if any.
 
-    Noise that wanders may have taken the place of a slow mean. So may undeclared noise, which was fitted to the mean as
-    well. What a mean gains beside them says little. The second result is the model that it joins, if that was fitted.
+    Drift noise and undeclared noise may have absorbed a slow mean, so the gain of a mean beside them is not compared
+    with the second order.
     """
     wandering = any(t.hypothesis.effect.drifts for t in model.noise_terms)
     undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}
@@ -276,14 +285,14 @@ def _best(
     def hidden(score: ContestScore) -> bool:
         return not score.hypothesis.periodic and (wandering or score.hypothesis.effect.sensor in undeclared)
 
-    beside: Beside | None = None
+    beside: Projection | None = None
     while True:
         good = [
             s
             for s in scores.values()
             if s.p < level
-            and s.gain >= (0.0 if hidden(s) else prices.ENTRY_SHARE) * _least(s.hypothesis, model, gains)
-            and s.gain >= contest.thresholds.joining(s.hypothesis)
+            and s.gain >= (0.0 if hidden(s) else prices.ENTRY_SHARE) * _second_order_limit(s.hypothesis, model, gains)
+            and s.gain >= contest.thresholds.to_enter(s.hypothesis)
         ]
         if not good:
             return None, None
@@ -291,16 +300,16 @@ def _best(
         most = prices.CANDIDATES_FITTED
         place, unsure = next(((k, s) for k, s in enumerate(ranked) if not s.sure), (most, None))
         if unsure is None or place >= most:
-            return _by_refit(ranked, model)
-        beside = beside or Beside(model)
+            return _best_after_refit(ranked, model)
+        beside = beside or Projection(model)
         scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)
 
 
-def _by_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[ContestScore, Model | None]:
-    """The best of scores in their order; of large ones, the one beside which the noise again says most.
+def _best_after_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[ContestScore, Model | None]:
+    """The best score; if gains are large, the best of several after the noise was fitted with each.
 
-    A large gap is in the noise that is fitted before anything explains it: beside a bias of a hundred standard
-    deviations what else a misalignment explains counts for next to nothing.
+    A large gap is part of the noise as long as nothing explains it: beside a bias of a hundred standard deviations a
+    misalignment gains next to nothing.
     """
     best = ranked[0]
     size = sum(3 * view.count for view in model.setting.views if best.hypothesis.touches(view))
@@ -315,73 +324,73 @@ def _by_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[ContestScor
             rivals.setdefault(score.hypothesis.effect.id, score)
     tried = list(rivals.values())[: prices.RIVALS_TRIED]
     touched = {v.sensor for v in model.setting.views if any(s.hypothesis.touches(v) for s in tried)}
-    near = sorted(coupled(model, touched))
+    near = sorted(coupled_sensors(model, touched))
     worth, least = None, math.inf
     for score in tried:
-        trial = fitted_about(with_score(model, score), score.hypothesis)
-        level = sum(refitted(trial, near).deviance.values()) + score.price  # of -2 log L
+        trial = locally_fitted(with_score(model, score), score.hypothesis)
+        level = sum(noise_fitted(trial, near).deviance.values()) + score.price  # of -2 log L
         if worth is None or level < least:
             worth, least = (score, trial), level
     assert worth is not None
     return worth
 
 
-def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
-    """Gain below which an effect is a second order of the largest one on its sensor, or of one far larger elsewhere.
+def _second_order_limit(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
+    """Gain below which an effect is a second order of the largest one on its sensor, or of a far larger one elsewhere.
 
-    What shakes at some frequency has no second order that goes with temperature or turns: a mean is one of means.
+    Vibration at some frequency has no second order that follows temperature or rotation: only a mean has one of a mean.
     """
     of = {term.hypothesis.key: term.hypothesis.effect for term in model.members}
     effect = hypothesis.effect
     near = [
         gains[k][0]
         for k, e in of.items()
-        if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared) and _of_one_order(effect, e)
+        if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared) and _may_be_second_order(effect, e)
     ]
     far = max((gain for gain, _, _ in gains.values()), default=0.0)
-    part = prices.FLIGHT_SECOND_ORDER_SHARE if of_flights(model) else prices.SECOND_ORDER_SHARE
+    part = prices.FLIGHT_SECOND_ORDER_SHARE if has_learned_spectrum(model) else prices.SECOND_ORDER_SHARE
     return max(part * max(near, default=0.0), prices.OTHER_SENSOR_SHARE * far)
 
 
-def _of_one_order(effect: CatalogueEffect, other: CatalogueEffect) -> bool:
-    """Whether an effect could be a second order of another: a mean could not of noise that does not wander."""
+def _may_be_second_order(effect: CatalogueEffect, other: CatalogueEffect) -> bool:
+    """Whether an effect could be a second order of another; a mean is none of stationary noise."""
     steady = isinstance(other, NoiseEffect) and not other.drifts
     return not (steady and isinstance(effect, MeanEffect) and not effect.tonal)
 
 
-def of_flights(model: Model) -> bool:
-    """Whether a spectrum was learned from other recordings: small true structure is everywhere in them."""
+def has_learned_spectrum(model: Model) -> bool:
+    """Whether a noise spectrum was learned from other recordings, in which small true structure is everywhere."""
     return any(view.density is not None for view in model.setting.views)
 
 
 def pruned(
     model: Model, contest: Contest, joined: list[ContestScore], level: float
 ) -> tuple[Model, list[ContestScore], Gains]:
-    """Without the terms that no longer are significant beside the others (Wald on the mean, ratio on the noise)."""
+    """The model without terms that are no longer significant (Wald on the mean, likelihood ratio on the noise)."""
     while True:
-        gains = last_gains(model, contest)
+        gains = marginal_gains(model, contest)
         chances = {key: min(1.0, grid * float(chdtrc(df, gain))) for key, (gain, df, grid) in gains.items()}
         weak = [(key, p) for key, p in chances.items() if p > level]
         if not weak or len(joined) < 2:
             return model, joined, gains
         key = max(weak, key=lambda pair: pair[1])[0]
-        gone = _member(model, key)
+        gone = _hypothesis_of(model, key)
         joined = [s for s in joined if s.hypothesis.key != key]
-        model = fitted_about(without(model, key), gone)
+        model = locally_fitted(without_effect(model, key), gone)
 
 
-def reduced(chosen: ChosenModel, keys: Collection[Key]) -> ChosenModel:
-    """The same without the effects of those keys, everything fitted again."""
+def refitted_without(chosen: ChosenModel, keys: Collection[Key]) -> ChosenModel:
+    """The model without the effects of those keys, fitted again."""
     model = chosen.model
     for key in keys:
-        model = without(model, key)
-    model, joint, noise = fitted(model)
+        model = without_effect(model, key)
+    model, joint, noise = jointly_fitted(model)
     left = tuple(s for s in chosen.scores if s.hypothesis.key not in keys)
     return replace(chosen, model=model, joint=joint, noise=noise, scores=left)
 
 
-def without(model: Model, key: Key) -> Model:
-    """The model without the term of that key."""
+def without_effect(model: Model, key: Key) -> Model:
+    """The model without the term of that key, not fitted again."""
     for term in model.noise_terms:
         if term.hypothesis.key == key:
             return without_term(model, term)
@@ -389,28 +398,28 @@ def without(model: Model, key: Key) -> Model:
     return with_residual(replace(model, terms=left))
 
 
-def last_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
-    """By term: what it gains beside all the others, its degrees of freedom, and the size of its grid."""
-    found = _mean_gains(model, contest)
+def marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
+    """By term, its gain beside all others, degrees of freedom, and size of the grid."""
+    found = _mean_marginal_gains(model, contest)
     full: dict[Sensor, float] = {}
     for noise in model.noise_terms:
         sensor = noise.hypothesis.effect.sensor
-        bare = refitted(without_term(model, noise), [sensor])
+        bare = noise_fitted(without_term(model, noise), [sensor])
         if sensor not in full:
-            full[sensor] = sum(refitted(model, [sensor]).deviance.values())
+            full[sensor] = sum(noise_fitted(model, [sensor]).deviance.values())
         gain = sum(bare.deviance.values()) - full[sensor]
         found[noise.hypothesis.key] = (max(gain, 0.0), len(noise.hypothesis.effect.parameters), 1)
     return found
 
 
-def _mean_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
-    """Gains of the terms on the mean, from one set of normal equations.
+def _mean_marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
+    """Marginal gains of the terms on the mean, from one set of normal equations.
 
-    A term is given back to the residual and fitted by its own columns beside everything that the others estimate.
+    A term is added back to the residual and fitted by its own columns, beside everything that the others estimate.
     """
     if not model.terms:
         return {}
-    own = [contest.columns(term.hypothesis, term.theta, model) for term in model.terms]
+    own = [contest.columns.of(term.hypothesis, term.theta, model.setting) for term in model.terms]
     others = [jacobian(term, model.setting) for term in model.terms]
     normal = normal_equations([*own, *others], model.y, model.weight, model.ridge)
     count, size = len(own), len(normal.right)
@@ -428,7 +437,7 @@ def _mean_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, i
         if term.effect.fixed:
             found[term.hypothesis.key] = (max(float(2.0 * left[0] - gram[0, 0]), 0.0), 1, 1)
         else:
-            basis = existing(gram, np.diag(normal.gram)[mine])
+            basis = independent_directions(gram, np.diag(normal.gram)[mine])
             found[term.hypothesis.key] = (float(((basis.T @ left) ** 2).sum()), basis.shape[1], 1)
     return found
 
@@ -437,34 +446,36 @@ def _within(k: int, rows: slice) -> bool:
     return bool(rows.start <= k < rows.stop)
 
 
-def restored(model: Model, i: int) -> Model:
-    """The model with what term `i` explains given back to the residual; the term stays listed."""
+def with_term_in_residual(model: Model, i: int) -> Model:
+    """The model with the contribution of term `i` added back to the residual; the term stays listed."""
     others = replace(model, terms=tuple(t for j, t in enumerate(model.terms) if j != i))
     back = with_residual(others)
     return replace(model, residual=back.residual, y=back.y)
 
 
-def _material(model: Model, joined: list[ContestScore], gains: Gains) -> tuple[Model, list[ContestScore]]:
-    small = [k for k, (gain, _, _) in gains.items() if gain < _least(_member(model, k), model, gains)]
+def _without_second_order(model: Model, joined: list[ContestScore], gains: Gains) -> tuple[Model, list[ContestScore]]:
+    small = [
+        k for k, (gain, _, _) in gains.items() if gain < _second_order_limit(_hypothesis_of(model, k), model, gains)
+    ]
     for key in small:
-        model = without(model, key)
+        model = without_effect(model, key)
     return model, [s for s in joined if s.hypothesis.key not in small]
 
 
-def _member(model: Model, key: Key) -> Hypothesis:
+def _hypothesis_of(model: Model, key: Key) -> Hypothesis:
     return next(term.hypothesis for term in model.members if term.hypothesis.key == key)
 
 
 def objective(chosen: ChosenModel) -> float:
-    """``-2 log L`` with the price of every effect, and of the number of effects: smaller is better."""
-    return sum(chosen.noise.deviance.values()) + price_of_all(chosen.scores)
+    """``-2 log L`` with the price of every effect and of their number; smaller is better."""
+    return sum(chosen.noise.deviance.values()) + total_price(chosen.scores)
 
 
-def price_of_all(scores: Iterable[ContestScore]) -> float:
-    """Price of some effects together."""
+def total_price(scores: Iterable[ContestScore]) -> float:
+    """Price of several effects together."""
     return sum(s.price + prices.EFFECT_COUNT_PRICE for s in scores)
 
 
-def wanders(chosen: ChosenModel) -> bool:
-    """Whether noise that wanders is in the model."""
+def has_drift_noise(chosen: ChosenModel) -> bool:
+    """Whether the model contains drift noise."""
     return any(t.hypothesis.effect.drifts for t in chosen.model.noise_terms)

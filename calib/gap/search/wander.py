@@ -1,7 +1,7 @@
-"""The reference's attitude as a slow process that the accelerometer and the magnetometer see alike (GAP 3.5).
+"""The reference's attitude error as a slow process that accelerometer and magnetometer share (GAP 3.5).
 
-A Gauss-Markov prior makes it cheap: two numbers, its size and its time, are chosen by the marginal likelihood; its
-cosines cost what they take from the prior, not an amplitude each.
+A Gauss-Markov prior makes it cheap: only its rms and its correlation time are chosen, by the marginal likelihood. Its
+cosines cost the distance from the prior, not an amplitude each.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.likelihood import AxisNoise
 from mavcal.calib.gap.model.hypotheses import Binning, Hypothesis, HypothesisColumns, Part, add_block
 from mavcal.calib.gap.model.joint import Model, Ridge, Setting, cosines, frame_of, normal_equations, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted
+from mavcal.calib.gap.model.noise_fit import noise_fitted
 from mavcal.calib.gap.model.refinement import misfit, refined
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.schema import ParameterEstimate
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.contest import Contest, tail
+from mavcal.calib.gap.search.contest import Contest, tail_probability
 from mavcal.calib.gap.search.evidence import price_of_kind
 from mavcal.calib.gap.search.selection import (
     ChosenModel,
     largest_gain,
     objective,
-    price_of_all,
     select,
-    without,
+    total_price,
+    without_effect,
 )
 from mavcal.calib.recording import Sensor
 
@@ -50,10 +50,10 @@ refined afterwards."""
 
 @dataclass(frozen=True, eq=False)
 class WanderFit:
-    """A model with a wandering reference, on averages over some samples, and the contest on these.
+    """A model with a wandering reference, on averages of samples, and its contest.
 
-    `gain` says how much better it is; `size_deg` and `time_s` are of the process, `noise` is with what it has above its
-    last cosine.
+    `gain` is its advantage; `size_deg` and `time_s` are rms and correlation time of the process. `noise` includes the
+    part of the process above its last cosine.
     """
 
     chosen: ChosenModel
@@ -64,17 +64,17 @@ class WanderFit:
     noise: tuple[AxisNoise, ...]
 
 
-def sees(view: View) -> bool:
-    """Whether a series sees an error of the reference's attitude."""
+def sees_attitude(view: View) -> bool:
+    """Whether a series contains the reference's attitude error."""
     return view.reference_error and view.sensor is not Sensor.GYRO and not view.first
 
 
-def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float) -> WanderFit | None:
-    """The better model in which the reference's attitude wanders, None if there is none."""
+def fit_wander(chosen: ChosenModel, contest: Contest, start: Model, alpha: float) -> WanderFit | None:
+    """The better model in which the reference's attitude wanders; None if there is none."""
     setting = start.setting
-    if not any(map(sees, setting.views)) or contest.pace.ends():
+    if not any(map(sees_attitude, setting.views)) or contest.pace.ends():
         return None
-    process, worth = _instead(chosen)
+    process, worth = _process_in_place_of_effects(chosen)
     gain, size, time = process.gain, process.size_deg, process.time_s
     price = (
         2.0 * math.log(len(prices.WANDER_SIZES_DEG) * len(prices.WANDER_TIMES_S))
@@ -83,62 +83,70 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
     )
     if worth < price - prices.WANDER_SLACK:
         return None
-    least = max((contest.thresholds.lasting(v.sensor) for v in setting.views if sees(v)), default=0.0)
+    least = max((contest.thresholds.lasting(v.sensor) for v in setting.views if sees_attitude(v)), default=0.0)
     if gain < max(prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest), least):
         return None
-    if tail(gain, 2, len(prices.WANDER_SIZES_DEG) * len(prices.WANDER_TIMES_S)) * (chosen.tests + 1) > alpha:
+    if (
+        tail_probability(gain, 2, len(prices.WANDER_SIZES_DEG) * len(prices.WANDER_TIMES_S)) * (chosen.tests + 1)
+        > alpha
+    ):
         return None
     frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
     # A bias that wanders cannot be told from a reference that does.
-    candidates = [h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.drifts and _seen_by(h))]
+    candidates = [
+        h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.drifts and _sees_direction(h))
+    ]
     contest = Contest(candidates, thresholds=contest.thresholds, pace=contest.pace)
     columns = wander_columns(setting, frames)
-    ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
+    ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), time_span(setting))
     noise = with_tail(setting, start.noise, size, time)
     found = select(starting_model(setting, noise, ridge), contest, alpha)
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
     return WanderFit(found, contest, better, size, time, noise) if better > 0.0 else None
 
 
-def _instead(chosen: ChosenModel) -> tuple[_ProcessFit, float]:
-    """The best process, and by how much a model with it is better, its own price apart: at least, infinite if unknown.
+def _process_in_place_of_effects(chosen: ChosenModel) -> tuple[_ProcessFit, float]:
+    """The best process, and a lower bound of its advantage before its price; infinite if it replaces drift noise.
 
-    It stands for all drifts that could be its own, and of every effect that it explains better. What drifts
-    have beyond its last cosine is counted only later (:func:`with_tail`).
+    It replaces every drift noise that it could cause, and every effect that it explains better. The part of drifts
+    above its last cosine is added later (:func:`with_tail`).
     """
     bare, scores = chosen.model, {s.hypothesis.key: s for s in chosen.scores}
-    drifts = [t.hypothesis.key for t in bare.noise_terms if t.hypothesis.effect.drifts and _seen_by(t.hypothesis)]
+    drifts = [
+        t.hypothesis.key for t in bare.noise_terms if t.hypothesis.effect.drifts and _sees_direction(t.hypothesis)
+    ]
     for key in drifts:
-        bare = without(bare, key)
+        bare = without_effect(bare, key)
         scores.pop(key)
-    bare = refitted(refined(bare)[0]).model
+    bare = noise_fitted(refined(bare)[0]).model
     process = _Process.about(bare)
     best = process.best(bare)
     worth = math.inf if drifts else best.gain
     for score in sorted(scores.values(), key=lambda s: s.gain):
-        if _may_stand_for_it(score.hypothesis, bare.setting):
-            other = refined(without(bare, score.hypothesis.key))[0]
+        if _can_be_replaced(score.hypothesis, bare.setting):
+            other = refined(without_effect(bare, score.hypothesis.key))[0]
             found = process.best(other)
-            better = found.gain - best.gain + price_of_all([score]) - (misfit(other) - misfit(bare))
+            better = found.gain - best.gain + total_price([score]) - (misfit(other) - misfit(bare))
             if better > 0.0:
                 bare, best, worth = other, found, worth + better
     return best, worth
 
 
-def _may_stand_for_it(hypothesis: Hypothesis, setting: Setting) -> bool:
+def _can_be_replaced(hypothesis: Hypothesis, setting: Setting) -> bool:
+    """Whether the process could cause what the hypothesis describes."""
     effect = hypothesis.effect
     steady = isinstance(effect, MeanEffect) and not effect.tonal
-    return steady and any(hypothesis.touches(view) for view in setting.views if sees(view))
+    return steady and any(hypothesis.touches(view) for view in setting.views if sees_attitude(view))
 
 
-def _seen_by(hypothesis: Hypothesis) -> bool:
+def _sees_direction(hypothesis: Hypothesis) -> bool:
     return hypothesis.effect.sensor is not Sensor.GYRO
 
 
 @dataclass(frozen=True, order=True)
 class _ProcessFit:
-    """Twice the gain of marginal log-likelihood of a process, its rms (deg) and its time (s)."""
+    """Twice the gain of marginal log-likelihood of a process, its rms (deg) and its correlation time (s)."""
 
     gain: float
     size_deg: float
@@ -147,9 +155,9 @@ class _ProcessFit:
 
 @dataclass(frozen=True, eq=False)
 class _Process:
-    """What is the same of all models with one noise: columns, their weights by axis, and what each prior makes of them.
+    """What all models with one noise share: columns, weights by axis, and the priors.
 
-    `priors`: size and time, roots (p,) of the prior variances, and :func:`halved` with them.
+    `priors`: rms, correlation time, roots (p,) of the prior variances, and :func:`inverse_root` with them.
     """
 
     frames: tuple[Binning, ...]
@@ -167,23 +175,23 @@ class _Process:
         priors = []
         for size, time in _priors():
             root = np.sqrt(_prior(setting, size, time))
-            priors.append((size, time, root, halved(np.eye(columns.p) + root[:, None] * normal.gram * root)))
+            priors.append((size, time, root, inverse_root(np.eye(columns.p) + root[:, None] * normal.gram * root)))
         return cls(frames, columns, weight, tuple(priors))
 
     def best(self, model: Model) -> _ProcessFit:
-        """The best size and time of the process beside a model of that noise."""
+        """The best rms and correlation time beside a model with that noise."""
         right = np.zeros(self.columns.p)
         for axis, part in self.columns.parts.items():
             v, c = divmod(axis, 3)
             (y,) = self.frames[v].bins(np.ascontiguousarray(model.residual[v][:, c][None]))
             right[part.index] += part.X @ (self.weight[axis] * y)
-        return max(_ProcessFit(marginal(half, root * right), size, time) for size, time, root, half in self.priors)
+        return max(_ProcessFit(marginal_gain(half, root * right), size, time) for size, time, root, half in self.priors)
 
 
-def halved(inner: Array) -> tuple[Array, float]:
-    """H (p, p) with ``H' H = A^-1`` and ``log det A`` of a matrix A that is one plus squares.
+def inverse_root(inner: Array) -> tuple[Array, float]:
+    """H (p, p) with ``H' H = A^-1``, and ``log det A``, of a matrix A = I + squares.
 
-    Beside next to no noise these squares are so large that rounding makes some of them negative.
+    Beside almost no noise these squares are so large that rounding makes some eigenvalues negative.
     """
     try:
         factor = np.linalg.cholesky(inner)
@@ -195,18 +203,18 @@ def halved(inner: Array) -> tuple[Array, float]:
     return half, 2.0 * float(np.log(np.diag(factor)).sum())
 
 
-def marginal(half: tuple[Array, float], right: Array) -> float:
-    """``r' A^-1 r - log det A``, of a matrix that was :func:`halved`."""
+def marginal_gain(half: tuple[Array, float], right: Array) -> float:
+    """``r' A^-1 r - log det A``, from :func:`inverse_root`."""
     scaled = half[0] @ right
     return float(scaled @ scaled) - half[1]
 
 
 def with_tail(setting: Setting, noise: Sequence[AxisNoise], size_deg: float, time_s: float) -> tuple[AxisNoise, ...]:
-    """The noise with what the process has above the last of its cosines, as far as a sensor sees it on average."""
-    first, last = span_of(setting)
+    """The noise with the process above the last of its cosines, averaged over the attitudes of each sensor."""
+    first, last = time_span(setting)
     changed = list(noise)
     for v, view in enumerate(setting.views):
-        if not sees(view):
+        if not sees_attitude(view):
             continue
         omega = view.omega * view.whole.fs
         density = 2.0 * math.radians(size_deg) ** 2 * time_s / (1.0 + (omega * time_s) ** 2)
@@ -227,7 +235,7 @@ def _priors() -> Iterator[tuple[float, float]]:
 
 def _prior(setting: Setting, size_deg: float, time_s: float) -> Array:
     """Variances of the amplitudes of the cosines of a Gauss-Markov process, the same on three axes."""
-    first, last = span_of(setting)
+    first, last = time_span(setting)
     omega = np.pi * np.arange(_MODES) / (last - first)
     density = 2.0 * math.radians(size_deg) ** 2 * time_s / (1.0 + (omega * time_s) ** 2)
     variance = density * 2.0 / (last - first)
@@ -235,20 +243,23 @@ def _prior(setting: Setting, size_deg: float, time_s: float) -> Array:
     return np.tile(variance, 3)
 
 
-def span_of(setting: Setting) -> tuple[float, float]:
+def time_span(setting: Setting) -> tuple[float, float]:
     """First and last time of all series."""
     return min(float(v.t[0]) for v in setting.views), max(float(v.t[-1]) for v in setting.views)
 
 
 def wander_columns(setting: Setting, frames: Sequence[Binning]) -> HypothesisColumns:
     """Columns of the amplitudes, axis by axis, over every series that sees the reference's attitude."""
-    span = span_of(setting)
+    span = time_span(setting)
     parts: dict[int, Part] = {}
     for v, view in enumerate(setting.views):
-        if not sees(view):
+        if not sees_attitude(view):
             continue
         turn = np.add.reduce([w * rotation_columns(view.traces[i], math.nan) for i, w in view.weights.items()])
-        turn, t = _averaged(turn[:, view.keep], frames[v].factor), _averaged(view.t[None, :, None], frames[v].factor)
+        turn, t = (
+            _block_means(turn[:, view.keep], frames[v].factor),
+            _block_means(view.t[None, :, None], frames[v].factor),
+        )
         t = t[0, :, 0]
         waves = cosines(t, span, _MODES)
         block = turn[:, None] * waves[None, :, :, None]
@@ -256,7 +267,7 @@ def wander_columns(setting: Setting, frames: Sequence[Binning]) -> HypothesisCol
     return HypothesisColumns(3 * _MODES, parts)
 
 
-def _averaged(values: Array, factor: int) -> Array:
+def _block_means(values: Array, factor: int) -> Array:
     """Means of `values` (p, n, k) over `factor` samples, over which the cosines hardly change."""
     if factor == 1:
         return values
@@ -265,7 +276,7 @@ def _averaged(values: Array, factor: int) -> Array:
 
 
 def process_cost(model: Model) -> float:
-    """What the process adds to ``-2 log L``: its distance from the prior, and its volume (Laplace)."""
+    """The process' part of ``-2 log L``: distance from the prior, and volume (Laplace)."""
     assert model.ridge is not None
     ridge = model.ridge
     normal = normal_equations((), model.y, model.weight, ridge)
@@ -274,7 +285,7 @@ def process_cost(model: Model) -> float:
 
 
 def rms_rotation(model: Model) -> tuple[ParameterEstimate, ...]:
-    """Root mean square of the error about each axis, rad."""
+    """Rms of the attitude error about each axis, rad."""
     assert model.ridge is not None
     normal = normal_equations((), model.y, model.weight, model.ridge)
     covariance = np.linalg.inv(normal.gram)

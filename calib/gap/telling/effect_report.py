@@ -10,11 +10,11 @@ import numpy as np
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.effects.traits import Trait
-from mavcal.calib.gap.heldout.shrink import dose_of
+from mavcal.calib.gap.heldout.shrink import block_agreement
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, Gates, Rival
 from mavcal.calib.gap.search.selection import ChosenModel
-from mavcal.calib.gap.search.wander import WanderFit, rms_rotation, sees
+from mavcal.calib.gap.search.wander import WanderFit, rms_rotation, sees_attitude
 from mavcal.calib.gap.telling.estimates import estimates_of
 from mavcal.calib.gap.telling.probabilities import calibrated_probability
 from mavcal.calib.gap.worth.attribution import TEMPERATURE, Attribution
@@ -23,7 +23,7 @@ from mavcal.calib.recording import Sensor
 
 def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:
     """An effect of the catalogue; `passed`: whether held-out blocks confirm it, None where they say nothing."""
-    term, dose = _term(chosen.model, found), dose_of(chosen, found.key)
+    term, dose = _term(chosen.model, found), block_agreement(chosen, found.key)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
     probability = calibrated_probability(found.probability, found.gain, beside_unknown=beside_unknown)
     return EffectEstimate(
@@ -37,11 +37,11 @@ def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, b
     )
 
 
-_EITHER = 0.5
+_EITHER_UNIT_SHARE = 0.5
 """Part of its probability that an effect keeps if either of two units may have it. Source: decision 42."""
 
 
-def on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
+def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
     """A delay on the unit that has it, of two `units`, which count from 1.
 
     A re-estimated trajectory follows one of them and is as late. Beside it the other seems to come early, and no sensor
@@ -57,19 +57,19 @@ def on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstima
     return replace(effect, instances=tuple(set(units) - set(effect.instances)), params=(late,))
 
 
-def on_either_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
+def with_other_unit_as_rival(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
     """`effect` with its doubt: of two `units`, which count from 1, the other may have it instead."""
     other = next(unit for unit in sorted(units) if unit not in effect.instances)
     fix = f"turning through all headings and tilts (instance {other} may have it instead, with the opposite sign)"
-    evidence = replace(effect.evidence, probability=_EITHER * effect.evidence.probability)
+    evidence = replace(effect.evidence, probability=_EITHER_UNIT_SHARE * effect.evidence.probability)
     rivals = (Rival(effect.id, 1.0, 0.0, fix), *effect.confusable_with)
     return replace(effect, evidence=evidence, confusable_with=rivals)
 
 
-def wandering_reference(wander: WanderFit, attributions: tuple[Attribution, ...]) -> EffectEstimate:
+def attitude_error_effect(wander: WanderFit, attributions: tuple[Attribution, ...]) -> EffectEstimate:
     """The reference's own error as an effect: its size on each axis."""
     model = wander.chosen.model
-    instances = sorted({i + FIRST for view in model.setting.views if sees(view) for i in view.weights})
+    instances = sorted({i + FIRST for view in model.setting.views if sees_attitude(view) for i in view.weights})
     others = sum(a.gain for a in attributions)
     sure = EffectEvidence(
         wander.gain,

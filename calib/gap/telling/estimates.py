@@ -1,23 +1,24 @@
-"""Parameters of the effects of a model, in the names and units of the catalogue."""
+"""Parameters of the effects of a model, in the names and units of the catalogue, with their errors."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import EffectParameter
 from mavcal.calib.gap.effects.traits import Trait
-from mavcal.calib.gap.model.joint import NoiseTerm, Term
-from mavcal.calib.gap.model.noise_fit import NoiseEstimate
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
+from mavcal.calib.gap.model.noise_fit import AxisFit, NoiseEstimate, densities_of, extra_rows, without_term
 from mavcal.calib.gap.model.normal_equations import solved
 from mavcal.calib.gap.schema import ParameterEstimate
 from mavcal.calib.gap.search.added_noise import line_amplitudes
+from mavcal.calib.gap.search.contest import noise_fits
 from mavcal.calib.gap.search.selection import ChosenModel
-from mavcal.calib.gap.telling.line_frequency import frequency_sd
-from mavcal.calib.gap.unknown.transitions import levels_apart, moment_of
-from mavcal.calib.gap.worth.attitude_error import variance_of_tilt
+from mavcal.calib.gap.unknown.transitions import jump_moment, level_mismatch
+from mavcal.calib.gap.worth.attitude_error import variance_from_attitude
 
 Array = NDArray[np.float64]
 
@@ -49,18 +50,18 @@ def estimates_of(chosen: ChosenModel, term: Term | NoiseTerm, widening: float = 
         return _of_noise(term, found, chosen)
     i = chosen.model.terms.index(term)
     rows = chosen.joint.slices[i]
-    covariance, gram = _with_stated_temperatures(chosen)
+    covariance, gram = _with_fixed_temperatures(chosen)
     variance = np.diag(covariance)[rows].copy()
-    variance[_unseen(gram)[rows]] = math.inf
+    variance[_undetermined(gram)[rows]] = math.inf
     effect = term.effect
     names = effect.parameters if effect.shape is None else (*effect.parameters, effect.shape.parameter)
-    se = np.hypot(widening * np.sqrt(variance), np.sqrt(variance_of_tilt(chosen.model, chosen.joint)[rows]))
+    se = np.hypot(widening * np.sqrt(variance), np.sqrt(variance_from_attitude(chosen.model, chosen.joint)[rows]))
     values = term.values.copy()
     if effect.jumps:
-        apart = levels_apart(chosen.model, term)
+        apart = level_mismatch(chosen.model, term)
         se[:3] = np.where(apart > _SIGNIFICANT * se[:3], np.hypot(se[:3], apart), se[:3])
-        if effect.shape is not None and effect.shape.still:
-            values[-1], between = moment_of(chosen.model, term)
+        if effect.shape is not None and effect.shape.discontinuous:
+            values[-1], between = jump_moment(chosen.model, term)
             se[-1] = math.hypot(se[-1], between)
     return tuple(
         _estimate(name, float(value), float(error)) for name, value, error in zip(names, values, se, strict=True)
@@ -86,14 +87,14 @@ def _of_noise(term: NoiseTerm, found: NoiseEstimate, chosen: ChosenModel) -> tup
     return tuple(made)
 
 
-def _with_stated_temperatures(chosen: ChosenModel) -> tuple[Array, Array]:
+def _with_fixed_temperatures(chosen: ChosenModel) -> tuple[Array, Array]:
     """Covariance and Gram matrix of all amplitudes, where a temperature is stated that no data can show.
 
     Beside a free offset the temperature at which a drift vanishes is a choice: any will do, with the offset that the
     sensor has there. The one that was fitted is kept, without an error, and the offset is the one at it.
     """
     joint = chosen.joint
-    hidden = _unseen(joint.normal.gram)
+    hidden = _undetermined(joint.normal.gram)
     stated = [
         rows.stop - 1
         for term, rows in zip(chosen.model.terms, joint.slices, strict=False)
@@ -111,10 +112,54 @@ def _with_stated_temperatures(chosen: ChosenModel) -> tuple[Array, Array]:
     return covariance, gram
 
 
-def _unseen(gram: Array) -> NDArray[np.bool_]:
+def _undetermined(gram: Array) -> NDArray[np.bool_]:
     """Which parameters have a part in a direction that the Gram matrix does not see."""
     scale = np.sqrt(np.diag(gram))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     hidden = vectors[:, values <= 1e-9 * max(len(values), 1)]
     return np.asarray((hidden**2).sum(axis=1) > _FREE)
+
+
+_TWO_SD = 4.0
+"""Twice the log-likelihood that is lost two standard errors from the best value. Source: chi-square of one degree."""
+_FIRST = 2.0**-8
+"""Part of a frequency by which the first one beside it differs. Chosen, not measured: a third of a hertz at 87 Hz."""
+_FURTHEST = 1.0
+"""Part of a frequency up to which one beside it is tried. Chosen, not measured: an octave up, and down to nothing."""
+
+
+def frequency_sd(model: Model, term: NoiseTerm) -> float:
+    """Standard error of the shape of a noise term, in its unit; infinite where any other within an octave is as likely.
+
+    The amplitudes are fitted again at every frequency.
+    """
+    bare = without_term(model, term)
+    fits = noise_fits(bare, term.hypothesis.effect.sensor)
+    best = _deviance(bare, fits, term, term.theta)
+    sides = [_sd_on_side(bare, fits, term, best, sign) for sign in (-1.0, 1.0)]
+    return max(sides)
+
+
+def _sd_on_side(bare: Model, fits: tuple[AxisFit, ...], term: NoiseTerm, best: float, sign: float) -> float:
+    """Half of the distance at which two standard errors are lost, by doubling; infinite where they never are."""
+    part, before = _FIRST, (0.0, 0.0)
+    while part < _FURTHEST:
+        lost = _deviance(bare, fits, term, term.theta * (1.0 + sign * part)) - best
+        if lost >= _TWO_SD:
+            low, there = before
+            rise = (_TWO_SD - there) / max(lost - there, 1e-300)
+            return 0.5 * term.theta * (low + (part - low) * math.sqrt(min(max(rise, 0.0), 1.0)))
+        part, before = 2.0 * part, (part, max(lost, 0.0))
+    return math.inf
+
+
+def _deviance(bare: Model, fits: tuple[AxisFit, ...], term: NoiseTerm, theta: float) -> float:
+    """``-2 log L`` of a sensor's axes with the line at `theta`."""
+    own = replace(term, theta=theta)
+    by_view = {
+        v: densities_of(own.hypothesis, view, theta)
+        for v, view in enumerate(bare.setting.views)
+        if own.hypothesis.touches(view)
+    }
+    return sum(fit.fitted(extra_rows(bare, fit, by_view))[1] for fit in fits)

@@ -63,11 +63,11 @@ def located(model: Model, alpha: float) -> tuple[LocatedGap, ...]:
         running = max(running, min(1.0, cells[i].p * (len(cells) - rank)))
         if running >= alpha:
             break
-        findings.append((cells[i].nats * cells[i].count, _finding(model, cells[i], running)))
+        findings.append((cells[i].nats * cells[i].count, _located_gap(model, cells[i], running)))
     return tuple(finding for _, finding in sorted(findings, key=lambda pair: -pair[0]))
 
 
-def _finding(model: Model, cell: _Cell, p: float) -> LocatedGap:
+def _located_gap(model: Model, cell: _Cell, p: float) -> LocatedGap:
     view = model.setting.views[cell.v]
     instance = max(view.weights, key=lambda i: view.weights[i]) + FIRST
     channel = f"{view.sensor.value}.{'xyz'[cell.c]}"

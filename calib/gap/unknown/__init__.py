@@ -1,1 +1,1 @@
-"""What no effect of the catalogue explains: shapes, noise that is no sensor's own, and what is left over."""
+"""What no effect of the catalogue explains: unnamed shapes, noise of no sensor, and power in the residual."""

@@ -1,9 +1,9 @@
-"""Whether whitened residuals are white noise, as bets: noise that is louder at times, waves of any form.
+"""Tests whether whitened residuals are white noise: bursts of noise, and waves of any form.
 
-A bet is an e-value: a likelihood averaged over what it bets on, in parts of the largest likelihood that a model without
-it reaches. Where that model is true its mean is at most one. It then exceeds ``1 / a`` with a chance of at most `a`,
-whatever was averaged over (Ville 1939; Wasserman, Ramdas & Balakrishnan 2020). Nothing has to be simulated, and
-the mean of bets is a bet.
+A bet is an e-value: a likelihood averaged over alternatives, divided by the largest likelihood of a model without them.
+If that model is true its mean is at most one, and it exceeds ``1 / a`` with a chance of at most `a`, whatever was
+averaged over (Ville 1939; Wasserman, Ramdas & Balakrishnan 2020). No simulation is needed, and the mean of bets is a
+bet.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.views import View
-from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, coarse, varies
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, has_modulated_noise, is_coarsely_quantised
 
 Array = NDArray[np.float64]
 
@@ -63,64 +63,66 @@ next."""
 
 
 def bets_of(model: Model) -> tuple[Unexplained, ...]:
-    """Every bet on what a model leaves over, of each series whose noise is declared; their nats are logs."""
+    """Every bet on the residual of a model, for each series with declared white noise; nats are logs of bets."""
     return tuple(bet for v in range(len(model.setting.views)) for bet in _bets(model, v))
 
 
-def won(bets: Sequence[Unexplained]) -> list[Unexplained]:
-    """Those that win among all that are made."""
+def winning_bets(bets: Sequence[Unexplained]) -> list[Unexplained]:
+    """Bets that are significant among all."""
     needed = math.log(max(len(bets), 1) / _CHANCE)
     return [bet for bet in bets if bet.nats > needed]
 
 
 def log_odds(bets: Sequence[Unexplained]) -> float | None:
-    """The log of all bets together, a bet as well; None: none is made."""
-    return _mean(np.array([bet.nats for bet in bets])) if bets else None
+    """The log of the mean of all bets; None without bets."""
+    return _log_mean(np.array([bet.nats for bet in bets])) if bets else None
 
 
 def _bets(model: Model, v: int) -> Iterator[Unexplained]:
     view = model.setting.views[v]
     # The error of the reference is known only up to the last of its cosines.
     turned = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
-    if turned or not _declared(view):
+    if turned or not _is_white(view):
         return
     power = np.array([model.noise[3 * v + c].power for c in range(3)])
     white = np.stack([view.whitened(axis) for axis in view.spectra(model.residual[v]) / np.sqrt(power)])
     name = view.sensor.value
-    if not varies(model, view):
-        yield Unexplained(bursting(white), f"{BURSTS} on {name}", view.sensor)
-    nats, periods = comb(white)
+    if not has_modulated_noise(model, view):
+        yield Unexplained(burst_bet(white), f"{BURSTS} on {name}", view.sensor)
+    nats, periods = wave_bet(white)
     yield Unexplained(nats, f"{WAVES} {periods * view.fs / view.n:.3g} Hz on {name}", view.sensor)
 
 
-def _declared(view: View) -> bool:
-    """Whether its noise is known to be white: what was learned from flights was averaged over all that was there."""
-    return view.density is None and view.variance is not None and not view.first and not coarse(view)
+def _is_white(view: View) -> bool:
+    """Whether the noise of a series is known to be white; spectra learned from flights are averages."""
+    return view.density is None and view.variance is not None and not view.first and not is_coarsely_quantised(view)
 
 
-def bursting(white: Array) -> float:
-    """Log of the bet that the variance of white series (p, n) goes to and fro between two values.
+def burst_bet(white: Array) -> float:
+    """Log of the bet that the variance of white series (p, n) switches between two values.
 
-    It is a Markov chain of two states, against samples that are louder or not in no order: heavy tails are no bursts.
+    The bet is on a Markov chain of two states against loud samples in random order: heavy tails are no bursts.
     """
     width = -(-white.shape[1] // _BLOCKS)
     count = white.shape[1] // width
     square = white[:, : count * width] ** 2
     energy = square.reshape(len(white), count, width).sum(axis=2)
     each = [axes for axes in _AXES if max(axes) < len(white)]
-    chains = _chains(np.array([energy[list(axes)].sum(axis=0) for axes in each]), width * np.array([*map(len, each)]))
+    chains = _chain_likelihoods(
+        np.array([energy[list(axes)].sum(axis=0) for axes in each]), width * np.array([*map(len, each)])
+    )
     bets = []
     for axes, chain in zip(each, chains, strict=True):
         own = list(axes)
         if chain > 0.0:  # else no more than a draw, whatever it is compared with
-            alone = _unordered(square[own].ravel(), 1) if width <= _SINGLE else 0.0
-            chain -= max(alone, _unordered(energy[own].sum(axis=0), width * len(own)))
+            alone = _mixture_likelihood(square[own].ravel(), 1) if width <= _SINGLE else 0.0
+            chain -= max(alone, _mixture_likelihood(energy[own].sum(axis=0), width * len(own)))
         bets.append(chain)
-    return _mean(np.array(bets))
+    return _log_mean(np.array(bets))
 
 
-def _chains(energy: Array, freedom: NDArray[np.intp]) -> Array:
-    """Log-likelihood of Markov chains of two variances against unit variance, averaged over them, (k,).
+def _chain_likelihoods(energy: Array, freedom: NDArray[np.intp]) -> Array:
+    """Log-likelihood (k,) of Markov chains of two variances, averaged over chains, against unit variance.
 
     `energy` (k, n): sums of `freedom` (k,) squares each. The first state has unit variance.
     """
@@ -144,10 +146,11 @@ def _chains(energy: Array, freedom: NDArray[np.intp]) -> Array:
     return np.asarray(logsumexp(total, axis=1) - math.log(total.shape[1]))
 
 
-def _unordered(energy: Array, freedom: int) -> float:
-    """The largest log-likelihood of sums (n,) of so many squares whose variance is one of two, against unit variance.
+def _mixture_likelihood(energy: Array, freedom: int) -> float:
+    """The largest log-likelihood of sums (n,) of `freedom` squares with one of two variances each, against unit
+    variance.
 
-    Either at each of them by itself, by rounds of expectation and maximisation.
+    By expectation and maximisation, each sum independently.
     """
     best = 0.0
     for part, variance in _STARTS:
@@ -163,11 +166,11 @@ def _unordered(energy: Array, freedom: int) -> float:
     return best
 
 
-def comb(white: Array) -> tuple[float, float]:
-    """Log of the bet that white series (p, n) have a wave of any form, and how many periods of the likeliest they have.
+def wave_bet(white: Array) -> tuple[float, float]:
+    """Log of the bet that white series (p, n) contain a periodic wave, and the number of its likeliest periods.
 
-    At each frequency a wave and its overtones are tried. Their amplitudes share a prior of their own size. Periodograms
-    are summed over overtones as by de Jager, Raubenheimer & Swanepoel 1989.
+    At each frequency a wave and its overtones are tried, with a common prior of their own size. Periodograms are summed
+    over overtones as by de Jager, Raubenheimer & Swanepoel 1989.
     """
     width = -(-white.shape[1] // _LONGEST)
     n = white.shape[1] // width
@@ -189,12 +192,12 @@ def comb(white: Array) -> tuple[float, float]:
             done = most
             size = _SIZES[:, None]
             worth = 0.5 * (gain * size / (1.0 + size) - rank * np.log1p(size))
-            bets.append(_mean(worth.ravel()))
+            bets.append(_log_mean(worth.ravel()))
             j = int(worth.argmax()) % len(at)
             best = max(best, (float(worth.max()), int(at[j])))
-    return _mean(np.array(bets)), best[1] / _PAD
+    return _log_mean(np.array(bets)), best[1] / _PAD
 
 
-def _mean(bets: Array) -> float:
-    """The log of the mean of bets, which are given as logs."""
+def _log_mean(bets: Array) -> float:
+    """Log of the mean of bets that are given as logs."""
     return float(logsumexp(bets) - math.log(len(bets)))

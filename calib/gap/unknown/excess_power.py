@@ -1,6 +1,6 @@
-"""What is left over beside a model: more power than the noise has, in bands, in lines, or for a while.
+"""Power in the residual above the noise: in bands, in lines, or for a while.
 
-A model that explains everything leaves white noise over, as strong at all times. Nothing is assumed of what it is.
+A complete model leaves stationary white noise. Nothing is assumed about the form of an excess.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.special import chdtrc, fdtrc, ndtr
 
 from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.views import View
-from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, coarse
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, is_coarsely_quantised
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ _LEFTOVER = 1e-7
 """Chance, over all that is looked at, below which noise alone has no such power. Source: GAP 3.3."""
 _MINUTES_DIFFER = 2.0
 """Times a learned spectrum, up to which power may be that of other minutes. Chosen, not measured: noise doubles from
-minute to minute (`nominal_baseline._LOUD`)."""
+minute to minute (`baselines._LOUD`)."""
 _JOLT_S, _JOLTS = 0.5, 0.03
 """Length of a jolt, s, and part of a recording that is jolts. Chosen, not measured: a filter of 20 Hz has settled by
 then; two or three touchdowns of a flight of a minute."""
@@ -51,7 +51,7 @@ recording."""
 
 @dataclass(frozen=True)
 class _Excess:
-    """More power than the noise has: worth `nats`, and `p` that chance makes one, over all that is looked at."""
+    """Power above the noise: `nats`, and the chance `p` of it, corrected within its kind."""
 
     sensor: Sensor
     p: float
@@ -66,15 +66,15 @@ def excess_power(
     *,
     outside: bool = False,
 ) -> list[Unexplained]:
-    """By sensor, nats that it still shows above the noise, and where; what chance makes is not among them.
+    """By sensor, nats of significant power above the noise, and a description.
 
-    Above `bandwidth_hz` an accelerometer feels movement that the reference does not know. A sensor that has less than
-    its `floor` left over shows the reference's errors. `outside`: the reference is no sensor of the vehicle (cameras):
-    then jolts are the sensor's own.
+    Above `bandwidth_hz` an accelerometer measures movement that the reference does not contain. Excess below the
+    sensor's `floor` is an error of the reference. `outside`: the reference is no sensor of the vehicle (cameras), so
+    that jolts belong to the sensor.
     """
     by_sensor: dict[Sensor, list[_Excess]] = {}
     for v, view in enumerate(model.setting.views):
-        for one in _excesses(model, v, bandwidth_hz, outside=outside):
+        for one in _tested_excesses(model, v, bandwidth_hz, outside=outside):
             by_sensor.setdefault(view.sensor, []).append(one)
     found = []
     for sensor, excesses in by_sensor.items():
@@ -84,8 +84,8 @@ def excess_power(
     return found
 
 
-def _excesses(model: Model, v: int, bandwidth_hz: float, *, outside: bool) -> list[_Excess]:
-    """What noise alone does not explain: in bands of an axis, else in more of it, else for a while."""
+def _tested_excesses(model: Model, v: int, bandwidth_hz: float, *, outside: bool) -> list[_Excess]:
+    """Significant excesses of a series: in bands of one axis, else of all axes, else lines, else for a while."""
     # The error of the reference is known only up to the last of its cosines.
     turned = model.ridge.columns.parts if model.ridge is not None else {}
     axes = [c for c in range(3) if 3 * v + c not in turned]
@@ -108,8 +108,8 @@ def _excesses(model: Model, v: int, bandwidth_hz: float, *, outside: bool) -> li
         ),
         (_band(view, white, band, outside=outside) for band in (*itertools.pairwise(edges), (edges[0], edges[-1]))),
         (_line(view, ratio[:, : edges[-1]]),),
-        _passing(view, white),
-        _blips(view, white),
+        _transient_waves(view, white),
+        _slow_deviations(view, white),
     ):
         found = [one for one in looked if one.p * tests < _LEFTOVER]
         if found:
@@ -118,7 +118,7 @@ def _excesses(model: Model, v: int, bandwidth_hz: float, *, outside: bool) -> li
 
 
 def _edges(view: View, bandwidth_hz: float) -> list[int]:
-    """Bins at which bands of a series begin and end, as far as its reference knows of movement."""
+    """Edges of bands, as bins, up to the bandwidth of the reference."""
     known = bandwidth_hz if view.reference_error and view.sensor is Sensor.ACCEL else math.inf
     edges = np.unique(np.geomspace(_SLOWEST, view.count, _GROUPS + 1).astype(np.intp))
     return [int(k) for j, k in enumerate(edges) if j == 0 or (k + view.first) * _bin_hz(view) <= known]
@@ -129,12 +129,12 @@ def _bin_hz(view: View) -> float:
 
 
 def _band(view: View, white: Array, band: tuple[int, int], axis: str = "", *, outside: bool) -> _Excess:
-    """Power of axes, in parts of their noise's, from one bin to another, of whitened spectra (p, count)."""
+    """Relative power of axes in a band, from whitened spectra (p, count)."""
     low, high = band
     count, square = white[:, low:high].size, float((white[:, low:high] ** 2).sum())
     learned = view.density is not None
     if learned and square > _MINUTES_DIFFER * count and view.sensor is Sensor.ACCEL and not outside:
-        square = min(square, _between_jolts(view, white, band))
+        square = min(square, _power_between_jolts(view, white, band))
     if learned and square <= _MINUTES_DIFFER * count:
         p = 1.0  # a learned spectrum is that of other minutes: twice as much is none of this recording's
     elif math.isinf(view.dof):
@@ -146,11 +146,10 @@ def _band(view: View, white: Array, band: tuple[int, int], axis: str = "", *, ou
     return _Excess(view.sensor, p, _nats(square, count), f"power from {start:.3g} to {end:.3g} Hz on {on}")
 
 
-def _between_jolts(view: View, white: Array, band: tuple[int, int]) -> float:
-    """Sum of squares in a band without the moments of the hardest jolts, as if the rest were all.
+def _power_between_jolts(view: View, white: Array, band: tuple[int, int]) -> float:
+    """Sum of squares in a band without the hardest jolts, scaled to the whole recording.
 
-    A touchdown is a few samples of a flight, and no two are alike. Units that are sampled at moments of their own read
-    it differently.
+    A touchdown is a few samples, and no two are alike. Units that sample at different moments read it differently.
     """
     moved = np.add.reduce([view.traces[i].measured[view.keep] for i in view.weights])
     change = np.append((np.diff(moved, axis=0) ** 2).sum(axis=1), 0.0)
@@ -162,12 +161,12 @@ def _between_jolts(view: View, white: Array, band: tuple[int, int]) -> float:
 
 
 def _nats(square: float, count: int) -> float:
-    """By which a variance of their own explains `count` squares of unit variance better."""
+    """Gain of an own variance for `count` squares over unit variance."""
     return 0.5 * (square - count - count * math.log(square / count)) if square > count > 0 else 0.0
 
 
 def _line(view: View, ratio: Array) -> _Excess:
-    """The bin of axes (p, count) that stands out most from those about it."""
+    """The bin of axes (p, count) with the largest ratio to its surroundings."""
     level = 2 * _AROUND + 1
     surroundings = uniform_filter1d(ratio.sum(axis=0), level, mode="nearest") - ratio.sum(axis=0) / level
     least = 1.0 if view.density is None else _MINUTES_DIFFER
@@ -178,14 +177,14 @@ def _line(view: View, ratio: Array) -> _Excess:
     return _Excess(view.sensor, float(chdtrc(len(ratio), peak[k])) * len(peak), nats, text)
 
 
-def _passing(view: View, white: Array) -> Iterator[_Excess]:
-    """Waves that last for some windows, of whitened spectra (p, count): short spectra that are less even than noise's.
+def _transient_waves(view: View, white: Array) -> Iterator[_Excess]:
+    """Waves that last for some windows: short spectra of whitened spectra (p, count) that are less even than noise.
 
-    Each cell of frequency and time has a chance; of noise, minus its logarithm is exponential, and the sum of squares
-    of n such numbers has the mean 2 n and the variance 20 n. A window is compared with its own power: louder noise is
-    no wave. What was learned from flights was averaged over what passed there.
+    Each cell of frequency and time has a chance. For noise, minus its logarithm is exponential, and the sum of squares
+    of n such numbers has the mean 2 n and the variance 20 n. A window is normalised by its own power: louder noise is
+    no wave. Spectra learned from flights are averages over such waves and are not tested.
     """
-    if view.density is not None or view.variance is None or view.first or coarse(view):
+    if view.density is not None or view.variance is None or view.first or is_coarsely_quantised(view):
         return
     series = np.stack([view.whitened(axis) for axis in white])
     for width in _WINDOWS:
@@ -203,12 +202,12 @@ def _passing(view: View, white: Array) -> Iterator[_Excess]:
         yield _Excess(view.sensor, float(ndtr(-beyond)) * len(_WINDOWS), 0.5 * max(beyond, 0.0) ** 2, text)
 
 
-def _blips(view: View, white: Array) -> Iterator[_Excess]:
-    """What deviates slowly for a moment: windows of whitened spectra (p, count), their first bins louder than the rest.
+def _slow_deviations(view: View, white: Array) -> Iterator[_Excess]:
+    """Slow deviations for a moment: windows of whitened spectra (p, count) with most power in their first bins.
 
-    A window is compared with its own noise, as in :func:`_passing`: what is louder at all frequencies is no deviation.
+    A window is compared with its own noise, as in :func:`_transient_waves`: louder noise is no deviation.
     """
-    if view.density is not None or view.first or coarse(view):
+    if view.density is not None or view.first or is_coarsely_quantised(view):
         return
     series = np.stack([view.whitened(axis) for axis in white])
     for width in _LENGTHS:

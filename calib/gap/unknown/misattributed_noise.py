@@ -1,12 +1,14 @@
-"""Noise that is no sensor's own.
+"""Noise effects of a model that are not the noise of a sensor.
 
-Drift whose axes move together has one driver; drift that comes back (Gauss-Markov) is neither a walk nor flicker; noise
-that swells and fades is not the steady one that is declared.
+Drift whose axes move together has one driver. Drift that returns to its mean (Gauss-Markov) is neither a random walk
+nor flicker. Noise that comes and goes is not the stationary noise that is declared. Noise in a few windows only is an
+event: somebody handles the vehicle.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +17,13 @@ from scipy.special import chdtrc
 
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.likelihood import fit_amplitudes, flicker, random_walk
+from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, NoiseTerm
 from mavcal.calib.gap.model.noise_fit import noise_rows
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.reference.resolution import step_of
 from mavcal.calib.gap.schema import HiddenDriver
-from mavcal.calib.gap.search.added_noise import unsteady_line
+from mavcal.calib.gap.search.added_noise import is_line_unsteadiness
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -40,7 +43,7 @@ _POLES = np.geomspace(3e-5, 0.3, 20)
 
 @dataclass(frozen=True, eq=False)
 class MisattributedNoise:
-    """A noise effect that is something else."""
+    """A noise effect with another cause; `driver` if the axes drift together."""
 
     key: tuple[str, tuple[int, ...]]
     text: str
@@ -51,30 +54,30 @@ def misattributed_noise(model: Model) -> tuple[MisattributedNoise, ...]:
     """Random walks and flicker of the model that are not a sensor's own noise."""
     found = []
     for term in model.noise_terms:
-        if not term.hypothesis.effect.drifts or unsteady_line(term, model):
+        if not term.hypothesis.effect.drifts or is_line_unsteadiness(term, model):
             continue
         sensor = term.hypothesis.effect.sensor
         for v, view in enumerate(model.setting.views):
             if view.first or not term.hypothesis.touches(view):
                 continue
-            driver = coherent(model, v, term)
+            driver = hidden_driver(model, v, term)
             if driver is not None:
                 text = (
                     f"hidden scalar driver along [{', '.join(f'{d:.2f}' for d in driver.direction)}] on {sensor.value}"
                 )
                 found.append(MisattributedNoise(term.hypothesis.key, text, driver))
                 break
-            if returning(model, v, term):
+            if returns_to_mean(model, v, term):
                 text = f"drift that comes back (Gauss-Markov) on {sensor.value}"
                 found.append(MisattributedNoise(term.hypothesis.key, text, None))
                 break
     return tuple(found)
 
 
-def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
-    """Whether the axes' drifts are correlated (Bartlett): then something drives them together.
+def hidden_driver(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
+    """The common driver of the axes' drifts if they are correlated (Bartlett), else None.
 
-    An axis that reads the same as its reference has no drift, and drives nothing.
+    An axis that reads the same as its reference has no drift and does not count.
     """
     view = model.setting.views[v]
     y, own = [], []
@@ -103,8 +106,8 @@ def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
     return HiddenDriver(p, (float(leading[0]), float(leading[1]), float(leading[2])), view.sensor)
 
 
-def returning(model: Model, v: int, term: NoiseTerm) -> bool:
-    """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than a walk and than flicker."""
+def returns_to_mean(model: Model, v: int, term: NoiseTerm) -> bool:
+    """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than a random walk and flicker."""
     view = model.setting.views[v]
     bins = model.setting.bins[v]
     steep = 1.0 / random_walk(view.omega)
@@ -124,36 +127,42 @@ def returning(model: Model, v: int, term: NoiseTerm) -> bool:
     return float(common.max() - best.max()) > _RETURNS or each > _RETURNS_EACH
 
 
-_TOGETHER = (([0, 1, 2], ""), ([0], ".x"), ([1], ".y"), ([2], ".z"))
+_AXIS_GROUPS = (([0, 1, 2], ""), ([0], ".x"), ([1], ".y"), ([2], ".z"))
 """Axes that may swell together, and their name: one supply feeds all three."""
 _WINDOWS = (4, 8, 16, 32, 64, 128)
 """Samples over which energies are summed, in turn. Chosen, not measured: an octave from one to the next."""
-_MOST = 0.99
+_CLIPPED_QUANTILE = 0.99
 """Part of the samples whose energy counts as it is. Chosen, not measured: a few large samples are heavy tails and do
 not swell."""
-_UNSTEADY = 1e-6
+_NONSTATIONARY = 1e-6
 """Chance, over all that is looked at, below which steady noise does not scatter so. Chosen, not measured: white noise
 of real sensors is never exactly normal."""
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Nats of what is in no effect of a model, the sensor on which it is, and what is said of it."""
+    """Nats in the residual of a sensor that no effect of the model explains, and their description."""
 
     nats: float
     text: str
     sensor: Sensor
 
 
-def unsteady(model: Model) -> list[Unexplained]:
-    """By sensor, nats by which noise that swells and fades would fit better than the steady one, if not by chance.
+def nonstationary_noise(model: Model) -> list[Unexplained]:
+    """By sensor, nats by which noise of varying power fits better than stationary noise, if not by chance.
 
-    Only where white noise is declared and nothing in the model varies by itself: what was learned from flights was
-    averaged over its own swelling.
+    Only with declared white noise and without modulated noise in the model: a spectrum learned from flights is an
+    average over their own variation.
     """
     worst: dict[Sensor, Unexplained] = {}
     for v, view in enumerate(model.setting.views):
-        if view.density is not None or view.variance is None or view.first or varies(model, view) or coarse(view):
+        if (
+            view.density is not None
+            or view.variance is None
+            or view.first
+            or has_modulated_noise(model, view)
+            or is_coarsely_quantised(view)
+        ):
             continue
         white = np.stack(
             [
@@ -161,17 +170,17 @@ def unsteady(model: Model) -> list[Unexplained]:
                 for c in range(3)
             ]
         )
-        for axes, name in _TOGETHER:
+        for axes, name in _AXIS_GROUPS:
             for width in _WINDOWS:
-                nats = _swelling(white[axes], width, len(_WINDOWS) * len(_TOGETHER) * len(model.setting.views))
+                nats = _excess_scatter(white[axes], width, len(_WINDOWS) * len(_AXIS_GROUPS) * len(model.setting.views))
                 if nats > (worst[view.sensor].nats if view.sensor in worst else 0.0):
                     text = f"noise that comes and goes within {width / view.fs:.2g} s on {view.sensor.value}{name}"
                     worst[view.sensor] = Unexplained(nats, text, view.sensor)
     return list(worst.values())
 
 
-def coarse(view: View) -> bool:
-    """Whether readings are rounded so much that the error of rounding is no noise."""
+def is_coarsely_quantised(view: View) -> bool:
+    """Whether quantisation steps exceed the noise, so that the error of rounding is no noise."""
     for trace in view.traces.values():
         rows = trace.measured[view.keep] if len(trace.t) == len(view.keep) else trace.measured
         variance = float(np.mean(view.variance)) if view.variance is not None else 0.0
@@ -180,8 +189,8 @@ def coarse(view: View) -> bool:
     return False
 
 
-def varies(model: Model, view: View) -> bool:
-    """Whether a model has noise on a series that goes with something: it is not steady, and has a name."""
+def has_modulated_noise(model: Model, view: View) -> bool:
+    """Whether the model has noise on a series whose power follows a known envelope."""
     return any(
         isinstance(term.hypothesis.effect, NoiseEffect)
         and term.hypothesis.effect.variance is not None
@@ -190,24 +199,88 @@ def varies(model: Model, view: View) -> bool:
     )
 
 
-def _swelling(white: Array, width: int, tests: int) -> float:
-    """Excess scatter of the energies of windows of `width` samples of axes (p, n), in nats; 0 if chance makes as much.
+def _excess_scatter(white: Array, width: int, tests: int) -> float:
+    """Excess scatter, in nats, of the energies of windows of `width` samples of axes (p, n); 0 if chance explains it.
 
-    Chance is that of the same samples in any other order: the energies' own scatter, whatever their tails (Pearson).
-    The largest count as what most stay below, or two single ones beside each other would do.
+    Chance is judged by the scatter of single energies in any order, whatever their tails (Pearson). The largest ones
+    are clipped, or two of them in one window would be significant.
     """
     count = white.shape[1] // width
     if count < _LEAST:
         return 0.0
     energy = (white[:, : count * width] ** 2).sum(axis=0)
-    each = np.minimum(energy, np.quantile(energy, _MOST))
+    each = np.minimum(energy, np.quantile(energy, _CLIPPED_QUANTILE))
     spread = float(each.var())
     sums = each.reshape(count, width).sum(axis=1)
     square = float(sums.var()) * count / max(width * spread, 1e-300)
-    if float(chdtrc(count - 1, square)) * tests > _UNSTEADY:
+    if float(chdtrc(count - 1, square)) * tests > _NONSTATIONARY:
         return 0.0
     freedom = width * len(white)
     mean = energy.reshape(count, width).sum(axis=1) / float(energy.mean() * width)
     scatter = float((freedom * (mean - 1.0 - np.log(np.maximum(mean, 1e-12)))).sum())
     bartlett = 1.0 + 1.0 / (3.0 * freedom)  # correction of the ratio of one variance
     return float(0.5 * (scatter - bartlett * (count - 1)))
+
+
+_WINDOW_S = 1.0
+"""Seconds of a window. Source: decision 34 counts seconds."""
+_FEWEST = 20
+"""Windows of a recording, below which nothing is said of their differences. Chosen, not measured: a quarter of them is
+then five."""
+_BURST_SHARE = 0.25
+"""Part of the windows that a burst takes at most; noise of a sensor is in all of them. Source: decision 34."""
+_LOUD_RATIO = 0.5
+"""Part of the mean excess above which a window has the noise. Chosen, not measured: half of the mean is beyond the
+scatter of a window without it."""
+_BURST_PAUSE_S = 3.0
+"""Seconds between loud windows up to which they are one burst. Chosen, not measured: a person who handles a vehicle
+pauses for as long."""
+_LISTED = 3
+"""Bursts whose times are said. Chosen, not measured: a sentence that a person reads."""
+
+
+def bursts(model: Model) -> Iterator[tuple[Key, str]]:
+    """Noise terms that are present in a small part of the recording, and a description with times."""
+    for term in model.noise_terms:
+        effect = term.hypothesis.effect
+        if not isinstance(effect, NoiseEffect) or effect.drifts or effect.variance is not None or effect.shape:
+            continue
+        if (spans := _burst_spans(model, term)) is not None:
+            when = ", ".join(f"{start:.0f} to {end:.0f} s" for start, end in spans[:_LISTED])
+            more = f" and {len(spans) - _LISTED} more times" if len(spans) > _LISTED else ""
+            yield term.hypothesis.key, f"noise on {effect.sensor.value} from {when}{more} only"
+
+
+def _burst_spans(model: Model, term: NoiseTerm) -> list[tuple[float, float]] | None:
+    """Intervals in which the noise of a term is present, s, the longest first; None if throughout or undecided."""
+    edges, excess = _excess_by_window(model, term)
+    mean = float(excess.mean()) if len(excess) >= _FEWEST else 0.0
+    loud = np.flatnonzero(excess > _LOUD_RATIO * mean)
+    if mean <= 0.0 or not 0 < len(loud) <= _BURST_SHARE * len(excess):
+        return None
+    breaks = np.flatnonzero(np.diff(loud) > _BURST_PAUSE_S / _WINDOW_S)
+    groups = np.split(loud, breaks + 1)
+    spans = [(float(edges[g[0]]), float(edges[g[-1] + 1])) for g in groups]
+    return sorted(spans, key=lambda span: span[0] - span[1])
+
+
+def _excess_by_window(model: Model, term: NoiseTerm) -> tuple[Array, Array]:
+    """Edges (m + 1,) of windows of one second, and their power (m,) above the noise without the term."""
+    touched = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view)]
+    times = [model.setting.views[v].t for v in touched]
+    first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+    edges = first + _WINDOW_S * np.arange(int((last - first) / _WINDOW_S) + 1)
+    squares, counts = np.zeros(max(len(edges) - 1, 0)), np.zeros(max(len(edges) - 1, 0))
+    names = {term.name(j) for j in range(len(term.hypothesis.effect.parameters))}
+    for v in touched:
+        view = model.setting.views[v]
+        at = np.searchsorted(edges, view.t, side="right") - 1
+        inside = (at >= 0) & (at < len(squares))
+        for c in range(3):
+            noise = model.noise[3 * v + c]
+            own = sum((noise.amplitudes[n] * noise.densities[n] for n in names & noise.densities.keys()), 0.0)
+            bare = np.maximum(noise.power - own, 1e-300)
+            white = view.whitened(view.spectra(model.residual[v])[c] / np.sqrt(bare))
+            squares += np.bincount(at[inside], white[inside] ** 2, len(squares))
+            counts += np.bincount(at[inside], None, len(squares)) * (view.count / view.n)
+    return np.asarray(edges, dtype=np.float64), squares - counts

@@ -1,4 +1,4 @@
-"""What a model says and nobody should: that a sensor shows nothing of its reference, and names nothing supports."""
+"""Implausible results of a model: a sensor without any response to its reference, and improbable names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mavcal.calib.gap.unknown.verdict import UnnamedCause
 from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 
-_BELIEVED = 0.01
+_LEAST_PROBABILITY = 0.01
 """Probability below which no effect is named where something without a name is the likelier. Chosen, not measured: a
 name of one in a hundred helps nobody."""
 _COMMON = "clock"
@@ -28,9 +28,10 @@ _LIVE = "a live sensor, and a reference of the same movement"
 
 
 def unresponsive_sensors(model: Model) -> frozenset[Sensor]:
-    """Sensors that, by the model, show next to nothing of their reference: no scale is minus one, no field turned off.
+    """Sensors that, by the model, respond to next to nothing of their reference's movement.
 
-    What scales and fields make of the reference's movement is compared with it, axis by axis.
+    A scale of minus one or a cancelled field is implausible. The modelled response is compared with the reference's
+    movement axis by axis.
     """
     found = set()
     for view in model.setting.views:
@@ -48,7 +49,7 @@ def unresponsive_sensors(model: Model) -> frozenset[Sensor]:
 
 
 def without_sensors(problem: GapProblem, sensors: Collection[Sensor]) -> GapProblem:
-    """`problem` without sensors that do not follow their references, which is said."""
+    """`problem` without unresponsive sensors, with a notice for each."""
     said = [
         (s.value, f"{s.value} does not follow its reference: of its movement next to nothing is in the readings", _LIVE)
         for s in Sensor
@@ -62,16 +63,16 @@ def without_sensors(problem: GapProblem, sensors: Collection[Sensor]) -> GapProb
     )
 
 
-def nameless(
+def improbable_effects(
     attributions: Iterable[Attribution], effects: Mapping[Key, CatalogueEffect], withdrawn: Sequence[Unexplained]
 ) -> Iterable[UnnamedCause]:
-    """Effects that are far less likely than something unnamed in their place, or than what did not last."""
+    """Effects that are far less likely than an unnamed cause in their place or than a withdrawn one."""
     found: dict[str, list[Key]] = {}
     for a in attributions:
         effect = effects[a.key]
         if effect.nameless:
             continue  # it has no name to begin with
-        if a.probability < _BELIEVED and (withdrawn or a.unknown_probability > a.probability):
+        if a.probability < _LEAST_PROBABILITY and (withdrawn or a.unknown_probability > a.probability):
             found.setdefault(_COMMON if effect.shared else effect.sensor.value, []).append(a.key)
     return [
         UnnamedCause(tuple(keys), f"a difference on {name} that no effect describes") for name, keys in found.items()

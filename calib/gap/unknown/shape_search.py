@@ -1,8 +1,8 @@
-"""What no effect of the catalogue explains, as competitors that pay for their freedom.
+"""Unnamed shapes as competitors of the catalogue, which pay for their freedom.
 
-The catalogue is tried first and alone. Shapes (:mod:`calib.gap.unknown.shapes`) are then compared with it in three
-places: beside its model, instead of all that it has on a sensor, and instead of each of its effects; the best of them
-join the contest. (What is said of them, and of all else that is unknown: :mod:`calib.gap.unknown.verdict`.)
+The catalogue is tried first, alone. Shapes (:mod:`calib.gap.unknown.shapes`) are then compared with it in three places:
+beside its model, in place of all effects on a sensor, and in place of each effect. The best of them join the contest.
+(The report of unnamed causes: :mod:`calib.gap.unknown.verdict`.)
 """
 
 from __future__ import annotations
@@ -16,44 +16,44 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model
-from mavcal.calib.gap.model.noise_fit import refitted
+from mavcal.calib.gap.model.noise_fit import noise_fitted
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.contest import Contest, ContestScore, priced
+from mavcal.calib.gap.search.contest import Contest, ContestScore, free_score
 from mavcal.calib.gap.search.evidence import evidence, price_of_kind
-from mavcal.calib.gap.search.projection import Beside, Gain, existing
+from mavcal.calib.gap.search.projection import Gain, Projection, independent_directions
 from mavcal.calib.gap.search.selection import (
     ChosenModel,
-    fitted_about,
-    grown,
+    extended,
     largest_gain,
+    locally_fitted,
     objective,
-    price_of_all,
     select,
-    without,
+    total_price,
+    without_effect,
 )
-from mavcal.calib.gap.unknown.shapes import ShapeHypothesis, flexible, shapes_of
+from mavcal.calib.gap.unknown.shapes import ShapeHypothesis, is_broken_line, shapes_of
 
 Array = NDArray[np.float64]
 
-_MARGIN = 2.0
+_LEAST_IMPROVEMENT = 2.0
 """Penalised evidence by which a model with shapes must beat the catalogue alone. Source: decision 5."""
 _SHORTLIST = 6
 """Shapes in each place that stand in the contest. Chosen, not measured: it bounds the time."""
-_CONTAINED = 0.8
+_CONTAINED_SHARE = 0.8
 """Part of a shape's evidence above which a simpler effect is what it goes about. Source: decision 5."""
 
 
 @dataclass(frozen=True, eq=False)
-class WithShapes:
-    """The better of the two models, and the contest that has the likeliest shapes among its rivals."""
+class ShapeSearch:
+    """The better of the two models, and the contest with the likeliest shapes among the rivals."""
 
     chosen: ChosenModel
     contest: Contest
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """A shape where it would stand: what it displaces is worth `own` (penalised evidence) with `df` numbers."""
+class _ShapePlace:
+    """A shape in a place: it replaces effects of penalised evidence `own` with `df` parameters."""
 
     score: ContestScore
     own: float = 0.0
@@ -61,94 +61,104 @@ class _Place:
 
     @property
     def better(self) -> float:
-        """By how much the shape is."""
+        """Penalised evidence of the shape less that of the replaced effects."""
         return self.score.delta - self.own
 
     @property
     def elaborate(self) -> bool:
-        """Whether it says no more than what it would displace, in more numbers: it may stand beside that alone."""
-        more = flexible(self.score.hypothesis) or self.score.df > self.df
-        return more and self.own > _CONTAINED * self.score.delta
+        """Whether it explains hardly more than the replaced effects, with more parameters: it may only stand beside them.
+        """
+        more = is_broken_line(self.score.hypothesis) or self.score.df > self.df
+        return more and self.own > _CONTAINED_SHARE * self.score.delta
 
 
-def explained(chosen: ChosenModel, contest: Contest, start: Model, alpha: float, named: Collection[str]) -> WithShapes:
-    """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals.
+def with_shapes(
+    chosen: ChosenModel, contest: Contest, start: Model, alpha: float, named: Collection[str]
+) -> ShapeSearch:
+    """The catalogue's model, or a better one with shapes, and a contest with the likeliest shapes as rivals.
 
-    `named` are the ids of the catalogue, of effects that cannot be tested here as well.
+    `named` are all ids of the catalogue, including effects that cannot be tested here.
     """
     if contest.pace.ends():
-        return WithShapes(chosen, contest)
+        return ShapeSearch(chosen, contest)
     periodic = [t for t in chosen.model.terms if t.hypothesis.periodic]
     shapes = shapes_of(chosen.model.setting, periodic, named)
-    scorer = contest.among(())
+    scorer = contest.restricted_to(())
     tests = chosen.tests + sum(len(s.hypotheses) for s in shapes)
-    beside = [_Place(score) for score in _scored(shapes, scorer, Beside(chosen.model))]
-    instead = [*_instead_of_all(chosen, shapes, scorer, start), *_instead_of_each(chosen, shapes, scorer)]
-    worth = max(_MARGIN, _least(chosen, contest)) if chosen.model.members else 0.0
+    beside = [_ShapePlace(score) for score in _shape_scores(shapes, scorer, Projection(chosen.model))]
+    instead = [
+        *_instead_of_all_effects(chosen, shapes, scorer, start),
+        *_instead_of_each_effect(chosen, shapes, scorer),
+    ]
+    worth = max(_LEAST_IMPROVEMENT, _second_order_gain(chosen, contest)) if chosen.model.members else 0.0
     strong = any(p.score.p * tests < alpha and p.better > worth for p in (*beside, *instead))
-    likely = {p.score.hypothesis.key: p.score.hypothesis for p in _best((*beside, *instead)) if p.score.delta > 0.0}
+    likely = {
+        p.score.hypothesis.key: p.score.hypothesis for p in _shortlist((*beside, *instead)) if p.score.delta > 0.0
+    }
     elaborate = {p.score.hypothesis.key for p in instead if p.elaborate}
     plain = [h for key, h in likely.items() if key not in elaborate]
-    rivals = contest.among((*contest.hypotheses, *plain))
+    rivals = contest.restricted_to((*contest.hypotheses, *plain))
     if strong:
         level = alpha * sum(not h.again for h in rivals.hypotheses) / tests
-        everything = contest.among((*contest.hypotheses, *likely.values()))
-        other = min((select(start, rivals, level), grown(chosen, everything, alpha / tests)), key=objective)
+        everything = contest.restricted_to((*contest.hypotheses, *likely.values()))
+        other = min((select(start, rivals, level), extended(chosen, everything, alpha / tests)), key=objective)
         if objective(other) < objective(chosen) - worth:
-            return WithShapes(other, rivals)
-    return WithShapes(chosen, rivals)
+            return ShapeSearch(other, rivals)
+    return ShapeSearch(chosen, rivals)
 
 
-def _least(chosen: ChosenModel, contest: Contest) -> float:
-    """Part of the largest gain that is a second order of it; noise takes what is its own."""
+def _second_order_gain(chosen: ChosenModel, contest: Contest) -> float:
+    """Second-order part of the largest gain; zero if noise effects are in the model."""
     return 0.0 if chosen.model.noise_terms else prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest)
 
 
-def _best(places: Sequence[_Place]) -> list[_Place]:
-    """The best few in each place."""
+def _shortlist(places: Sequence[_ShapePlace]) -> list[_ShapePlace]:
+    """The best few shapes of each place."""
     found = []
     for own in dict.fromkeys(p.own for p in places):
         found += sorted((p for p in places if p.own == own), key=lambda p: -p.score.delta)[:_SHORTLIST]
     return found
 
 
-def _instead_of_all(
+def _instead_of_all_effects(
     chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest, start: Model
-) -> list[_Place]:
-    """Shapes instead of all effects of a sensor."""
+) -> list[_ShapePlace]:
+    """Shapes in place of all effects on a sensor."""
     found = []
-    before = refitted(start).deviance
+    before = noise_fitted(start).deviance
     for sensor in {term.hypothesis.effect.sensor for term in chosen.model.members}:
         own = [s for s in chosen.scores if s.hypothesis.effect.sensor is sensor]
         gain = sum(before[key] - chosen.noise.deviance[key] for key in before if key[0] is sensor)
         worth, df = (
-            gain - price_of_all(own) + prices.EFFECT_COUNT_PRICE,
+            gain - total_price(own) + prices.EFFECT_COUNT_PRICE,
             sum(s.df for s in own),
         )  # a shape is one of its own
         touched = [s for s in shapes if s.whole.effect.sensor is sensor]
-        found += [_Place(score, worth, df) for score in _scored(touched, scorer, Beside(start))]
+        found += [_ShapePlace(score, worth, df) for score in _shape_scores(touched, scorer, Projection(start))]
     return found
 
 
-def _instead_of_each(chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest) -> list[_Place]:
-    """Shapes instead of each effect."""
+def _instead_of_each_effect(
+    chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest
+) -> list[_ShapePlace]:
+    """Shapes in place of each effect."""
     found = []
     level = sum(chosen.noise.deviance.values())
     for term in chosen.model.members:
-        bare = refitted(fitted_about(without(chosen.model, term.hypothesis.key), term.hypothesis))
+        bare = noise_fitted(locally_fitted(without_effect(chosen.model, term.hypothesis.key), term.hypothesis))
         touched = [s for s in shapes if s.whole.effect.sensor is term.hypothesis.effect.sensor]
         score = next((s for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), None)
         price, df = (0.0, 0) if score is None else (score.price, score.df)
         own = sum(bare.deviance.values()) - level - price
-        found += [_Place(score, own, df) for score in _scored(touched, scorer, Beside(bare.model))]
+        found += [_ShapePlace(score, own, df) for score in _shape_scores(touched, scorer, Projection(bare.model))]
     return found
 
 
-def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Beside) -> list[ContestScore]:
-    """Scores of all shapes and of their parts, whose columns are made once."""
+def _shape_scores(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Projection) -> list[ContestScore]:
+    """Scores of all shapes and their parts, with the columns of a shape made once."""
     found = []
     for shape in shapes:
-        columns = contest.columns(shape.whole, math.nan, beside.model)
+        columns = contest.columns.of(shape.whole, math.nan, beside.model.setting)
         gram, right, energy = beside.projected(columns)
         whole = _score(shape.whole, gram, right, energy)
         found.append(whole)
@@ -159,7 +169,7 @@ def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Beside)
 
 
 def _score(hypothesis: Hypothesis, gram: Array, right: Array, energy: Array) -> ContestScore:
-    basis = existing(gram, energy)
+    basis = independent_directions(gram, energy)
     gain = basis.T @ right
     worth = evidence(gram, right, np.zeros(len(right), np.intp))
-    return priced(hypothesis, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1)
+    return free_score(hypothesis, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1)

@@ -1,7 +1,7 @@
-"""Shapes that no effect of the catalogue has: lines over covariates, products, other sensors, low orders of readings.
+"""Unnamed shapes: lines over covariates, products, readings of other sensors, low orders of a reading.
 
-They stand in the same contest as the catalogue and pay for their freedom. What has many amplitudes is offered in parts
-as well, by axis and by signal: one amplitude shows what eighteen would hide.
+They compete with the catalogue and pay for their freedom. A shape with many amplitudes is also offered in parts, by
+axis and by signal: one significant amplitude would be lost among eighteen.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ _KNOTS = 6
 """Knots of a broken line over a covariate. Chosen, not measured: enough for a bend and a saturation on either side."""
 _KNOTS_TIME = 20
 """Knots of a broken line over time. Chosen, not measured: 3 s apart in a minute."""
-_ENDS = 0.01
+_OUTER_SHARE = 0.01
 """Part of the samples beyond the last knots: an amplitude that rests on a few of them would explode elsewhere. Chosen,
 not measured: the knots then leave out the rarest hundredth at either end."""
-_TIES = 1e-3
+_KNOT_DISTANCE = 1e-3
 """Distance of two knots, in parts of all knots' range, below which they are one. Source: numerical; closer knots make
 columns that are hardly independent."""
 _APPROACHES_S = (3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0)
 """Time constants of an approach that begins with the recording. Chosen, not measured: a factor of 1.5 from one to the
 next, from electronics to a die."""
-_STILL = 0.1
+_SLOW_SLOPE = 0.1
 """Share of the rms slope: slower changes have no direction. Chosen, not measured: noise decides their sign."""
 _TRAVELS = (0.01, 0.03, 0.1, 0.3)
 """Dead travels, in parts of the reading's range. Chosen, not measured: a factor of three from one to the next."""
@@ -50,7 +50,7 @@ misses are weak."""
 _HIGHEST = 0.4
 """Share of the rate: beyond, two bands of one series meet. Chosen, not measured: four fifths of the Nyquist
 frequency."""
-_ON = tuple(np.arange(0.1, 0.95, 0.05).round(2).tolist())
+_DUTY_CYCLES = tuple(np.arange(0.1, 0.95, 0.05).round(2).tolist())
 """Parts of a period for which something may be switched on. Chosen, not measured: steps of a twentieth lose at most a
 twentieth of a wave."""
 _OFFSET = 0.2
@@ -72,23 +72,23 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, eq=False)
 class ShapeHypothesis:
-    """A hypothesis of many amplitudes, and by the rows of its columns what is offered as a hypothesis of its own."""
+    """A shape with many amplitudes, and its parts with the rows of its columns that they use."""
 
     whole: Hypothesis
     parts: tuple[tuple[Hypothesis, Rows], ...] = ()
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """All that it offers."""
+        """The shape and its parts."""
         return self.whole, *(h for h, _ in self.parts)
 
 
 @dataclass(frozen=True, eq=False)
-class _Group:
-    """Signals (q, N) that act on every axis alike, or with `each` signals (N, 3) of the axis itself.
+class _ShapeGroup:
+    """Signals (q, N) that act on every axis alike, or with `each` signals (N, 3) of the single axes.
 
-    `family` is what its price goes by (:func:`calib.gap.search.evidence.price_of_kind`); `names` of the single signals,
-    where they are offered alone.
+    `family` sets the price (:func:`calib.gap.search.evidence.price_of_kind`); `names` are those of single signals that
+    are offered alone.
     """
 
     family: str
@@ -99,9 +99,9 @@ class _Group:
 
 
 def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[str] = ()) -> tuple[ShapeHypothesis, ...]:
-    """Every shape that can be drawn, of every sensor and instance; of waves that `tones` found, their overtones.
+    """Every shape of every sensor and instance, and the overtones of the waves `tones`.
 
-    What has a name among the effects `named` in every one of its parts is no shape.
+    A shape whose parts all have a name among the effects `named` is omitted.
     """
     found: dict[object, ShapeHypothesis] = {}
     for view in setting.views:
@@ -109,40 +109,40 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[st
             if instance not in view.weights:
                 continue
             own = [t for t in tones if t.hypothesis.touches(view) and instance in t.hypothesis.instances]
-            for group in (*_groups(trace, named), *(g for tone in own for g in _periodic(trace, tone))):
+            for group in (*_shape_groups(trace, named), *(g for tone in own for g in _periodic(trace, tone))):
                 shape = _shape(trace, group, (instance,))
                 found.setdefault(shape.whole.key, shape)
-    for shape in _together(setting):
+    for shape in _common_growth(setting):
         found.setdefault(shape.whole.key, shape)
     return tuple(found.values())
 
 
-def _together(setting: Setting) -> Iterator[ShapeHypothesis]:
-    """What grows with time on all instances of a sensor alike: any of them would explain a part of it."""
+def _common_growth(setting: Setting) -> Iterator[ShapeHypothesis]:
+    """Growth with time on all instances of a sensor alike, of which each would explain a part."""
     for sensor in dict.fromkeys(view.sensor for view in setting.views):
         own = [view for view in setting.views if view.sensor is sensor and not view.first]
         units = tuple(sorted({i for view in own for i in view.weights}))
         if len(units) > 1:
-            yield from (_shape(own[0].any_trace, group, units) for group in _growing(own[0].any_trace))
+            yield from (_shape(own[0].any_trace, group, units) for group in _growth_shapes(own[0].any_trace))
 
 
-def flexible(hypothesis: Hypothesis) -> bool:
-    """Whether it is a broken line, which bends about anything that its covariate drives."""
+def is_broken_line(hypothesis: Hypothesis) -> bool:
+    """Whether it is a broken line, which fits anything that its covariate drives."""
     return hypothesis.effect.family in _FLEXIBLE
 
 
-def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
-    yield from _lines(trace)
-    for group in (*_linear(trace, named), *_products(trace), *_driven(trace)):
-        swinging = [j for j, signal in enumerate(group.signals) if _swings(signal)]
+def _shape_groups(trace: Trace, named: Collection[str]) -> Iterator[_ShapeGroup]:
+    yield from _line_shapes(trace)
+    for group in (*_linear_shapes(trace, named), *_product_shapes(trace), *_driver_shapes(trace)):
+        swinging = [j for j, signal in enumerate(group.signals) if _is_no_offset(signal)]
         if swinging:
             names = tuple(group.names[j] for j in swinging) if group.names else ()
             yield replace(group, signals=group.signals[swinging], names=names)
-    yield from _own(trace)
-    yield from _simplest(trace, named)
+    yield from _reading_shapes(trace)
+    yield from _simplest_shapes(trace, named)
 
 
-def _shape(trace: Trace, group: _Group, instances: tuple[int, ...]) -> ShapeHypothesis:
+def _shape(trace: Trace, group: _ShapeGroup, instances: tuple[int, ...]) -> ShapeHypothesis:
     def made(text: str, rows: Rows, *, part: bool = False) -> Hypothesis:
         return Hypothesis(_effect(trace, text, group, rows, part=part), instances)
 
@@ -158,13 +158,14 @@ def _shape(trace: Trace, group: _Group, instances: tuple[int, ...]) -> ShapeHypo
     return ShapeHypothesis(made(f"{text} on {on}", rows), tuple(parts))
 
 
-def _along(trace: Trace, own: Trace, drawn: Array) -> Array:
-    """A signal `drawn` at the times of `own` at those of `trace`: a difference of instances has rows of its own."""
+def _resampled(trace: Trace, own: Trace, drawn: Array) -> Array:
+    """The signal `drawn` at the times of `own`, interpolated to those of `trace`."""
     return drawn if np.array_equal(trace.t, own.t) else np.interp(trace.t, own.t, drawn)
 
 
-def _effect(own: Trace, text: str, group: _Group, rows: Rows, *, part: bool) -> MeanEffect:
-    """The columns `rows` of a group drawn along the trace `own`; column ``3 q + axis`` is signal q on that axis."""
+def _effect(own: Trace, text: str, group: _ShapeGroup, rows: Rows, *, part: bool) -> MeanEffect:
+    """An effect with the columns `rows` of a group along the trace `own`; column ``3 q + axis`` is signal q on that axis.
+    """
     sensor = own.sensor
 
     def columns(trace: Trace, _theta: float) -> Array:
@@ -172,11 +173,11 @@ def _effect(own: Trace, text: str, group: _Group, rows: Rows, *, part: bool) -> 
         for k, row in enumerate(rows):
             signal, axis = divmod(int(row), 3)
             drawn = group.signals[:, axis] if group.each else group.signals[signal]
-            placed[k, :, axis] = _along(trace, own, drawn)
+            placed[k, :, axis] = _resampled(trace, own, drawn)
         return placed
 
     def signals(trace: Trace, _theta: float) -> Array:
-        return np.array([_along(trace, own, drawn) for drawn in group.signals])
+        return np.array([_resampled(trace, own, drawn) for drawn in group.signals])
 
     whole = not group.each and len(rows) == 3 * len(group.signals)
     wish = "a recording in which the covariate varies by itself"
@@ -194,12 +195,12 @@ def _effect(own: Trace, text: str, group: _Group, rows: Rows, *, part: bool) -> 
     )
 
 
-def _lines(trace: Trace) -> Iterator[_Group]:
+def _line_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
     """Broken lines over covariates."""
     for name, values, knots in _covariates(trace):
-        signals = _hats(values, trace.observed, knots)
+        signals = _hat_functions(values, trace.observed, knots)
         if signals is not None:
-            yield _Group("time" if name == "time" else "line", f"function of {name}", signals)
+            yield _ShapeGroup("time" if name == "time" else "line", f"function of {name}", signals)
 
 
 def _covariates(trace: Trace) -> Iterator[tuple[str, Array, int]]:
@@ -228,13 +229,13 @@ def _scalars(trace: Trace) -> Iterator[tuple[str, Array]]:
         yield "the slope of temperature", np.gradient(trace.temperature, trace.t)
 
 
-def _hats(values: Array, observed: NDArray[np.bool_], knots: int) -> Array | None:
-    """Hat functions over quantiles of a covariate; None where it hardly varies."""
+def _hat_functions(values: Array, observed: NDArray[np.bool_], knots: int) -> Array | None:
+    """Hat functions over quantiles of a covariate; None if it hardly varies."""
     if not _varies(values, observed, 4 * knots):
         return None
     seen = values[observed]
-    at = np.unique(np.quantile(seen, np.linspace(_ENDS, 1.0 - _ENDS, knots)))
-    keep = np.concatenate([[True], np.diff(at) > _TIES * np.ptp(at)])
+    at = np.unique(np.quantile(seen, np.linspace(_OUTER_SHARE, 1.0 - _OUTER_SHARE, knots)))
+    keep = np.concatenate([[True], np.diff(at) > _KNOT_DISTANCE * np.ptp(at)])
     at = at[keep]
     if len(at) < 3:
         return None
@@ -247,70 +248,70 @@ def _varies(values: Array, observed: NDArray[np.bool_], least: int) -> bool:
     return len(seen) >= least and float(np.ptp(seen)) > 1e-9 * (abs(float(seen.mean())) + 1e-12)
 
 
-def _swings(values: Array) -> bool:
-    """Whether it differs from an offset."""
+def _is_no_offset(values: Array) -> bool:
+    """Whether a signal differs from an offset."""
     return float(values.std()) > _OFFSET * math.sqrt(float((values**2).mean()))
 
 
-def _linear(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
-    """What another sensor of the vehicle reads, or how fast this one's reading changes."""
+def _linear_shapes(trace: Trace, named: Collection[str]) -> Iterator[_ShapeGroup]:
+    """Readings of other sensors, and the rate of change of the field."""
     for letter, vector in _vectors(trace):
         own = _MATRICES.get((trace.sensor, letter))
         if own is not None and own <= set(named):
             continue
         names = tuple(f"{letter}_{axis}" for axis in _AXES)
-        yield _Group("linear", f"linear in {letter}", np.ascontiguousarray(vector.T), names)
+        yield _ShapeGroup("linear", f"linear in {letter}", np.ascontiguousarray(vector.T), names)
     if trace.sensor is Sensor.MAG:
         change = np.ascontiguousarray(np.gradient(trace.ideal, trace.t, axis=0).T)
-        yield _Group("linear", "change of the field", change, tuple(f"dm_{axis}" for axis in _AXES))
+        yield _ShapeGroup("linear", "change of the field", change, tuple(f"dm_{axis}" for axis in _AXES))
 
 
-def _products(trace: Trace) -> Iterator[_Group]:
-    """Products of two vectors, and of a scalar with the sensor's own ideal reading: axes that turn or stretch."""
+def _product_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
+    """Products of two vectors, and of a scalar with the ideal reading: axes that rotate or scale with a covariate."""
     vectors = dict(_vectors(trace))
     for one, other in (("a", "a"), ("w", "w"), ("a", "w")):
         if one in vectors and other in vectors:
             pairs = [(i, j) for i in range(3) for j in range(i if one == other else 0, 3)]
             signals = np.array([vectors[one][:, i] * vectors[other][:, j] for i, j in pairs])
             names = tuple(f"{one}_{_AXES[i]} times {other}_{_AXES[j]}" for i, j in pairs)
-            yield _Group("product", f"products of {one} and {other}", signals, names)
+            yield _ShapeGroup("product", f"products of {one} and {other}", signals, names)
     own = {Sensor.ACCEL: "a", Sensor.GYRO: "w", Sensor.MAG: "m"}[trace.sensor]
     for name, scalar in (*_scalars(trace), ("time", trace.t)):
         signals = np.ascontiguousarray(((scalar - scalar.mean())[:, None] * trace.ideal).T)
         names = tuple(f"{name} times {own}_{axis}" for axis in _AXES)
-        yield _Group("product", f"{name} times {own}", signals, names)
+        yield _ShapeGroup("product", f"{name} times {own}", signals, names)
 
 
-def _driven(trace: Trace) -> Iterator[_Group]:
-    """One driver, to the first or second power; a battery, which sags with current and charge; an approach."""
+def _driver_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
+    """First or second power of one covariate; current and charge of a battery; exponential approaches."""
     if trace.current is not None:
         charge = np.cumsum(trace.current) / trace.fs
-        yield _Group("driven", "current and charge", np.stack([trace.current, charge]), ("current", "charge"))
+        yield _ShapeGroup("driven", "current and charge", np.stack([trace.current, charge]), ("current", "charge"))
     for name, scalar in _scalars(trace):
         if name not in ("temperature", "current"):
-            yield _Group("driven", name, scalar[None])
+            yield _ShapeGroup("driven", name, scalar[None])
         if name not in ("temperature", "the slope of temperature"):
-            yield _Group("driven", f"square of {name}", (scalar**2)[None])
-    yield from _growing(trace)
+            yield _ShapeGroup("driven", f"square of {name}", (scalar**2)[None])
+    yield from _growth_shapes(trace)
     elapsed = trace.t - trace.t[0]
     for time in _APPROACHES_S:
-        yield _Group("approach", f"approach with {time:g} s", np.exp(-elapsed / time)[None])
+        yield _ShapeGroup("approach", f"approach with {time:g} s", np.exp(-elapsed / time)[None])
 
 
-def _growing(trace: Trace) -> Iterator[_Group]:
-    """What grows evenly, from the start of the recording or of the clock: an autopilot's begins with its power."""
+def _growth_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
+    """Linear growth from the start of the recording, or from power-up, when an autopilot's clock starts."""
     start, span = float(trace.t[0]), float(trace.t[-1] - trace.t[0])
-    yield _Group("driven", _SINCE_START, (trace.t - start)[None])
+    yield _ShapeGroup("driven", _SINCE_START, (trace.t - start)[None])
     if 0.0 < start < span:
-        yield _Group("driven", _SINCE_POWER_UP, trace.t[None])
+        yield _ShapeGroup("driven", _SINCE_POWER_UP, trace.t[None])
 
 
-def _own(trace: Trace) -> Iterator[_Group]:
-    """Shapes of each axis' own ideal reading: low orders, the direction of its change, and dead travels."""
+def _reading_shapes(trace: Trace) -> Iterator[_ShapeGroup]:
+    """Functions of each axis' ideal reading: low orders, direction of change, and backlash."""
     x = trace.ideal
     size = np.sqrt((x**2).mean(axis=0)) + 1e-300
     slope = np.gradient(x, axis=0)
-    steady = _STILL * np.sqrt((slope**2).mean(axis=0)) + 1e-300
+    steady = _SLOW_SLOPE * np.sqrt((slope**2).mean(axis=0)) + 1e-300
     orders = [
         ("square of the reading", (x / size) ** 2),
         ("cube of the reading", (x / size) ** 3),
@@ -318,28 +319,30 @@ def _own(trace: Trace) -> Iterator[_Group]:
         ("direction of the reading's change", np.tanh(slope / steady)),
         *(
             (f"dead travel of {part:.1%} of the range", pointer)
-            for part, pointer in zip(_TRAVELS, _travels(x), strict=True)
+            for part, pointer in zip(_TRAVELS, _play_operator(x), strict=True)
         ),
     ]
     for name, signal in orders:
-        swings = np.array([_swings(signal[:, c]) for c in range(3)])
+        swings = np.array([_is_no_offset(signal[:, c]) for c in range(3)])
         if swings.any():
-            yield _Group("own", name, signal * swings, each=True)
+            yield _ShapeGroup("own", name, signal * swings, each=True)
 
 
-def _simplest(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
-    """An offset and a factor of each axis, where the catalogue does without."""
+def _simplest_shapes(trace: Trace, named: Collection[str]) -> Iterator[_ShapeGroup]:
+    """An offset and a factor of each axis, if the catalogue lacks them."""
     if _OFFSETS[trace.sensor] not in named:
-        yield _Group("simplest", "an offset", np.ones((1, len(trace.t))))
+        yield _ShapeGroup("simplest", "an offset", np.ones((1, len(trace.t))))
     if _SCALES[trace.sensor] not in named:
         x = trace.ideal
-        yield _Group("simplest", "in proportion to the reading", x / (np.sqrt((x**2).mean(axis=0)) + 1e-300), each=True)
+        yield _ShapeGroup(
+            "simplest", "in proportion to the reading", x / (np.sqrt((x**2).mean(axis=0)) + 1e-300), each=True
+        )
 
 
-def _travels(x: Array) -> Array:
-    """Where pointers with play stand between the ends of their travels, -1..1, (travels, N, 3): the play operator.
+def _play_operator(x: Array) -> Array:
+    """Position of pointers with play between the ends of their travel, -1..1, (travels, N, 3).
 
-    A long series is thinned to every few samples.
+    A long series is thinned.
     """
     every = max(1, len(x) // _POINTS)
     half = 0.5 * np.array(_TRAVELS)[:, None] * np.ptp(x, axis=0) + 1e-300
@@ -352,18 +355,18 @@ def _travels(x: Array) -> Array:
     return np.repeat(found, every, axis=0)[: len(x)].transpose(1, 0, 2)
 
 
-def _periodic(trace: Trace, tone: Term) -> Iterator[_Group]:
-    """Shapes of a wave that was found: it is periodic and no sine, or it switches on and off."""
+def _periodic(trace: Trace, tone: Term) -> Iterator[_ShapeGroup]:
+    """Shapes of a wave that was found: overtones, or switching on and off."""
     hz = tone.theta
     phase = 2.0 * np.pi * hz * (trace.t - trace.t[0])
     orders = [k for k in _HARMONICS if k * hz < _HIGHEST * trace.fs]
     if orders:
         signals = np.array([wave(k * phase) for k in orders for wave in (np.cos, np.sin)])
-        yield _Group("periodic", f"overtones of {hz:.3g} Hz", signals)
+        yield _ShapeGroup("periodic", f"overtones of {hz:.3g} Hz", signals)
     if 2.0 * hz < _HIGHEST * trace.fs:
         waves, _, _ = np.linalg.svd(tone.beta.reshape(2, 3))
         for end, side in (("high", 1.0), ("low", -1.0)):
             wave = np.cos(phase - math.atan2(side * waves[1, 0], side * waves[0, 0]))  # of the axes together
-            for part in _ON:
+            for part in _DUTY_CYCLES:
                 on = np.asarray(wave > math.cos(math.pi * part), dtype=np.float64)
-                yield _Group("periodic", f"{hz:.3g} Hz, on for {part:.0%} about its {end}", on[None])
+                yield _ShapeGroup("periodic", f"{hz:.3g} Hz, on for {part:.0%} about its {end}", on[None])

@@ -1,7 +1,7 @@
-"""Readings that switch to and fro between two levels: telegraph noise, known as popcorn or burst noise of electronics.
+"""Telegraph noise: readings that switch between two levels, known as popcorn or burst noise of electronics.
 
-Its spectrum is that of a drift that comes back, and a few of its jumps look like an effect that comes and goes. What
-tells it from both is that only two levels occur: each axis is a Markov chain of two states, seen through white noise.
+Its spectrum is that of a drift that returns to its mean, and a few of its jumps look like a transient effect. Only two
+levels occur: each axis is a Markov chain of two states, observed through white noise.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.likelihood import AxisNoise
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, predicted
-from mavcal.calib.gap.unknown.misattributed_noise import coarse
+from mavcal.calib.gap.unknown.misattributed_noise import is_coarsely_quantised
 from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 
@@ -48,7 +48,7 @@ time; a twentieth of a nat decides nothing."""
 
 @dataclass(frozen=True, eq=False)
 class TelegraphNoise:
-    """Effects in whose place two levels are far likelier."""
+    """Effects that two levels explain far better."""
 
     keys: tuple[Key, ...]
     text: str
@@ -57,29 +57,29 @@ class TelegraphNoise:
 def telegraph_noise(
     model: Model, attributions: Sequence[Attribution], floor: Mapping[Sensor, float] | None = None
 ) -> tuple[TelegraphNoise, ...]:
-    """Effects of a model, alone or all of a sensor together, that stand for jumps to and fro.
+    """Effects of a model, one or all of a sensor together, that stand for jumps between two levels.
 
-    Jumps that gain less than the `floor` of their sensor are what two recordings differ by anyway.
+    Jumps that gain less than the `floor` of their sensor are differences between any two recordings.
     """
     found: list[TelegraphNoise] = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
-        places = [(term, a.key) for a in attributions if (term := _slow(model, a.key, sensor)) is not None]
+        places = [(term, a.key) for a in attributions if (term := _slow_term(model, a.key, sensor)) is not None]
         least = max(_BETTER, (floor or {}).get(sensor, 0.0))
-        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _better(model, [term], least)]
-        if not better and len(places) > 1 and _better(model, [term for term, _ in places], least):
+        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _levels_explain_better(model, [term], least)]
+        if not better and len(places) > 1 and _levels_explain_better(model, [term for term, _ in places], least):
             better = [tuple(key for _, key in places)]
         text = f"jumps to and fro between two levels on {sensor.value}"
         found += (TelegraphNoise(keys, text) for keys in better)
     return tuple(found)
 
 
-def _turned(model: Model, v: int) -> bool:
-    """Whether the error of the reference is a part of the model there: any levels would be its own."""
+def _has_reference_error(model: Model, v: int) -> bool:
+    """Whether the model has the reference's attitude error in that series, which could be any levels."""
     return model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
 
 
-def _slow(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
-    """The term of a key if it acts on a sensor and is not noise of every frequency."""
+def _slow_term(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
+    """The term of a key if it acts on a sensor and is not broadband noise."""
     term = next((t for t in model.members if t.hypothesis.key == key), None)
     views = [view for view in model.setting.views if view.sensor is sensor]
     if term is None or not any(term.hypothesis.touches(view) for view in views):
@@ -87,12 +87,12 @@ def _slow(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
     return term if isinstance(term, Term) or term.hypothesis.effect.drifts else None
 
 
-def _better(model: Model, terms: Sequence[Term | NoiseTerm], least: float) -> bool:
-    """Whether two levels on each axis are far likelier than `terms`, the others being as they are.
+def _levels_explain_better(model: Model, terms: Sequence[Term | NoiseTerm], least: float) -> bool:
+    """Whether two levels on each axis are far likelier than `terms`, with the other terms unchanged.
 
-    Over all series that the terms change: what a few levels take of one of them is no match for an effect that
-    explains them all. A constant is no jump: the terms have one on each axis, too, and what the levels gain beyond
-    theirs must be at least `least`.
+    All series that the terms change count: a few levels in one of them are no match for an effect that explains them
+    all. A constant is no jump, so the terms have one on each axis too, and the levels must gain at least `least` beyond
+    it.
     """
     own, chains, switched, jumping = 0.0, 0.0, 0.0, False
     for v, view in enumerate(model.setting.views):
@@ -102,36 +102,36 @@ def _better(model: Model, terms: Sequence[Term | NoiseTerm], least: float) -> bo
             predicted(t, view) for t in terms if isinstance(t, Term) and t.hypothesis.touches(view)
         )
         drifts = {t.name(0) for t in terms if isinstance(t, NoiseTerm)}
-        rest = np.array([_without(noise, drifts) for noise in model.noise[3 * v : 3 * v + 3]])
-        own += _worth(model, v, series, rest)
-        if view.first or view.count < _FEWEST or _turned(model, v) or coarse(view):
+        rest = np.array([_remaining_power(noise, drifts) for noise in model.noise[3 * v : 3 * v + 3]])
+        own += _gain_of_model(model, v, series, rest)
+        if view.first or view.count < _FEWEST or _has_reference_error(model, v) or is_coarsely_quantised(view):
             continue
-        gain, constant, jumps = _chains(series, rest)
-        own += _constant(model, v)
+        gain, constant, jumps = _level_gains(series, rest)
+        own += _gain_of_constant(model, v)
         jumping = jumping or bool(((jumps > _JUMPS) & (gain - constant > _BETTER)).any())
         switched += float((gain - constant).sum())
         chains += float(gain.sum())
     return jumping and switched > least and chains > own + _BETTER
 
 
-def _worth(model: Model, v: int, series: Array, rest: Array) -> float:
-    """Twice the log-likelihood by which a model is better than a `series` (n, 3) under the noise `rest` (3, n)."""
+def _gain_of_model(model: Model, v: int, series: Array, rest: Array) -> float:
+    """Twice the log-likelihood of a model over a `series` (n, 3) with noise `rest` (3, n)."""
     view = model.setting.views[v]
     full = np.array([noise.power for noise in model.noise[3 * v : 3 * v + 3]])
     bare = np.log(rest) + view.spectra(series) ** 2 / rest
     return float((bare - np.log(full) - view.spectra(model.residual[v]) ** 2 / full).sum())
 
 
-def _constant(model: Model, v: int) -> float:
-    """Twice the log-likelihood that a constant on each axis would gain beside a model."""
+def _gain_of_constant(model: Model, v: int) -> float:
+    """Twice the log-likelihood that a constant on each axis gains beside a model."""
     lowest = model.setting.views[v].spectra(model.residual[v])[:, 0]
     return float(sum(y**2 / noise.power[0] for y, noise in zip(lowest, model.noise[3 * v : 3 * v + 3], strict=True)))
 
 
-def _chains(series: Array, rest: Array) -> tuple[Array, Array, Array]:
-    """Gain and jumps of :func:`two_levels` of a series (n, 3), and between them the gain of a constant level.
+def _level_gains(series: Array, rest: Array) -> tuple[Array, Array, Array]:
+    """Gain of two levels of a series (n, 3), gain of a constant, and number of jumps, by axis.
 
-    Nothing where the noise of its averages is not white.
+    Zero if the noise of the averages is not white.
     """
     width = -(-len(series) // _WINDOWS)
     count = len(series) // width
@@ -144,17 +144,18 @@ def _chains(series: Array, rest: Array) -> tuple[Array, Array, Array]:
     return gain, count * means.mean(axis=0) ** 2 / variance, jumps
 
 
-def _without(noise: AxisNoise, names: Collection[str]) -> Array:
-    """The power of noise without those of its densities that have one of `names`."""
+def _remaining_power(noise: AxisNoise, names: Collection[str]) -> Array:
+    """Power of the noise without the densities `names`."""
     own = [name for name in names if name in noise.densities]
     return noise.power - sum((noise.amplitudes[name] * noise.densities[name] for name in own), 0.0)
 
 
 def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
-    """For each column of `x` (n, p), twice the log-likelihood ratio of a Markov chain of two levels against zero.
+    """By column of `x` (n, p), twice the log-likelihood ratio of a Markov chain of two levels against zero, and its
+    jumps.
 
-    Beside it (p,) the expected number of jumps. `variance` (p,): of the white noise. Levels and chances of a jump are
-    estimated (Baum & Welch; Rabiner 1989, III).
+    `variance` (p,) is that of the white noise. Levels and transition probabilities are estimated (Baum & Welch; Rabiner
+    1989, III).
     """
     middle, spread = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-300)
     best, jumps = np.full(x.shape[1], -np.inf), np.zeros(x.shape[1])
@@ -163,7 +164,7 @@ def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
         jump = np.full((x.shape[1], 2), start)
         before = np.full(x.shape[1], -np.inf)
         for _ in range(_ROUNDS):
-            log_likelihood, levels, jump, expected = _round(x, variance, levels, jump)
+            log_likelihood, levels, jump, expected = _baum_welch_round(x, variance, levels, jump)
             if np.all(log_likelihood - before < _SETTLED):
                 break
             before = log_likelihood
@@ -172,8 +173,8 @@ def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
     return best, jumps
 
 
-def _round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array, Array, Array, Array]:
-    """One round of Baum and Welch: the log-likelihood at `levels` and `jump` (p, 2), the next of both, the jumps."""
+def _baum_welch_round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array, Array, Array, Array]:
+    """One round of Baum and Welch: log-likelihood at `levels` and `jump` (p, 2), their next values, and the jumps."""
     exponent = 0.5 * (x[..., None] ** 2 - (x[..., None] - levels) ** 2) / variance[:, None]
     top = exponent.max(axis=2, keepdims=True)
     emission = np.exp(exponent - top)
@@ -182,11 +183,11 @@ def _round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array
     first = jump[:, ::-1] / jump.sum(axis=1, keepdims=True) * emission[0]
     opened = steps.copy()
     opened[0] = first[:, None, :] * np.array([[1.0], [0.0]])
-    forward, scale = _products(opened)
+    forward, scale = _cumulative_products(opened)
     alpha = forward[:, :, 0, :]
     log_likelihood = scale[-1] + np.log(alpha[-1].sum(axis=-1)) + top[:, :, 0].sum(axis=0)
     beta = np.ones_like(alpha)
-    beta[:-1] = _products(np.swapaxes(steps[:0:-1], 2, 3))[0][::-1].sum(axis=2)
+    beta[:-1] = _cumulative_products(np.swapaxes(steps[:0:-1], 2, 3))[0][::-1].sum(axis=2)
     state = alpha * beta
     state /= state.sum(axis=-1, keepdims=True)
     pairs = alpha[:-1, :, :, None] * steps[1:] * beta[1:, :, None, :]
@@ -197,8 +198,8 @@ def _round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array
     return log_likelihood, levels, np.clip(jumps / stays, _RARE, _OFTEN), jumps.sum(axis=1)
 
 
-def _products(steps: Array) -> tuple[Array, Array]:
-    """All products of matrices (n, p, 2, 2) from the first on, their largest entries one, and their log scales (n, p).
+def _cumulative_products(steps: Array) -> tuple[Array, Array]:
+    """Cumulative products of matrices (n, p, 2, 2), scaled to largest entry one, and their log scales (n, p).
 
     By doubling (Hillis & Steele 1986): log2(n) steps over whole arrays instead of n over small ones.
     """

@@ -1,8 +1,7 @@
-"""Events that take time: while a magnet is put on, a sensor reads neither what it did before nor what it does after.
+"""Events with a duration: while a magnet is put on, a sensor is on neither the old nor the new level.
 
-A step has no duration. An event has one if several steps in a row stand for it. It also has one if readings beside a
-step are not yet on the level after it, or no longer on the level before it. These samples are left out, and one step is
-the difference of the levels.
+A step has no duration. An event has one if several steps in a row describe it, or if readings beside a step are off the
+levels. These samples are removed, and one step is the difference of the levels.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from mavcal.calib.gap.effects.events import SLOW_S
+from mavcal.calib.gap.effects.events import RAMP_S
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, Term
 from mavcal.calib.gap.model.views import View
@@ -46,7 +45,7 @@ and their noise is not normal."""
 
 @dataclass(frozen=True)
 class JumpSpan:
-    """From `start` to `end`, s, the readings of a sensor say nothing; `nats` is what its jumps were worth."""
+    """The readings of a sensor from `start` to `end`, s, are unusable; `nats` is the gain of its jumps."""
 
     sensor: Sensor
     start: float
@@ -55,12 +54,12 @@ class JumpSpan:
 
     @property
     def text(self) -> str:
-        """Said of one after which everything is as before."""
+        """Description of an event after which the level is unchanged."""
         return f"a change that passes on {self.sensor.value} from {self.start:.1f} to {self.end:.1f} s"
 
 
 def events_of(model: Model, sensor: Sensor) -> list[list[Term]]:
-    """The jumps of a sensor in a model in the order of time, those of one event together."""
+    """The jumps of a sensor in a model in order of time, grouped by event."""
     jumps = [t for t in model.terms if t.effect.jumps and t.effect.sensor is sensor]
     events: list[list[Term]] = []
     for term in sorted(jumps, key=lambda t: t.theta):
@@ -72,39 +71,38 @@ def events_of(model: Model, sensor: Sensor) -> list[list[Term]]:
 
 
 def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple[JumpSpan, ...]:
-    """Events of a model that take several jumps, or one that is gradual, or beside which the levels are not reached.
+    """Events of a model with a duration: several jumps, a ramp, or readings off the levels beside a jump.
 
-    `gains`: of its effects, twice the log-likelihood.
+    `gains` of its effects are in twice the log-likelihood.
     """
     found = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
         for event in events_of(model, sensor):
             start, end = event[0].theta, event[-1].theta
             views = [v for v, view in enumerate(model.setting.views) if event[0].hypothesis.touches(view)]
-            reached = [unsettled(model.setting.views[v], model.residual[v], start, end) for v in views]
+            reached = [span_off_level(model.setting.views[v], model.residual[v], start, end) for v in views]
             early, late = min(r[0] for r in reached), max(r[1] for r in reached)
-            slow = bool(event[0].effect.form) and any(_ramp_seen(event[0], model.setting.views[v]) for v in views)
+            slow = bool(event[0].effect.form) and any(_ramp_is_sampled(event[0], model.setting.views[v]) for v in views)
             apart = end - start > _ONE_MOMENT / max(model.setting.views[v].fs for v in views)
             if apart or slow or early < start or late > end:
-                early, late = min(early, start - _beside(event[0])), max(late, end + _beside(event[-1]))
+                early, late = min(early, start - _margin_of(event[0])), max(late, end + _margin_of(event[-1]))
                 nats = 0.5 * sum((gains or {}).get(jump.hypothesis.key, 0.0) for jump in event)
                 found.append(JumpSpan(sensor, early, late, nats))
     return tuple(found)
 
 
-def _ramp_seen(term: Term, view: View) -> bool:
-    """Whether a gradual event has samples of its own: one that lies in a hole is no more than two levels."""
-    during = (view.t > term.theta - 0.5 * SLOW_S) & (view.t < term.theta + 0.5 * SLOW_S)
-    return int(during.sum()) > _RAMP * SLOW_S * view.fs
+def _ramp_is_sampled(term: Term, view: View) -> bool:
+    """Whether a ramp has samples; in a hole of the recording it is only two levels."""
+    during = (view.t > term.theta - 0.5 * RAMP_S) & (view.t < term.theta + 0.5 * RAMP_S)
+    return int(during.sum()) > _RAMP * RAMP_S * view.fs
 
 
-def passing(
+def transient_events(
     left_out: Sequence[JumpSpan], model: Model, gains: Mapping[Key, float] | None = None
 ) -> tuple[JumpSpan, ...]:
-    """Those after which the level is what it was before: what happened there is in no effect of the model.
+    """Removed events after which the level is unchanged, so that no effect of the model describes them.
 
-    Noise that wanders, and is worth more than the jumps were, is what they stood for. Overlapping spans of a
-    sensor count as one.
+    Drift noise with a larger gain than the jumps explains them. Overlapping spans of a sensor count as one.
     """
     jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.jumps]
     drifts = {t.hypothesis.effect.sensor: t.hypothesis.key for t in model.noise_terms if t.hypothesis.effect.drifts}
@@ -115,11 +113,11 @@ def passing(
     def drifted(one: JumpSpan) -> bool:
         return one.sensor in drifts and one.nats < 0.5 * (gains or {}).get(drifts[one.sensor], 0.0)
 
-    return _merged([one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one)])
+    return _without_overlap([one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one)])
 
 
-def _merged(spans: Sequence[JumpSpan]) -> tuple[JumpSpan, ...]:
-    """Each with all that overlap it, in the order of their sensors and times."""
+def _without_overlap(spans: Sequence[JumpSpan]) -> tuple[JumpSpan, ...]:
+    """Spans with overlapping ones merged, by sensor and time."""
     found: list[JumpSpan] = []
     for one in sorted(spans, key=lambda span: (span.sensor.value, span.start)):
         if found and found[-1].sensor is one.sensor and one.start <= found[-1].end:
@@ -130,11 +128,11 @@ def _merged(spans: Sequence[JumpSpan]) -> tuple[JumpSpan, ...]:
     return tuple(found)
 
 
-def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:
-    """From when to when a series (n, 3) about an event is off the levels that it keeps before and after it.
+def span_off_level(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:
+    """From when to when a series (n, 3) about an event is off the levels before and after it.
 
-    Means over windows are compared with their median over the seconds on that side; how far they scatter about such
-    medians elsewhere says how much is off, whatever the noise. Gaps in the series end what is beside them.
+    Window means are compared with their median over some seconds on that side. Their scatter about such medians
+    elsewhere sets the limit, whatever the noise. Holes end the span.
     """
     width = max(1, round(_WINDOW_S * view.fs))
     count = len(residual) // width
@@ -146,14 +144,14 @@ def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[fl
     scatter = 1.4826 * np.median(np.abs(means - smooth), axis=0) + np.finfo(float).tiny
     before = np.flatnonzero(t[:, -1] < start)[::-1]
     after = np.flatnonzero(t[:, 0] > end)
-    first, last = _off(means[before], scatter), _off(means[after], scatter)
+    first, last = _count_off_level(means[before], scatter), _count_off_level(means[after], scatter)
     early = float(t[before[first - 1], 0]) - _MARGIN_S if first else start
     late = float(t[after[last - 1], -1]) + _MARGIN_S if last else end
     return early, late
 
 
-def _off(means: Array, scatter: Array) -> int:
-    """How many of `means` (m, 3), the nearest to an event first, come before two in a row that are on the level."""
+def _count_off_level(means: Array, scatter: Array) -> int:
+    """Count of `means` (m, 3), nearest to the event first, before two in a row that are on the level."""
     if len(means) < _LEVEL:
         return 0
     level = np.median(means[:_LEVEL], axis=0)
@@ -162,13 +160,13 @@ def _off(means: Array, scatter: Array) -> int:
     return int(calm[0]) if len(calm) else 0
 
 
-def levels_apart(model: Model, term: Term) -> Array:
-    """By how much (3,) the levels that a model leaves before and after a step differ: nothing, if its size is right.
+def level_mismatch(model: Model, term: Term) -> Array:
+    """Difference (3,) of the residual levels before and after a step; zero if its size is right.
 
-    Over some seconds beside it and over all the time to its neighbours, the larger of both.
+    Over some seconds beside it or all the time to its neighbours, whichever is larger.
     """
     seen = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view) and not view.first]
-    weights = [_weight(term, model.setting.views[v]) for v in seen]
+    weights = [_weight_in(term, model.setting.views[v]) for v in seen]
     v, weight = max(zip(seen, weights, strict=True), key=lambda pair: abs(pair[1]))
     near = _ONE_MOMENT / model.setting.views[v].fs
     others = (t.theta for event in events_of(model, term.effect.sensor) for t in event)
@@ -186,8 +184,8 @@ def levels_apart(model: Model, term: Term) -> Array:
     return apart
 
 
-def moment_of(model: Model, term: Term) -> tuple[float, float]:
-    """When a jump was, s, and its standard error: anywhere between the last sample before it and the first after it."""
+def jump_moment(model: Model, term: Term) -> tuple[float, float]:
+    """The moment of a jump, s, between two samples, and its standard error."""
     spans = []
     for view in {id(view.whole): view.whole for view in model.setting.views if term.hypothesis.touches(view)}.values():
         k = int(np.clip(np.searchsorted(view.t, term.theta - 0.5 / view.fs), 1, len(view.t) - 1))
@@ -196,18 +194,18 @@ def moment_of(model: Model, term: Term) -> tuple[float, float]:
     return end - 0.5 * length, length / np.sqrt(12.0)
 
 
-def _weight(term: Term, view: View) -> float:
-    """How much of what a term does to its instances a series shows."""
+def _weight_in(term: Term, view: View) -> float:
+    """Weight of a term in a series."""
     return sum(w for i, w in view.weights.items() if i in term.hypothesis.instances)
 
 
-def _beside(term: Term) -> float:
-    """Seconds on either side of its moment."""
-    return _MARGIN_S + (0.5 * SLOW_S if term.effect.form else 0.0)
+def _margin_of(term: Term) -> float:
+    """Seconds to remove on either side of a jump."""
+    return _MARGIN_S + (0.5 * RAMP_S if term.effect.form else 0.0)
 
 
 def without_transitions(problem: GapProblem, found: Sequence[JumpSpan]) -> GapProblem:
-    """`problem` with the samples of transitions left out."""
+    """`problem` without the samples of transitions."""
     traces = list(problem.traces)
     for one in found:
         for i, trace in enumerate(traces):

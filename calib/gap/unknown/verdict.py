@@ -1,7 +1,7 @@
-"""What of a model is not of the catalogue, and what is left over beside it.
+"""Unnamed causes in a model, and the unexplained part of the gap.
 
-Shapes, noise that is no sensor's own, jumps that are no single events, bands that nothing explains, and what held-out
-data took back. None of it is named as an effect: a wrong name looks right.
+Unnamed shapes, noise of no sensor, frequent jumps, unexplained bands, and withdrawn effects. None of them is reported
+as an effect: a wrong name looks right.
 """
 
 from __future__ import annotations
@@ -16,21 +16,20 @@ import numpy as np
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, Term
 from mavcal.calib.gap.schema import HiddenDriver, Unknown
-from mavcal.calib.gap.unknown.bursts import bursts
-from mavcal.calib.gap.unknown.discrepancy import bets_of, log_odds, won
+from mavcal.calib.gap.unknown.discrepancy import bets_of, log_odds, winning_bets
 from mavcal.calib.gap.unknown.excess_power import excess_power
-from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, misattributed_noise, unsteady
+from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, bursts, misattributed_noise, nonstationary_noise
 from mavcal.calib.gap.unknown.telegraph_noise import telegraph_noise
-from mavcal.calib.gap.unknown.transitions import events_of, moment_of
+from mavcal.calib.gap.unknown.transitions import events_of, jump_moment
 from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 
-_JUMPS = 3
+_MANY_JUMPS = 3
 """Jumps of one sensor above which they are no single events. Chosen, not measured: a magnet comes and goes by two."""
 NOT_LASTING = "a deviation that no effect describes throughout the recording"
 _MATERIAL = 0.03
 """Share of the gap above which something unknown is said. Source: GAP 3.3."""
-_LEFT = 0.1
+_MATERIAL_ON_SENSOR = 0.1
 """The same of what is left over on one sensor: of a long recording no model explains the last hundredth. Chosen, not
 measured: three times `_MATERIAL`, since nothing is said of its shape."""
 _BEATING, _SAME_DIRECTION = 20.0, 0.8
@@ -40,7 +39,7 @@ not measured: a line that wanders is as wide, and four fifths are most of a dire
 
 @dataclass(frozen=True, eq=False)
 class UnnamedCause:
-    """Terms of a model that stand for something that has no name."""
+    """Terms of a model that stand for a cause without a name."""
 
     keys: tuple[Key, ...]
     text: str
@@ -50,9 +49,9 @@ class UnnamedCause:
 def unnamed_causes_in(
     model: Model, attributions: Sequence[Attribution], floor: Mapping[Sensor, float] | None = None
 ) -> tuple[UnnamedCause, ...]:
-    """Every unnamed term of a model, and every effect in whose place one is likelier.
+    """Every unnamed term of a model, and every effect with a likelier unnamed cause.
 
-    `floor`: twice the nats by sensor that two recordings differ by anyway.
+    `floor`: by sensor, the gain by which two recordings differ anyway.
     """
     shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.nameless]
     levels = [UnnamedCause(found.keys, found.text) for found in telegraph_noise(model, attributions, floor)]
@@ -70,27 +69,27 @@ def unnamed_causes_in(
         *levels,
         *drifts,
         *(UnnamedCause((a.key,), f"{a.shape}, or {effects[a.key].id}; to tell: {effects[a.key].fix}") for a in doubted),
-        *_swarms(model),
-        *_beats(model),
+        *_frequent_jumps(model),
+        *_beating_waves(model),
         *(UnnamedCause((key,), text) for key, text in bursts(model)),
     )
 
 
-def _swarms(model: Model) -> list[UnnamedCause]:
-    """Jumps of one sensor that are too many to be events."""
+def _frequent_jumps(model: Model) -> list[UnnamedCause]:
+    """Jumps of a sensor that are too many for single events."""
     found = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
         events = events_of(model, sensor)
         own = [term for event in events for term in event]
-        if len(events) >= _JUMPS:
-            moments = tuple(dict.fromkeys(f"{moment_of(model, t)[0]:.1f} s" for t in own))
+        if len(events) >= _MANY_JUMPS:
+            moments = tuple(dict.fromkeys(f"{jump_moment(model, t)[0]:.1f} s" for t in own))
             text = f"{len(moments)} jumps on {sensor.value}: {', '.join(moments)}"
             found.append(UnnamedCause(tuple(t.hypothesis.key for t in own), text))
     return found
 
 
-def _beats(model: Model) -> list[UnnamedCause]:
-    """Waves of one sensor so near each other that they are one, which comes and goes."""
+def _beating_waves(model: Model) -> list[UnnamedCause]:
+    """Waves of a sensor so close in frequency that they are one wave of varying amplitude."""
     found = []
     waves = sorted((t for t in model.terms if t.effect.tonal), key=lambda t: t.theta)
     for sensor in dict.fromkeys(t.effect.sensor for t in waves):
@@ -105,7 +104,7 @@ def _beats(model: Model) -> list[UnnamedCause]:
 
 
 def _one_wave(model: Model, one: Term, other: Term) -> bool:
-    """Whether two waves of a sensor agree in direction and frequency, as one that lasts a part of the recording."""
+    """Whether two waves agree in direction and frequency like one wave in a part of the recording."""
     if one.hypothesis.instances != other.hypothesis.instances:
         return False
     seen = [v.t for v in model.setting.views if one.hypothesis.touches(v)]
@@ -125,9 +124,9 @@ def unknown_of(
     *,
     outside: bool = False,
 ) -> Unknown:
-    """What is not of the catalogue: unnamed causes in the model, bands that are left over, and what did not last.
+    """The unexplained part of the gap: unnamed causes, unexplained power, and withdrawn effects.
 
-    Each is compared with the gap of its own sensor: a large effect on another one hides nothing.
+    Each is compared with the gap of its own sensor, so that a large effect on another one hides nothing.
 
     Parameters
     ----------
@@ -139,20 +138,20 @@ def unknown_of(
         Up to which the reference knows how the vehicle moves.
     floor
         Twice the nats by sensor that the reference's own nuisance effects make
-        (:mod:`calib.gap.companion.simulated_baseline`).
+        (:mod:`calib.gap.companion.baselines`).
     outside
         Whether the reference is no sensor of the vehicle.
     """
-    worth = _Worth.of(model, attributions)
-    unnamed = worth.but({key for s in causes for key in s.keys})
+    worth = _EffectNats.of(model, attributions)
+    unnamed = worth.restricted_to({key for s in causes for key in s.keys})
     texts = [s.text for s in causes]
     share, part = worth.shares(unnamed)
-    left = [*excess_power(model, bandwidth_hz, floor or {}, outside=outside), *unsteady(model)]
+    left = [*excess_power(model, bandwidth_hz, floor or {}, outside=outside), *nonstationary_noise(model)]
     explained, bets = {one.sensor for one in left}, bets_of(model)
-    left += [one for one in won(bets) if one.sensor not in explained]
+    left += [one for one in winning_bets(bets) if one.sensor not in explained]
     for one in (*left, *unexplained):
-        whole, own = (one.nats / (other + one.nats) for other in (worth.whole, worth.on(one.sensor)))
-        if whole > _MATERIAL or own > _LEFT:
+        whole, own = (one.nats / (other + one.nats) for other in (worth.whole, worth.on_sensor(one.sensor)))
+        if whole > _MATERIAL or own > _MATERIAL_ON_SENSOR:
             texts.append(one.text)
             share += whole * (1.0 - share)
             part = max(part, own)
@@ -161,14 +160,14 @@ def unknown_of(
 
 
 @dataclass(frozen=True)
-class _Worth:
-    """Nats of effects by key, and on which sensors each of them is seen."""
+class _EffectNats:
+    """Nats of effects by key, and the sensors on which each of them acts."""
 
     nats: Mapping[Key, float]
     seen: Mapping[Key, frozenset[Sensor]]
 
     @classmethod
-    def of(cls, model: Model, attributions: Sequence[Attribution]) -> _Worth:
+    def of(cls, model: Model, attributions: Sequence[Attribution]) -> _EffectNats:
         gap = 0.5 * sum(a.gain for a in attributions)
         views = model.setting.views
         seen = {t.hypothesis.key: frozenset(v.sensor for v in views if t.hypothesis.touches(v)) for t in model.members}
@@ -176,18 +175,18 @@ class _Worth:
 
     @property
     def whole(self) -> float:
-        """Worth of all effects."""
+        """Nats of all effects."""
         return sum(self.nats.values())
 
-    def on(self, sensor: Sensor) -> float:
-        """Worth of the effects that are seen on a sensor."""
+    def on_sensor(self, sensor: Sensor) -> float:
+        """Nats of the effects on a sensor."""
         return sum(n for key, n in self.nats.items() if sensor in self.seen[key])
 
-    def but(self, keys: Collection[Key]) -> _Worth:
-        """Worth of some of them alone."""
-        return _Worth({key: n for key, n in self.nats.items() if key in keys}, self.seen)
+    def restricted_to(self, keys: Collection[Key]) -> _EffectNats:
+        """The same of some effects."""
+        return _EffectNats({key: n for key, n in self.nats.items() if key in keys}, self.seen)
 
-    def shares(self, part: _Worth) -> tuple[float, float]:
-        """Which share of the whole a `part` of it is, and the largest that it is of what is seen on one sensor."""
-        each = [part.on(sensor) / max(self.on(sensor), 1e-300) for sensor in Sensor]
+    def shares(self, part: _EffectNats) -> tuple[float, float]:
+        """Share of a `part` in the whole, and its largest share in what acts on one sensor."""
+        each = [part.on_sensor(sensor) / max(self.on_sensor(sensor), 1e-300) for sensor in Sensor]
         return part.whole / max(self.whole, 1e-300), max(each)

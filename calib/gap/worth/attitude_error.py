@@ -26,21 +26,21 @@ Array = NDArray[np.float64]
 _TILTS, _MATRIX, _FIELD = slice(0, 6), slice(6, 15), slice(15, 18)
 """Columns of what can be wrong: rotations that stay and that grow, the gyroscope's matrix, the Earth's field."""
 _ERRORS = 18
-BY_CHANCE = 0.005
+REFERENCE_CHANCE = 0.005
 """Chance above which an effect is as large as the reference's own error makes it. Source: decision 34."""
 _RANK = 1e-9
 """Part of the largest variance of amplitudes below which a direction of them was not fitted. Source: rounding of a
 covariance, 1e-16, with a margin."""
 
 
-def variance_of_tilt(model: Model, joint: Joint) -> Array:
+def variance_from_attitude(model: Model, joint: Joint) -> Array:
     """What the trajectory's error adds to the variance of each number of `joint`, (p,)."""
-    return np.asarray((_moved(model, joint) ** 2).sum(axis=1))
+    return np.asarray((_amplitude_errors(model, joint) ** 2).sum(axis=1))
 
 
 def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
     """Effects on the mean that the trajectory's own error makes as large with a chance above `alpha`."""
-    moved = _moved(model, joint)
+    moved = _amplitude_errors(model, joint)
     if not moved.any():
         return frozenset()
     found = set()
@@ -49,12 +49,12 @@ def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
         free = len(values) - (term.effect.shape is not None and not term.effect.fixed)
         own = slice(rows.start, rows.start + free)
         covariance = joint.covariance[own, own] + moved[own] @ moved[own].T
-        if moved[own].any() and _chance(values[:free], covariance) > alpha:
+        if moved[own].any() and _chance_of(values[:free], covariance) > alpha:
             found.add(term.hypothesis.key)
     return frozenset(found)
 
 
-def either_unit(model: Model, alpha: float) -> frozenset[Key]:
+def on_uncertain_unit(model: Model, alpha: float) -> frozenset[Key]:
     """Effects on one of two units that the other may have instead, with the opposite sign.
 
     The units differ by them for certain. If both had them, the trajectory's own error would be as large with a chance
@@ -64,7 +64,7 @@ def either_unit(model: Model, alpha: float) -> frozenset[Key]:
     tilt = max((view.att_sd for view in views if view.reference_error), default=0.0)
     if tilt == 0.0:
         return frozenset()
-    errors = _errors(model.setting, tilts=model.ridge is None)
+    errors = _error_columns(model.setting, tilts=model.ridge is None)
     found = set()
     for term in model.terms:
         own = term.hypothesis
@@ -79,12 +79,12 @@ def either_unit(model: Model, alpha: float) -> frozenset[Key]:
         moved = inverse @ cross
         values = term.values[: columns.p]
         second_order = (tilt * np.linalg.norm(values)) ** 2 * np.eye(columns.p)
-        if moved.any() and _chance(values, inverse + moved @ moved.T + second_order) > alpha:
+        if moved.any() and _chance_of(values, inverse + moved @ moved.T + second_order) > alpha:
             found.add(own.key)
     return frozenset(found)
 
 
-def _chance(values: Array, covariance: Array) -> float:
+def _chance_of(values: Array, covariance: Array) -> float:
     """Chance of values (p,) at least as far from zero."""
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     variances, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
@@ -93,7 +93,7 @@ def _chance(values: Array, covariance: Array) -> float:
     return float(chdtrc(int(seen.sum()), float((along[seen] ** 2 / variances[seen]).sum())))
 
 
-def _moved(model: Model, joint: Joint) -> Array:
+def _amplitude_errors(model: Model, joint: Joint) -> Array:
     """What each error of the trajectory, of one standard deviation, makes of the numbers of `joint`, (p, errors).
 
     The attitude is off by a rotation of standard deviation :attr:`View.att_sd` about each axis. Half of its variance is
@@ -108,12 +108,12 @@ def _moved(model: Model, joint: Joint) -> Array:
     blocks = [jacobian(term, model.setting) for term in model.terms]
     if model.ridge is not None:
         blocks.append(model.ridge.columns)
-    errors = _errors(model.setting, tilts=model.ridge is None)
+    errors = _error_columns(model.setting, tilts=model.ridge is None)
     gram = normal_equations([*blocks, errors], model.y, model.weight).gram
     return np.asarray(joint.covariance @ gram[:count, count:])
 
 
-def _errors(setting: Setting, *, tilts: bool) -> HypothesisColumns:
+def _error_columns(setting: Setting, *, tilts: bool) -> HypothesisColumns:
     """What readings change by each error of one standard deviation."""
     times = [view.t for view in setting.views]
     first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
@@ -122,16 +122,16 @@ def _errors(setting: Setting, *, tilts: bool) -> HypothesisColumns:
         if view.reference_error:
             block = np.zeros((_ERRORS, view.n, 3))
             if tilts:
-                block[_TILTS] = math.sqrt(0.5) * view.att_sd * _turned(view, first, last)
+                block[_TILTS] = math.sqrt(0.5) * view.att_sd * _rotation_errors(view, first, last)
             if view.inside_sd and view.sensor is Sensor.GYRO:
-                block[_MATRIX] = _by_matrix(view)
+                block[_MATRIX] = _matrix_errors(view)
             if view.inside_sd and view.sensor is Sensor.MAG:
-                block[_FIELD] = _by_field(view)
+                block[_FIELD] = _field_errors(view)
             add_block(parts, v, block, setting.frames[v])
     return HypothesisColumns(_ERRORS, parts)
 
 
-def _turned(view: View, first: float, last: float) -> Array:
+def _rotation_errors(view: View, first: float, last: float) -> Array:
     """Columns (6, n, 3) of rotations of the reference about x, y, z that stay, and of ones that grow.
 
     The growing ones are of unit variance between `first` and `last`.
@@ -147,7 +147,7 @@ def _turned(view: View, first: float, last: float) -> Array:
     return np.concatenate([turn, turn * growing[None, :, None]])
 
 
-def _by_matrix(view: View) -> Array:
+def _matrix_errors(view: View) -> Array:
     """Columns (9, n, 3) of the elements of a gyroscope's matrix by rows."""
     ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
     block = np.zeros((9, view.n, 3))
@@ -157,7 +157,7 @@ def _by_matrix(view: View) -> Array:
     return block
 
 
-def _by_field(view: View) -> Array:
+def _field_errors(view: View) -> Array:
     """Columns (3, n, 3) of the Earth's field north, east, down; zero where the attitude is not known."""
     if any(trace.attitude is None for trace in view.traces.values()):
         return np.zeros((3, view.n, 3))

@@ -14,21 +14,29 @@ from mavcal.calib.gap.schema import EVEN, Rival
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.evidence import price_of_kind
-from mavcal.calib.gap.search.exchange import Alternative, Freedom, Place, SettledModel, behind, freedom_of, second_order
-from mavcal.calib.gap.search.selection import last_gains
+from mavcal.calib.gap.search.exchange import (
+    Alternative,
+    Comparison,
+    Flexibility,
+    StableModel,
+    evidence_deficit,
+    flexibility_of,
+    second_order_evidence,
+)
+from mavcal.calib.gap.search.selection import marginal_gains
 
-_SECOND = 8.0
+_SECOND_ORDER_SCALE = 8.0
 """By how much a second order of an effect counts, beside noise learned from flights, in twice a log-probability.
 Chosen, not measured: a second order of 16 then counts as much as `TEMPERATURE`."""
 TEMPERATURE = 2.0
 """By which differences of penalised evidence are flattened into probabilities. Source: GAP 3.7 has the form. The value
 is chosen, not measured; `telling/probabilities.py` corrects what it gives."""
-_STANDS_IN = 0.8
+_DRIFT_SHARE = 0.8
 """Part of its probability that noise that wanders keeps: it takes the place of anything slow. Chosen, not measured: it
 leaves a fifth to what else is slow."""
-_NEAR = 12.0
+_LISTED_WITHIN = 12.0
 """Penalised evidence within which a rival is listed. Source: GAP 3.6."""
-_SAME = 0.98
+_LISTED_SHARE = 0.98
 """Part of the evidence of an effect above which a rival is listed as well, though not beyond `prices.RIVAL_REACH`.
 Source: GAP 3.6, 2 % of the gain."""
 
@@ -57,11 +65,11 @@ class Attribution:
         return self.unknown_probability > EVEN
 
 
-def attributed(settled: SettledModel, contest: Contest) -> tuple[Attribution, ...]:
+def attributions(settled: StableModel, contest: Contest) -> tuple[Attribution, ...]:
     """One attribution for each effect of a model, largest share first."""
-    chosen, places = settled.chosen, settled.places
+    chosen, comparisons = settled.chosen, settled.comparisons
     model = chosen.model
-    last = last_gains(model, contest)
+    last = marginal_gains(model, contest)
     first = {s.hypothesis.key: s.gain for s in chosen.first}
     joined = {s.hypothesis.key: s.gain for s in chosen.scores}
     worth = {key: 0.5 * (gain + max(first.get(key, joined.get(key, gain)), 0.0)) for key, (gain, _, _) in last.items()}
@@ -69,16 +77,20 @@ def attributed(settled: SettledModel, contest: Contest) -> tuple[Attribution, ..
     found = []
     for term in model.members:
         key = term.hypothesis.key
-        place = places[key]
-        second = second_order(chosen, place.own)
-        rivals, probability, unknown = _judged(term.hypothesis, place, freedom_of(chosen, key), second)
+        comparison = comparisons[key]
+        second = second_order_evidence(chosen, comparison.own)
+        rivals, probability, unknown = _rivals_and_probabilities(
+            term.hypothesis, comparison, flexibility_of(chosen, key), second
+        )
         share = worth[key] / total
         gain, df, _ = last[key]
-        found.append(Attribution(key, gain, df, share, probability, unknown, rivals, _likeliest_shape(place.others)))
+        found.append(
+            Attribution(key, gain, df, share, probability, unknown, rivals, _likeliest_shape(comparison.alternatives))
+        )
     return tuple(sorted(found, key=lambda a: -a.share))
 
 
-def _grows(other: Alternative) -> bool:
+def _grows_with_time(other: Alternative) -> bool:
     """Whether it is something that grows evenly with time."""
     return Trait.GROWING in other.score.hypothesis.effect.traits
 
@@ -88,26 +100,26 @@ def _likeliest_shape(others: Sequence[Alternative]) -> str:
     return max(shapes, key=lambda s: s.delta).hypothesis.effect.excited_by if shapes else ""
 
 
-def _judged(
-    own: Hypothesis, place: Place, freedom: Freedom | None, second: float
+def _rivals_and_probabilities(
+    own: Hypothesis, comparison: Comparison, freedom: Flexibility | None, second: float
 ) -> tuple[tuple[Rival, ...], float, float]:
     """Rivals that these data cannot tell apart, and the probabilities of the effect and of the unknown."""
     rivals = []
     same, weights, unknown = [0.0], [-math.inf], [-math.inf]
-    for other in place.others:
+    for other in comparison.alternatives:
         if other.score.p >= 1.0:
             continue  # noise that the instances named do not show is no rival
-        delta = behind(place.own, other.score, freedom, second)
+        delta = evidence_deficit(comparison.own, other.score, freedom, second)
         is_unknown = other.score.hypothesis.effect.nameless
-        weight = -delta / (2.0 * max(TEMPERATURE, second / _SECOND))
+        weight = -delta / (2.0 * max(TEMPERATURE, second / _SECOND_ORDER_SCALE))
         if other.score.hypothesis.effect.id == own.effect.id and other.score.hypothesis.instances == own.instances:
             same.append(weight)  # the same name in another form
         else:
             (unknown if is_unknown else weights).append(weight)
-        near = max(_NEAR, min((1.0 - _SAME) * place.own, prices.RIVAL_REACH)) + price_of_kind(
+        near = max(_LISTED_WITHIN, min((1.0 - _LISTED_SHARE) * comparison.own, prices.RIVAL_REACH)) + price_of_kind(
             other.score.hypothesis.effect
         )
-        if is_unknown and Trait.THERMAL in own.effect.traits and _grows(other) and delta < near:
+        if is_unknown and Trait.THERMAL in own.effect.traits and _grows_with_time(other) and delta < near:
             rivals.append(Rival(DRIFT_IN_TIME, other.kappa, delta, own.effect.fix))
         if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and delta < near:
             rivals.append(Rival(other.score.hypothesis.effect.id, other.kappa, delta, own.effect.fix))
@@ -118,4 +130,4 @@ def _judged(
     total = float(np.logaddexp.reduce([*same, *weights, unnamed]))
     right = math.exp(float(np.logaddexp.reduce(same)) - total)
     wanders = own.effect.drifts
-    return tuple(best.values()), right * (_STANDS_IN if wanders else 1.0), math.exp(unnamed - total)
+    return tuple(best.values()), right * (_DRIFT_SHARE if wanders else 1.0), math.exp(unnamed - total)

@@ -21,7 +21,7 @@ LAYOUT = {
         *("GYRO_DRIFT", "ACCEL_DRIFT", "CONSTANTS"),
     },
     "unknown/discrepancy.py": {"_AXES"},
-    "unknown/misattributed_noise.py": {"_TOGETHER"},
+    "unknown/misattributed_noise.py": {"_AXIS_GROUPS"},
     "worth/attitude_error.py": {"_TILTS", "_MATRIX", "_FIELD", "_ERRORS"},
 }
 """Positions in an array, and tables of names: numbers that could be no other."""

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
-from mavcal.calib.gap.heldout.shrink import dose_of
+from mavcal.calib.gap.heldout.shrink import block_agreement
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import hypotheses_of
 from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.schema import GapReport, GapVerdict, as_json
@@ -277,9 +277,9 @@ def test_blocks_that_disagree_widen_the_errors():
         views = split(views_of(problem, {}, {}))
         setting = setting_of(views)
         contest = Contest(hypotheses_of(only, views)[0])
-        chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, 0.005)
+        chosen = select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, 0.005)
         (term,) = chosen.model.terms
-        dose = dose_of(chosen, term.hypothesis.key)
+        dose = block_agreement(chosen, term.hypothesis.key)
         assert dose.agrees is (swing == 0.0)
         errors.append(max(e.se for e in estimates_of(chosen, term, dose.widening)))
     assert errors[1] > 3.0 * errors[0]

@@ -12,7 +12,7 @@ from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.progress import GapPace, GapProgress, GapStage, with_limit
 from mavcal.calib.gap.schema import GapReport, GapVerdict, as_json
 from mavcal.calib.gap.search.contest import Contest, ContestScore
-from mavcal.calib.gap.telling.inputs import inputs_of
+from mavcal.calib.gap.telling.recordings import inputs_of
 from mavcal.calib.gap_report.words import verdict_sentence
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
@@ -75,7 +75,7 @@ def test_a_search_leaves_the_time_that_its_effects_need_afterwards() -> None:
     watch = Watch()
     pace = GapPace(watch, 100.0)
     pace.begin(GapStage.SELECTION)
-    pace.keep_back(4, 1.0)
+    pace.reserve(4, 1.0)
     watch.now = 41.0
     assert not pace.ends()
     watch.now = 43.0
@@ -136,12 +136,12 @@ def test_a_stage_took_until_the_next_one_began() -> None:
     pace = GapPace(watch)
     pace.begin(GapStage.SELECTION)
     watch.now = 7.0
-    assert pace.took(GapStage.SELECTION) == 7.0
+    assert pace.duration_of(GapStage.SELECTION) == 7.0
     pace.begin(GapStage.RIVALS)
     watch.now = 9.0
     pace.begin(GapStage.HELD_OUT)
-    assert pace.took(GapStage.SELECTION) == 7.0
-    assert pace.took(GapStage.RIVALS) == 2.0
+    assert pace.duration_of(GapStage.SELECTION) == 7.0
+    assert pace.duration_of(GapStage.RIVALS) == 2.0
 
 
 @pytest.mark.long

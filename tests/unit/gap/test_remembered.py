@@ -14,7 +14,7 @@ import pytest
 
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
-from mavcal.calib.gap.remembered import ResultStore, SameArray, one_diagnosis, remembered
+from mavcal.calib.gap.remembered import ABSENT, ResultStore, SameArray, one_diagnosis, remembered
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -346,6 +346,8 @@ def test_a_constant_is_no_cache(source: str) -> None:
 
 def test_a_store_counts_what_it_holds() -> None:
     store = ResultStore()
-    assert store.result(len, "key", 2, lambda: 3) == 3
-    assert store.result(len, "key", 2, lambda: 4) == 3
+    assert store.taken(len, "key") is ABSENT
+    store.keep(len, "key", 3, 2)
     assert len(store) == 1
+    assert store.taken(len, "key") == 3
+    assert len(store) == 0

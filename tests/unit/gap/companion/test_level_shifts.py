@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.companion.level_shifts import steps_of
+from mavcal.calib.gap.companion.level_shifts import level_steps
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.problem import GapProblem, MinimumGain, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.reference.noise import learned, with_noise
+from mavcal.calib.gap.reference.noise import learned_spectrum, with_noise
 from mavcal.calib.recording import Sensor
 
 FS, SECONDS, SD = 20.0, 160.0, 0.5
@@ -35,17 +35,17 @@ def compass(seed, magnet=0.0, wander=1.3):
 
 
 def beside_a_nominal_one(trace, nominal):
-    least = MinimumGain(level={Sensor.MAG: LEVEL}, loud={Sensor.MAG: LOUD})
-    noisy = with_noise(trace, learned(nominal), None)
+    least = MinimumGain(level={Sensor.MAG: LEVEL}, noise_report={Sensor.MAG: LOUD})
+    noisy = with_noise(trace, learned_spectrum(nominal), None)
     return GapProblem((noisy,), ReferenceInfo(ReferenceKind.POSE), SECONDS, nominal=(nominal,), minimum_gain=least)
 
 
 def test_the_largest_step_is_where_the_level_changes():
-    steps = steps_of(compass(1, magnet=1.0))
-    assert steps.at(ON_S) > 5.0
-    assert steps.at(OFF_S) > 5.0
+    steps = level_steps(compass(1, magnet=1.0))
+    assert steps.largest_near(ON_S) > 5.0
+    assert steps.largest_near(OFF_S) > 5.0
     assert steps.largest == pytest.approx(np.linalg.norm(MAGNET), rel=0.3)
-    assert steps_of(compass(1)).largest < 0.75 * steps.largest
+    assert level_steps(compass(1)).largest < 0.75 * steps.largest
 
 
 @pytest.mark.long

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from mavcal.calib import gap
-from mavcal.calib.gap.companion.nominal_baseline import beside_nominal, nominal_baseline_of
-from mavcal.calib.gap.reference import build, posed
-from mavcal.calib.gap.reference.signals import linear
+from mavcal.calib.gap.companion.baselines import compared_with_nominal, nominal_baseline_of
+from mavcal.calib.gap.reference import build, companion_with_pose
+from mavcal.calib.gap.reference.signals import interpolated
 from mavcal.calib.gap.schema import GapVerdict
 from mavcal.calib.recording import Recording, Sensor
 from tests.unit.gap.reference.test_recorded import RATE, SIGMA, channel
@@ -35,8 +35,8 @@ def recording(seed, delay=DELAY_S, bias=0.0, pose=True):
     field = body.inv().apply([22.0, 1.0, 42.0])
     t = np.arange(0.0, SECONDS, 1.0 / RATE)
     late = {
-        Sensor.GYRO: linear(fine[:-1] + 0.5 * step, rate, t - delay) + bias,
-        Sensor.MAG: linear(fine, field, t - delay),
+        Sensor.GYRO: interpolated(fine[:-1] + 0.5 * step, rate, t - delay) + bias,
+        Sensor.MAG: interpolated(fine, field, t - delay),
     }
     readings = [channel(s, t, v + SIGMA[s] * rng.standard_normal(v.shape)) for s, v in late.items()]
     q = Slerp(fine, body)(t).as_quat()[:, [3, 0, 1, 2]]
@@ -84,7 +84,7 @@ def test_a_bias_is_not_carried_over_but_one_as_large_is_no_gap():
     baseline = learned(switched_on)
     said = next(e for e in baseline.biases if e.sensor is Sensor.GYRO)
     assert [p.value for p in said.params] == pytest.approx(BIAS, abs=1e-3)
-    changed = beside_nominal(build(recording(2, 0.0), None, [switched_on]), baseline)
+    changed = compared_with_nominal(build(recording(2, 0.0), None, [switched_on]), baseline)
     gyro = next(t for t in changed.traces if t.sensor is Sensor.GYRO)
     assert gyro.residual.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-3)
     for bias in (np.zeros(3), BIAS, -BIAS):
@@ -96,13 +96,13 @@ def test_a_bias_is_not_carried_over_but_one_as_large_is_no_gap():
 @pytest.mark.long
 def test_it_is_the_first_nominal_table_with_a_pose(nominal):
     bare = recording(5, pose=False)
-    assert posed(recording(2), [bare, nominal]) is nominal
-    assert posed(bare, [nominal]) is None
-    assert posed(recording(2), []) is None
+    assert companion_with_pose(recording(2), [bare, nominal]) is nominal
+    assert companion_with_pose(bare, [nominal]) is None
+    assert companion_with_pose(recording(2), []) is None
     gyro = recording(2).channel(Sensor.GYRO, 0)
     with_reference = dataclasses.replace(recording(2), reference=(gyro,))
-    assert posed(with_reference, [nominal]) is None
-    assert posed(recording(2), [with_reference]) is None
+    assert companion_with_pose(with_reference, [nominal]) is None
+    assert companion_with_pose(recording(2), [with_reference]) is None
 
 
 @pytest.mark.long

@@ -9,12 +9,12 @@ from mavcal.calib.gap.companion.nuisance_gain import above_nuisance
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.model.hypotheses import hypotheses_of
 from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import NuisanceEffect
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.projection import Beside
+from mavcal.calib.gap.search.projection import Projection
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -36,7 +36,7 @@ def task():
     problem = problem_of(np.random.default_rng(1), (Sensor.ACCEL,))
     views = views_of(problem, {}, {})
     setting = setting_of(views)
-    bare = refitted(starting_model(setting, starting_noise(setting))).model
+    bare = noise_fitted(starting_model(setting, starting_noise(setting))).model
     hypotheses, _ = hypotheses_of([e for e in catalogue() if e.sensor is Sensor.ACCEL], views)
     return problem, bare, Contest(hypotheses)
 
@@ -79,7 +79,7 @@ def test_a_residual_like_the_flaw_gains_as_much(task):
         model = starting_model(setting, task[1].noise)
         contest = task[2]
         hypothesis = next(h for h in contest.hypotheses if h.key == ("accel_scale", (0,)))
-        gains.append(Contest([hypothesis]).score(hypothesis, Beside(model)).gain)
+        gains.append(Contest([hypothesis]).score(hypothesis, Projection(model)).gain)
     expected = own(task, nuisance(1.0 / 3.0))["accel_scale", (0,)]
     assert gains[1] - gains[0] == pytest.approx(expected, rel=0.15)
 

@@ -14,7 +14,7 @@ from tests.unit.gap.synthetic import problem_of
 
 ALPHA = 0.005
 LEAST = {Sensor.ACCEL: 100.0, Sensor.GYRO: 100.0}
-FEW = MinimumGain(LEAST, LEAST, LEAST, LEAST, unsteady=LEAST)
+FEW = MinimumGain(LEAST, LEAST, LEAST, LEAST, drift_entry=LEAST)
 
 
 def names(problem):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.effects import by_id
-from mavcal.calib.gap.effects.events import SLOW_S, likeliest, likeliest_ramps, moments
+from mavcal.calib.gap.effects.events import RAMP_S, likeliest_ramps, likeliest_steps, step_moments
 from mavcal.calib.recording import Sensor
 
 from .conftest import make
@@ -57,14 +57,14 @@ def test_a_ramp_that_was_recorded_is_tried_where_the_level_changes():
 
 
 def test_beside_a_hole_a_jump_is_tried_and_no_ramp():
-    trace, residual = stepped(2.0 * SLOW_S)
-    assert np.abs(likeliest(trace, residual) - 30.0).min() < SLOW_S + 0.1
+    trace, residual = stepped(2.0 * RAMP_S)
+    assert np.abs(likeliest_steps(trace, residual) - 30.0).min() < RAMP_S + 0.1
     ramps = likeliest_ramps(trace, residual)
     assert len(ramps)
-    assert not (np.abs(ramps - 30.0) < 1.4 * SLOW_S).any()
+    assert not (np.abs(ramps - 30.0) < 1.4 * RAMP_S).any()
 
 
 def test_with_no_ramp_at_all_the_first_moment_is_left():
     trace, residual = stepped(0.0)
     gaps = dataclasses.replace(trace, observed=np.arange(len(trace.t)) % 4 == 0)
-    np.testing.assert_array_equal(likeliest_ramps(gaps, residual), moments(gaps)[:1])
+    np.testing.assert_array_equal(likeliest_ramps(gaps, residual), step_moments(gaps)[:1])

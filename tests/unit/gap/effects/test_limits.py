@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.effects import forward_models
-from mavcal.calib.gap.effects.limits import limits, widths
+from mavcal.calib.gap.effects.limits import candidate_limits, candidate_widths
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -105,8 +105,8 @@ def test_noise_of_the_reference_is_no_limit():
     trace = Trace(
         Sensor.GYRO, (0,), np.arange(n) / 100.0, ideal, ideal, np.ones(n, bool), sigma=np.full(3, 0.01), ideal_sd=0.01
     )
-    assert widths(trace).min() > 0.05
-    assert limits(trace).max() < np.abs(ideal).max() - 0.05
+    assert candidate_widths(trace).min() > 0.05
+    assert candidate_limits(trace).max() < np.abs(ideal).max() - 0.05
 
 
 def test_noise_inside_the_reference_is_no_dead_band():
@@ -124,5 +124,5 @@ def test_noise_inside_the_reference_is_no_dead_band():
 
     assert gain(exact) > 0.3
     blurred = dataclasses.replace(exact, unit_sd=1e-3)
-    assert widths(blurred).min() > 5e-3
+    assert candidate_widths(blurred).min() > 5e-3
     assert gain(blurred) < 0.05

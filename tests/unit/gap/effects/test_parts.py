@@ -18,7 +18,7 @@ from mavcal.calib.gap.effects.parts import (
     crossed,
     first_missing,
     lagged,
-    moves,
+    missing_movement,
     on_each_axis,
     per_axis,
     spread,
@@ -107,9 +107,9 @@ def test_a_reading_moves_from_three_hundredths_of_its_use_on(sensor, least):
     for factor, lacks in ((0.98, True), (1.02, False)):
         wave = np.zeros_like(trace.ideal)
         wave[::2, 1] = 2.0 * factor * least
-        missing = moves(sensor)(dataclasses.replace(trace, ideal=wave))
+        missing = missing_movement(sensor)(dataclasses.replace(trace, ideal=wave))
         assert (missing is not None) == lacks
-    assert moves(sensor)(dataclasses.replace(trace, ideal=np.zeros_like(trace.ideal)))[0].endswith(
+    assert missing_movement(sensor)(dataclasses.replace(trace, ideal=np.zeros_like(trace.ideal)))[0].endswith(
         f"varies by 0 {trace.unit}"
     )
 
@@ -117,7 +117,7 @@ def test_a_reading_moves_from_three_hundredths_of_its_use_on(sensor, least):
 def test_a_reference_that_does_not_follow_turns_says_nothing_of_a_gyroscope_alone():
     for sensor in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG):
         slow = dataclasses.replace(make(sensor, seconds=30.0), rate_known=False)
-        assert (moves(sensor)(slow) is not None) == (sensor is Sensor.GYRO)
+        assert (missing_movement(sensor)(slow) is not None) == (sensor is Sensor.GYRO)
 
 
 def test_the_first_condition_that_is_not_met_is_told():

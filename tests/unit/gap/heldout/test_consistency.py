@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import by_id
-from mavcal.calib.gap.heldout.consistency import along_own_attitude, on_every_block
+from mavcal.calib.gap.heldout.consistency import along_logged_attitude, confirmed_on_every_block
 from mavcal.calib.gap.heldout.gates import Gate
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.schema import GapReport, GapVerdict
@@ -44,13 +44,13 @@ def line(report: GapReport) -> str:
 
 def test_ideal_readings_turn_to_the_attitude_that_was_logged() -> None:
     problem = standing_alone(lambda _: 0.0, (0.0, 0.0, 90.0))
-    other = along_own_attitude(problem)
+    other = along_logged_attitude(problem)
     assert other is not None
     (before,), (after,) = problem.traces, other.traces
     quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # the body turned by +90 degrees about z
     np.testing.assert_allclose(after.ideal, before.ideal @ quarter.T, atol=1e-6)
     np.testing.assert_array_equal(after.measured, before.measured)
-    assert along_own_attitude(dataclasses.replace(problem, own_attitude=None)) is None
+    assert along_logged_attitude(dataclasses.replace(problem, own_attitude=None)) is None
 
 
 def test_a_magnet_that_is_there_all_the_time_is_told() -> None:
@@ -64,7 +64,7 @@ def test_an_effect_holds_on_every_block_or_not_at_all() -> None:
     key = ("mag_soft_iron", (0,))
 
     def holds(gains: list[float], *, passed: bool | None = True) -> bool:
-        return list(on_every_block([Gate(key, np.array(gains), passed)])) == [key]
+        return list(confirmed_on_every_block([Gate(key, np.array(gains), passed)])) == [key]
 
     assert holds([40.0, 25.0, -0.5, 60.0])  # a block in which it hardly shows loses what chance takes
     assert not holds([900.0, 25.0, -40.0, 60.0])  # the sum is far above zero, and one block denies it

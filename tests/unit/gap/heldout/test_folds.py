@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.effects import forward_models
-from mavcal.calib.gap.heldout.folds import carried, expected_gain, folds_of, foretold, joined, log_loss
+from mavcal.calib.gap.heldout.folds import (
+    applied_to,
+    expected_gain,
+    folds_of,
+    is_predictable,
+    log_loss,
+    with_joined_term,
+)
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm, Term, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise, with_term
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import Beside, Contest
 from mavcal.calib.recording import Sensor
@@ -50,8 +57,8 @@ NOISE = NoiseTerm(Hypothesis(forward_models()["gyro_noise"][-1], (0,)), np.nan)
 
 def test_noise_that_differs_by_axis_keeps_its_axis():
     for fold in folds(1, louder):
-        train = joined(refitted(fold.train).model, NOISE)
-        test = carried(train, fold.test)
+        train = with_joined_term(noise_fitted(fold.train).model, NOISE)
+        test = applied_to(train, fold.test)
         for c in range(3):
             assert test.noise[c].amplitudes[NOISE.name(0)] == train.noise[c].amplitudes[NOISE.name(0)]
         found = np.sqrt([50.0 * test.noise[c].amplitudes[NOISE.name(0)] for c in range(3)]) / SIGMA[Sensor.GYRO]
@@ -60,8 +67,8 @@ def test_noise_that_differs_by_axis_keeps_its_axis():
 
 def test_noise_that_nobody_declared_keeps_its_axis_too():
     for fold in folds(2, louder, unknown=True):
-        train = refitted(fold.train).model
-        test = carried(train, fold.test)
+        train = noise_fitted(fold.train).model
+        test = applied_to(train, fold.test)
         power = np.array([test.noise[c].power.mean() for c in range(3)])
         assert np.sqrt(power) == pytest.approx(SIGMA[Sensor.GYRO] * np.hypot(1.0, LOUD), rel=0.15)
 
@@ -76,7 +83,7 @@ def shaken(trace):
 def test_a_vibration_is_sought_in_the_block_that_has_it():
     # The first of the blocks that remain is still: its four strongest frequencies are chance.
     line = Hypothesis(forward_models()["gyro_vibration"][-1], (0,))
-    model = refitted(folds(4, shaken)[1].train).model
+    model = noise_fitted(folds(4, shaken)[1].train).model
     score = Contest(()).score(line, Beside(model))
     assert score.theta == pytest.approx(17.0, abs=0.5)
     assert score.gain > 1000.0
@@ -84,9 +91,9 @@ def test_a_vibration_is_sought_in_the_block_that_has_it():
 
 def test_the_right_axis_has_the_smaller_loss():
     for fold in folds(3, louder):
-        train = joined(refitted(fold.train).model, NOISE)
+        train = with_joined_term(noise_fitted(fold.train).model, NOISE)
         turned = dataclasses.replace(train, noise=train.noise[1:] + train.noise[:1])
-        assert log_loss(carried(train, fold.test)) < log_loss(carried(turned, fold.test)) - 100.0
+        assert log_loss(applied_to(train, fold.test)) < log_loss(applied_to(turned, fold.test)) - 100.0
 
 
 def test_a_true_effect_gains_on_a_held_out_block_what_it_should():
@@ -97,9 +104,11 @@ def test_a_true_effect_gains_on_a_held_out_block_what_it_should():
     gained, due = 0.0, 0.0
     for fold in folds(4, gap):
         term = Term(bias, np.zeros(3), np.nan)
-        train = joined(refitted(fold.train).model, term)
-        gained += log_loss(carried(refitted(fold.train).model, fold.test)) - log_loss(carried(train, fold.test))
-        due += expected_gain(train.terms[0], fold.train, carried(train, fold.test))
+        train = with_joined_term(noise_fitted(fold.train).model, term)
+        gained += log_loss(applied_to(noise_fitted(fold.train).model, fold.test)) - log_loss(
+            applied_to(train, fold.test)
+        )
+        due += expected_gain(train.terms[0], fold.train, applied_to(train, fold.test))
     assert gained == pytest.approx(due, abs=4.0 * np.sqrt(2.0 * due))
 
 
@@ -115,7 +124,7 @@ def test_a_recording_in_fewer_than_three_pieces_has_no_folds():
     assert folds(6, count=2) == ()
     setting = setting_of(views_of(problem_of(np.random.default_rng(6), (Sensor.GYRO,)), {}, {}))
     model = with_term(starting_model(setting, starting_noise(setting)), NOISE)
-    assert carried(model, starting_model(setting, starting_noise(setting))).noise_terms == (NOISE,)
+    assert applied_to(model, starting_model(setting, starting_noise(setting))).noise_terms == (NOISE,)
 
 
 def test_a_jump_beside_a_drift_is_foretold_only_by_the_blocks_in_which_it_happens():
@@ -123,10 +132,10 @@ def test_a_jump_beside_a_drift_is_foretold_only_by_the_blocks_in_which_it_happen
     whole = made[0].train
     step = Term(Hypothesis(forward_models()["gyro_step"][0], (0,)), np.ones(3), 15.0)
     drift = NoiseTerm(Hypothesis(forward_models()["gyro_random_walk"][-1], (0,)), np.nan)
-    assert all(foretold(step, whole, fold.train.setting) for fold in made)
+    assert all(is_predictable(step, whole, fold.train.setting) for fold in made)
     drifting = dataclasses.replace(whole, noise_terms=(drift,))
-    assert [foretold(step, drifting, fold.train.setting) for fold in made] == [True, False, True, True]
-    assert all(foretold(drift, drifting, fold.train.setting) for fold in made)
+    assert [is_predictable(step, drifting, fold.train.setting) for fold in made] == [True, False, True, True]
+    assert all(is_predictable(drift, drifting, fold.train.setting) for fold in made)
 
 
 def test_what_a_block_cannot_show_is_not_expected_of_it():
@@ -142,5 +151,5 @@ def test_two_jumps_in_one_held_out_block_are_not_foretold():
     pair = [Term(Hypothesis(step, (0,), k), np.ones(3), inside + k) for k in range(2)]
     far = Term(Hypothesis(step, (0,), 1), np.ones(3), float(fold.train.setting.views[-1].t[200]))
     whole = fold.train
-    assert not foretold(pair[0], dataclasses.replace(whole, terms=tuple(pair)), fold.train.setting)
-    assert foretold(pair[0], dataclasses.replace(whole, terms=(pair[0], far)), fold.train.setting)
+    assert not is_predictable(pair[0], dataclasses.replace(whole, terms=tuple(pair)), fold.train.setting)
+    assert is_predictable(pair[0], dataclasses.replace(whole, terms=(pair[0], far)), fold.train.setting)

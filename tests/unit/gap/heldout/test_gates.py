@@ -7,20 +7,20 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _Answer, _confirmed
+from mavcal.calib.gap.diagnose import _Answer, _confirmed_by_blocks
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.heldout.folds import folds_of
 from mavcal.calib.gap.heldout.gates import gate_of
 from mavcal.calib.gap.heldout.shrink import held_out
 from mavcal.calib.gap.model.hypotheses import hypotheses_of
 from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.exchange import settled
-from mavcal.calib.gap.search.selection import last_gains, select
+from mavcal.calib.gap.search.exchange import stable_model
+from mavcal.calib.gap.search.selection import marginal_gains, select
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING
-from mavcal.calib.gap.worth.attribution import attributed
+from mavcal.calib.gap.worth.attribution import attributions
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -34,7 +34,7 @@ def selected(seed, gap, *only):
     hypotheses, _ = hypotheses_of(catalogue(), views)
     asked = [h for h in hypotheses if not only or h.effect.id in only]
     setting, contest = setting_of(views), Contest(asked)
-    chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, ALPHA)
+    chosen = select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, ALPHA)
     return chosen, contest, folds_of(setting, 8)
 
 
@@ -48,7 +48,7 @@ def judged(offset):
     """What the gate says of the offset if it was due to gain `due` nats, and gained `gained`."""
     chosen, contest, folds = offset
     (term,) = chosen.model.terms
-    usual = last_gains(chosen.model, contest)
+    usual = marginal_gains(chosen.model, contest)
     assert usual[term.hypothesis.key][0] > 200.0  # so that `due` is what bounds it below
 
     def gate(gained, due):
@@ -111,8 +111,8 @@ def unsteady(trace):
 def test_an_offset_that_no_block_confirms_is_taken_out_of_the_answer_and_told_of_without_its_name():
     chosen, contest, _ = selected(5, unsteady, "accel_bias", "accel_scale")
     assert {t.hypothesis.effect.id for t in chosen.model.terms} == {"accel_bias", "accel_scale"}
-    found = settled(chosen, contest, ALPHA)
-    answer = _confirmed(_Answer(found, attributed(found, contest), contest, None), ALPHA, nested=False)
+    found = stable_model(chosen, contest, ALPHA)
+    answer = _confirmed_by_blocks(_Answer(found, attributions(found, contest), contest, None), ALPHA, nested=False)
     assert {t.hypothesis.effect.id for t in answer.chosen.model.terms} == {"accel_scale"}
     assert [(one.text, one.sensor) for one in answer.withdrawn] == [(NOT_LASTING, Sensor.ACCEL)]
     assert all(answer.gates[t.hypothesis.key] is True for t in answer.chosen.model.terms)
@@ -125,7 +125,7 @@ def test_what_the_other_blocks_know_nothing_of_is_not_counted_against_an_effect(
     due = iter([-500.0, *[10.0] * (len(folds) - 1)])
     monkeypatch.setattr("mavcal.calib.gap.heldout.gates.expected_gain", lambda *_: next(due))
     gains = np.array([-1000.0, *[10.0] * (len(folds) - 1)])
-    gate = gate_of(term, gains, [True] * len(folds), folds, chosen, last_gains(chosen.model, contest))
+    gate = gate_of(term, gains, [True] * len(folds), folds, chosen, marginal_gains(chosen.model, contest))
     assert gate.passed is True
 
 
@@ -136,5 +136,5 @@ def test_a_block_that_is_due_next_to_nothing_still_counts(offset, monkeypatch):
     due = iter([-4.0, *[10.0] * (len(folds) - 1)])
     monkeypatch.setattr("mavcal.calib.gap.heldout.gates.expected_gain", lambda *_: next(due))
     gains = np.array([-1000.0, *[10.0] * (len(folds) - 1)])
-    gate = gate_of(term, gains, [True] * len(folds), folds, chosen, last_gains(chosen.model, contest))
+    gate = gate_of(term, gains, [True] * len(folds), folds, chosen, marginal_gains(chosen.model, contest))
     assert gate.passed is False

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.likelihood import transform
-from mavcal.calib.gap.model.bands import assembled, joined, resampled, split
+from mavcal.calib.gap.model.bands import assembled, combined, resampled, split
 from mavcal.calib.gap.model.views import View, views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.recording import Sensor
@@ -58,7 +58,7 @@ def test_two_bands_make_the_series_again(whole, bands):
     lower, upper = bands
     assert (lower.n, lower.first, upper.n) == (upper.first, 0, lower.whole.n)
     assert lower.whole.n == whole.n
-    assert joined(lower.residual, upper.residual) == pytest.approx(whole.residual, abs=1e-9)
+    assert combined(lower.residual, upper.residual) == pytest.approx(whole.residual, abs=1e-9)
 
 
 def test_each_band_has_its_own_coefficients_of_the_whole(whole, bands):

@@ -123,8 +123,8 @@ def test_what_happens_once_is_described_by_another_form_of_it():
     wave, noise = sorted(forward_models()["accel_vibration"], key=lambda effect: not effect.form)
     late, throttle = (e for e in forward_models()["mag_motor_current"] if e.form)
     there = [Hypothesis(wave, (0,), again=1), Hypothesis(late, (0, 1))]
-    assert Hypothesis(noise, (0,)).described_by(there)
-    assert Hypothesis(throttle, (0, 1)).described_by(there)
-    assert not Hypothesis(noise, (1,)).described_by(there)
-    assert not Hypothesis(wave, (0,)).described_by(there)  # it can happen again
-    assert not Hypothesis(by_id()["accel_noise"], (0,)).described_by(there)
+    assert Hypothesis(noise, (0,)).is_covered_by(there)
+    assert Hypothesis(throttle, (0, 1)).is_covered_by(there)
+    assert not Hypothesis(noise, (1,)).is_covered_by(there)
+    assert not Hypothesis(wave, (0,)).is_covered_by(there)  # it can happen again
+    assert not Hypothesis(by_id()["accel_noise"], (0,)).is_covered_by(there)

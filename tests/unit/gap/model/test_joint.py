@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _task_of
+from mavcal.calib.gap.diagnose import _setup_of
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.model.hypotheses import columns_of
 from mavcal.calib.gap.model.joint import Term, jacobian, setting_of
@@ -17,7 +17,7 @@ from tests.unit.gap.synthetic import problem_of
 def test_a_block_without_samples_of_a_sensor_knows_nothing_of_its_effects(effect):
     """A magnetometer may fall silent for an eighth of a flight, and that eighth is held out in its turn."""
     problem = problem_of(np.random.default_rng(6), (Sensor.ACCEL, Sensor.GYRO))
-    task = _task_of(problem, tuple(e for e in catalogue() if e.id == effect))
+    task = _setup_of(problem, tuple(e for e in catalogue() if e.id == effect))
     hypothesis, setting = task.contest.hypotheses[0], task.bare.setting
     theta = np.nan if hypothesis.effect.shape is None else 20.0
     own = columns_of(hypothesis, theta, setting.views, setting.frames)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _task_of
+from mavcal.calib.gap.diagnose import _setup_of
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.model.hypotheses import columns_of
 from mavcal.calib.gap.model.joint import Term, with_residual
@@ -31,7 +31,7 @@ def warming(trace):
 def test_amplitudes_are_fitted_however_far_they_and_their_shape_are(theta, factor):
     """What another effect leaned on may be far off when that one leaves: no tangent of the shape helps there."""
     problem = problem_of(np.random.default_rng(5), (Sensor.GYRO,), warming)
-    task = _task_of(problem, tuple(e for e in catalogue() if e.id == WARM))
+    task = _setup_of(problem, tuple(e for e in catalogue() if e.id == WARM))
     hypothesis = task.contest.hypotheses[0]
     setting = task.bare.setting
     columns = columns_of(hypothesis, theta, setting.views, setting.frames)
@@ -57,7 +57,7 @@ def humming_late(trace):
 def test_a_frequency_between_two_peaks_does_not_hold_the_other_shapes():
     """Its tangent leads nowhere; every step of a joint fit was spoiled by it, and no shape moved any more."""
     problem = problem_of(np.random.default_rng(7), (Sensor.GYRO,), humming_late)
-    task = _task_of(problem, tuple(e for e in catalogue() if e.id in ("gyro_tone", "gyro_delay")))
+    task = _setup_of(problem, tuple(e for e in catalogue() if e.id in ("gyro_tone", "gyro_delay")))
     by_name = {h.effect.id: h for h in task.contest.hypotheses}
     tone = Term(by_name["gyro_tone"], np.full(6, 1e-3), HUM)
     delay = Term(by_name["gyro_delay"], np.ones(1), 0.029)

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from mavcal.calib.gap.likelihood import flicker, random_walk
-from mavcal.calib.gap.reference.noise import ResidualSpectrum, chances, learned
+from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned_spectrum, two_sided_chances
 
 from .test_noise import trace, walk, white
 
@@ -15,21 +15,21 @@ SD = 0.02
 
 
 def test_white_noise_is_called_white():
-    called = [learned(trace(white(2000, SD, seed))).white for seed in range(200)]
+    called = [learned_spectrum(trace(white(2000, SD, seed))).white for seed in range(200)]
     assert np.mean(called) > 0.99
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_noise_with_a_walk_or_a_line_is_not_called_white(seed):
-    assert not learned(trace(white(4000, SD, seed) + walk(4000, 0.002, seed + 100))).white
+    assert not learned_spectrum(trace(white(4000, SD, seed) + walk(4000, 0.002, seed + 100))).white
     t = np.arange(4000) / 100.0
     line = 0.5 * SD * np.cos(2.0 * np.pi * 17.0 * t)[:, None] * [1.0, 0.0, 0.0]
-    assert not learned(trace(white(4000, SD, seed) + line)).white
+    assert not learned_spectrum(trace(white(4000, SD, seed) + line)).white
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_few_low_coefficients_of_white_noise_do_not_move_the_smoothed_spectrum(seed):
-    found = learned(trace(white(2000, SD, seed)))
+    found = learned_spectrum(trace(white(2000, SD, seed)))
     assert found.dof[0] < 10
     ratio = found.smoothed().psd / SD**2
     assert ratio.min() > 0.5
@@ -42,7 +42,7 @@ def test_few_low_coefficients_of_white_noise_do_not_move_the_smoothed_spectrum(s
 def test_a_line_survives(amplitude, seed):
     t, hz = np.arange(8000) / 100.0, 17.0
     line = amplitude * SD * np.cos(2.0 * np.pi * hz * t)[:, None] * [1.0, 0.0, 0.0]
-    raw = learned(trace(white(8000, SD, seed) + line))
+    raw = learned_spectrum(trace(white(8000, SD, seed) + line))
     found = raw.smoothed()
     near = int(np.abs(found.hz - hz).argmin())
     assert found.psd[near, 0] > 0.7 * raw.psd[near, 0]
@@ -54,13 +54,13 @@ def test_a_line_survives(amplitude, seed):
 def test_a_line_does_not_raise_the_noise_far_from_it(amplitude):
     t, hz = np.arange(8000) / 100.0, 17.0
     line = amplitude * SD * np.cos(2.0 * np.pi * hz * t)[:, None] * [1.0, 0.0, 0.0]
-    found = learned(trace(white(8000, SD, 1) + line)).smoothed()
+    found = learned_spectrum(trace(white(8000, SD, 1) + line)).smoothed()
     assert np.median(found.psd[found.hz < 5.0, 0]) < 2.0 * SD**2
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_a_walk_keeps_its_slope(seed):
-    found = learned(trace(white(8000, SD, seed) + walk(8000, 0.002, seed + 100))).smoothed()
+    found = learned_spectrum(trace(white(8000, SD, seed) + walk(8000, 0.002, seed + 100))).smoothed()
     omega = 2.0 * np.pi * found.hz / found.fs
     truth = SD**2 + 0.002**2 * random_walk(omega)
     assert (np.abs(np.log(found.psd / truth[:, None]))[1:] < np.log(2.0)).all()
@@ -72,7 +72,7 @@ def test_a_drift_that_returns_to_its_mean_is_not_carried_on_as_a_walk(seed):
     rng, pull = np.random.default_rng(seed), 2.0 * np.pi * 1.0 / 100.0
     steps = 0.01 * rng.standard_normal((20000, 3))
     drift = lfilter([1.0], [1.0, pull - 1.0], steps, axis=0)
-    found = learned(trace(white(20000, 0.002, seed + 50) + drift)).smoothed()
+    found = learned_spectrum(trace(white(20000, 0.002, seed + 50) + drift)).smoothed()
     omega = 2.0 * np.pi * found.hz / found.fs
     truth = 0.002**2 + 0.01**2 / (1.0 / random_walk(omega) + pull**2)
     slow = found.hz < 0.3
@@ -101,6 +101,6 @@ def test_a_line_is_widened_to_the_speeds_of_other_flights_and_slow_noise_is_not(
 def test_chances_are_those_of_sums_of_squares():
     rng = np.random.default_rng(0)
     means = (rng.normal(size=(4000, 12)) ** 2).mean(axis=1)
-    found = chances(means[:, None], np.full(4000, 12.0))[:, 0]
+    found = two_sided_chances(means[:, None], np.full(4000, 12.0))[:, 0]
     assert np.mean(found < 0.05) == pytest.approx(0.05, abs=0.012)
     assert found.max() <= 1.0

@@ -46,9 +46,9 @@ def test_an_attitude_is_estimated_better_than_the_firmware_does(flights):
     truth = next(c for c in null.reference if c.sensor == Sensor.ATTITUDE)
     from mavcal.calib.gap.reference.ideal import continuous
     from mavcal.calib.gap.reference.posed import rotation
-    from mavcal.calib.gap.reference.signals import linear
+    from mavcal.calib.gap.reference.signals import interpolated
 
-    at = rotation(linear(truth.t, continuous(truth.values), found.state.t))
+    at = rotation(interpolated(truth.t, continuous(truth.values), found.state.t))
     error = np.degrees((at.inv() * found.state.attitude).as_rotvec())
     assert np.sqrt((error[:, :2] ** 2).mean()) < 0.1
     assert np.sqrt((error[:, 2] ** 2).mean()) < 0.4

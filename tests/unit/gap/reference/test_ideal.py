@@ -12,9 +12,22 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.reference.channels import comparable, filter_delay, filter_gain, filter_in_force, sensors_of
-from mavcal.calib.gap.reference.ideal import Ideal, continuous, recorded, trace_of, true_attitude, with_unit_noise
-from mavcal.calib.gap.reference.sample_age import slopes_squared
+from mavcal.calib.gap.reference.channels import (
+    comparable_channels,
+    filter_delay,
+    filter_gain,
+    filter_in_force,
+    sensors_of,
+)
+from mavcal.calib.gap.reference.expected_noise import slopes_squared
+from mavcal.calib.gap.reference.ideal import (
+    Ideal,
+    continuous,
+    recorded_reference,
+    trace_of,
+    true_attitude,
+    with_unit_noise,
+)
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.recording import Channel, Identity, ParameterTimeline, Recording, Sensor, Stage
 from tests.examples import examples
@@ -100,9 +113,9 @@ def test_what_the_vehicle_did_comes_along_at_the_times_of_the_sensor():
 
 
 def test_a_reference_is_what_its_columns_say_and_an_estimator_s_attitude_is_none():
-    assert recorded(Recording((channel(),))) is None
+    assert recorded_reference(Recording((channel(),))) is None
     own = Recording((channel(),), reference=(channel(), channel(sensor=Sensor.MAG, unit="uT")))
-    found = recorded(own)
+    found = recorded_reference(own)
     assert found.info.kind is ReferenceKind.SIM
     assert found.info.text == "The recording carries what ideal sensors read (gyro, mag)."
     q = np.tile([1.0, 0.0, 0.0, 0.0], (len(T), 1))
@@ -161,21 +174,21 @@ def test_a_filter_of_two_poles_halves_the_power_at_its_cutoff_and_is_late_by_its
 def test_the_source_that_most_instances_have_is_compared():
     imu = [channel(instance=i) for i in (0, 1)]
     fast = channel(np.arange(0.0, 10.0, 0.001), instance=0, source="GYR")
-    found = comparable(Recording((*imu, fast)), Sensor.GYRO)
+    found = comparable_channels(Recording((*imu, fast)), Sensor.GYRO)
     assert {i: c.source for i, c in found.items()} == {0: "IMU", 1: "IMU"}
-    assert comparable(Recording((imu[0], fast)), Sensor.GYRO)[0].source == "GYR"
-    assert comparable(Recording(()), Sensor.GYRO) == {}
+    assert comparable_channels(Recording((imu[0], fast)), Sensor.GYRO)[0].source == "GYR"
+    assert comparable_channels(Recording(()), Sensor.GYRO) == {}
 
 
 def test_instances_that_were_sampled_at_other_times_are_not_compared():
     """A shift of a tenth of a step is movement in the difference; a fiftieth is the rounding of stamps."""
     for shift, together in ((0.0004, 2), (0.002, 1)):
         pair = channel(), channel(T + shift, instance=1)
-        assert len(comparable(Recording(pair), Sensor.GYRO)) == together
+        assert len(comparable_channels(Recording(pair), Sensor.GYRO)) == together
     numbered = channel(source="IMU"), channel(instance=1, source="IMU2")
-    assert len(comparable(Recording(numbered), Sensor.GYRO)) == 2
+    assert len(comparable_channels(Recording(numbered), Sensor.GYRO)) == 2
     debiased = channel(), channel(instance=1, stage=Stage.DEBIASED)
-    assert list(comparable(Recording(debiased), Sensor.GYRO)) == [0]
+    assert list(comparable_channels(Recording(debiased), Sensor.GYRO)) == [0]
     assert [c.instance for c in sensors_of(Recording(debiased))] == [0]
 
 

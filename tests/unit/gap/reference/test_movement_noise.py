@@ -9,7 +9,7 @@ import pytest
 
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.expected_noise import movement_of, with_heave_noise, with_movement_noise
-from mavcal.calib.gap.reference.noise import learned, with_noise
+from mavcal.calib.gap.reference.noise import learned_spectrum, with_noise
 from mavcal.calib.recording import Sensor
 
 FS, N = 100.0, 16000
@@ -30,7 +30,7 @@ def moving(seed, size, jitter=JITTER_S, white=0.002):
 
 
 def expected(trace, nominal):
-    known = with_noise(trace, learned(nominal), None)
+    known = with_noise(trace, learned_spectrum(nominal), None)
     return with_movement_noise(known, movement_of([nominal]))
 
 
@@ -59,18 +59,18 @@ def test_a_livelier_recording_is_expected_to_be_worse_by_as_much(seed):
     calm, lively = flexing(seed, 0.05), flexing(seed + 10, 0.5)
     told = around(expected(lively, calm), 1.0)
     assert (np.abs(np.log(told / in_band(lively))) < np.log(2.0)).all()
-    assert (around(with_noise(lively, learned(calm), None), 1.0) < 0.05 * told).all()
+    assert (around(with_noise(lively, learned_spectrum(calm), None), 1.0) < 0.05 * told).all()
 
 
 def test_where_nothing_moves_nothing_is_added():
     calm, lively = flexing(1, 0.05), flexing(11, 0.5)
-    known = with_noise(lively, learned(calm), None)
+    known = with_noise(lively, learned_spectrum(calm), None)
     assert around(expected(lively, calm), 30.0) == pytest.approx(around(known, 30.0), rel=0.05)
 
 
 def test_a_calmer_recording_is_not_expected_to_be_quieter():
     calm, lively = flexing(1, 0.05), flexing(11, 0.5)
-    known = with_noise(calm, learned(lively), None)
+    known = with_noise(calm, learned_spectrum(lively), None)
     found = expected(calm, lively)
     for hz in (0.1, 1.0, 10.0):
         assert around(found, hz) == pytest.approx(around(known, hz), rel=0.2)
@@ -96,10 +96,10 @@ def test_white_noise_becomes_a_spectrum_where_it_must():
 def test_what_is_held_against_another_instance_or_has_no_noise_stays():
     calm, lively = moving(1, 0.05), moving(11, 0.5)
     usual = movement_of([calm])
-    pair = dataclasses.replace(with_noise(lively, learned(calm), None), against=1)
+    pair = dataclasses.replace(with_noise(lively, learned_spectrum(calm), None), against=1)
     assert with_movement_noise(pair, usual) is pair
     assert with_movement_noise(lively, usual) is lively
-    known = with_noise(lively, learned(calm), None)
+    known = with_noise(lively, learned_spectrum(calm), None)
     assert with_movement_noise(known, {}) is known
 
 

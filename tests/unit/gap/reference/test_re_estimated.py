@@ -14,10 +14,18 @@ from mavcal.calib import logs
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.problem import ReferenceKind
 from mavcal.calib.gap.reference import build
-from mavcal.calib.gap.reference.re_estimated import _FOLLOWED_HZ, STEP_S, _typical, best_trajectory
+from mavcal.calib.gap.reference.re_estimated import _FOLLOWED_HZ, STEP_S, _median_instance, best_trajectory
 from mavcal.calib.gap.reference.signals import Signal
-from mavcal.calib.gap.reference.strapdown import WARM, Increments
-from mavcal.calib.gap.reference.trajectory import ACCEL_DRIFT, CONSTANTS, GYRO_BIAS, GYRO_DRIFT, NODE, WALK, _Normal
+from mavcal.calib.gap.reference.strapdown import WARMTH_UNIT, Increments
+from mavcal.calib.gap.reference.trajectory import (
+    ACCEL_DRIFT,
+    CONSTANTS,
+    GYRO_BIAS,
+    GYRO_DRIFT,
+    NODE,
+    WALK,
+    _NormalEquations,
+)
 from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 
 from .test_recorded import by_sensor, channel
@@ -158,14 +166,14 @@ def test_biases_that_follow_the_temperature_do_not_bend_the_trajectory():
     gyro, accel = [3e-4, -2e-4, 1.5e-4], [8e-3, -5e-3, 12e-3]
     found = best_trajectory(warmed(flight(), 0, gyro, accel))
     assert np.abs(error_deg(found).mean(axis=0)).max() < 0.4
-    assert found.state.constants[GYRO_DRIFT][:3] / WARM == pytest.approx(gyro, abs=1e-4)
-    assert found.state.constants[ACCEL_DRIFT][:3] / WARM == pytest.approx(accel, abs=3e-3)
+    assert found.state.constants[GYRO_DRIFT][:3] / WARMTH_UNIT == pytest.approx(gyro, abs=1e-4)
+    assert found.state.constants[ACCEL_DRIFT][:3] / WARMTH_UNIT == pytest.approx(accel, abs=3e-3)
 
 
 @pytest.mark.long
 def test_a_temperature_that_drives_nothing_frees_nothing():
     found = best_trajectory(warmed(flight(), 0, np.zeros(3), np.zeros(3)))
-    assert found.imu.warm.any()
+    assert found.imu.warmth.any()
     assert np.abs(found.state.constants[GYRO_DRIFT.start :]).max() < 1e-6
 
 
@@ -199,7 +207,7 @@ def test_the_determinant_is_that_of_the_whole_matrix():
         for j in range(n):
             if abs(i - j) > 1:
                 whole[i * NODE : (i + 1) * NODE, j * NODE : (j + 1) * NODE] = 0.0
-    normal = _Normal(n)
+    normal = _NormalEquations(n)
     for i in range(n):
         own = slice(i * NODE, (i + 1) * NODE)
         normal.diagonal[i], normal.border[i] = whole[own, own], whole[own, n * NODE :]
@@ -288,7 +296,7 @@ def test_increments_of_a_cone_are_those_of_the_attitudes():
     accel = Signal(t, turn.inv().apply([1.0, 2.0, 3.0]))
     nodes = np.arange(0.0, 1.95, 0.1)
     zero = np.zeros((len(nodes) - 1, 3))
-    between = Increments.of(gyro, accel, nodes).between(zero, zero)
+    between = Increments.of(gyro, accel, nodes).integrated(zero, zero)
     at = turn[np.rint(nodes / 0.0025).astype(int)]
     error = (between.turn.inv() * (at[:-1].inv() * at[1:])).as_rotvec()
     assert np.abs(error).max() < 1e-3
@@ -377,5 +385,5 @@ def test_of_three_compasses_one_with_a_step_in_a_third_of_its_samples_is_not_typ
             made[i] = channel(Sensor.MAG, t, values, i, "MAG")
         return made
 
-    assert _typical(compasses(0.0)) == stepped
-    assert _typical(compasses(15.0)) != stepped
+    assert _median_instance(compasses(0.0)) == stepped
+    assert _median_instance(compasses(15.0)) != stepped

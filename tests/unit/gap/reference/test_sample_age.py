@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.expected_noise import with_sway_noise
-from mavcal.calib.gap.reference.noise import learned, on
-from mavcal.calib.gap.reference.sample_age import (
+from mavcal.calib.gap.reference.expected_noise import (
     age_noise_of,
     age_of,
     with_age_noise,
     with_aged_noise,
+    with_sway_noise,
     without_aged_samples,
 )
+from mavcal.calib.gap.reference.noise import learned_spectrum, spectrum_at
 from mavcal.calib.recording import Sensor
 
 AGE, NOISE, FS = 1e-3, 1e-3, 25.0
@@ -107,8 +107,10 @@ def declared(trace, spectrum):
 
 def excess(trace):
     """Power there over the power expected, by axis."""
-    there = learned(trace)
-    return there.dof @ (there.psd / on(dataclasses.replace(there, psd=expected(trace, there.hz)), there.hz, FS, None))
+    there = learned_spectrum(trace)
+    return there.dof @ (
+        there.psd / spectrum_at(dataclasses.replace(there, psd=expected(trace, there.hz)), there.hz, FS, None)
+    )
 
 
 def expected(trace, hz):
@@ -117,9 +119,9 @@ def expected(trace, hz):
 
 def test_an_axis_that_another_flight_did_not_turn_is_expected_to_be_as_late_as_those_that_it_did():
     calm, lively = flight_of((1.0, 1.0, 0.0)), flight_of((4.0, 1.0, 3.0), 1)
-    plain = declared(lively, learned(calm))
+    plain = declared(lively, learned_spectrum(calm))
     made = with_aged_noise(plain, age_noise_of([calm]))
-    count = learned(lively).dof.sum()
+    count = learned_spectrum(lively).dof.sum()
     assert (excess(plain) / count)[[0, 2]].min() > 10.0
     assert (excess(made) / count).max() < 3.0
     assert made.psd[:, 1] == pytest.approx(expected(plain, made.psd_hz)[:, 1], rel=0.3)
@@ -127,7 +129,7 @@ def test_an_axis_that_another_flight_did_not_turn_is_expected_to_be_as_late_as_t
 
 def test_a_calmer_flight_is_not_expected_to_be_quieter_by_its_age():
     calm, lively = flight_of((1.0, 1.0, 1.0)), flight_of((3.0, 3.0, 3.0), 1)
-    plain = declared(calm, learned(lively))
+    plain = declared(calm, learned_spectrum(lively))
     assert with_aged_noise(plain, age_noise_of([lively])) is plain
 
 

@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.gap.reference.signals import LONGEST_HOLE_S, Signal, grid_of, linear, low_passed, slow
+from mavcal.calib.gap.reference.signals import LONGEST_HOLE_S, Signal, grid_of, interpolated, low_passed, slow_values
 from mavcal.calib.recording import Channel, Sensor, Stage
 from tests.examples import examples
 
@@ -82,10 +82,10 @@ def test_what_changes_slowly_is_taken_of_the_first_channel_that_has_two_samples(
     warm = channel([0.0, 1.0], [[20.0], [30.0]], Sensor.TEMPERATURE)
     other = channel([0.0, 1.0], [[50.0], [50.0]], Sensor.TEMPERATURE)
     wanted = np.array([-1.0, 0.5, 2.0])
-    np.testing.assert_allclose(slow([none, warm, other], wanted)[:, 0], [20.0, 25.0, 30.0])
-    assert slow([none], wanted) is None
-    assert slow([], wanted) is None
-    np.testing.assert_allclose(linear(T, cubic(T), T[:5]), cubic(T[:5]))
+    np.testing.assert_allclose(slow_values([none, warm, other], wanted)[:, 0], [20.0, 25.0, 30.0])
+    assert slow_values([none], wanted) is None
+    assert slow_values([], wanted) is None
+    np.testing.assert_allclose(interpolated(T, cubic(T), T[:5]), cubic(T[:5]))
 
 
 @settings(max_examples=examples(25), deadline=None)

@@ -8,7 +8,7 @@ import pytest
 from mavcal.calib.gap.problem import ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.noise import ResidualSpectrum
-from mavcal.calib.gap.reference.simulator import denoised, error_sd, with_error
+from mavcal.calib.gap.reference.simulator import denoised, error_sd, with_reference_error
 from mavcal.calib.recording import Sensor
 
 from .test_recorded import RATE, SECONDS, SIGMA, by_sensor, channel, flown, truth
@@ -70,7 +70,7 @@ def test_noise_from_elsewhere_gets_the_error_of_the_reference():
     hz, count = np.array([1.0, 30.0]), np.array([100.0, 900.0])
     reference = ResidualSpectrum(hz, np.array([[2.0] * 3, [1.0] * 3]), count, 100.0)
     own = ResidualSpectrum(hz, np.full((2, 3), 5.0), count, 100.0)
-    assert with_error(own, reference).psd[:, 0] == pytest.approx([6.0, 5.0])
+    assert with_reference_error(own, reference).psd[:, 0] == pytest.approx([6.0, 5.0])
 
 
 def test_a_simulators_readings_serve_without_their_noise_and_declare_it():

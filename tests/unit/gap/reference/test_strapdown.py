@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.reference.signals import Signal
-from mavcal.calib.gap.reference.strapdown import STEPS, WARM, Increments
+from mavcal.calib.gap.reference.strapdown import STEPS, WARMTH_UNIT, Increments
 from tests.examples import examples
 
 T = np.arange(0.0, 10.001, 0.01)
@@ -26,7 +26,7 @@ def signal(values, t=T):
 @given(rate=triples, force=triples)
 def test_a_steady_rate_and_force_are_turned_as_a_rigid_body_turns(rate, force):
     """Velocity in the axes of the start is the integral of exp(w s) f over half a second, by a fine sum."""
-    between = Increments.of(signal(rate), signal(force), NODES).between(NONE, NONE)
+    between = Increments.of(signal(rate), signal(force), NODES).integrated(NONE, NONE)
     np.testing.assert_allclose(between.turn.as_rotvec(), np.tile(0.5 * rate, (len(NONE), 1)), atol=1e-9)
     s = (np.arange(2000) + 0.5) * 0.5 / 2000
     exact = Rotation.from_rotvec(s[:, None] * rate).apply(force).sum(axis=0) * 0.5 / 2000
@@ -35,7 +35,7 @@ def test_a_steady_rate_and_force_are_turned_as_a_rigid_body_turns(rate, force):
 
 def test_rates_at_the_steps_are_those_of_the_signal():
     rate = np.array([0.1, -0.2, 0.3])
-    between = Increments.of(signal(rate), signal(0.0), NODES).between(NONE, NONE)
+    between = Increments.of(signal(rate), signal(0.0), NODES).integrated(NONE, NONE)
     assert between.rate.shape == (len(NONE), STEPS, 3)
     np.testing.assert_allclose(between.rate, np.broadcast_to(rate, between.rate.shape), atol=1e-9)
     assert len(between.within) == STEPS
@@ -48,7 +48,7 @@ def test_rates_at_the_steps_are_those_of_the_signal():
 @given(offset=triples, push=triples)
 def test_biases_of_an_interval_are_taken_off(offset, push):
     increments = Increments.of(signal(offset), signal(push), NODES)
-    clean = increments.between(NONE + offset, NONE + push)
+    clean = increments.integrated(NONE + offset, NONE + push)
     np.testing.assert_allclose(clean.turn.magnitude(), 0.0, atol=1e-9)
     np.testing.assert_allclose(clean.velocity, 0.0, atol=1e-9)
 
@@ -58,8 +58,8 @@ def test_a_matrix_of_the_gyroscope_and_a_turn_of_the_accelerometer_are_undone():
     matrix = np.eye(3) + np.array([[0.1, 0.02, 0.0], [0.0, -0.1, 0.03], [0.05, 0.0, 0.2]])
     turn = Rotation.from_rotvec([0.1, -0.2, 0.3])
     wrong = Increments.of(signal(matrix @ rate), signal(turn.apply(force)), NODES)
-    right = Increments.of(signal(rate), signal(force), NODES).between(NONE, NONE)
-    found = wrong.between(NONE, NONE, matrix, turn)
+    right = Increments.of(signal(rate), signal(force), NODES).integrated(NONE, NONE)
+    found = wrong.integrated(NONE, NONE, matrix, turn)
     np.testing.assert_allclose((found.turn.inv() * right.turn).magnitude(), 0.0, atol=1e-9)
     np.testing.assert_allclose(found.velocity, right.velocity, atol=1e-9)
 
@@ -110,9 +110,9 @@ def test_slow_samples_last_over_several_intervals_and_count_so_much_more():
 @pytest.mark.parametrize(("span", "counted"), [(2.9, False), (3.1, True)])
 def test_a_temperature_counts_from_three_kelvin_on(span, counted):
     warm = np.linspace(20.0, 20.0 + span, len(NODES))
-    made = Increments.of(signal(0.0), signal(0.0), NODES, warm).warm
+    made = Increments.of(signal(0.0), signal(0.0), NODES, warm).warmth
     assert made.any() == counted
     if counted:
         assert made.mean() == pytest.approx(0.0, abs=1e-12)
-        np.testing.assert_allclose(np.diff(made), span / (len(NODES) - 1) / WARM)
-    assert not Increments.of(signal(0.0), signal(0.0), NODES).warm.any()
+        np.testing.assert_allclose(np.diff(made), span / (len(NODES) - 1) / WARMTH_UNIT)
+    assert not Increments.of(signal(0.0), signal(0.0), NODES).warmth.any()

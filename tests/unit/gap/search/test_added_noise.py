@@ -10,18 +10,18 @@ import pytest
 from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise, with_term
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.search.added_noise import (
     AddedNoise,
-    drift_beside_lines,
+    drift_exceeds_lines,
+    exceeds_flight_differences,
+    is_line_unsteadiness,
+    is_on_loud_instances,
     line_amplitudes,
     line_power,
-    stands_out,
-    tone_beside_lines,
-    unsteady_line,
-    whose,
+    tone_exceeds_lines,
 )
 from mavcal.calib.gap.search.contest import noise_score
 from mavcal.calib.recording import Sensor
@@ -53,7 +53,7 @@ def noise(instances: tuple[int, ...]) -> AddedNoise:
 @pytest.mark.parametrize("seed", range(4))
 def test_louder_noise_is_that_of_the_instances_that_show_it(seed, louder):
     model = model_of(seed, louder)
-    assert [whose(noise(named), model) for named in SETS] == [named == louder for named in SETS]
+    assert [is_on_loud_instances(noise(named), model) for named in SETS] == [named == louder for named in SETS]
 
 
 @pytest.mark.parametrize("shaken", SETS)
@@ -73,12 +73,12 @@ def test_units_with_clocks_of_their_own_shake_at_frequencies_of_their_own(shaken
     lines = [
         AddedNoise(Hypothesis(vibration, named), at_hz, np.full((1, 3), SIGMA[Sensor.GYRO] ** 2)) for named in SETS
     ]
-    assert [whose(line, model) for line in lines] == [named == shaken for named in SETS]
+    assert [is_on_loud_instances(line, model) for line in lines] == [named == shaken for named in SETS]
 
 
 def test_series_of_one_instance_each_name_themselves():
     model = model_of(0, (0,), reference=ReferenceInfo(ReferenceKind.SIM))
-    assert all(whose(noise(named), model) for named in SETS)
+    assert all(is_on_loud_instances(noise(named), model) for named in SETS)
 
 
 @pytest.mark.parametrize("louder", SETS)
@@ -94,7 +94,7 @@ def test_of_a_difference_alone_any_instance_may_be_the_one(seed, louder):
     setting = setting_of(views_of(GapProblem((pair,), ESTIMATOR, 40.0), {}, {}))
     assert [view.weights for view in setting.views] == [{0: 1.0, 1: -1.0}]
     model = starting_model(setting, starting_noise(setting))
-    assert all(whose(noise(named), model) for named in SETS)
+    assert all(is_on_loud_instances(noise(named), model) for named in SETS)
     chances = [noise_score(noise(named).hypothesis, model).p for named in SETS]
     assert max(chances) < 1e-6
 
@@ -113,10 +113,10 @@ def with_learned(model: Model) -> Model:
 def test_where_noise_was_learned_from_a_flight_a_little_more_is_no_effect():
     declared, learned = model_of(1, (0, 1)), with_learned(model_of(1, (0, 1)))
     few, many = (AddedNoise(noise((0, 1)).hypothesis, np.nan, k * noise((0, 1)).amplitudes) for k in (0.5, 1.5))
-    assert stands_out(few, declared)
-    assert stands_out(many, declared)
-    assert not stands_out(few, learned)
-    assert stands_out(many, learned)
+    assert exceeds_flight_differences(few, declared)
+    assert exceeds_flight_differences(many, declared)
+    assert not exceeds_flight_differences(few, learned)
+    assert exceeds_flight_differences(many, learned)
 
 
 def a_line(size: float) -> tuple[Model, NoiseTerm]:
@@ -129,7 +129,7 @@ def a_line(size: float) -> tuple[Model, NoiseTerm]:
     problem = problem_of(np.random.default_rng(5), (Sensor.GYRO,), gap)
     setting = setting_of(views_of(problem, {}, {}))
     term = NoiseTerm(Hypothesis(forward_models()["gyro_vibration"][-1], (0,)), 10.0)
-    model = refitted(with_term(starting_model(setting, starting_noise(setting)), term)).model
+    model = noise_fitted(with_term(starting_model(setting, starting_noise(setting)), term)).model
     return model, term
 
 
@@ -145,21 +145,21 @@ def test_the_amplitude_of_a_line_is_read_at_its_frequency(size):
 def test_a_little_broad_noise_beside_a_strong_line_is_its_unsteadiness():
     model, line = a_line(10.0)
     broad = NoiseTerm(Hypothesis(forward_models()["gyro_noise"][-1], (0,)), np.nan)
-    both = refitted(with_term(model, broad)).model
-    assert unsteady_line(broad, both)
-    assert not unsteady_line(line, both)
-    alone = refitted(with_term(model_of(2, (0, 1), times=2.0), noise_term((0, 1)))).model
-    assert not unsteady_line(noise_term((0, 1)), alone)
+    both = noise_fitted(with_term(model, broad)).model
+    assert is_line_unsteadiness(broad, both)
+    assert not is_line_unsteadiness(line, both)
+    alone = noise_fitted(with_term(model_of(2, (0, 1), times=2.0), noise_term((0, 1)))).model
+    assert not is_line_unsteadiness(noise_term((0, 1)), alone)
 
 
 def test_a_drift_beside_a_strong_line_has_to_be_more_than_its_skirts():
     model, _ = a_line(10.0)
     walk = Hypothesis(forward_models()["gyro_random_walk"][-1], (0,))
     small, large = (AddedNoise(walk, np.nan, np.full((1, 3), (size * SIGMA[Sensor.GYRO]) ** 2)) for size in (1e-4, 1.0))
-    assert not drift_beside_lines(small, model)
-    assert drift_beside_lines(large, model)
-    assert drift_beside_lines(small, model_of(3, ()))
-    assert drift_beside_lines(noise((0,)), model)
+    assert not drift_exceeds_lines(small, model)
+    assert drift_exceeds_lines(large, model)
+    assert drift_exceeds_lines(small, model_of(3, ()))
+    assert drift_exceeds_lines(noise((0,)), model)
 
 
 def noise_term(instances: tuple[int, ...]) -> NoiseTerm:
@@ -171,7 +171,7 @@ def test_a_small_tone_beside_a_strong_line_is_part_of_it():
     tone = Hypothesis(forward_models()["gyro_tone"][-1], (0,))
     assert line_power(tone, model) > 0.0
     small, large = (np.full(6, k * SIGMA[Sensor.GYRO]) for k in (0.1, 10.0))
-    assert not tone_beside_lines(tone, small, model)
-    assert tone_beside_lines(tone, large, model)
+    assert not tone_exceeds_lines(tone, small, model)
+    assert tone_exceeds_lines(tone, large, model)
     bias = Hypothesis(forward_models()["gyro_bias"][-1], (0,))
-    assert tone_beside_lines(bias, small[:3], model)
+    assert tone_exceeds_lines(bias, small[:3], model)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _task_of
+from mavcal.calib.gap.diagnose import _setup_of
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Setting
@@ -19,7 +19,7 @@ BIAS, SCALE, TONE = "gyro_bias", "gyro_scale", "gyro_tone"
 @pytest.fixture(scope="module")
 def made() -> tuple[Setting, dict[str, Hypothesis]]:
     effects = tuple(e for e in catalogue() if e.id in {BIAS, SCALE, TONE})
-    task = _task_of(problem_of(np.random.default_rng(1), (Sensor.GYRO,)), effects)
+    task = _setup_of(problem_of(np.random.default_rng(1), (Sensor.GYRO,)), effects)
     assert task is not None
     return task.bare.setting, {h.effect.id: h for h in task.contest.hypotheses if not h.again}
 

@@ -18,10 +18,18 @@ from mavcal.calib.gap.model.noise_fit import starting_noise
 from mavcal.calib.gap.model.refinement import refined
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.search.contest import Contest, fixed_score, noise_score, one_sided_tail, priced, tail, widest
+from mavcal.calib.gap.search.contest import (
+    Contest,
+    fixed_score,
+    free_score,
+    most_sensitive_series,
+    noise_score,
+    one_sided_tail_probability,
+    tail_probability,
+)
 from mavcal.calib.gap.search.power import noncentrality
-from mavcal.calib.gap.search.projection import Beside, Gain
-from mavcal.calib.gap.search.selection import ChosenModel, fitted, grown, with_score
+from mavcal.calib.gap.search.projection import Gain, Projection
+from mavcal.calib.gap.search.selection import ChosenModel, extended, jointly_fitted, with_score
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -35,8 +43,8 @@ def test_gain_beside_another_effect_is_the_ratio_of_least_squares():
     model = start(0)
     contest = Contest(())
     bias, scale = (Hypothesis(by_id()[f"accel_{kind}"], (0,)) for kind in ("bias", "scale"))
-    model, _ = refined(with_score(model, contest.score(bias, Beside(model))))
-    gain = contest.score(scale, Beside(model)).gain
+    model, _ = refined(with_score(model, contest.score(bias, Projection(model))))
+    gain = contest.score(scale, Projection(model)).gain
     view = model.setting.views[0]
     trace = view.traces[0]
     X = [e.effect.columns(trace, math.nan).reshape(3, -1).T for e in (bias, scale)]
@@ -65,14 +73,14 @@ def test_what_grows_to_the_end_of_a_recording_counts_to_its_end():
 
 def test_chances_are_uniform_where_there_is_no_gap():
     bias = Hypothesis(by_id()["accel_bias"], (0,))
-    chances = [Contest(()).score(bias, Beside(start(seed))).p for seed in range(100, 140)]
+    chances = [Contest(()).score(bias, Projection(start(seed))).p for seed in range(100, 140)]
     assert kstest(chances, "uniform").pvalue > 1e-3
 
 
 def test_the_grid_multiplies_the_tail():
-    assert tail(30.0, 3, 10) == pytest.approx(10 * tail(30.0, 3, 1))
-    assert one_sided_tail(9.0, 1, 1) == pytest.approx(0.5 * tail(9.0, 1, 1))
-    assert tail(0.0, 3, 5) == 1.0
+    assert tail_probability(30.0, 3, 10) == pytest.approx(10 * tail_probability(30.0, 3, 1))
+    assert one_sided_tail_probability(9.0, 1, 1) == pytest.approx(0.5 * tail_probability(9.0, 1, 1))
+    assert tail_probability(0.0, 3, 5) == 1.0
 
 
 def test_averages_of_white_noise_have_its_power_over_their_number():
@@ -88,7 +96,7 @@ def test_the_smallest_effect_that_shows_is_found_half_of_the_time():
     rng = np.random.default_rng(0)
     x = rng.normal(size=(20_000, 3))
     x[:, 0] += math.sqrt(noncentrality(3, level))
-    found = np.mean([tail(float(s), 3, 1) < level for s in (x**2).sum(axis=1)])
+    found = np.mean([tail_probability(float(s), 3, 1) < level for s in (x**2).sum(axis=1)])
     assert found == pytest.approx(0.5, abs=4.0 * 0.5 / math.sqrt(20_000))
 
 
@@ -104,7 +112,7 @@ def test_of_two_bands_the_lower_one_stands_for_both_however_loud_the_upper_one_i
     model = starting_model(setting, starting_noise(setting))
     assert [view.first > 0 for view in setting.views] == [False, True]
     for kind in ("step", "tone", "bias", "noise"):
-        assert widest(Hypothesis(by_id()[f"gyro_{kind}"], (0,)), model)[1] == 0
+        assert most_sensitive_series(Hypothesis(by_id()[f"gyro_{kind}"], (0,)), model)[1] == 0
 
 
 HANDICAP = 7.0
@@ -125,7 +133,7 @@ def dearer(made):
 def test_a_handicap_is_paid_by_effects_on_the_mean(theta):
     found = Gain(60.0, 3, np.array([0.1, -0.2, 0.3]), 50.0)
     effect = by_id()["gyro_bias"]
-    assert dearer(lambda h: priced(Hypothesis(effect, (1,), 0, h), theta, found, 9)) == pytest.approx(-HANDICAP)
+    assert dearer(lambda h: free_score(Hypothesis(effect, (1,), 0, h), theta, found, 9)) == pytest.approx(-HANDICAP)
 
 
 def test_a_handicap_is_paid_by_effects_that_are_nothing_but_a_shape():
@@ -146,7 +154,7 @@ def test_a_handicap_reaches_the_contest():
     rng = np.random.default_rng(5)
     problem = problem_of(rng, (Sensor.ACCEL,), lambda _t: np.array([0.05, 0.0, 0.0]))
     setting = setting_of(views_of(problem, {}, {}))
-    beside = Beside(starting_model(setting, starting_noise(setting)))
+    beside = Projection(starting_model(setting, starting_noise(setting)))
     bias = by_id()["accel_bias"]
     assert dearer(lambda h: Contest(()).score(Hypothesis(bias, (0,), 0, h), beside)) == pytest.approx(-HANDICAP)
 
@@ -161,9 +169,9 @@ def exchanged(seed, size, kinds=("bias", "scale")):
     contest = Contest([Hypothesis(by_id()[f"accel_{kind}"], (0,)) for kind in kinds])
     model, scores = starting_model(setting, starting_noise(setting)), []
     for hypothesis in contest.hypotheses:
-        scores.append(contest.score(hypothesis, Beside(model)))
+        scores.append(contest.score(hypothesis, Projection(model)))
         model = with_score(model, scores[-1])
-    model, joint, noise = fitted(model)
+    model, joint, noise = jointly_fitted(model)
     return ChosenModel(model, joint, noise, tuple(scores), len(kinds), ()), contest
 
 
@@ -179,19 +187,19 @@ def members(chosen):
 def test_what_an_exchange_made_superfluous_leaves(seed, order):
     chosen, contest = exchanged(seed, 0.0, order)
     assert members(chosen) == {"accel_bias", "accel_scale"}
-    assert members(grown(chosen, contest, 1e-4)) == {"accel_bias"}
-    assert members(grown(chosen, contest, 1e-4, ())) == {"accel_bias"}
+    assert members(extended(chosen, contest, 1e-4)) == {"accel_bias"}
+    assert members(extended(chosen, contest, 1e-4, ())) == {"accel_bias"}
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_still_needed_after_an_exchange_stays(seed):
     chosen, contest = exchanged(seed, 0.01)
-    assert members(grown(chosen, contest, 1e-4)) == {"accel_bias", "accel_scale"}
+    assert members(extended(chosen, contest, 1e-4)) == {"accel_bias", "accel_scale"}
 
 
 def test_the_only_effect_of_a_model_stays_while_something_may_join_it():
     chosen, contest = exchanged(1, 0.01, ("scale",))
-    assert members(grown(chosen, contest.among(exchanged(1, 0.01)[1].hypotheses), 1e-4)) == {
+    assert members(extended(chosen, contest.restricted_to(exchanged(1, 0.01)[1].hypotheses), 1e-4)) == {
         "accel_bias",
         "accel_scale",
     }

@@ -10,10 +10,10 @@ from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.timing import low_pass_gain
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Term, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import noise_score
-from mavcal.calib.gap.search.filtered_noise import filter_evidence, shaped
+from mavcal.calib.gap.search.filtered_noise import evidence_of_filters, filter_evidence
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -63,11 +63,11 @@ def test_noise_that_a_filter_has_shaped_has_no_cause_of_its_own():
     problem = made(noise=True)
     loose = dataclasses.replace(problem, traces=(dataclasses.replace(problem.traces[0], sigma_dof=50.0),))
     setting = setting_of(views_of(loose, {}, {}))
-    model = refitted(starting_model(setting, starting_noise(setting))).model
+    model = noise_fitted(starting_model(setting, starting_noise(setting))).model
     flicker = Hypothesis(by_id()["gyro_flicker"], (0,))
     assert noise_score(flicker, model).gain > 50.0
     filtered = dataclasses.replace(model, terms=(Term(Hypothesis(by_id()["gyro_low_pass"], (0,)), np.ones(1), CUTOFF),))
-    assert shaped(filtered, Sensor.GYRO) > 100.0
+    assert evidence_of_filters(filtered, Sensor.GYRO) > 100.0
     assert noise_score(flicker, filtered).gain == 0.0
 
 

@@ -12,7 +12,8 @@ from mavcal.calib.gap.effects import by_id, forward_models
 from mavcal.calib.gap.effects.base import LatticeEffect
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import Term
-from mavcal.calib.gap.search.nominal_check import nominal_has_samples, nominal_has_tone
+from mavcal.calib.gap.search.added_noise import nominal_has_tone
+from mavcal.calib.gap.search.lattice_effects import nominal_has_samples
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 

@@ -8,25 +8,31 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _task_of
+from mavcal.calib.gap.diagnose import _setup_of
 from mavcal.calib.gap.effects import catalogue, forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore
-from mavcal.calib.gap.search.exchange import Alternative, Place, _improved, behind, settled
-from mavcal.calib.gap.search.projection import Beside
+from mavcal.calib.gap.search.exchange import (
+    Alternative,
+    Comparison,
+    _after_best_exchange,
+    evidence_deficit,
+    stable_model,
+)
+from mavcal.calib.gap.search.projection import Projection
 from mavcal.calib.gap.search.selection import (
-    _better,
-    _joined,
-    _least,
-    _objective_of,
-    grown,
+    _better_by_sensor,
+    _merged_by_sensor,
+    _second_order_limit,
+    _sensor_objective,
+    extended,
     objective,
     select,
-    without,
+    without_effect,
 )
-from mavcal.calib.gap.worth.attribution import attributed
+from mavcal.calib.gap.worth.attribution import attributions
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -41,20 +47,20 @@ THREE, NINE = (False, 3), (False, 9)
 
 def test_of_causes_that_differ_by_a_second_order_the_one_with_fewer_numbers_is_believed():
     own, second = 1e6, prices.FLIGHT_SECOND_ORDER_SHARE * 1e6
-    assert behind(own, scored(own + 0.9 * second, 9), THREE, second) > 0.0
-    assert behind(own, scored(own + 1.1 * second, 9), THREE, second) < 0.0
-    assert behind(own, scored(own - 0.05 * second, 3), NINE, second) < 0.0
-    assert behind(own, scored(own - 0.2 * second, 3), NINE, second) > 0.0
-    assert behind(own, scored(own + 1.0, 9), THREE, 0.0) == pytest.approx(-1.0)
+    assert evidence_deficit(own, scored(own + 0.9 * second, 9), THREE, second) > 0.0
+    assert evidence_deficit(own, scored(own + 1.1 * second, 9), THREE, second) < 0.0
+    assert evidence_deficit(own, scored(own - 0.05 * second, 3), NINE, second) < 0.0
+    assert evidence_deficit(own, scored(own - 0.2 * second, 3), NINE, second) > 0.0
+    assert evidence_deficit(own, scored(own + 1.0, 9), THREE, 0.0) == pytest.approx(-1.0)
     for alike in (THREE, None):
-        assert behind(own, scored(own + 0.5 * second, 3), alike, second) == pytest.approx(-0.5 * second)
+        assert evidence_deficit(own, scored(own + 0.5 * second, 3), alike, second) == pytest.approx(-0.5 * second)
 
 
 def test_noise_that_wanders_is_freer_than_any_number_of_amplitudes():
     own, second = 1e6, prices.FLIGHT_SECOND_ORDER_SHARE * 1e6
-    assert behind(own, scored(own + 0.5 * second, 1, "accel_random_walk"), NINE, second) > 0.0
-    assert behind(own, scored(own - 0.05 * second, 9), (True, 1), second) < 0.0
-    assert behind(own, scored(own + 1.0, 1, "accel_random_walk"), (True, 1), second) == pytest.approx(-1.0)
+    assert evidence_deficit(own, scored(own + 0.5 * second, 1, "accel_random_walk"), NINE, second) > 0.0
+    assert evidence_deficit(own, scored(own - 0.05 * second, 9), (True, 1), second) < 0.0
+    assert evidence_deficit(own, scored(own + 1.0, 1, "accel_random_walk"), (True, 1), second) == pytest.approx(-1.0)
 
 
 A, G = Sensor.ACCEL, Sensor.GYRO
@@ -71,10 +77,10 @@ def walking_and_warm(trace):
 def paths():
     """The models of steady effects alone, of drifts alone, and what the contest makes of both."""
     problem = problem_of(np.random.default_rng(3), (A, G), walking_and_warm)
-    task = _task_of(problem, tuple(e for e in catalogue() if e.id in FEW))
+    task = _setup_of(problem, tuple(e for e in catalogue() if e.id in FEW))
     bare = select(task.bare, Contest(()), 0.005)
     steady, drifts = (
-        grown(bare, task.contest, 1e-4, [h for h in task.contest.hypotheses if h.effect.id.endswith(ends)])
+        extended(bare, task.contest, 1e-4, [h for h in task.contest.hypotheses if h.effect.id.endswith(ends)])
         for ends in (("_bias", "_linear"), ("_walk",))
     )
     return task, steady, drifts
@@ -86,17 +92,17 @@ def ids(chosen):
 
 def test_sensor_by_sensor_the_better_of_two_models_is_taken():
     task, steady, drifts = paths()
-    both = _better(steady, drifts, task.contest)
+    both = _better_by_sensor(steady, drifts, task.contest)
     assert ids(both) == {"accel_random_walk", "gyro_temp_linear"}
-    assert _objective_of(both, A) == pytest.approx(_objective_of(drifts, A), abs=1.0)
-    assert _objective_of(both, G) == pytest.approx(_objective_of(steady, G), abs=1.0)
-    assert ids(_joined(steady, drifts, {A, G})) == ids(drifts)
+    assert _sensor_objective(both, A) == pytest.approx(_sensor_objective(drifts, A), abs=1.0)
+    assert _sensor_objective(both, G) == pytest.approx(_sensor_objective(steady, G), abs=1.0)
+    assert ids(_merged_by_sensor(steady, drifts, {A, G})) == ids(drifts)
 
 
 def test_a_model_is_judged_by_what_its_sensors_are_and_by_how_many_effects_it_has():
     _, steady, drifts = paths()
     for chosen in (steady, drifts):
-        assert objective(chosen) == pytest.approx(_objective_of(chosen, A) + _objective_of(chosen, G))
+        assert objective(chosen) == pytest.approx(_sensor_objective(chosen, A) + _sensor_objective(chosen, G))
     halves = [dataclasses.replace(s, gain=s.gain / 2, delta=s.delta / 2) for s in steady.scores for _ in range(2)]
     assert sum(h.price for h in halves) == pytest.approx(sum(s.price for s in steady.scores))
     assert objective(dataclasses.replace(steady, scores=tuple(halves))) > objective(steady) + 5.0
@@ -107,12 +113,12 @@ def test_a_mean_is_no_second_order_of_what_shakes():
     warm = next(h for h in task.contest.hypotheses if h.effect.id == "gyro_temp_linear")
     bias = next(h for h in task.contest.hypotheses if h.effect.id == "accel_bias")
     gains = {t.hypothesis.key: (1e6, 3, 1) for t in steady.model.members}
-    assert _least(warm, steady.model, gains) > 1e3
+    assert _second_order_limit(warm, steady.model, gains) > 1e3
     shaken = NoiseTerm(Hypothesis(forward_models()["accel_vibration"][-1], (0,)), 10.0)
     alone = dataclasses.replace(steady.model, terms=(), noise_terms=(shaken,))
-    assert _least(bias, alone, {shaken.hypothesis.key: (1e6, 3, 1)}) < 1e3
+    assert _second_order_limit(bias, alone, {shaken.hypothesis.key: (1e6, 3, 1)}) < 1e3
     noise = Hypothesis(forward_models()["accel_noise"][-1], (0,))
-    assert _least(noise, alone, {shaken.hypothesis.key: (1e6, 3, 1)}) > 1e3
+    assert _second_order_limit(noise, alone, {shaken.hypothesis.key: (1e6, 3, 1)}) > 1e3
 
 
 @pytest.mark.parametrize("honest", [True, False])
@@ -124,11 +130,11 @@ def test_an_exchange_that_does_not_keep_its_promise_is_taken_back(honest):
     own, promised = (
         (keys["gyro_random_walk"], "gyro_temp_linear") if honest else (keys["accel_random_walk"], "accel_bias")
     )
-    beside = Beside(without(drifts.model, own))
+    beside = Projection(without_effect(drifts.model, own))
     kept = task.contest.score(rivals[promised], beside)
     score = dataclasses.replace(kept, gain=kept.gain + 1e6, delta=kept.delta + 1e6, p=0.0)
-    only = task.contest.among([rivals[promised]])
-    other = _improved(drifts, {own: Place((Alternative(score, 0.0),), 10.0)}, 1e-4, only)
+    only = task.contest.restricted_to([rivals[promised]])
+    other = _after_best_exchange(drifts, {own: Comparison((Alternative(score, 0.0),), 10.0)}, 1e-4, only)
     assert (other is not None) is honest
     if other is not None:
         assert promised in ids(other)
@@ -137,14 +143,14 @@ def test_an_exchange_that_does_not_keep_its_promise_is_taken_back(honest):
 def test_what_is_known_of_other_places_says_what_looking_again_would():
     """An exchange is looked at beside its own sensors, and a contest with more hypotheses at those it did not have."""
     task, _, drifts = paths()
-    found = settled(drifts, task.contest, 1e-3)
+    found = stable_model(drifts, task.contest, 1e-3)
     assert ids(found.chosen) == {"accel_random_walk", "gyro_temp_linear"}
-    half = task.contest.among([h for h in task.contest.hypotheses if not h.effect.id.endswith("_bias")])
-    more = settled(found.chosen, task.contest, 1e-3, settled(found.chosen, half, 1e-3))
-    again = settled(found.chosen, task.contest, 1e-3)
-    expected = attributed(again, task.contest)
+    half = task.contest.restricted_to([h for h in task.contest.hypotheses if not h.effect.id.endswith("_bias")])
+    more = stable_model(found.chosen, task.contest, 1e-3, stable_model(found.chosen, half, 1e-3))
+    again = stable_model(found.chosen, task.contest, 1e-3)
+    expected = attributions(again, task.contest)
     for one in (found, more):
-        for a, b in zip(attributed(one, task.contest), expected, strict=True):
+        for a, b in zip(attributions(one, task.contest), expected, strict=True):
             assert a.key == b.key
             assert a.probability == pytest.approx(b.probability, abs=1e-9)
             assert [r.id for r in a.rivals] == [r.id for r in b.rivals]

@@ -12,12 +12,12 @@ from mavcal.calib.recording import Sensor
 
 ACCEL = Sensor.ACCEL
 LEAST = MinimumGain(
-    joins={ACCEL: 3.0},
-    lasting={ACCEL: 30.0},
+    steady_entry={ACCEL: 3.0},
+    steady_report={ACCEL: 30.0},
     level={ACCEL: 6.0},
-    noise={ACCEL: 1.0},
-    loud={ACCEL: 300.0},
-    unsteady={ACCEL: 2.0},
+    noise_entry={ACCEL: 1.0},
+    noise_report={ACCEL: 300.0},
+    drift_entry={ACCEL: 2.0},
 )
 
 
@@ -43,21 +43,21 @@ def of(name):
 )
 def test_each_kind_has_its_own(name, joining, reporting):
     thresholds = GainThresholds(LEAST)
-    assert thresholds.joining(of(name)) == joining
-    assert thresholds.reporting(of(name)) == reporting
+    assert thresholds.to_enter(of(name)) == joining
+    assert thresholds.to_report(of(name)) == reporting
 
 
 def test_what_nuisance_effects_leave_open_comes_on_top():
     thresholds = GainThresholds(LEAST, {of("accel_scale").key: 100.0, of("accel_bias").key: 50.0})
-    assert thresholds.reporting(of("accel_scale")) == 130.0
-    assert thresholds.joining(of("accel_scale")) == 3.0
-    assert thresholds.joining(of("accel_bias")) == 56.0
-    assert thresholds.joining(of("accel_step")) == 6.0
+    assert thresholds.to_report(of("accel_scale")) == 130.0
+    assert thresholds.to_enter(of("accel_scale")) == 3.0
+    assert thresholds.to_enter(of("accel_bias")) == 56.0
+    assert thresholds.to_enter(of("accel_step")) == 6.0
 
 
 def test_without_a_floor_everything_joins_and_is_told():
     thresholds = GainThresholds()
     for effect_id in by_id():
         if not any(effect_id.endswith(e) for e in ("_quantisation", "_hold")):
-            assert thresholds.joining(of(effect_id)) == thresholds.reporting(of(effect_id)) == 0.0
+            assert thresholds.to_enter(of(effect_id)) == thresholds.to_report(of(effect_id)) == 0.0
     assert thresholds.lasting(ACCEL) == 0.0

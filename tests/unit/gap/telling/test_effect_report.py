@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcal.calib.gap.schema import ParameterEstimate
-from mavcal.calib.gap.telling.effect_report import on_either_unit, on_late_unit
+from mavcal.calib.gap.telling.effect_report import delay_on_late_unit, with_other_unit_as_rival
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.export.making import effect
 
@@ -24,31 +24,31 @@ def delayed(by, se=0.001, unit=2):
 
 @given(by=st.floats(0.003, 0.4), unit=st.sampled_from(UNITS))
 def test_a_unit_that_leads_the_trajectory_is_in_time_and_the_other_is_late(by, unit):
-    found = on_late_unit(delayed(-by, unit=unit), UNITS)
+    found = delay_on_late_unit(delayed(-by, unit=unit), UNITS)
     assert found.instances == (3 - unit,)
     assert (found.params[0].value, found.params[0].se) == (by, 0.001)
     assert found.params[0].ci95 == pytest.approx((by - 0.002, by + 0.002))
-    assert on_late_unit(found, UNITS) == found
+    assert delay_on_late_unit(found, UNITS) == found
 
 
 def test_a_unit_that_is_late_or_may_be_in_time_stays_the_one():
     for by in (0.02, 0.001, -0.001, -0.002):
-        assert on_late_unit(delayed(by), UNITS) == delayed(by)
+        assert delay_on_late_unit(delayed(by), UNITS) == delayed(by)
 
 
 @pytest.mark.parametrize("units", [(2,), (1, 2, 3)])
 def test_of_one_unit_or_of_three_a_lead_stays_where_it_is(units):
-    assert on_late_unit(delayed(-0.02), units) == delayed(-0.02)
+    assert delay_on_late_unit(delayed(-0.02), units) == delayed(-0.02)
 
 
 def test_a_negative_amplitude_of_another_effect_is_no_lead():
     biased = effect("accel_bias", bias=(-0.3, -0.2, -0.1))
-    assert on_late_unit(biased, UNITS) == biased
+    assert delay_on_late_unit(biased, UNITS) == biased
 
 
 def test_what_either_unit_may_have_has_half_of_its_probability_and_names_the_other():
     biased = replace(effect("accel_bias", bias=(0.3, 0.0, 0.0)), instances=(1,))
-    doubted = on_either_unit(biased, UNITS)
+    doubted = with_other_unit_as_rival(biased, UNITS)
     assert doubted.evidence.probability == 0.5 * biased.evidence.probability
     assert (doubted.instances, doubted.params) == (biased.instances, biased.params)
     assert "instance 2 may have it instead" in doubted.confusable_with[0].fix

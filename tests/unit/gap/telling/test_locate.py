@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _task_of
+from mavcal.calib.gap.diagnose import _setup_of
 from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.schema import LocatedGap
 from mavcal.calib.gap.telling.locate import _tilt, located
@@ -15,7 +15,7 @@ S = SIGMA[Sensor.GYRO]
 
 def model_of(gap: Gap | None, seed: int = 1, **more: int) -> Model:
     """A gyroscope without any effect in its model."""
-    return _task_of(problem_of(np.random.default_rng(seed), (Sensor.GYRO,), gap, **more), ()).bare
+    return _setup_of(problem_of(np.random.default_rng(seed), (Sensor.GYRO,), gap, **more), ()).bare
 
 
 def found(gap: Gap | None, **more: int) -> tuple[LocatedGap, ...]:

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _task_of
+from mavcal.calib.gap.diagnose import _setup_of
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, Term, with_residual
-from mavcal.calib.gap.telling.inputs import diagnoser_sha256, inputs_of
-from mavcal.calib.gap.telling.separability import inseparable_notice
-from mavcal.calib.gap.telling.series import series_of
+from mavcal.calib.gap.telling.identifiability import inseparable_notice
+from mavcal.calib.gap.telling.recordings import diagnoser_sha256, inputs_of, series_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -23,7 +22,7 @@ def model_with(*values: np.ndarray, instances: int = 1) -> tuple[Model, list[Key
     problem = problem_of(
         np.random.default_rng(2), (Sensor.GYRO,), lambda _: np.tile(BIAS, (2000, 1)), instances=instances
     )
-    task = _task_of(problem, tuple(e for e in catalogue() if e.id == "gyro_bias"))
+    task = _setup_of(problem, tuple(e for e in catalogue() if e.id == "gyro_bias"))
     own = [h for h in task.contest.hypotheses if len(h.instances) == 1]
     terms = tuple(Term(h, value, np.nan) for h, value in zip(own, values, strict=False))
     return with_residual(replace(task.bare, terms=terms)), [t.hypothesis.key for t in terms]

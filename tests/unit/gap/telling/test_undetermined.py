@@ -8,7 +8,7 @@ import pytest
 from mavcal.calib.gap.diagnose import _begun, diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.progress import GapPace
-from mavcal.calib.gap.telling.undetermined import undetermined, without_a_name
+from mavcal.calib.gap.telling.identifiability import unbounded_causes, unbounded_parameters
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -44,8 +44,8 @@ def test_an_effect_with_a_number_that_may_be_anything_has_no_name(monkeypatch):
     problem = problem_of(np.random.default_rng(3), (Sensor.ACCEL,), lambda _: np.array([0.3, 0.0, 0.1]))
     few = effects("accel_bias")
     chosen = chosen_of(problem, few)
-    assert undetermined(chosen) == {}
-    estimate = "mavcal.calib.gap.telling.undetermined.estimates_of"
+    assert unbounded_parameters(chosen) == {}
+    estimate = "mavcal.calib.gap.telling.identifiability.estimates_of"
     from mavcal.calib.gap.telling.estimates import estimates_of
 
     def loose(*arguments):
@@ -53,8 +53,8 @@ def test_an_effect_with_a_number_that_may_be_anything_has_no_name(monkeypatch):
         return (type(first)(first.name, first.value, math.inf, (-math.inf, math.inf), first.unit), *others)
 
     monkeypatch.setattr(estimate, loose)
-    (key,) = undetermined(chosen)
-    (cause,) = without_a_name(chosen, undetermined(chosen))
+    (key,) = unbounded_parameters(chosen)
+    (cause,) = unbounded_causes(chosen, unbounded_parameters(chosen))
     assert cause.keys == (key,)
     assert cause.text == "a difference on accel like a constant offset, whose bias.x these data do not bound"
     report = diagnose(problem, effects=few, nested=False)

@@ -8,10 +8,10 @@ import pytest
 from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise, with_term
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.unknown.bursts import bursts
+from mavcal.calib.gap.unknown.misattributed_noise import bursts
 from mavcal.calib.recording import Sensor
 
 FS, SECONDS, SD = 50.0, 120.0, 0.05
@@ -27,7 +27,7 @@ def louder_while(when):
     setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), SECONDS), {}, {}))
     start = starting_model(setting, starting_noise(setting))
     term = NoiseTerm(Hypothesis(forward_models()["accel_noise"][-1], (0,)), np.nan)
-    return refitted(with_term(start, term)).model
+    return noise_fitted(with_term(start, term)).model
 
 
 def test_a_burst_is_told_with_its_time():

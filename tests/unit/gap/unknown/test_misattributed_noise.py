@@ -11,10 +11,15 @@ from scipy.signal import lfilter
 from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import refitted, starting_noise, with_term
+from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
-from mavcal.calib.gap.unknown.misattributed_noise import coherent, misattributed_noise, returning, unsteady
+from mavcal.calib.gap.unknown.misattributed_noise import (
+    hidden_driver,
+    misattributed_noise,
+    nonstationary_noise,
+    returns_to_mean,
+)
 from mavcal.calib.recording import Sensor
 
 G, FS, N, SD = Sensor.GYRO, 50.0, 2000, 0.003
@@ -34,7 +39,7 @@ def model_of(change, *, rounding=0.0, seed=0, n=N, live=(1.0, 1.0, 1.0), **over)
 
 def wandering(model):
     term = NoiseTerm(Hypothesis(forward_models()["gyro_random_walk"][-1], (0,)), np.nan)
-    return refitted(with_term(model, term)).model, term
+    return noise_fitted(with_term(model, term)).model, term
 
 
 def bursts(times, seed=9, n=N, every=10.0, of=1.0):
@@ -45,7 +50,7 @@ def bursts(times, seed=9, n=N, every=10.0, of=1.0):
 @pytest.mark.parametrize("times", [2.0, 5.0])
 @pytest.mark.parametrize("of", [0.5, 1.0, 3.0])
 def test_noise_that_comes_in_bursts_is_unsteady(times, of):
-    (found,) = unsteady(model_of(bursts(times, of=of)))
+    (found,) = nonstationary_noise(model_of(bursts(times, of=of)))
     assert found.nats > 20.0
     assert "comes and goes" in found.text
     assert found.sensor is G
@@ -53,42 +58,42 @@ def test_noise_that_comes_in_bursts_is_unsteady(times, of):
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_bursts_of_all_axes_at_once_show_earlier_than_those_of_one(seed):
-    (found,) = unsteady(model_of(bursts(1.0, seed=seed)))
+    (found,) = nonstationary_noise(model_of(bursts(1.0, seed=seed)))
     assert found.nats > 30.0
     assert found.text.endswith("on gyro")
-    assert unsteady(model_of(bursts(1.0, seed=seed) * [1.0, 0.0, 0.0])) == []
+    assert nonstationary_noise(model_of(bursts(1.0, seed=seed) * [1.0, 0.0, 0.0])) == []
 
 
 def test_heavy_tails_that_lie_anywhere_are_not_unsteady():
     for seed in range(20):
         rng = np.random.default_rng(seed + 900)
         heavy = SD * rng.standard_t(4.0, size=(N, 3))
-        assert unsteady(model_of(heavy, seed=seed)) == []
+        assert nonstationary_noise(model_of(heavy, seed=seed)) == []
 
 
 @pytest.mark.long
 def test_steady_noise_is_not_unsteady():
-    assert not any(unsteady(model_of(0.0, seed=seed)) for seed in range(100))
+    assert not any(nonstationary_noise(model_of(0.0, seed=seed)) for seed in range(100))
 
 
 def test_louder_noise_that_stays_is_not_unsteady():
     for seed in range(20):
         louder = 2.0 * SD * np.random.default_rng(seed + 500).normal(size=(N, 3))
-        assert unsteady(model_of(louder, seed=seed)) == []
+        assert nonstationary_noise(model_of(louder, seed=seed)) == []
 
 
 @pytest.mark.parametrize("steps", [1.5, 4.0, 10.0])
 def test_coarse_rounding_is_not_unsteady(steps):
-    assert not any(unsteady(model_of(0.0, rounding=steps * SD, seed=seed)) for seed in range(10))
+    assert not any(nonstationary_noise(model_of(0.0, rounding=steps * SD, seed=seed)) for seed in range(10))
 
 
 def test_noise_that_is_not_declared_or_follows_the_rotors_by_itself_is_not_asked():
-    assert unsteady(model_of(bursts(5.0), sigma=None)) == []
+    assert nonstationary_noise(model_of(bursts(5.0), sigma=None)) == []
     t = np.arange(N) / FS
     rotors = np.repeat(np.where(t % 10.0 < 1.0, 90.0, 10.0)[:, None], 4, axis=1)
     model = model_of(bursts(5.0), rotor_hz=rotors)
     term = NoiseTerm(Hypothesis(forward_models()["gyro_rotor_noise"][-1], (0,)), np.nan)
-    assert unsteady(refitted(with_term(model, term)).model) == []
+    assert nonstationary_noise(noise_fitted(with_term(model, term)).model) == []
 
 
 def walk(seed, size=0.3):
@@ -105,7 +110,7 @@ def test_a_walk_of_each_axis_is_a_sensors_own():
 def test_a_walk_that_the_axes_share_has_one_driver(seed):
     direction = np.array([0.8, -0.6, 0.3])
     model, term = wandering(model_of(walk(seed + 20)[:, :1] * direction, seed=seed))
-    driver = coherent(model, 0, term)
+    driver = hidden_driver(model, 0, term)
     assert driver is not None
     found = np.array(driver.direction)
     assert abs(found @ direction) / np.linalg.norm(direction) == pytest.approx(1.0, abs=0.05)
@@ -117,12 +122,12 @@ def test_axes_that_read_the_same_as_their_reference_are_driven_by_nothing(live):
     """Compasses of a simulator agree to the last digit; the correlation with such an axis is no number."""
     for seed in range(5):
         model, term = wandering(model_of(walk(seed + 50), seed=seed, live=live))
-        assert coherent(model, 0, term) is None
+        assert hidden_driver(model, 0, term) is None
 
 
 def test_two_axes_that_one_driver_moves_are_told_beside_one_without_a_residual():
     model, term = wandering(model_of(walk(20)[:, :1] * [0.8, -0.6, 0.0], live=(1.0, 1.0, 0.0)))
-    driver = coherent(model, 0, term)
+    driver = hidden_driver(model, 0, term)
     assert driver is not None
     assert abs(np.array(driver.direction) @ [0.8, -0.6, 0.0]) == pytest.approx(1.0, abs=0.05)
 
@@ -132,9 +137,9 @@ def test_drift_that_comes_back_is_told_from_a_walk(seed):
     noise = np.random.default_rng(seed + 70).normal(size=(3 * N, 3))
     back = 0.5 * SD * lfilter([1.0], [1.0, -0.96], noise, axis=0)
     tripled, term = wandering(model_of(back, seed=seed, n=3 * N))
-    assert returning(tripled, 0, term)
+    assert returns_to_mean(tripled, 0, term)
     plain, own = wandering(model_of(walk(seed + 90), seed=seed))
-    assert not returning(plain, 0, own)
+    assert not returns_to_mean(plain, 0, own)
 
 
 def test_a_learned_spectrum_is_not_asked_whether_it_swells():
@@ -144,4 +149,4 @@ def test_a_learned_spectrum_is_not_asked_whether_it_swells():
         for v in model.setting.views
     )
     setting = setting_of(views)
-    assert unsteady(starting_model(setting, starting_noise(setting))) == []
+    assert nonstationary_noise(starting_model(setting, starting_noise(setting))) == []

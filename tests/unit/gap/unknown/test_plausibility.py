@@ -9,8 +9,8 @@ from mavcal.calib.gap import diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.schema import GapVerdict
-from mavcal.calib.gap.search.wander import halved, marginal
-from mavcal.calib.gap.unknown.plausibility import nameless
+from mavcal.calib.gap.search.wander import inverse_root, marginal_gain
+from mavcal.calib.gap.unknown.plausibility import improbable_effects
 from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
@@ -27,17 +27,17 @@ def attribution(key="gyro_tone", probability=0.0, unknown=1.0):
     [(0.0, 1.0, 0.0, False), (0.0, 0.0, 300.0, False), (0.0, 0.0, 0.0, True), (0.5, 0.5, 300.0, True)],
 )
 def test_a_name_that_something_nameless_beats_is_none(probability, unknown, withdrawn, named):
-    found = nameless([attribution(probability=probability, unknown=unknown)], EFFECTS, withdrawn)
+    found = improbable_effects([attribution(probability=probability, unknown=unknown)], EFFECTS, withdrawn)
     assert [s.keys for s in found] == ([] if named else [(("gyro_tone", (0,)),)])
 
 
 def test_names_of_one_sensor_are_one_difference():
-    found = nameless([attribution(), attribution("gyro_bias"), attribution("mag_tone")], EFFECTS, 0.0)
+    found = improbable_effects([attribution(), attribution("gyro_bias"), attribution("mag_tone")], EFFECTS, 0.0)
     assert [s.text.split()[3] for s in found] == ["gyro", "mag"]
 
 
 def test_a_difference_of_the_clock_belongs_to_no_sensor():
-    assert [s.text.split()[3] for s in nameless([attribution("clock_drift")], EFFECTS, 0.0)] == ["clock"]
+    assert [s.text.split()[3] for s in improbable_effects([attribution("clock_drift")], EFFECTS, 0.0)] == ["clock"]
 
 
 def test_a_sensor_that_reads_nothing_has_no_scale_error():
@@ -71,6 +71,6 @@ def test_the_marginal_likelihood_stands_squares_that_rounding_makes_negative():
     inner = np.array([[2.0, 1.0], [1.0, 3.0]])
     right = np.array([1.0, 2.0])
     plain = float(right @ np.linalg.solve(inner, right)) - math.log(5.0)
-    assert marginal(halved(inner), right) == pytest.approx(plain)
+    assert marginal_gain(inverse_root(inner), right) == pytest.approx(plain)
     broken = np.array([[1.0 + 1e20, 1e20], [1e20, 1e20 - 1e5]])
-    assert math.isfinite(marginal(halved(broken), right))
+    assert math.isfinite(marginal_gain(inverse_root(broken), right))

@@ -16,7 +16,7 @@ from mavcal.calib.gap.model.noise_fit import starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.projection import Beside
+from mavcal.calib.gap.search.projection import Projection
 from mavcal.calib.gap.search.selection import with_score
 from mavcal.calib.gap.unknown.shapes import shapes_of
 from mavcal.calib.recording import Sensor
@@ -44,7 +44,7 @@ def test_a_shape_has_a_family_that_has_a_price_and_its_parts_are_parts():
 
 
 def gains(model):
-    contest, beside = Contest((), budget=0), Beside(model)
+    contest, beside = Contest((), budget=0), Projection(model)
     return {name: contest.score(h, beside) for name, h in named(model).items()}
 
 
@@ -180,10 +180,10 @@ def test_current_and_the_charge_it_has_drawn_are_a_sagging_battery():
 def test_a_square_wave_has_overtones_of_the_tone_that_was_found():
     model = model_of(gap=lambda t: np.outer(np.sign(np.sin(2 * np.pi * 0.5 * t.t)), [0.02, 0.0, 0.0]))
     tone = Hypothesis(by_id()["accel_tone"], (0,))
-    score = Contest((tone,)).score(tone, Beside(model))
+    score = Contest((tone,)).score(tone, Projection(model))
     with_tone = with_score(model, score)
     shapes = {s.whole.effect.excited_by: s.whole for s in shapes_of(model.setting, with_tone.terms)}
-    overtones = Contest((), budget=0).score(shapes["overtones of 0.5 Hz on accel"], Beside(with_tone))
+    overtones = Contest((), budget=0).score(shapes["overtones of 0.5 Hz on accel"], Projection(with_tone))
     assert overtones.p < 1e-6
     assert not any("overtones" in s.whole.effect.excited_by for s in shapes_of(model.setting))
 
@@ -195,10 +195,10 @@ def test_what_switches_on_and_off_is_told_from_the_tone_that_was_found(part, sig
 
     model = model_of(gap=switched)
     tone = Hypothesis(by_id()["accel_tone"], (0,))
-    with_tone = with_score(model, Contest((tone,)).score(tone, Beside(model)))
+    with_tone = with_score(model, Contest((tone,)).score(tone, Projection(model)))
     shapes = [h for s in shapes_of(model.setting, with_tone.terms) for h in s.hypotheses]
     switches = [h for h in shapes if ", on for" in h.effect.excited_by]
-    contest, beside = Contest((), budget=0), Beside(model)
+    contest, beside = Contest((), budget=0), Projection(model)
     best = max(switches, key=lambda h: contest.score(h, beside).delta)
     on = int(best.effect.excited_by.partition("on for ")[2].partition("%")[0])
     assert on == pytest.approx(100 * part, abs=5.1)
@@ -282,4 +282,4 @@ def test_an_instance_with_a_reference_and_a_longer_difference_has_one_shape_for_
     setting = setting_of(views)
     model = starting_model(setting, starting_noise(setting))
     h = next(h for s in shapes_of(setting) for h in s.hypotheses if h.instances == (2,) and "throttle on" in h.key[0])
-    assert Contest((), budget=0).score(h, Beside(model)).df > 0
+    assert Contest((), budget=0).score(h, Projection(model)).df > 0

@@ -26,7 +26,7 @@ from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.schema import GapVerdict
 from mavcal.calib.gap.search.selection import ChosenModel
 from mavcal.calib.gap.telling.estimates import estimates_of
-from mavcal.calib.gap.unknown.transitions import JumpSpan, levels_apart, passing, transitions
+from mavcal.calib.gap.unknown.transitions import JumpSpan, level_mismatch, transient_events, transitions
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -127,7 +127,7 @@ def test_jumps_within_a_sample_and_a_half_are_one_moment(apart, events):
     model = with_residual(dataclasses.replace(bare, terms=terms))
     assert len(transitions(model)) == events
     if not events:
-        assert all((levels_apart(model, term) < 0.05).all() for term in terms)
+        assert all((level_mismatch(model, term) < 0.05).all() for term in terms)
 
 
 def test_a_step_between_levels_that_do_not_fit_it_is_no_surer_than_they_differ():
@@ -135,8 +135,8 @@ def test_a_step_between_levels_that_do_not_fit_it_is_no_surer_than_they_differ()
         return np.outer(trace.t > ON_S, SIZE)
 
     right, wrong = stepped(jump), stepped(jump, size=SIZE + np.array([0.3, 0.0, 0.0]))
-    assert levels_apart(right, right.terms[0]).max() < 0.03
-    assert levels_apart(wrong, wrong.terms[0])[0] == pytest.approx(0.3, abs=0.03)
+    assert level_mismatch(right, right.terms[0]).max() < 0.03
+    assert level_mismatch(wrong, wrong.terms[0])[0] == pytest.approx(0.3, abs=0.03)
     start = dataclasses.replace(wrong, terms=())
     chosen = ChosenModel(wrong, _joint(wrong), FittedNoise(start, {}), (), 1, ())
     errors = [p.se for p in estimates_of(chosen, wrong.terms[0])]
@@ -183,10 +183,10 @@ def test_jumps_that_became_a_walk_are_nothing_that_passes(gain, says):
     walk = Hypothesis(next(e for e in catalogue() if e.id == "gyro_random_walk"), (0,))
     model = starting_model(setting, starting_noise(setting))
     left_out = (JumpSpan(Sensor.GYRO, 10.0, 12.0, nats=100.0),)
-    assert len(passing(left_out, model)) == 1
+    assert len(transient_events(left_out, model)) == 1
     model = dataclasses.replace(model, noise_terms=(NoiseTerm(walk, np.nan),))
-    assert len(passing(left_out, model, {walk.key: gain})) == says
-    assert len(passing((dataclasses.replace(left_out[0], sensor=Sensor.MAG),), model, {walk.key: gain})) == 1
+    assert len(transient_events(left_out, model, {walk.key: gain})) == says
+    assert len(transient_events((dataclasses.replace(left_out[0], sensor=Sensor.MAG),), model, {walk.key: gain})) == 1
 
 
 def test_changes_that_overlap_are_said_once():
@@ -195,7 +195,7 @@ def test_changes_that_overlap_are_said_once():
     model = starting_model(setting, starting_noise(setting))
     spans = [(Sensor.MAG, 33.8, 39.3), (Sensor.MAG, 143.1, 147.3), (Sensor.MAG, 33.0, 39.1), (Sensor.ACCEL, 38.0, 40.0)]
     left_out = tuple(JumpSpan(sensor, start, end, nats=10.0) for sensor, start, end in spans)
-    said = [(one.sensor, one.start, one.end, one.nats) for one in passing(left_out, model)]
+    said = [(one.sensor, one.start, one.end, one.nats) for one in transient_events(left_out, model)]
     assert said == [
         (Sensor.ACCEL, 38.0, 40.0, 10.0),
         (Sensor.MAG, 33.0, 39.3, 20.0),

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.search import prices
-from mavcal.calib.gap.search.exchange import Alternative, Place
+from mavcal.calib.gap.search.exchange import Alternative, Comparison
 from mavcal.calib.gap.worth import attribution
 from mavcal.calib.gap.worth.attribution import TEMPERATURE, Attribution
 from tests.examples import examples
@@ -45,9 +45,9 @@ NOBODY = other(NAMELESS, 1e6)
 
 
 def judged(*others, own="accel_bias", second=0.0):
-    place = Place((*others, NOBODY), OWN)
+    place = Comparison((*others, NOBODY), OWN)
     hypothesis = SimpleNamespace(effect=by_id()[own], instances=(0,))
-    return attribution._judged(hypothesis, place, None, second)
+    return attribution._rivals_and_probabilities(hypothesis, place, None, second)
 
 
 def probability(*others, **more):
@@ -130,9 +130,9 @@ def test_a_rival_is_listed_within_its_reach(effect, price):
 @pytest.mark.parametrize(("own", "reach"), [(500.0, 12.0), (1000.0, 20.0), (1e5, prices.RIVAL_REACH)])
 def test_of_a_strong_effect_rivals_farther_behind_are_listed(own, reach):
     def listed(behind):
-        place = Place((Alternative(score(ROTATION, own - behind), 0.5), NOBODY), own)
+        place = Comparison((Alternative(score(ROTATION, own - behind), 0.5), NOBODY), own)
         hypothesis = SimpleNamespace(effect=BIAS, instances=(0,))
-        return bool(attribution._judged(hypothesis, place, None, 0.0)[0])
+        return bool(attribution._rivals_and_probabilities(hypothesis, place, None, 0.0)[0])
 
     assert listed(reach - 0.1)
     assert not listed(reach + 0.1)
