@@ -208,7 +208,7 @@ def have_unrelated_movement(real: Recording, other: Recording) -> bool:
 
 
 def clock_alignment_in_any_frame(real: Recording, other: Recording) -> ClockAlignment | None:
-    """As :func:`clock_alignment`, by the sizes of turn rates and forces, which no frame changes; None where they do not tell.
+    """As :func:`clock_alignment`, by the sizes of turn rates and forces, which no frame changes; None: not known.
 
     The correlation is that of the movements in the frame of `other` that fits best.
     """

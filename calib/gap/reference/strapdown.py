@@ -31,7 +31,7 @@ class Increments:
     much the sums change when every second sample is left out. It bounds the error, since sampled turns and vibrations
     alias. An error of slow samples lasts over several intervals and adds up; it is counted as independent errors of the
     same sum. `known` (K,) is False for intervals that lie in a hole of the recording. `warm` (K,) is how much warmer
-    than on average the unit is in each interval, in units of :data:`WARMTH_UNIT`; 0 where nobody knows, or it hardly changes.
+    than on average the unit is in each interval, in units of :data:`WARMTH_UNIT`; 0: not known.
     """
 
     t: Array
