@@ -32,7 +32,13 @@ SHARED = {
     "Compasses": ("mag_track",),
 }
 JOBS = {
-    "While a plan is written and proved": ("verify", "watch", "transaction", "patience", "restart"),
+    "While a plan is written and proved": (
+        "write/stream_check",
+        "calibrate/watch",
+        "write/transaction",
+        "core/admission",
+        "write/steps",
+    ),
 }
 SERVICE = ROOT / "service" / "jobs"
 CALIB = ROOT / "calib" / "procedures"

@@ -31,7 +31,7 @@ _FOLLOWS: Final = 0.5
 """Slope of the difference of two units on an effect from which on the difference follows it. Source: nearer to 1, which
 is what the effect says, than to 0."""
 _SEEN: Final = 5.0
-"""Standard errors of that slope, of white noise, that it must have. Chosen: units' noise is not white."""
+"""Standard errors of that slope, of white noise, that it must have. Chosen, not measured: it is not white."""
 _SAME_TIME_S: Final = 0.003
 """s between samples of two units that count as one moment. Source: one loop at 400 Hz."""
 _REST: Final = 0.03

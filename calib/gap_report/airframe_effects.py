@@ -255,10 +255,24 @@ _KINDS: Mapping[str, _Kind] = {
     "actuator_delay": _Kind("a delay of the commands", _delay, _sides(("delay", "delay", "s"))),
     "motor_weak": _Kind("a weak motor", _weak, _sides(("s", "thrust of the motor in hover", ""))),
     "rotor_drag": _Kind(
-        "another rotor drag", _has("c1", "the rotor drag"), _sides(("c1", "rotor drag in hover", "1/s"))
+        "another rotor drag",
+        _has("c1", "the rotor drag"),
+        _sides(
+            ("c1", "rotor drag in hover", "1/s"),
+            ("flap", "torque by air velocity", ""),
+            ("damping_z", "damping of yaw", ""),
+        ),
     ),
     "body_drag": _Kind("another body drag", _has("c2", "the body drag"), _sides(("c2", "body drag", "1/m"))),
-    "inflow": _Kind("another loss of thrust in climbs", _inflow, _sides(("cz", "loss by climb", "1/s"))),
+    "inflow": _Kind(
+        "another loss of thrust in climbs",
+        _inflow,
+        _sides(
+            ("cz", "loss by climb", "1/s"),
+            ("damping_x", "damping of roll", "1/s"),
+            ("damping_y", "damping of pitch", "1/s"),
+        ),
+    ),
     "translational_lift": _Kind(
         "another lift of forward flight", _lift, _sides(("ch", "lift by speed squared", "1/m"))
     ),

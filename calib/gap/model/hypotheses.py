@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from operator import call
 
 import numpy as np
 from numpy.typing import NDArray
@@ -298,8 +297,10 @@ def columns_in(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis,
     return total
 
 
-_over_trace: Callable[[Callable[[Trace, float], Array], Trace, float], Array] = remembered(8)(call)
-"""Columns or signals of a whole trace, kept because the views of several blocks ask for them one after the other."""
+@remembered(8)
+def _over_trace(columns: Callable[[Trace, float], Array], trace: Trace, theta: float) -> Array:
+    """Columns or signals of a whole trace, kept because the views of several blocks ask for them one after the other."""
+    return columns(trace, theta)
 
 
 @remembered(8)
