@@ -299,7 +299,7 @@ def columns_in(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis,
 
 @remembered(8)
 def _over_trace(columns: Callable[[Trace, float], Array], trace: Trace, theta: float) -> Array:
-    """Columns or signals of a whole trace, kept because the views of several blocks ask for them one after the other."""
+    """Columns or signals of a whole trace, kept for the views of several blocks that ask for them."""
     return columns(trace, theta)
 
 
