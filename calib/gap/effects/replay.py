@@ -80,8 +80,7 @@ def _is_complete(described: CatalogueEffect, found: EffectEstimate) -> bool:
 
 
 def _effects_on(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:
-    """Effects on the trace's sensor with sign one, and those on the instance that it is compared with with minus one.
-    """
+    """Effects on the trace's sensor with sign one, and those on the instance that it is compared with, negated."""
     for effect in effects:
         if effect.sensor is None:  # of airframe or air: it moves no sensor's reading
             continue
