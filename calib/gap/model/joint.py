@@ -212,8 +212,7 @@ def with_residual(model: Model) -> Model:
 def _residual_of(
     view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None
 ) -> tuple[Array, tuple[Array, ...]]:
-    """Residual of a series without terms and ridge, and its bins by axis; kept, since most terms stay the same.
-    """
+    """Residual of a series without terms and ridge, and its bins by axis, kept for the next change of a term."""
     left = view.residual
     for term in terms:
         left = left - predicted(term, view)

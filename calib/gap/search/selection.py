@@ -274,7 +274,7 @@ def _candidate_scores(
 def _best_candidate(
     scores: dict[Key, ContestScore], level: float, gains: Gains, contest: Contest, model: Model
 ) -> tuple[ContestScore | None, Model | None]:
-    """The best significant score, refined and no second order of the model's effects, and its fitted model, if any.
+    """The best significant score, refined and no second order of other effects, and its fitted model, if any.
 
     Drift noise and undeclared noise may have absorbed a slow mean, so the gain of a mean beside them is not compared
     with the second order.
