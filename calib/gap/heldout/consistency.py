@@ -74,7 +74,7 @@ def _with_attitude(trace: Trace, t: Array, q: Array) -> Trace:
     own = Rotation.from_quat(np.column_stack([np.interp(trace.t, t, c) for c in q.T])[:, [1, 2, 3, 0]])
     turn = own.inv() * Rotation.from_quat(trace.attitude[:, [1, 2, 3, 0]])
     ideal = turn.apply(trace.ideal)
-    # what never was measured keeps reading as the ideal one does
+    # rows without a sample keep a zero residual
     measured = np.where(trace.observed[:, None], trace.measured, trace.measured + ideal - trace.ideal)
     force = None if trace.force is None else turn.apply(trace.force)
     field = None if trace.field is None else turn.apply(trace.field)

@@ -263,7 +263,7 @@ def _declared_variance(used: Sequence[tuple[_Entry, float]]) -> Array | None:
     for entry, f in used:
         if entry.trace.sigma is None:
             return None
-        # What was learned from a recording has its quantisation in it.
+        # Noise learned from a recording includes its quantisation.
         rounding = entry.trace.quantum**2 / 12.0 if math.isinf(entry.trace.sigma_dof) else 0.0
         total += f**2 * (np.asarray(entry.trace.sigma) ** 2 + rounding + entry.extra)
     return total if (total > 0.0).all() else None

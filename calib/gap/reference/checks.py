@@ -221,7 +221,7 @@ def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> 
     if trace.against is not None:
         return None
     length = min(256, len(measured) // 6)
-    # Medians over pieces and frequencies: what happens at an edge, once, or as a line is no noise.
+    # Medians over pieces and frequencies exclude edges, single events and lines.
     power = [_median_power(v, length)[2:-1] for v in (measured, ideal, measured - ideal)]
     half = len(power[0]) // 2
     own, of_reference, left = (np.median(p[half:], axis=0) for p in power)

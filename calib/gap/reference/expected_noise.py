@@ -214,7 +214,7 @@ def _exceeds_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
         return False
     steps = (np.diff(trace.residual, axis=0)[pairs] ** 2).mean(axis=0)
     omega = 2.0 * np.pi * np.minimum(hz / trace.fs, 0.5)
-    # of steps: each frequency by four times the square of the sine of half of it, over all of them evenly
+    # variance of successive differences: the spectrum times 4 sin^2(w/2), averaged over frequency
     expected = np.trapezoid(psd * (4.0 * np.sin(0.5 * omega) ** 2)[:, None], hz, axis=0) / (0.5 * trace.fs)
     return bool((steps > _EXCESS * expected).any())
 

@@ -61,7 +61,7 @@ def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Reco
     reading = Signal.of(base)
     assert reading is not None
     if _rate(channel) > _FASTER * _rate(base) and (faster := Signal.of(channel)) is not None:
-        # Between the samples of a slow unit nobody knows how the vehicle moved.
+        # The movement between the samples of a slow unit is unknown.
         within = base.between(float(channel.t[0]), float(channel.t[-1]))
         channel = dataclasses.replace(channel, t=within.t, values=faster.at(within.t), zero_bin=None)
     trace = dataclasses.replace(trace_of(channel, reading, ideal, real), against=base.instance)
