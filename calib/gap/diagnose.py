@@ -10,7 +10,7 @@ from functools import cached_property
 from mavcal.calib.gap.companion.level_shifts import with_level_shifts
 from mavcal.calib.gap.companion.nuisance_gain import above_nuisance
 from mavcal.calib.gap.effects import by_id, catalogue
-from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
+from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.heldout.consistency import inconsistent_effects
 from mavcal.calib.gap.heldout.shrink import Heldout, held_out, shrink_of, with_nested_selection
@@ -259,7 +259,7 @@ def _confirmed_by_blocks(answer: _Answer, alpha: float, *, nested: bool) -> _Ans
         attributions=attributions(found, contest),
         heldout=heldout,
         gates=gates,
-        withdrawn=_withdrawn_gains(s for s in excluded if s.hypothesis.key not in answer.tolerated and _shifts(s)),
+        withdrawn=_withdrawn_gains(s for s in excluded if s.hypothesis.key not in answer.tolerated),
     )
 
 
@@ -280,15 +280,12 @@ def _gate_results(heldout: Heldout | None) -> Mapping[Key, bool | None]:
     return {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
 
 
-def _shifts(score: ContestScore) -> bool:
-    """Whether an effect is on the mean: what noise does is still there without it, where its power is looked at."""
-    return isinstance(score.hypothesis.effect, MeanEffect)
-
-
 def _withdrawn_gains(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
-    """Nats of the effects that were withdrawn, by sensor."""
+    """Nats of the withdrawn effects on the mean, by sensor; noise stays in the residual, whose power is tested."""
     nats: dict[Sensor, float] = {}
     for score in scores:
+        if isinstance(score.hypothesis.effect, NoiseEffect):
+            continue
         sensor = score.hypothesis.effect.sensor
         nats[sensor] = nats.get(sensor, 0.0) + 0.5 * score.gain
     return tuple(Unexplained(n, NOT_LASTING, sensor) for sensor, n in nats.items())
@@ -347,7 +344,7 @@ def _locations(
 def _unexplained_part(task: _Setup, answer: _Answer, causes: Iterable[UnnamedCause]) -> Unknown:
     """What no effect of the catalogue explains, inside the model and beside it."""
     model, reference = answer.chosen.model, task.problem.reference
-    # A reference that turns looks like events that pass.
+    # A wandering reference looks like transient events.
     passed = () if answer.wander is not None else transient_events(task.left_out, model, _gains(answer.chosen))
     unexplained = [*answer.withdrawn, *(Unexplained(one.nats, one.text, one.sensor) for one in passed)]
     return unknown_of(

@@ -1,7 +1,8 @@
-"""The likelihood in the domain of the cosine transform, where stationary noise is independent from bin to bin.
+"""Likelihood in the domain of the cosine transform, in which the bins of stationary noise are independent.
 
-The orthonormal DCT-II diagonalises white noise and a random walk exactly and other stationary noise nearly (Whittle):
-``-2 log L = sum_k [log S_k + (y_k - X_k beta)^2 / S_k]`` at ``w_k = pi k / n``. Powers are variances of one sample.
+The orthonormal DCT-II diagonalises white noise and a random walk exactly and other stationary noise approximately
+(Whittle): ``-2 log L = sum_k [log S_k + (y_k - X_k beta)^2 / S_k]`` at ``w_k = pi k / n``. Powers are variances of one
+sample.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ Source: `1 / w^2` at `w = pi k / n` with k of that size."""
 
 @lru_cache(maxsize=256)
 def fast_length(n: int) -> int:
-    """The largest length up to `n` that transforms fast: without a prime factor above 31.
+    """The largest length up to `n` without a prime factor above 31, whose transform is fast.
 
-    They are dense: of 14 000 samples at most 36 are lost. SciPy's ``prev_fast_len``, without a factor above 11, loses
-    up to 1.8 % of a recording of that length. An effect that grows to the end has a tenth of its energy there.
+    Of 14 000 samples at most 36 are lost. SciPy's ``prev_fast_len``, without a factor above 11, loses up to 1.8 %, and
+    an effect that grows to the end has a tenth of its energy there.
     """
     for length in range(n, 0, -1):
         rest = length
@@ -72,7 +73,7 @@ def flicker(omega: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FrequencyBins:
-    """Neighbouring frequencies merged: enough for any noise that is smooth over a bin."""
+    """Merged neighbouring frequencies, for noise that is smooth over a bin."""
 
     starts: NDArray[np.intp]
     counts: Array
@@ -131,9 +132,9 @@ def deviance(power: Array, periodogram: Array, counts: Array) -> float:
 def fit_amplitudes(
     periodogram: Array, counts: Array, base: Array, densities: Sequence[Array], start: Array | None = None
 ) -> AmplitudeFit:
-    """Amplitudes of `densities` (each (B,)) beside `base` (B,): scoring steps by non-negative least squares.
+    """Amplitudes of `densities` (each (B,)) beside `base` (B,), by scoring steps with non-negative least squares.
 
-    `base` may be 0 where the densities carry everything.
+    `base` may be 0 if the densities contain all noise.
     """
     D = np.asarray(densities, dtype=np.float64).reshape(len(densities), len(counts))
     if not len(D):
@@ -166,7 +167,7 @@ def fit_amplitudes(
 
 
 def _start(mean: Array, counts: Array, base: Array, D: Array) -> Array:
-    """Powers matched in the logarithm, roughly: each density carries its part of the excess."""
+    """Initial amplitudes: the share of each density in the excess, matched in the logarithm."""
     excess = np.maximum(mean - base, 0.0)
     scale = np.maximum(mean, 1e-9 * float(np.average(mean, weights=counts)) + 1e-150)
     found = []

@@ -1,7 +1,7 @@
-"""What the diagnosis works on: every sensor beside what an ideal one would have read at the same times.
+"""The problem of a diagnosis: every sensor beside what an ideal one would have read at the same times.
 
-References are made by :mod:`calib.gap.reference`; from here on nothing knows where they came from, except through
-:class:`ReferenceInfo`, which says how far they can be believed.
+References are made by :mod:`calib.gap.reference`. From here on only :class:`ReferenceInfo` tells their origin and
+accuracy.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class ReferenceInfo:
 
     @property
     def useless(self) -> bool:
-        """Whether the attitude is known too badly to judge any sensor by it."""
+        """Whether the attitude is too inaccurate to judge any sensor by it."""
         return is_useless(self.kind.value, self.att_sigma_deg)
 
 
@@ -174,10 +174,10 @@ class Trace:
 
 @dataclass(frozen=True)
 class FaultyInstances:
-    """Which of two instances have something: slowly, against the reference that both share, and in fast bands.
+    """Which of two instances have an error: slow, against their common reference, and in fast bands.
 
-    None: nothing says. `certain`: the slow part was read where the reference's own error does not reach, and the
-    likelihood of the other parts must not overrule it.
+    None: undecided. `certain`: the slow part was measured where the reference's own error does not reach, and overrules
+    the likelihood of the other parts.
     """
 
     slow: tuple[int, ...] | None = None
@@ -187,20 +187,21 @@ class FaultyInstances:
 
 @dataclass(frozen=True)
 class MinimumGain:
-    """Twice the log-likelihood by sensor below which two recordings differ anyway; zero where none is given.
+    """Minimum gains by sensor, in twice the log-likelihood: two recordings differ by less anyway.
 
-    What differs may be in the model, so that nothing else takes its place, and yet be no gap.
+    An effect may gain enough to enter the model and too little to be reported. It then stays in the model, so that no
+    other effect absorbs it.
 
     Parameters
     ----------
-    joins, lasting
-        Of effects that go on all the time, such as those of place, time and frame: to be in the model, to be reported.
+    steady_entry, steady_report
+        Of steady effects on the mean: to enter the model, to be reported.
     level
-        Of shifts of the level, and of what happens once.
-    noise, loud
-        Of noise: to be in the model, to be reported.
-    unsteady
-        Of noise that wanders or goes with the flight, to be in the model: what moves the mean looks like it.
+        Of level shifts and events.
+    noise_entry, noise_report
+        Of noise: to enter the model, to be reported.
+    drift_entry
+        Of drift noise and noise that follows the flight, to enter the model: changes of the mean look like it.
     """
 
     steady_entry: Mapping[Sensor, float] = field(default_factory=dict)
@@ -213,7 +214,7 @@ class MinimumGain:
 
 @dataclass(frozen=True)
 class NuisanceEffect:
-    """An effect that another recording shows against its own reference, and which part of it is left open in this."""
+    """An effect that another recording shows against its own reference, and the share of it that is uncertain here."""
 
     effect: EffectEstimate
     uncertain_share: float
@@ -221,7 +222,7 @@ class NuisanceEffect:
 
 @dataclass(frozen=True, eq=False)
 class GapProblem:
-    """One diagnosis: traces with one reference each, and what was noticed while they were made."""
+    """The traces of a diagnosis with their reference, and what was noticed while they were made."""
 
     traces: tuple[Trace, ...]
     reference: ReferenceInfo

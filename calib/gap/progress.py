@@ -1,7 +1,6 @@
-"""How far a diagnosis is, and what is left out of it so that it ends in time.
+"""Progress of a diagnosis, and what is left out of it to keep a time limit.
 
-There is no clock here: whoever asks for a diagnosis tells how long it has taken so far. The parts of the time are those
-of recordings of minutes, measured; they are an estimate, and no promise.
+There is no clock here: the caller measures the time. The parts of the time are estimates from recordings of minutes.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ _LEFT_OUT = {
 
 @dataclass(frozen=True)
 class GapProgress:
-    """How far a diagnosis is: `share` of the work from 0 to 1, and the seconds that are left, None if nobody knows."""
+    """Progress of a diagnosis: `share` of the work, 0 to 1, and the seconds left, None if unknown."""
 
     stage: GapStage
     share: float
@@ -90,12 +89,12 @@ class GapProgress:
 
     @property
     def text(self) -> str:
-        """What is being done."""
+        """The present activity."""
         return _TEXT[self.stage]
 
 
 def _ignore(_standing: GapProgress) -> None:
-    """Nobody listens."""
+    """No listener."""
 
 
 @dataclass(eq=False)
@@ -130,7 +129,7 @@ class GapPace:
             raise InvalidInputError("a limit needs somebody who measures the time")
 
     def begin(self, stage: GapStage, part: float = 0.0) -> None:
-        """A stage begins, or a `part` of it from 0 to 1 is done."""
+        """Begin a stage, or report that a `part` of it, 0 to 1, is done."""
         if stage is not self.stage:
             self.steps = 0
         self.stage = stage
@@ -146,9 +145,9 @@ class GapPace:
         self.on_progress(GapProgress(self.stage, self.share, self._left(self.share)))
 
     def advance(self) -> None:
-        """One more step of the present stage is done; nobody knows how many there will be.
+        """Count one more step of the present stage, whose number of steps is unknown.
 
-        Blocks are counted, and a step inside one says nothing new.
+        Held-out blocks are counted themselves; steps inside them are not.
         """
         if self.stage is GapStage.BLOCKS:
             return
@@ -156,21 +155,21 @@ class GapPace:
         self.begin(self.stage, self.steps / (self.steps + _MANY))
 
     def reserve(self, effects: int, fit_s: float) -> None:
-        """A model of so many effects took `fit_s` to fit: what comes after the search takes that for each of them."""
+        """Reserve time after the search: a model of that many effects took `fit_s` for one fit."""
         self.fits_s = effects * fit_s
 
     @property
     def now(self) -> float:
-        """Seconds since the diagnosis began; 0 where nobody measures."""
+        """Seconds since the diagnosis began; 0 without a clock."""
         return 0.0 if self.elapsed is None else self.elapsed()
 
     def duration_of(self, stage: GapStage) -> float:
-        """Seconds from the beginning of a stage that has begun to that of the next one."""
+        """Seconds from the beginning of a stage to that of the next one."""
         later = [at for other, at in self.began.items() if at > self.began[stage] and other is not stage]
         return min(later, default=self.now) - self.began[stage]
 
     def _left(self, share: float) -> float | None:
-        """Seconds that are left after a `share` of the work, no more than the limit leaves."""
+        """Seconds left after a `share` of the work, at most those up to the limit."""
         done = share - (_BEGINS[next(iter(self.began))] if self.began else 0.0)  # airframes are not always asked for
         if self.elapsed is None or done <= 0.0:
             return None
@@ -178,9 +177,9 @@ class GapPace:
         return max(min(took * (1.0 - share) / done, self.limit_s - took), 0.0)
 
     def ends(self, needs_s: float = 0.0) -> bool:
-        """Whether what takes `needs_s` has to be left out of this stage; that it was is kept.
+        """Whether work of `needs_s` has to be left out of this stage, which is recorded.
 
-        It is asked before every piece of work, so whoever listens hears again from long steps.
+        It is called before every piece of work, so the listener also hears from long steps.
         """
         if self.now - self.reported_s > _TOLD_EVERY_S:
             self._notify()
@@ -191,7 +190,7 @@ class GapPace:
 
     @property
     def _may_take(self) -> float:
-        """Seconds after which nothing more is begun in this stage."""
+        """Seconds after which no more work begins in this stage."""
         share = _MAY_TAKE[self.stage] * self.limit_s
         if self.stage not in _FITS_AFTERWARDS:
             return share
@@ -199,12 +198,12 @@ class GapPace:
 
     @property
     def ended(self) -> bool:
-        """Whether something was left out of this stage already."""
+        """Whether work of this stage was left out."""
         return self.stage in self.left_out
 
 
 def with_limit(report: GapReport, pace: GapPace) -> GapReport:
-    """The report with what the limit left out, which is not called done: no verdict rests on what was not tried."""
+    """The report with what the limit left out; no verdict rests on work that was not done."""
     if not pace.left_out:
         return report
     missing = "; ".join(_LEFT_OUT[stage] for stage in pace.left_out)

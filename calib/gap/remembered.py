@@ -1,10 +1,8 @@
-"""Results that one diagnosis asks for again and again, remembered as long as it lasts.
+"""Results that one diagnosis needs repeatedly, kept until it ends.
 
-A diagnosis asks for the same transforms, columns and fits many times. They are kept in a store that begins and ends
-with it. Nothing of one recording outlives its report, and no two diagnoses share anything.
-
-The store is a context variable: a thread that is started inside a diagnosis has none, and computes. A process that is
-forked inside has a copy of its own.
+A diagnosis computes the same transforms, columns and fits many times. They are kept in a store that begins and ends
+with it, so nothing outlives the report and no two diagnoses share a result. The store is a context variable: a thread
+started inside a diagnosis has none and computes; a forked process has a copy.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ ABSENT: Final = object()
 
 
 class SameArray:
-    """An array as a key: equal to itself alone, whatever numbers it holds.
+    """An array as a key: equal to itself alone, whatever its numbers.
 
     It holds the array, so that no later array can have its id while the key exists.
     """
@@ -44,7 +42,7 @@ class SameArray:
 
 
 class ResultStore:
-    """Results by function and arguments; of each function the ones that were asked for last."""
+    """Results by function and arguments; of each function the latest ones."""
 
     def __init__(self) -> None:
         self._by_function: dict[Callable[..., Any], dict[Hashable, Any]] = {}
@@ -69,7 +67,7 @@ _STORE: ContextVar[ResultStore | None] = ContextVar("mavcal_gap_store", default=
 
 @contextmanager
 def one_diagnosis() -> Iterator[ResultStore]:
-    """A store for what is computed inside, also as a decorator; inside another one the outer store serves."""
+    """A store for everything inside, also as a decorator; nested calls use the outer store."""
     outer = _STORE.get()
     if outer is not None:
         yield outer
@@ -83,10 +81,10 @@ def one_diagnosis() -> Iterator[ResultStore]:
 
 
 def remembered(most: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A pure function whose last `most` results are kept by the store of the diagnosis; without one it computes.
+    """Decorator: keep the last `most` results of a pure function during a diagnosis; outside one it just computes.
 
-    Arrays among the arguments are told apart by identity, all others by equality. Neither the arguments nor the
-    result may be changed in place.
+    Arrays among the arguments are compared by identity, all others by equality. Neither arguments nor results may be
+    changed in place.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:

@@ -1,6 +1,6 @@
-"""The answer of a gap diagnosis, and its JSON ("gap/1").
+"""The report of a gap diagnosis, and its JSON ("gap/1").
 
-Parameters are forward: what is added to, or multiplies, the ideal sensor. Numbers in the JSON are finite or null.
+Parameters are forward: added to, or multiplying, the ideal reading. Numbers in the JSON are finite or null.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ FIRST = 1
 
 
 class GapVerdict(StrEnum):
-    """What the diagnosis says in one word."""
+    """The verdict of a diagnosis."""
 
     EXPLAINED = "explained"  # effects of the catalogue account for the gap
     PARTLY_EXPLAINED = "partly_explained"  # they account for part of it, and the rest is not of the catalogue
@@ -65,7 +65,7 @@ class Regime:
 
 @dataclass(frozen=True)
 class LocatedGap:
-    """One channel in one regime where the sensor differs from its reference by more than the noise.
+    """A channel in a regime in which the sensor differs from its reference by more than the noise.
 
     `nats_per_sample` is the loss of log-likelihood against the declared noise, `p_holm` corrected for every cell.
     """
@@ -98,9 +98,9 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class EffectEvidence:
-    """How sure an effect is.
+    """Evidence of an effect.
 
-    `share` is its part of what all effects together gain, the mean of the gain as the first and as the last one.
+    `share` is its part of the common gain of all effects, with the mean of its gain as the first and as the last one.
     """
 
     two_delta_loglik: float
@@ -111,7 +111,7 @@ class EffectEvidence:
 
     @property
     def doubtful(self) -> bool:
-        """Whether something else is likelier in its place: a rival, another instance, or what has no name."""
+        """Whether something else is likelier: a rival, another instance, or an unnamed cause."""
         return self.probability < EVEN
 
 
@@ -119,8 +119,8 @@ class EffectEvidence:
 class Rival:
     """Another explanation of the same data.
 
-    `kappa` is the share of the effect's energy that the rival can imitate; `delta` by how much the penalised evidence
-    (twice the log-likelihood) prefers the effect; `fix` what would tell them apart.
+    `kappa` is the share of the effect's energy that it can imitate, `delta` the penalised evidence (twice the
+    log-likelihood) for the effect against it, and `fix` a recording that would separate them.
     """
 
     id: str
@@ -161,7 +161,7 @@ class EffectEstimate:
 
 @dataclass(frozen=True)
 class HiddenDriver:
-    """The axes drift together: one scalar that nobody recorded drives them along `direction`."""
+    """A common driver of the axes' drifts, unrecorded, along `direction`."""
 
     p: float
     direction: tuple[float, float, float]
@@ -185,7 +185,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class SequenceStep:
-    """Part of the gap that is closed once this effect is added to the ones before."""
+    """Part of the gap that is closed once this effect is added to the previous ones."""
 
     add: str
     closed: float
@@ -223,7 +223,7 @@ class Shrink:
 
 @dataclass(frozen=True)
 class NotTestable:
-    """An effect that these recordings could not have shown, why, and what would be needed."""
+    """An effect that these recordings cannot show, the reason, and what is needed."""
 
     id: str
     reason: str
@@ -242,7 +242,7 @@ class Power:
 
 @dataclass(frozen=True)
 class MultipleTesting:
-    """Number of tests made, and the chance that any of them fires without a gap."""
+    """Number of tests, and the chance that any of them fires without a gap."""
 
     m: int
     alpha_family: float
@@ -251,7 +251,7 @@ class MultipleTesting:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What was diagnosed, against which reference, with which version of the diagnoser."""
+    """Recordings, reference and version of the diagnoser."""
 
     real_sha256: str | None
     sim_sha256: str | None
@@ -265,12 +265,12 @@ class Inputs:
 
     @property
     def useless(self) -> bool:
-        """Whether the reference's attitude is known too badly to judge any sensor by it."""
+        """Whether the reference's attitude is too inaccurate to judge any sensor by it."""
         return is_useless(self.reference_kind, self.att_sigma_deg)
 
 
 def is_useless(kind: str, att_sigma_deg: float) -> bool:
-    """Whether a reference of `kind` whose attitude is known to `att_sigma_deg` can judge no sensor."""
+    """Whether a reference of `kind` with that error of attitude can judge no sensor."""
     return kind == RE_ESTIMATED and not att_sigma_deg < USELESS_DEG
 
 
@@ -319,7 +319,7 @@ class GapReport:
 
     @property
     def tested(self) -> bool:
-        """Whether anything could be tested: with False the verdict says nothing of any sensor."""
+        """Whether anything could be tested; without it the verdict says nothing about any sensor."""
         return self.multiple_testing.m > 0 or bool(self.effects)
 
     def plot(self) -> Drawing:
@@ -355,7 +355,7 @@ class GapReport:
 
 
 def _rows(effect: EffectEstimate) -> Iterator[tuple[str, ...]]:
-    """A row a parameter; the effect is named in the first one."""
+    """One row for each parameter; the first one names the effect."""
     sensor = f"{effect.sensor or effect.domain} {'+'.join(map(str, effect.instances))}".strip()
     first = (effect.id, sensor, f"{effect.evidence.probability:.3f}")
     for one in effect.params or (None,):

@@ -65,13 +65,13 @@ _UNCERTAIN_SHARE, _UNCERTAIN_BIAS = 1.0 / 3.0, 1.5
 error of its estimate. Source: decision 7 for the third. The other is chosen, not measured: the bias and half as much
 for the error of its estimate."""
 _LEVEL_DIFFERENCE = 0.006
-"""Evidence a number, beside `prices.FLIGHT_DIFFERENCE`, of level shifts: they are a few numbers of a spectrum. Chosen,
+"""Gain a number of level shifts, in place of `prices.FLIGHT_DIFFERENCE`: they are in a few bins of a spectrum. Chosen,
 not measured: a fifth of that difference."""
 _ENTRY_DIFFERENCE = 0.003
-"""The same of what is in the model, so that nothing else takes its place, and not reported. Chosen, not measured: a
+"""Gain a number to enter the model without being reported, so that no other effect absorbs it. Chosen, not measured: a
 tenth of that difference, so that it joins first."""
 _NOISE_DIFFERENCE = 0.3
-"""Evidence a number of noise of twice the power; noise differs by as much from minute to minute. Source: deviance `r -
+"""Gain a number of noise of twice the power, by which noise differs from minute to minute. Source: deviance `r -
 1 - log r` of a ratio r of powers, 1 - log 2 at r = 2."""
 _ROUNDS, _CONVERGED = 5, 0.1
 """Times at most that the noise is learned, first with the nuisance effects, then beside them. The second is the
@@ -247,8 +247,8 @@ def compared_with_simulator(problem: GapProblem, baseline: SimulatedBaseline) ->
     least = {s: max(noise[s], own[s]) for s in small}
     reference = _combined_reference(problem.reference, baseline.reference)
     warnings = (*changed.warnings, *_calm_flight_warnings(moves, baseline.movement))
-    # What is open of a mean comes and goes with the movement: it looks like a drift or like noise that goes with the
-    # motors, but steady noise does not become louder by it.
+    # The uncertain part of a mean varies with the movement: it looks like drift noise or motor noise, not like
+    # stationary noise.
     minimum_gain = MinimumGain(least, least, level, noise, drift_entry=least)
     return replace(changed, minimum_gain=minimum_gain, reference=reference, warnings=warnings)
 

@@ -61,7 +61,7 @@ def quantisation(trace: Trace) -> LatticeEvidence | None:
         if simulated is not None and simulated.step >= 0.7 * found.step:
             continue
         steps[axis] = found.step
-        # A continuous reading lies this near to the levels by chance with the share of the line that they cover.
+        # A continuous reading is this near to a level by chance: the share of the line that the levels cover.
         two_delta -= 2.0 * len(values) * math.log(2.0 * max(found.error, 1e-6))
     if two_delta < _EVIDENCE:
         return None
@@ -107,7 +107,7 @@ def _samples_at_limit(measured: Array, ideal: Array, observed: Mask) -> tuple[Ma
     noise = max(noise_of(residual[observed & ~pile]), near)
     short = np.maximum(typical - residual[pile], 0.0)  # how much is missing, more than of other samples
     gain = 2.0 * (count * math.log(count / chance) - count + chance)
-    # Without a shortfall the pile is the lattice's own: a reference that is clipped too, or a level that is common.
+    # Without a shortfall it is no limit: the reference is clipped too, or the level is common.
     return pile, gain if float((np.minimum(short / noise, 10.0) ** 2).sum()) >= _EVIDENCE else 0.0
 
 
@@ -234,7 +234,7 @@ def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
         chance *= np.minimum(1.0, step / (2.0 * np.sqrt(math.pi * variance)))
         movement += _ideal_steps(trace.ideal[:, axis]) ** 2 / (4.0 * (variance + step**2))
     chance = np.where(weight * _SURROUNDINGS < 2.5, 1.0, chance)
-    # A sensor whose noise is below its levels in a tenth of the recording has no noise that would forbid repeats.
+    # If the noise is below the levels in a tenth of the recording, repeats are possible everywhere.
     return np.asarray(np.maximum(chance, float(np.quantile(chance, 0.9))) * np.exp(-movement))
 
 

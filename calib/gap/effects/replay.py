@@ -44,7 +44,7 @@ def with_effects_in(
             described = next((e for e in forward_models().get(effect.id, ()) if _is_complete(e, effect)), None)
             if isinstance(described, MeanEffect) and (shared or not described.shared):
                 added = sign * added_by(described, effect, trace)
-                # what never was measured keeps reading as the ideal one does
+                # rows without a sample keep a zero residual
                 measured = np.where(trace.observed[:, None], changed.measured, changed.measured + added)
                 changed = dataclasses.replace(changed, ideal=changed.ideal + added, measured=measured)
             elif isinstance(described, NoiseEffect):
@@ -80,7 +80,7 @@ def _is_complete(described: CatalogueEffect, found: EffectEstimate) -> bool:
 
 
 def _effects_on(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:
-    """Effects on the trace's sensor with sign 1, those on the instance that it is compared with with -1."""
+    """Effects on the trace's sensor with sign one, and those on the instance that it is compared with, negated."""
     for effect in effects:
         if effect.sensor is None:  # of airframe or air: it moves no sensor's reading
             continue

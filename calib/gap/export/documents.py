@@ -1,4 +1,4 @@
-"""A report as MATLAB's parameter objects, and as the document that ``mavcal simulate recording`` takes."""
+"""A report as MATLAB's parameter objects, and as the document of ``mavcal simulate recording``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MEASURED = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 
 @dataclass(frozen=True)
 class Document:
-    """A file's text, and in words what it cannot hold."""
+    """The text of a file, and what it cannot hold."""
 
     text: str
     not_held: tuple[str, ...]
@@ -40,7 +40,7 @@ def to_document(report: GapReport, *, instance: int = 1) -> Document:
 
 
 def to_matlab_text(report: GapReport, *, instance: int = 1) -> Document:
-    """A script that makes an ``imuSensor`` (NED) of `instance` (from 1); `accelparams` and its kin."""
+    """A script that makes an ``imuSensor`` (NED) of `instance` (from 1) with its parameter objects."""
     sensors = sensors_with(report.effects, t_ref=_T_REF)
     lines, lost = _objects(sensors, instance)
     lost += [f"{named(e)}: imuSensor has no such effect" for e in sensors.rest if instance in e.instances]
@@ -73,7 +73,7 @@ def _objects(sensors: SensorEffects, instance: int) -> tuple[list[str], list[str
 
 
 def _wanted(key: str, values: Mapping[str, Any]) -> bool:
-    """Flicker's filter only where there is flicker."""
+    """Flicker's filter only with flicker."""
     return key != "BiasInstabilityCoefficients" or bool(np.any(values["BiasInstability"]))
 
 

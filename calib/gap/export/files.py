@@ -1,4 +1,4 @@
-"""A report into the files of simulators and vehicles; the ending of a name says which."""
+"""A report as files of simulators and vehicles; the file name's ending selects the format."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from mavcal.calib.recording import Recording
 
 
 class Target(StrEnum):
-    """Who the file is for."""
+    """The simulator or vehicle of a file."""
 
     SITL = "sitl"  # ArduPilot's simulator: SIM_*
     FRAME = "frame"  # the frame's file of ArduPilot's simulator
@@ -51,7 +51,7 @@ ENDINGS: Mapping[str, Target] = {
 
 @dataclass(frozen=True)
 class Exported:
-    """One file: its text, in words what it cannot hold, and which effects in it are less likely than something else."""
+    """A file: its text, what it cannot hold, and its doubtful effects."""
 
     text: str
     not_held: tuple[str, ...]
@@ -153,7 +153,7 @@ def _airframe_patch(
     frame: Mapping[str, Any] | None,
     mass: float | None,
 ) -> Patch:
-    """For the simulator of `target`: parameters of the other kind say nothing of it."""
+    """Airframe parameters for the simulator of `target`, without parameters of another one."""
     known = dict(base or {})
     if target is not Target.SIH:
         known = {name: v for name, v in known.items() if not name.startswith("SIH_")}
@@ -171,7 +171,7 @@ def _of_simulator(
     patched: Patch,
     air: tuple[str, ...],
 ) -> tuple[str, tuple[str, ...]]:
-    """The text of one of the simulators' files, and what it cannot hold: what is in the other file, too."""
+    """The text of a simulator's file, and what it cannot hold or another file holds."""
     if target is Target.SITL:
         sensors = patch(found, base)
         elsewhere = _elsewhere(patched.frame_json, "the frame's file (--for sitl, .json)")

@@ -39,7 +39,7 @@ _TAGS = {
 
 @dataclass(frozen=True)
 class SdfSnippet:
-    """The text of the ``<sensor>`` elements, and in words what they cannot hold."""
+    """The ``<sensor>`` elements, and what they cannot hold."""
 
     text: str
     not_held: tuple[str, ...]

@@ -83,7 +83,7 @@ _OLDEST = {
 
 @dataclass(frozen=True)
 class SitlPatch:
-    """Parameters to load into the simulator, in words what they cannot hold, and what to mind."""
+    """Simulator parameters, what they cannot hold, and notes."""
 
     values: Mapping[str, float]
     not_held: tuple[str, ...] = ()
@@ -183,7 +183,7 @@ def simulator_parameters(base: Mapping[str, float] | None) -> dict[str, float]:
 
 
 def _present(known: Mapping[str, float]) -> dict[tuple[Sensor, int], SensorErrors]:
-    """The simulator's sensors as they are."""
+    """The simulator's present sensors."""
     present: dict[tuple[Sensor, int], SensorErrors] = {}
     if any(name.startswith(("SIM_ACC", "SIM_GYR", "SIM_MAG", "SIM_IMUT")) for name in known):
         for instance in range(max(_INSTANCES.values())):
@@ -193,7 +193,7 @@ def _present(known: Mapping[str, float]) -> dict[tuple[Sensor, int], SensorError
 
 
 def _of_sensor(values: dict[str, float], not_held: list[str], effect: EffectEstimate, sensors: SensorEffects) -> None:
-    """The parameters of an effect's families, of the sensors with all effects."""
+    """Parameters of an effect's families, from the sensors with all effects."""
     families = _FAMILIES.get(effect.id, ())
     if effect.sensor is None:
         return
@@ -212,7 +212,7 @@ def _of_sensor(values: dict[str, float], not_held: list[str], effect: EffectEsti
 
 
 def _shown(errors: SensorErrors, sensor: Sensor) -> SensorErrors:
-    """Without what :func:`to_sitl` has no parameters for: it is named elsewhere."""
+    """Errors that :func:`to_sitl` has parameters for; the others are listed elsewhere."""
     curve = errors.temperature if sensor != Sensor.MAG else np.zeros((3, 0))
     matrix = errors.matrix if sensor == Sensor.MAG else np.diag(np.diag(errors.matrix))
     if not curve.any():
@@ -309,7 +309,7 @@ _SPECIAL: Mapping[str, _Special] = {
 
 
 def _all(report: GapReport, sensor: Sensor) -> set[int]:
-    """Instances that the report knows of."""
+    """All instances in the report."""
     seen = {i for fit in report.series if fit.sensor is sensor for i in fit.instances}
     return seen | {i for effect in report.effects if effect.sensor is sensor for i in effect.instances}
 
@@ -319,7 +319,7 @@ def _three(name: str, three: Array) -> dict[str, float]:
 
 
 def _reason(effect: EffectEstimate) -> str:
-    """Why SITL cannot hold it."""
+    """Why SITL cannot hold an effect."""
     known = by_id().get(effect.id)
     if known is not None and known.traits & {Trait.BROADBAND, Trait.WANDERING}:
         return "SITL's noise is uniform and of a fixed size; SIM_ACC_FILE_RW and SIM_GYR_FILE_RW replay a recorded one"
@@ -344,7 +344,7 @@ def _notes(values: Mapping[str, float], effects: Sequence[EffectEstimate]) -> tu
 
 
 def _renamed(values: Mapping[str, float], known: Mapping[str, float]) -> dict[str, float]:
-    """The names of the simulator that `known` is of."""
+    """Parameters with the names of the simulator version of `known`."""
     old: dict[str, str] = {}
     if "SIM_MAG_OFS_X" in known:
         old |= _OLDER
@@ -354,7 +354,7 @@ def _renamed(values: Mapping[str, float], known: Mapping[str, float]) -> dict[st
 
 
 def in_names(values: Mapping[str, float], old: Mapping[str, str]) -> dict[str, float]:
-    """`values` with the beginnings of their names replaced."""
+    """`values` with replaced beginnings of their names."""
     made = {}
     for name, v in values.items():
         begin = next((b for b in old if name == b or name.startswith(f"{b}_")), None)

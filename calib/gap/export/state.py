@@ -50,7 +50,7 @@ def vector(effect: EffectEstimate, name: str) -> Array:
 
 
 def named(effect: EffectEstimate) -> str:
-    """The effect as it is spoken of in a file: ``accel_bias of instance 1``."""
+    """The effect and its instances in words: ``accel_bias of instance 1``."""
     numbers = ", ".join(map(str, effect.instances))
     if effect.sensor is None:
         return f"{effect.id} of motor {numbers}" if numbers else effect.id
@@ -58,18 +58,18 @@ def named(effect: EffectEstimate) -> str:
 
 
 def sensor_effects(effects: Iterable[EffectEstimate]) -> tuple[EffectEstimate, ...]:
-    """Those of a sensor."""
+    """Effects of a sensor."""
     return tuple(e for e in effects if e.sensor is not None)
 
 
 def doubt_text(effect: EffectEstimate) -> str:
-    """That something is likelier than a doubtful effect."""
+    """Notice of a doubtful effect."""
     return f"{named(effect)}: it has a probability of {effect.evidence.probability:.2f}: something else is likelier"
 
 
 @dataclass(frozen=True, eq=False)
 class SensorEffects:
-    """Every sensor of the vehicle with its effects, by sensor and instance (from 1), and the effects left over."""
+    """Sensors of the vehicle with their effects, by sensor and instance (from 1), and the remaining effects."""
 
     errors: Mapping[tuple[Sensor, int], SensorErrors]
     rest: tuple[EffectEstimate, ...]
@@ -188,7 +188,7 @@ def _about(effect: EffectEstimate, t_ref: float) -> tuple[Array, Array]:
 
 
 def _sized(effect: EffectEstimate, base: SensorErrors) -> dict[str, Any]:
-    """Noise, g-sensitivity, range and resolution; noise is added in power to what the simulator has."""
+    """Noise, g-sensitivity, range and resolution; noise adds in power to the simulator's."""
     match term_of(effect):
         case SensorTerm.WHITE_NOISE:
             return {"noise_density": np.hypot(base.noise_density, vector(effect, "density"))}

@@ -108,7 +108,7 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
 
 
 def _units(effects: Iterable[EffectEstimate]) -> set[tuple[Sensor, int]]:
-    """Sensors and instances that the effects are on."""
+    """Sensors and instances of the effects."""
     return {(e.sensor, n) for e in effects if e.sensor is not None for n in e.instances}
 
 
@@ -121,7 +121,7 @@ def _with_beliefs(plan: WritePlan, beliefs: Sequence[Change]) -> WritePlan:
 def _fit(
     report: GapReport, real: Recording, effects: Sequence[EffectEstimate], sensor: Sensor, number: int
 ) -> FitResult:
-    """What the calibration of one sensor should be, with the errors of the effects."""
+    """The new calibration of one sensor, with the errors of the effects."""
     autopilot, parameters, instance = real.identity.autopilot, real.parameters.final(), number - 1
     force = calibration_in_force(autopilot, parameters, sensor, instance)
     mounting = body_from_sensor(autopilot, parameters, sensor, instance)
@@ -176,7 +176,7 @@ def corrected_model(
 
 
 def _reference(effects: Sequence[EffectEstimate], force: TriadModel) -> float:
-    """Where drifts are stated: where those in force are, else where the found ones vanish."""
+    """Reference temperature: that of the drifts in force, else that of the found ones."""
     if force.polynomial is not None:
         return force.polynomial.t_ref
     return next((value(e, "t_ref") for e in effects if term_of(e) in TEMPERATURE_TERMS), REFERENCE_TEMPERATURE)
@@ -224,7 +224,7 @@ def _samples(report: GapReport, sensor: Sensor, number: int) -> int:
 
 
 def _temperatures(report: GapReport, sensor: Sensor, number: int) -> tuple[float, float] | None:
-    """The coldest and the warmest, degC."""
+    """Lowest and highest temperature, degC."""
     for fit in report.series:
         warmth = fit.covariates.get("temperature")
         if fit.sensor is sensor and number in fit.instances and warmth is not None and len(warmth):
@@ -233,6 +233,6 @@ def _temperatures(report: GapReport, sensor: Sensor, number: int) -> tuple[float
 
 
 def _residual(report: GapReport, sensor: Sensor, number: int) -> float:
-    """Root mean square of what is left, per axis."""
+    """Rms of the residual with the effects, per axis."""
     left = [s.residual - s.modelled for s in report.series if s.sensor is sensor and number in s.instances]
     return float(np.sqrt(np.mean(left[0] ** 2))) if left else 0.0

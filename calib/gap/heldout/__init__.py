@@ -1,1 +1,1 @@
-"""Blocks that are held out: whether they confirm an effect, and how far the gap shrinks on them."""
+"""Held-out blocks: whether they confirm an effect, and how far the gap shrinks on them."""

@@ -1,8 +1,8 @@
-"""Effects that a real flight shows by itself: on each of its blocks, and along either attitude.
+"""Consistency of effects in a flight without a companion: on each of its blocks, and along either attitude.
 
-Without a simulated or nominal flight or an outside reference, nothing says what two flights differ by anyway. The
-trajectory was made of the sensors in question. What it errs by looks like effects, which hold for a
-part of the flight, or only along this one trajectory. The estimator of the vehicle made another one.
+Without a simulated or nominal flight or an external reference, nothing tells what two flights differ by anyway, and the
+trajectory was made from the sensors in question. Its errors look like effects that hold in a part of the flight, or
+along this trajectory only. The vehicle's estimator made another one.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _ATTITUDE_SENSORS = (Sensor.ACCEL, Sensor.MAG)
 def inconsistent_effects(
     problem: GapProblem, lattice: Lattice, chosen: ChosenModel, heldout: Heldout | None
 ) -> frozenset[Key]:
-    """Effects and shapes of `chosen` that a block denies or cannot tell of, or the log's own attitude denies."""
+    """Effects and shapes of `chosen` that a block or the logged attitude denies, or that no block can test."""
     named = chosen.model.members
     denied = {t.hypothesis.key for t in named} - set(confirmed_on_every_block(() if heldout is None else heldout.gates))
     other = along_logged_attitude(problem)
@@ -55,14 +55,14 @@ def inconsistent_effects(
 
 
 def confirmed_on_every_block(gates: Iterable[Gate]) -> Iterator[Key]:
-    """Keys of the effects that blocks which were held out confirm, and none of them denies."""
+    """Keys of effects that the held-out blocks confirm, with none denying them."""
     for gate in gates:
         if gate.passed and (gate.gains > -_CHANCE_LOSS).all():
             yield gate.key
 
 
 def along_logged_attitude(problem: GapProblem) -> GapProblem | None:
-    """`problem` with ideal readings along the attitude that the vehicle logged; None where it logged none."""
+    """`problem` with ideal readings along the logged attitude; None without one."""
     if problem.own_attitude is None:
         return None
     return replace(problem, traces=tuple(_with_attitude(t, *problem.own_attitude) for t in problem.traces))
@@ -74,7 +74,7 @@ def _with_attitude(trace: Trace, t: Array, q: Array) -> Trace:
     own = Rotation.from_quat(np.column_stack([np.interp(trace.t, t, c) for c in q.T])[:, [1, 2, 3, 0]])
     turn = own.inv() * Rotation.from_quat(trace.attitude[:, [1, 2, 3, 0]])
     ideal = turn.apply(trace.ideal)
-    # what never was measured keeps reading as the ideal one does
+    # rows without a sample keep a zero residual
     measured = np.where(trace.observed[:, None], trace.measured, trace.measured + ideal - trace.ideal)
     force = None if trace.force is None else turn.apply(trace.force)
     field = None if trace.field is None else turn.apply(trace.field)
@@ -100,7 +100,7 @@ def _denied_along(
 
 
 def _agrees_in_size(term: Term | NoiseTerm, other: Model) -> bool:
-    """Whether the effect points the same way and is about as large; of noise its gain says enough."""
+    """Whether the effect has the same direction and about the same size; noise is judged by its gain."""
     if isinstance(term, NoiseTerm):
         return True
     again = next(t for t in other.terms if t.hypothesis.key == term.hypothesis.key)

@@ -51,7 +51,7 @@ GUARD_S = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """One block and all the others, each with its noise before any effect."""
+    """A held-out block and the others, each with its noise before any effect."""
 
     train: Model
     test: Model
@@ -59,7 +59,7 @@ class Fold:
 
 @remembered(2)
 def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
-    """`count` folds of a setting; fewer where a block has no samples. The last ones asked for are kept."""
+    """`count` folds of a setting, without blocks that have no samples."""
     edges, guard = _block_edges(setting, count)
     found = []
     for low, high in itertools.pairwise(edges):
@@ -72,7 +72,7 @@ def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
 
 @remembered(1)
 def blocks_of(setting: Setting, count: int) -> tuple[Model, ...]:
-    """The blocks of those folds alone."""
+    """The blocks of those folds."""
     edges, guard = _block_edges(setting, count)
     parts = (_views_between(setting, low + guard, high - guard) for low, high in itertools.pairwise(edges))
     blocks = [part for part in parts if part]
@@ -80,7 +80,7 @@ def blocks_of(setting: Setting, count: int) -> tuple[Model, ...]:
 
 
 def _block_edges(setting: Setting, count: int) -> tuple[Array, float]:
-    """Moments between which `count` blocks of equal length lie, s, and what is cut off at either end of each."""
+    """Edges of `count` blocks of equal length, s, and the guard time at either end of each."""
     start = min(float(view.t[0]) for view in setting.views)
     end = max(float(view.t[-1]) for view in setting.views)
     return np.linspace(start, end, count + 1), min(GUARD_S, 0.1 * (end - start) / count)
@@ -96,17 +96,17 @@ def _starting_model(views: Sequence[View]) -> Model:
 
 
 def with_joined_term(model: Model, term: Term | NoiseTerm, *, hold: bool = False) -> Model:
-    """The model with a term of another setting, fitted from where that is; with `hold` shapes stay there."""
+    """The model with a term of another setting, fitted from its present values; with `hold` shapes are held."""
     if isinstance(term, NoiseTerm):
         return locally_fitted(with_term(model, term), term.hypothesis, hold=hold)
     return locally_fitted(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis, hold=hold)
 
 
 def is_predictable(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
-    """Whether the blocks of `train` can know of a term of the `whole` model.
+    """Whether the blocks of `train` determine a term of the `whole` model.
 
-    Beside a drift of the bias, only blocks in which a jump happens know of it; without a drift, their levels tell its
-    size. Blocks without a sample between two jumps know the sum of both, and neither.
+    Beside a drift of the bias only blocks that contain a jump determine it; without one, the levels do. Blocks without
+    a sample between two jumps determine only their sum.
     """
     effect = term.hypothesis.effect
     if not isinstance(term, Term) or effect.shape is None or not effect.shape.discontinuous:
@@ -125,12 +125,12 @@ def is_predictable(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool
 
 
 def without_hypothesis(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
-    """The model without the term of a hypothesis, what remains fitted again; with `hold` shapes stay where they are."""
+    """The model without the term of a hypothesis, fitted again; with `hold` shapes are held."""
     return locally_fitted(without_effect(model, hypothesis.key), hypothesis, hold=hold)
 
 
 def applied_to(model: Model, test: Model) -> Model:
-    """A model of the training blocks applied to the held-out one: the same effects, the same noise."""
+    """A model of the training blocks applied to the held-out one: same effects, same noise."""
     for noise_term in model.noise_terms:
         test = with_term(test, noise_term)
     # A density has the same name on every axis.
@@ -153,7 +153,7 @@ def log_loss(model: Model) -> float:
 
 
 def power_ratio(model: Model) -> tuple[float, int]:
-    """Mean square of the whitened residual, and how many numbers it is of."""
+    """Mean square of the whitened residual, and the count of its numbers."""
     total, count = 0.0, 0
     for a in range(model.setting.axes):
         bins = model.setting.bins[a // 3]
@@ -163,10 +163,10 @@ def power_ratio(model: Model) -> tuple[float, int]:
 
 
 def expected_gain(term: Term, train: Model, test: Model) -> float:
-    """Nats by which a term of the mean should lower the loss of a held-out block, if it is what it says.
+    """Expected decrease of the loss of a held-out block by a term of the mean, in nats, if the term is true.
 
-    Half the energy it has there beyond what the error of its estimate costs; far below zero where the other blocks do
-    not show what this one does.
+    Half of its energy there, less the cost of its estimation error; very negative if the other blocks do not determine
+    it.
     """
     if not any(term.hypothesis.touches(view) for view in test.setting.views):
         return 0.0
@@ -184,7 +184,7 @@ def expected_gain(term: Term, train: Model, test: Model) -> float:
 
 
 def _term_energy(term: Term, model: Model) -> float:
-    """Weighted sum of squares of what a term adds."""
+    """Weighted sum of squares of a term's contribution."""
     without = with_residual(replace(model, terms=()))
     alone = with_residual(replace(model, terms=(term,)))
     pairs = zip(without.y, alone.y, model.weight, strict=True)
@@ -199,7 +199,7 @@ def with_weight(model: Model) -> Model:
 
 
 def contest_of(hypotheses: Sequence[Hypothesis], thresholds: GainThresholds, pace: GapPace | None = None) -> Contest:
-    """A contest of its own: every fold has other columns, and only as many are kept as one selection asks for."""
+    """A contest with a cache of one selection, since every fold has other columns."""
     return Contest(hypotheses, budget=16_000_000, thresholds=thresholds, pace=pace)
 
 
@@ -252,13 +252,13 @@ def predictive_loss(fitted: Model, block: Model) -> float:
 
 
 def _information(model: Model) -> tuple[Array, Array]:
-    """Information on all values of a model's terms, and the right side beside it."""
+    """Information of all values of a model's terms, and the right side."""
     normal = normal_equations([jacobian(t, model.setting) for t in model.terms], model.y, model.weight)
     return normal.gram, normal.right
 
 
 def _precision(fitted: Model, fitted_gram: Array, tested_gram: Array) -> Array:
-    """Precision of the prior of every value: amplitudes have one of their own size, shapes none."""
+    """Prior precision of every value: amplitudes have a prior of their own size, shapes none."""
     ends = np.cumsum([0, *(len(term.values) for term in fitted.terms)])
     error = 1.0 / np.sqrt(np.maximum(np.diag(fitted_gram + tested_gram), np.finfo(float).tiny))
     values = np.concatenate([term.values for term in fitted.terms])
@@ -282,7 +282,7 @@ def _precision(fitted: Model, fitted_gram: Array, tested_gram: Array) -> Array:
 
 
 def _jump_indices(terms: tuple[Term, ...]) -> set[int]:
-    """Where moments are among the values of all terms: nothing is smooth about them."""
+    """Indices of jump moments among the values of all terms, which have no smooth derivative."""
     ends = np.cumsum([len(term.values) for term in terms])
     return {
         int(e) - 1

@@ -1,4 +1,4 @@
-"""Whether blocks that were held out confirm an effect, or deny it."""
+"""Gates: whether held-out blocks confirm an effect."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ exp(-5)."""
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """Whether an effect shrinks held-out data: gain by block in nats, and whether it stays; None: not determined."""
+    """Gains of an effect on the held-out blocks, in nats, and whether it passed; None: undecided."""
 
     key: Key
     gains: Array
@@ -44,11 +44,11 @@ def gate_of(
     chosen: ChosenModel,
     beside: Gains,
 ) -> Gate:
-    """Passed where held-out data are described better; withdrawn where they are not although they should.
+    """The gate of a term: passed if held-out data are predicted better, failed if not although they should be.
 
-    An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats: one near the limit of detection may gain
-    nothing although it is true. An event of a single block cannot be predicted from the others. A drift of
-    the bias in one block says nothing about the next.
+    An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats, so a true one near the limit of detection
+    may gain nothing. An event of one block cannot be predicted from the others, and a drift in one block says nothing
+    about the next.
     """
     total = float(gains.sum())
     key = term.hypothesis.key
@@ -72,7 +72,7 @@ def gate_of(
 
 
 def _is_event(term: Term) -> bool:
-    """Whether it happens at a moment: the levels of other blocks are then shared with other events and with drifts."""
+    """Whether it is an event, whose levels are shared with other events and drifts."""
     return term.effect.shape is not None and term.effect.shape.discontinuous
 
 
@@ -81,5 +81,5 @@ def _numbers(term: Term, setting: Setting) -> int:
 
 
 def _gain_beside_noise(nats: float, numbers: int) -> float:
-    """What of a gain is left beside a model whose noise grew in place of the effect: ``n/2 log(1 + 2 nats/n)``."""
+    """Gain beside noise that grew in place of the effect: ``n/2 log(1 + 2 nats/n)``."""
     return 0.5 * numbers * math.log1p(max(2.0 * nats / max(numbers, 1), -0.9))

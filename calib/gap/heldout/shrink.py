@@ -1,9 +1,9 @@
-"""How far the gap shrinks on data that the effects have not seen, in nats a sample.
+"""Shrink of the gap on data that the effects have not seen, in nats a sample.
 
-Blocks are held out in turn; effects are chosen and fitted on the others. The loss is the negative log predictive
-density: a proper score that knows means and noise. The floor is the loss of a model that has the effects exactly. It is
-the loss of the fit to all data, plus half a nat for each fitted number: the fit follows its own noise (Akaike 1974).
-What is still above the declared noise is taken off.
+Blocks are held out in turn; effects are selected and fitted on the others. The loss is the negative log predictive
+density, a proper score of mean and noise. The floor is the loss of a model with the exact effects: the loss of the fit
+to all data plus half a nat for each fitted number, since the fit follows its own noise (Akaike 1974), less any
+significant excess over the declared noise.
 """
 
 from __future__ import annotations
@@ -74,11 +74,11 @@ denied by chance."""
 
 @dataclass(frozen=True, eq=False)
 class Heldout:
-    """What B blocks say that were held out, and the gates of the effects.
+    """Losses of B held-out blocks, and the gates of the effects.
 
-    `losses` (B, 2) are nats without the effects and with them, and `floor` (B,) those of a model that has them exactly.
-    `samples` (B,) are the numbers in each block, and `steps` (B, K) what it gains by each effect of the ids `order` in
-    turn. `happens` marks blocks with an event: the others cannot know when it was.
+    `losses` (B, 2) are nats without and with the effects, `floor` (B,) those of a model with the exact effects,
+    `samples` (B,) the counts, and `steps` (B, K) the gains of the effects `order`, added in turn. `has_event` marks
+    blocks with an event, whose time the others cannot predict.
     """
 
     folds: tuple[Fold, ...]
@@ -102,13 +102,13 @@ class Heldout:
 
     @property
     def _lowest(self) -> Array:
-        """The floor by block; over all blocks no model is below it."""
+        """The floor by block, lowered so that over all blocks no model is below it."""
         below = max(float((self.floor - self.losses[:, 1]).sum()), 0.0)
         return self.floor - below / float(self.samples.sum()) * self.samples
 
     @property
     def sequence(self) -> tuple[SequenceStep, ...]:
-        """Which part of the gap each effect closes, added one after the other."""
+        """Share of the gap that each effect closes, added in turn."""
         whole = float(self.before.sum())
         if whole <= 0.0:
             return ()
@@ -119,9 +119,9 @@ class Heldout:
 def held_out(
     chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] = (), known: Collection[Gate] | None = None
 ) -> Heldout | None:
-    """Every block held out in turn; None if the recording is too short for that, or nothing is a gap.
+    """Every block held out in turn; None if the recording is too short, or nothing is reported.
 
-    Once the time for it is over, shapes stay where all data have them.
+    Once time is over, shapes are held at their values for all data.
 
     Parameters
     ----------
@@ -191,9 +191,9 @@ def held_out(
 
 
 def _gains_beside_noise(chosen: ChosenModel, contest: Contest) -> Gains:
-    """What each effect gains as the last one; of noise that nobody declared no more than once it is fitted without it.
+    """Marginal gain of each effect; beside undeclared noise, at most the gain over a refit of that noise.
 
-    That takes much of a slow effect for its own, on held-out blocks as well.
+    Such noise absorbs much of a slow effect, on held-out blocks as well.
     """
     gains = dict(marginal_gains(chosen.model, contest))
     unknown = {view.sensor for view in chosen.model.setting.views if not is_declared(view)}
@@ -208,9 +208,9 @@ def _gains_beside_noise(chosen: ChosenModel, contest: Contest) -> Gains:
 
 
 def with_nested_selection(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: float) -> Heldout:
-    """The same with effects that are selected again for each block, from the others.
+    """The same with effects that are selected again for each block from the others.
 
-    Not where an event lies in it, nor once the time for it is over.
+    Not for blocks with an event, nor once time is over.
     """
     pace, losses = contest.pace, []
     took = _REPEATED_TIME_SHARE * pace.duration_of(GapStage.SELECTION) if GapStage.SELECTION in pace.began else 0.0
@@ -227,10 +227,10 @@ def with_nested_selection(found: Heldout, chosen: ChosenModel, contest: Contest,
 
 
 def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model, fold: Fold) -> float:
-    """Loss of a held-out block under the effects as all data have them.
+    """Loss of a held-out block under the effects of all data.
 
-    How loud a sensor is every model has to learn from the other blocks, and is no part of the gap: unless noise is the
-    effect, the floor has that of the model `fitted` there, as it has everything that is tolerated.
+    The noise level has to be learned from the other blocks by any model and is no part of the gap. Unless noise is the
+    effect, the floor therefore uses the noise, and the tolerated terms, of the model `fitted` there.
     """
     noise = chosen.model if any(isinstance(term, NoiseTerm) for term in order) else fitted
     tested = {term.hypothesis.key for term in order}
@@ -243,7 +243,7 @@ def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model
 
 @remembered(2)
 def without_reference_error(model: Model) -> Setting:
-    """The setting with the error of the reference taken out: it says nothing about another block."""
+    """The setting with the reference's attitude error subtracted, which does not predict another block."""
     if model.ridge is None:
         return model.setting
     ridge, seen = model.ridge, model.ridge.columns.parts
@@ -255,7 +255,7 @@ def without_reference_error(model: Model) -> Setting:
 
 
 def _is_event_of(term: Term | NoiseTerm, block: Model) -> bool:
-    """Whether a term is an event of the held-out block: when it happened no other block can tell."""
+    """Whether a term is an event of the held-out block, which the others cannot predict."""
     if not isinstance(term, Term) or not term.hypothesis.effect.jumps:
         return False
     own = [view for view in block.setting.views if term.hypothesis.touches(view)]
@@ -265,7 +265,7 @@ def _is_event_of(term: Term | NoiseTerm, block: Model) -> bool:
 def _in_order_of_entry(
     chosen: ChosenModel, tolerated: Collection[Key]
 ) -> tuple[list[Term | NoiseTerm], list[Term | NoiseTerm]]:
-    """Terms in the order in which they joined: those that are tolerated, and the others."""
+    """Tolerated terms and the others, each in order of entry."""
     members = {t.hypothesis.key: t for t in chosen.model.members}
     terms = [members[s.hypothesis.key] for s in chosen.scores if s.hypothesis.key in members]
     given = [term for term in terms if term.hypothesis.key in tolerated]
@@ -277,14 +277,14 @@ def _count(model: Model) -> int:
 
 
 def _unexplained_per_number(model: Model) -> float:
-    """Nats a number that the model leaves above its own noise, if more than chance."""
+    """Significant excess of the residual over the model's noise, in nats a number."""
     ratio, count = power_ratio(model)
     excess = 0.5 * (ratio - 1.0)
     return excess if excess > _SIGNIFICANT / math.sqrt(2.0 * count) else 0.0
 
 
 def _loss_of_selection_without(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: float) -> float:
-    """Loss of the held-out block under what is selected without it."""
+    """Loss of the held-out block under a selection on the others."""
     promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _CANDIDATE_CHANCE}
     few = [h for h in contest.hypotheses if h.key in promising or (h.before is not None and h.before in promising)]
     level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
@@ -295,7 +295,7 @@ def _loss_of_selection_without(fold: Fold, chosen: ChosenModel, contest: Contest
 
 
 def bootstrap_interval(part: Array, whole: Array) -> tuple[float, float]:
-    """95 % interval of ``sum(part) / sum(whole)`` by resampling the blocks."""
+    """95 % interval of ``sum(part) / sum(whole)`` by resampling blocks."""
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, len(part), (_RESAMPLED, len(part)))
     total = whole[drawn].sum(axis=1)
@@ -308,7 +308,7 @@ def bootstrap_interval(part: Array, whole: Array) -> tuple[float, float]:
 
 
 def shrink_of(chosen: ChosenModel, found: Heldout, *, nested: bool) -> Shrink:
-    """The headline."""
+    """The shrink for the report."""
     samples = float(found.samples.sum())
     gap = float(found.before.sum())
     closed, ci = None, None
@@ -325,9 +325,9 @@ def shrink_of(chosen: ChosenModel, found: Heldout, *, nested: bool) -> Shrink:
 
 
 def rms_of(model: Model) -> dict[str, tuple[float, float, str]]:
-    """By sensor: root mean square of the residual before and after, of one axis.
+    """Rms of the residual of one axis before and after, by sensor.
 
-    Each band counts with what lies in it, at the rate of the whole series.
+    Each band counts at the rate of the whole series.
     """
     energy: dict[str, list[float]] = {}
     units: dict[str, str] = {}
@@ -345,10 +345,10 @@ def rms_of(model: Model) -> dict[str, tuple[float, float, str]]:
 
 @dataclass(frozen=True)
 class BlockAgreement:
-    """Whether the blocks, each for itself, agree on an effect's amplitudes: large doses say what small ones say.
+    """Whether single blocks agree on an effect's amplitudes, the dose-response gate.
 
-    `agrees` is None for effects on the noise and where fewer than two blocks show the effect. Where they disagree, the
-    stated errors are too small by `widening` (Birge's ratio): something that is not in the model moves the amplitudes.
+    `agrees` is None for noise and if fewer than two blocks show the effect. If they disagree, standard errors are too
+    small by `widening` (Birge's ratio), because an unmodelled effect changes the amplitudes.
     """
 
     agrees: bool | None = None
@@ -356,7 +356,7 @@ class BlockAgreement:
 
 
 def block_agreement(chosen: ChosenModel, key: Key) -> BlockAgreement:
-    """What the blocks say of the effect `key`."""
+    """Agreement of the blocks on the effect `key`."""
     model = chosen.model
     term = next((t for t in model.terms if t.hypothesis.key == key), None)
     if term is None:

@@ -1,1 +1,1 @@
-"""The model of a diagnosis: series, bands, what competes to explain them, and the joint fit of mean and noise."""
+"""The model of a diagnosis: series and bands, hypotheses, and the joint fit of mean and noise."""

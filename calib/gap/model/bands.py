@@ -1,8 +1,8 @@
-"""A long series at a high rate as two: slow movement at a low rate, and the band above it.
+"""A long series at a high rate as two bands: slow movement at a low rate, and everything above.
 
-The cosine transform is cut at a bin. What lies below is a series of its own at a lower rate, with exactly the same
-coefficients; nothing is lost but the finest detail of covariates that are multiplied with each other. What the
-reference moves lies below; above are noise, vibration and tones, to which the other effects have nothing to say.
+The cosine transform is split at a bin. The lower part is a series at a lower rate with exactly the same coefficients;
+only the finest detail of multiplied covariates is lost. The reference's movement is in the lower band; noise, vibration
+and tones are above.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def resampled(series: Array, m: int) -> Array:
 
 
 def combined(lower: Array, upper: Array) -> Array:
-    """Both bands as one series (n, 3): `lower` (m, 3) at its rate, and what `upper` (n, 3) has above it."""
+    """Both bands as one series (n, 3): `lower` (m, 3) at its rate, and the part of `upper` (n, 3) above it."""
     bins = np.ascontiguousarray(transform(upper.T).T)
     bins[: len(lower)] = transform(lower.T).T * np.sqrt(len(upper) / len(lower))
     return np.asarray(idct(bins, type=2, norm="ortho", axis=0))
@@ -76,7 +76,7 @@ def _bands_of(view: View, slow: dict[tuple[int, int], Trace]) -> tuple[View, ...
 
 
 def _at_fast_length(view: View, slow: dict[tuple[int, int], Trace]) -> View:
-    """Without the last few samples: a length that transforms fast."""
+    """The series without the last few samples: a length whose transform is fast."""
     n = fast_length(len(view.keep))
     keep = view.keep[:n]
     rows = int(keep.sum())
@@ -101,7 +101,7 @@ def _replaced(trace: Trace, changes: Mapping[str, Any]) -> Trace:
 
 
 def _reference_is_slow(view: View, share: float) -> bool:
-    """Whether the reference hardly moves above that share of the band."""
+    """Whether the reference has hardly any power above that share of the band."""
     for trace in view.traces.values():
         if trace.against is not None:
             continue
@@ -176,7 +176,7 @@ def _at_lower_rate(trace: Trace, m: int) -> Trace:
 
 
 def assembled(views: Sequence[View], power: Sequence[Array], v: int, c: int) -> Array:
-    """Power (n,) of axis `c` of series `v` on the bins of the whole series; the upper band follows the lower one."""
+    """Power (n,) of axis `c` of series `v` on the bins of the whole series, from both bands."""
     view = views[v]
     if view.fine is None:
         return power[3 * v + c]

@@ -1,4 +1,4 @@
-"""What competes: an effect of the catalogue on one instance, or with one set of parameters on all of them."""
+"""Hypotheses: an effect of the catalogue on one instance, or with common parameters on all."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ Key = tuple[str, tuple[int, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """An effect on `instances` of its sensor (of every sensor for effects that all share).
+    """An effect on `instances` of its sensor (of every sensor for shared effects).
 
-    `again` counts the times that it is already there, for effects that can happen more than once. `handicap` is its
-    price, in twice the log-likelihood, where it is rather another instance that has something; `loud` whether its
-    instances are the ones that have such noise, None where only their own residuals say.
+    `again` counts the earlier occurrences of a repeatable effect. `handicap` is its price, in twice the log-likelihood,
+    if rather another instance has the error. `loud` tells whether its instances have such noise; None if only their
+    residuals tell.
     """
 
     effect: CatalogueEffect
@@ -51,40 +51,40 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple[str, tuple[int, ...]]:
-        """What tells hypotheses apart."""
+        """Identity of the hypothesis."""
         return self.effect.id + self.effect.form + _REPETITION_MARK * self.again, self.instances
 
     @property
     def before(self) -> tuple[str, tuple[int, ...]] | None:
-        """Key of the one that must be there first, None for the first."""
+        """Key of the previous occurrence, which must be in the model first; None for the first."""
         name = self.effect.id + self.effect.form
         return (name + _REPETITION_MARK * (self.again - 1), self.instances) if self.again else None
 
     def touches(self, view: View) -> bool:
-        """Whether it would change this series."""
+        """Whether it changes that series."""
         own = self.effect.shared or view.sensor is self.effect.sensor
         slow = isinstance(self.effect, MeanEffect) and not self.fast
         return own and not (slow and view.first) and any(i in view.weights for i in self.instances)
 
     @property
     def fast(self) -> bool:
-        """Whether it changes a mean at any frequency: it is made at the sensor's own rate."""
+        """Whether it changes the mean at high frequencies, and is computed at the sensor's own rate."""
         return self.periodic or (self.effect.jumps and not self.effect.form)
 
     @property
     def periodic(self) -> bool:
-        """Whether it is a wave: noise that wanders cannot take its place."""
+        """Whether it is a wave, which drift noise cannot replace."""
         return self.effect.tonal or self.effect.form == _WAVE
 
     def is_covered_by(self, others: Iterable[Hypothesis]) -> bool:
-        """Whether one of `others` is the same effect on the same instances, in any form: it happens once."""
+        """Whether one of `others` is the same effect on the same instances in any form, unless it is repeatable."""
         places = [other.instances for other in others if other.effect.id == self.effect.id]
         return not self.effect.repeatable and self.instances in places
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Columns on one axis of one series: which of the hypothesis' columns are not zero there, transformed."""
+    """Transformed columns on one axis of one series: those that are not zero there, with their numbers."""
 
     index: NDArray[np.intp]
     X: Array
@@ -94,7 +94,7 @@ class Part:
 class HypothesisColumns:
     """`p` columns over every axis of every series; axis ``3 v + c`` is axis c of series v.
 
-    `groups` numbers the units of their amplitudes; None: they have one.
+    `groups` numbers the units of their amplitudes; None: all have the same.
     """
 
     p: int
@@ -103,16 +103,16 @@ class HypothesisColumns:
 
     @property
     def units(self) -> NDArray[np.intp]:
-        """Which columns have amplitudes of the same unit: the same number, (p,)."""
+        """Number of the unit of each amplitude, (p,)."""
         return np.zeros(self.p, np.intp) if self.groups is None else self.groups
 
 
 def hypotheses_of(
     effects: Iterable[CatalogueEffect], views: Sequence[View], worse: Mapping[Sensor, FaultyInstances] | None = None
 ) -> tuple[tuple[Hypothesis, ...], tuple[tuple[str, str, str], ...]]:
-    """Everything that can be tested, and (id, reason, need) of what cannot.
+    """Every hypothesis that can be tested, and (id, reason, need) of the others.
 
-    `worse`: by sensor with two instances, on which of them an effect rather is.
+    `worse`: by sensor with two instances, which of them has an error.
     """
     tested: list[Hypothesis] = []
     missing: list[tuple[str, str, str]] = []
@@ -141,7 +141,7 @@ def hypotheses_of(
 
 
 def _faulty_instances(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) -> tuple[int, ...] | None:
-    """Which instances have what an effect describes; None: nothing says."""
+    """The instances with the kind of error that an effect describes; None if undecided."""
     faulty = worse.get(effect.sensor)
     if effect.shared or faulty is None:
         return None
@@ -152,7 +152,7 @@ def _faulty_instances(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInst
 
 
 def _is_certain(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]) -> bool:
-    """Whether an effect that shifts the mean is on the instances at fault, whatever fits better."""
+    """Whether an effect on the mean belongs to the faulty instances whatever the likelihood says."""
     faulty = worse.get(effect.sensor)
     if faulty is None or faulty.slow is None or effect.shared or isinstance(effect, NoiseEffect):
         return False
@@ -160,7 +160,10 @@ def _is_certain(effect: CatalogueEffect, worse: Mapping[Sensor, FaultyInstances]
 
 
 def _handicap(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> float:
-    """Noise of both adds up in a difference as that of one does; what both add to the mean is not in it at all."""
+    """Price of an effect on other instances than the faulty ones.
+
+    Noise of both instances adds up in a difference like that of one; a common change of the mean cancels in it.
+    """
     noise = isinstance(effect, NoiseEffect)
     if at_fault is None or instances == at_fault or not (noise or len(instances) == len(at_fault)):
         return 0.0
@@ -168,14 +171,17 @@ def _handicap(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tup
 
 
 def _is_loud(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> bool | None:
-    """A trajectory that is re-estimated turns with its own gyroscope, which shows none of its noise against it."""
+    """Whether the instances have such noise; None if their residuals tell.
+
+    A re-estimated trajectory turns with its own gyroscope, whose noise does not show against it.
+    """
     if at_fault is None or effect.sensor is not Sensor.GYRO or Trait.BROADBAND not in effect.traits:
         return None
     return instances == at_fault
 
 
 def _instances(effect: CatalogueEffect, views: Sequence[View]) -> list[tuple[tuple[int, ...], list[Trace]]]:
-    """Smallest sets of instances on which the effect can sit, with the traces that it would change."""
+    """Smallest sets of instances of the effect, with the traces that it changes."""
     if effect.shared:
         traces = [trace for view in views for trace in view.traces.values()]
         everywhere = tuple(sorted({i for view in views for i in view.weights}))
@@ -198,7 +204,7 @@ def _common_instances(possible: Sequence[tuple[int, ...]]) -> tuple[int, ...] | 
 
 @dataclass(frozen=True, eq=False)
 class Binning:
-    """From samples to bins: long series are first averaged over `factor` consecutive samples."""
+    """Transform of a series into bins; a long series is first averaged over `factor` consecutive samples."""
 
     factor: int
     n: int
@@ -215,11 +221,11 @@ class Binning:
 
     @property
     def size(self) -> int:
-        """Bins: a length that transforms fast; the last few samples are left to the noise."""
+        """Number of bins: a length whose transform is fast."""
         return fast_length(self.n // self.factor)
 
     def power(self, S: Array) -> Array:
-        """Power of the averages, folded, from the power (n,) of the samples."""
+        """Power of the averages, aliases included, from the power (n,) of the samples."""
         m = self.size - self.first
         if self.factor == 1:
             return S if m == len(S) else _interpolated(S, m)
@@ -237,7 +243,7 @@ class Binning:
 
 
 def _interpolated(values: Array, m: int) -> Array:
-    """Values (n,) drawn at `m` places from the first to the last."""
+    """Values (n,) interpolated at `m` places from the first to the last."""
     left, part = _places(len(values), m)
     return values[left] + part * (values[left + 1] - values[left])
 
@@ -275,13 +281,13 @@ def columns_of(
 
 
 def units_of(effect: CatalogueEffect, p: int) -> NDArray[np.intp]:
-    """Which of an effect's `p` amplitudes have the same unit: the same number, (p,)."""
+    """Number of the unit of each of an effect's `p` amplitudes, (p,)."""
     names = [parameter.unit for parameter in effect.parameters]
     return np.array([names.index(name) for name in names] if len(names) == p else [0] * p, np.intp)
 
 
 def columns_in(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
-    """Columns (p, n, 3) or signals (p, n) of a hypothesis in `view`: over its instances, with their weights."""
+    """Columns (p, n, 3) or signals (p, n) of a hypothesis in `view`, summed over its instances with their weights."""
     total: Array | None = None
     whole = bool(view.keep.all())
     for instance, weight in view.weights.items():
@@ -310,7 +316,7 @@ def _at_lower_rate(columns: Callable[[Trace, float], Array], trace: Trace, theta
 
 
 def add_block(parts: dict[int, Part], v: int, block: Array, frame: Binning) -> None:
-    """Put columns (p, n, 3) of series `v` into `parts`, leaving out what is zero."""
+    """Add the columns (p, n, 3) of series `v` to `parts`, without those that are zero."""
     for c in range(3):
         axis = block[:, :, c]
         used = np.flatnonzero(axis.any(axis=1))

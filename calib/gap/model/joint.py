@@ -1,7 +1,7 @@
 """A model of the gap: effects on the mean and on the noise, fitted together.
 
-Everything is linear at a point: the columns of linear effects, and the derivatives of the others by their shape and
-(rotations) by their parameters. Gauss-Newton steps over all of them at once reach the joint maximum.
+The model is linearised: columns of linear effects, and derivatives of the others by their shape and (rotations) by
+their parameters. Gauss-Newton steps over all of them reach the joint maximum.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ memory."""
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """The series and how they are transformed."""
+    """The series of a problem and their transforms."""
 
     views: tuple[View, ...]
     frames: tuple[Binning, ...]
@@ -51,23 +51,23 @@ class Setting:
 
     @property
     def samples(self) -> int:
-        """Numbers over all axes."""
+        """Count of numbers over all axes."""
         return 3 * sum(view.count for view in self.views)
 
 
 def setting_of(views: tuple[View, ...]) -> Setting:
-    """Frames and bins of the series."""
+    """The setting of series."""
     return Setting(views, tuple(frame_of(view, _LONGEST) for view in views), tuple(bins_of(v.count) for v in views))
 
 
 def frame_of(view: View, longest: int) -> Binning:
-    """At most about `longest` averages; an upper band stays as it is."""
+    """Binning to at most about `longest` averages; an upper band is not averaged."""
     return Binning(1 if view.first else max(1, view.n // longest), view.n, view.first)
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """An effect on the mean that is in the model: amplitudes `beta` (p,), shape `theta` (NaN without one)."""
+    """An effect on the mean in the model: amplitudes `beta` (p,) and shape `theta` (NaN without one)."""
 
     hypothesis: Hypothesis
     beta: Array
@@ -75,13 +75,13 @@ class Term:
 
     @property
     def effect(self) -> MeanEffect:
-        """The effect as the catalogue has it."""
+        """The effect of the catalogue."""
         assert isinstance(self.hypothesis.effect, MeanEffect)
         return self.hypothesis.effect
 
     @property
     def values(self) -> Array:
-        """Everything that is estimated: the amplitudes unless they are fixed, then the shape."""
+        """All estimated values: the amplitudes unless they are fixed, then the shape."""
         free = self.beta[: 0 if self.effect.fixed else None]
         return free if self.effect.shape is None else np.append(free, self.theta)
 
@@ -96,7 +96,7 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class NoiseTerm:
-    """An effect on the noise that is in the model; its densities are named after it."""
+    """An effect on the noise in the model; its densities carry its name."""
 
     hypothesis: Hypothesis
     theta: float
@@ -109,9 +109,9 @@ class NoiseTerm:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Terms, what they leave over, and the noise.
+    """Terms, the residual, and the noise.
 
-    `residual` by series (n, 3); `noise` by axis; `y` and `weight` by axis in the bins of the mean (decimated).
+    `residual` by series (n, 3); `noise` by axis; `y` and `weight` by axis in the averaged bins of the mean.
     """
 
     setting: Setting
@@ -125,11 +125,11 @@ class Model:
 
     @property
     def members(self) -> tuple[Term | NoiseTerm, ...]:
-        """Every effect in it."""
+        """All terms."""
         return (*self.terms, *self.noise_terms)
 
     def periodogram(self, axis: int) -> Array:
-        """Sums of squares of the full transform of the residual in merged bins."""
+        """Sums of squares of the residual's transform in merged bins."""
         v, c = divmod(axis, 3)
         return self.setting.bins[v].total(self.setting.views[v].spectra(self.residual[v])[c] ** 2)
 
@@ -156,7 +156,7 @@ class Ridge:
     span: tuple[float, float]
 
     def rotation(self, t: Array) -> Array:
-        """The error at times `t` (n,), rotation vectors (n, 3) in rad."""
+        """The attitude error at times `t` (n,), rotation vectors (n, 3) in rad."""
         by_axis = self.value.reshape(3, -1)
         return cosines(t, self.span, by_axis.shape[1]).T @ by_axis.T
 
@@ -170,13 +170,13 @@ class Ridge:
 
 @remembered(6)
 def _cosines_at(view: View, span: tuple[float, float], modes: int) -> Array:
-    """The cosines at the times of a series; kept, since only their amplitudes change from step to step."""
+    """The cosines at the times of a series, kept, since only their amplitudes change from step to step."""
     return cosines(view.t, span, modes)
 
 
 @remembered(6)
 def _ideal_reading(view: View) -> Array:
-    """What an error of the attitude turns: the ideal reading of a series, (3, n)."""
+    """The ideal reading of a series, (3, n), which an attitude error rotates."""
     ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
     return np.ascontiguousarray(ideal.T)
 
@@ -188,14 +188,14 @@ def cosines(t: Array, span: tuple[float, float], modes: int) -> Array:
 
 
 def starting_model(setting: Setting, noise: tuple[AxisNoise, ...], ridge: Ridge | None = None) -> Model:
-    """No effect at all."""
+    """A model without effects."""
     residual = tuple(view.residual for view in setting.views)
     model = Model(setting, (), (), noise, residual, (), (), ridge)
     return with_noise(with_residual(model), noise)
 
 
 def with_residual(model: Model) -> Model:
-    """The same with its residual computed again from its terms."""
+    """The model with its residual computed from its terms."""
     setting = model.setting
     residual: list[Array] = []
     y: list[Array] = []
@@ -212,7 +212,7 @@ def with_residual(model: Model) -> Model:
 def _residual_of(
     view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None
 ) -> tuple[Array, tuple[Array, ...]]:
-    """What terms and ridge leave of a series, and its bins by axis; kept, since most terms stay when one changes."""
+    """Residual of a series without terms and ridge, and its bins by axis, kept for the next change of a term."""
     left = view.residual
     for term in terms:
         left = left - predicted(term, view)
@@ -224,7 +224,7 @@ def _residual_of(
 
 
 def with_noise(model: Model, noise: tuple[AxisNoise, ...]) -> Model:
-    """The same with another noise."""
+    """The model with another noise."""
     old = model.noise if model.weight else (None,) * len(noise)
     weight = [
         model.weight[a] if old[a] is noise[a] else 1.0 / model.setting.frames[a // 3].power(noise[a].power)
@@ -235,7 +235,7 @@ def with_noise(model: Model, noise: tuple[AxisNoise, ...]) -> Model:
 
 @remembered(64)
 def predicted(term: Term, view: View) -> Array:
-    """Change of the mean by `term` in `view`, shape (n, 3); the last ones asked for are kept."""
+    """Change of the mean by `term` in `view`, shape (n, 3)."""
     effect = term.effect
     if effect.exact is not None:
         exact = effect.exact
@@ -250,7 +250,7 @@ def predicted(term: Term, view: View) -> Array:
 
 @remembered(32)
 def _columns_in(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
-    """Columns or signals of a hypothesis in `view`; kept, since amplitudes change far more often than shapes."""
+    """Columns or signals of a hypothesis in `view`, kept, since amplitudes change far more often than shapes."""
     return columns_in(columns, hypothesis, theta, view)
 
 
@@ -264,7 +264,7 @@ def _exact_change(exact: Callable[[Trace, Array], Array], hypothesis: Hypothesis
 
 
 def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
-    """Range of the grid of its shape."""
+    """Range of the grid of the term's shape."""
     shape = term.effect.shape
     if shape is None:
         return (-np.inf, np.inf)
@@ -277,7 +277,7 @@ def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
 
 @remembered(40)
 def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
-    """Columns of everything that `term` estimates, at its present values; the last ones asked for are kept."""
+    """Columns of everything that `term` estimates, at its present values."""
     effect = term.effect
     if effect.shape is None and effect.exact is None:
         found = _columns(term.hypothesis, term.theta, setting)
@@ -300,7 +300,7 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
 
 
 def amplitudes(term: Term, setting: Setting) -> HypothesisColumns:
-    """The same without what its shape does, which is left empty."""
+    """The same with zero columns for the shape."""
     if term.effect.shape is None or term.effect.exact is not None or term.effect.fixed:
         return jacobian(term, setting)
     return HypothesisColumns(len(term.values), _columns(term.hypothesis, term.theta, setting).parts)
@@ -308,12 +308,12 @@ def amplitudes(term: Term, setting: Setting) -> HypothesisColumns:
 
 @remembered(40)
 def _columns(hypothesis: Hypothesis, theta: float, setting: Setting) -> HypothesisColumns:
-    """Columns of an effect at a shape; kept, since they stay when only its amplitudes change."""
+    """Columns of an effect at a shape, kept while only amplitudes change."""
     return columns_of(hypothesis, theta, setting.views, setting.frames)
 
 
 def _with_row(own: Part | None, last: Part | None, row: int) -> Part:
-    """The columns of an axis, and the one of number `row` behind them."""
+    """The columns of an axis, followed by the one of number `row`."""
     found = [own] if own is not None else []
     if last is not None:
         found.append(Part(last.index + row, last.X))
@@ -321,7 +321,7 @@ def _with_row(own: Part | None, last: Part | None, row: int) -> Part:
 
 
 def _derivative(term: Term, view: View, j: int, limits: tuple[float, float]) -> Array:
-    """Derivative of the prediction by value j, central."""
+    """Central derivative of the prediction by value j."""
     is_shape = term.effect.shape is not None and j == len(term.values) - 1
     span = limits[1] - limits[0] if is_shape else 1.0
     size = max(1e-4 * span, 1e-3 * abs(term.values[j])) if is_shape else 1e-5
@@ -336,7 +336,7 @@ def _derivative(term: Term, view: View, j: int, limits: tuple[float, float]) -> 
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """Normal equations over stacked hypotheses: Gram matrix, right side, and where each begins."""
+    """Normal equations of stacked hypotheses: Gram matrix, right side, and their rows."""
 
     gram: Array
     right: Array
@@ -346,7 +346,7 @@ class Normal:
 def normal_equations(
     blocks: Sequence[HypothesisColumns], y: Sequence[Array], weight: Sequence[Array], ridge: Ridge | None = None
 ) -> Normal:
-    """``X' W X`` and ``X' W y`` over all axes; the ridge's columns, if any, come last with their prior precision."""
+    """``X' W X`` and ``X' W y`` over all axes; the ridge's columns come last, with their prior precision."""
     everything = [*blocks, ridge.columns] if ridge else list(blocks)
     slices = slices_of(everything)
     total = slices[-1].stop if slices else 0
@@ -374,7 +374,7 @@ def normal_equations(
 
 
 def slices_of(blocks: Sequence[HypothesisColumns]) -> list[slice]:
-    """Where the columns of each block lie when they are stacked."""
+    """Rows of each block when they are stacked."""
     ends = np.cumsum([0, *(b.p for b in blocks)])
     return [slice(int(i), int(j)) for i, j in itertools.pairwise(ends)]
 
@@ -389,7 +389,7 @@ def stacked(blocks: Sequence[HypothesisColumns], slices: Sequence[slice], axis: 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """The joint covariance of everything estimated in the mean, and where each term lies."""
+    """Joint covariance of all values of the mean, and the rows of each term."""
 
     covariance: Array
     slices: tuple[slice, ...]

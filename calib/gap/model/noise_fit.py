@@ -1,8 +1,8 @@
-"""The noise of every axis: what is declared or learned, and what effects add to it, fitted to the periodogram.
+"""The noise of every axis: declared or learned noise and the densities of effects, fitted to the periodogram.
 
-An axis of a sensor is fitted over all its series at once, since an effect that instances share has one amplitude. A
-noise that was learned from a finite recording is uncertain itself: its scale is a parameter, and the recording that it
-was learned from counts as so many more squared coefficients.
+An axis of a sensor is fitted over all its series, since an effect on several instances has one amplitude. Noise learned
+from a finite recording is uncertain: its scale is a parameter, and that recording counts as further squared
+coefficients.
 """
 
 from __future__ import annotations
@@ -34,22 +34,19 @@ _NUISANCE: dict[str, Callable[[Array], Array]] = {"white": np.ones_like, "walk":
 
 
 def is_declared(view: View) -> bool:
-    """Whether the power of a series is declared or learned."""
+    """Whether the noise of a series is declared or learned."""
     return view.density is not None or view.variance is not None
 
 
 def declared(view: View) -> Array | None:
-    """Power (n, 3) that is declared or learned, None if neither."""
+    """Declared or learned power (n, 3), None without any."""
     if view.density is not None:
         return view.density
     return None if view.variance is None else np.broadcast_to(view.variance, (view.count, 3)).copy()
 
 
 def axes_with_learned_noise(setting: Setting, axes: Sequence[int]) -> set[int]:
-    """The axes with which the recording that their noise was learned from counts in the fit.
-
-    Once for all blocks of a series and for both its bands.
-    """
+    """The axes on which the recording of the learned noise counts: once for all blocks and bands of a series."""
     first: dict[str, int] = {}
     for a in axes:
         view = setting.views[a // 3]
@@ -59,7 +56,7 @@ def axes_with_learned_noise(setting: Setting, axes: Sequence[int]) -> set[int]:
 
 
 def starting_noise(setting: Setting) -> tuple[AxisNoise, ...]:
-    """Noise of every axis before any effect: declared, or a white start whose parts are fitted later."""
+    """Noise of every axis before any effect: declared, or initial white, walk and flicker noise."""
     noise = []
     for view in setting.views:
         base = declared(view)
@@ -82,7 +79,7 @@ def starting_noise(setting: Setting) -> tuple[AxisNoise, ...]:
 
 @dataclass(frozen=True, eq=False)
 class AxisFit:
-    """One axis of one sensor over its series, in merged bins: everything that a fit of its noise needs."""
+    """Data for the noise fit of one axis of a sensor over its series, in merged bins."""
 
     axes: tuple[int, ...]
     counts: Array
@@ -93,7 +90,7 @@ class AxisFit:
     start: Array
 
     def may_gain(self, extra: Sequence[Array]) -> bool:
-        """Whether one of the densities `extra` would gain anything to speak of beside its own, to second order."""
+        """Whether one of the densities `extra` would gain anything to speak of, to second order."""
         power = self.base + (self.start @ self.densities if len(self.names) else 0.0)
         excess, information = self.periodogram / power - self.counts, self.counts / power
         for row in extra:
@@ -124,7 +121,7 @@ class AxisFit:
 
 
 def axis_fit(model: Model, axes: Sequence[int]) -> AxisFit:
-    """The fit of one axis of a sensor, over all its series."""
+    """The noise fit of one axis of a sensor over all its series."""
     setting = model.setting
     names = tuple(dict.fromkeys(name for a in axes for name in model.noise[a].densities))
     counts, power, base = [], [], []
@@ -154,7 +151,7 @@ def axis_fit(model: Model, axes: Sequence[int]) -> AxisFit:
 
 
 def noise_rows(model: Model, axis: int, leave: str) -> tuple[Array, Array, Array, list[Array]]:
-    """Counts, periodogram, base and densities of one axis in merged bins, the density named `leave` left out."""
+    """Counts, periodogram, base and densities of one axis in merged bins, without the density `leave`."""
     bins, noise = model.setting.bins[axis // 3], model.noise[axis]
     rows = [bins.mean(density) for name, density in noise.densities.items() if name != leave]
     return bins.counts, model.periodogram(axis), bins.mean(noise.base), rows
@@ -166,7 +163,7 @@ def axes_of(setting: Setting, sensor: Sensor, c: int) -> tuple[int, ...]:
 
 
 def densities_of(hypothesis: Hypothesis, view: View, theta: float) -> Array:
-    """Densities (p, n) of a noise effect in a series: over its instances, with the squares of their weights."""
+    """Densities (p, n) of a noise effect in a series, over its instances with squared weights."""
     effect = hypothesis.effect
     assert isinstance(effect, NoiseEffect)
     own = {i: w for i, w in view.weights.items() if i in hypothesis.instances}
@@ -194,7 +191,7 @@ def extra_rows(model: Model, fit: AxisFit, by_view: Mapping[int, Array]) -> list
 
 @dataclass(frozen=True, eq=False)
 class NoiseEstimate:
-    """Amplitudes of a noise term by density and axis (p, 3), and their standard errors."""
+    """Amplitudes of a noise term by density and axis (p, 3), and standard errors."""
 
     values: Array
     se: Array
@@ -202,7 +199,7 @@ class NoiseEstimate:
 
 @dataclass(frozen=True, eq=False)
 class FittedNoise:
-    """A model with its noise fitted, the deviance by sensor axis, and what its noise terms came to."""
+    """A model with fitted noise, the deviance by sensor axis, and the estimates of its noise terms."""
 
     model: Model
     deviance: Mapping[tuple[Sensor, int], float]
@@ -210,7 +207,7 @@ class FittedNoise:
 
 
 def noise_fitted(model: Model, sensors: Iterable[Sensor] | None = None) -> FittedNoise:
-    """The noise fitted again to what the mean leaves over; only that of `sensors` if given."""
+    """The noise fitted to the residual of the model, of `sensors` only if given."""
     setting = model.setting
     noise = list(model.noise)
     levels: dict[tuple[Sensor, int], float] = {}
@@ -243,7 +240,7 @@ def _estimates(
 
 
 def with_term(model: Model, term: NoiseTerm) -> Model:
-    """The model with a noise effect, its amplitudes still zero."""
+    """The model with a noise effect of amplitude zero."""
     noise = list(model.noise)
     for v, view in enumerate(model.setting.views):
         if not term.hypothesis.touches(view):
@@ -259,7 +256,7 @@ def with_term(model: Model, term: NoiseTerm) -> Model:
 
 
 def without_term(model: Model, term: NoiseTerm) -> Model:
-    """The model without that noise effect."""
+    """The model without a noise effect."""
     p = len(term.hypothesis.effect.parameters) // 3
     names = {term.name(j) for j in range(p)}
     noise = tuple(

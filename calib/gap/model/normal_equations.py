@@ -1,4 +1,4 @@
-"""Normal equations: Gram matrices that are used again, and solutions where directions may be missing."""
+"""Solution of normal equations with missing directions, and Gram matrices that are kept."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ matrix, 1e-16 of its size, with a margin."""
 
 @remembered(24)
 def weighted_gram(part: Part, weight: Array) -> Array:
-    """``X W X'`` of many columns on one axis; the last ones are kept, since weights change only with the noise.
+    """``X W X'`` of many columns on one axis, kept, since weights change only with the noise
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def weighted_gram(part: Part, weight: Array) -> Array:
 
 
 def eigh(gram: Array) -> tuple[Array, Array]:
-    """Eigenvalues, ascending, and eigenvectors of a symmetric matrix; most of those in a contest are single numbers."""
+    """Eigenvalues, ascending, and eigenvectors of a symmetric matrix, fast for single numbers."""
     if len(gram) == 1:
         return gram[0], np.ones((1, 1))
     values, vectors = np.linalg.eigh(gram)
@@ -40,7 +40,7 @@ def eigh(gram: Array) -> tuple[Array, Array]:
 
 
 def solved(gram: Array, right: Array) -> tuple[Array, Array, int]:
-    """Solution, covariance and rank of normal equations; directions that do not exist have no part in either."""
+    """Solution, covariance and rank of normal equations, without directions that do not exist."""
     scale = np.sqrt(np.diag(gram))
     scale[scale == 0.0] = 1.0
     sizes = np.outer(scale, scale)
@@ -57,9 +57,9 @@ def solved(gram: Array, right: Array) -> tuple[Array, Array, int]:
 
 
 def _inverse(gram: Array, least: float) -> Array | None:
-    """The inverse if all eigenvalues are sure to be above `least`; None where they may not be.
+    """The inverse if all eigenvalues certainly exceed `least`, else None.
 
-    The largest eigenvalue of the inverse is no larger than its largest sum over a row.
+    The largest eigenvalue of the inverse is at most its largest row sum.
     """
     if not len(gram):
         return None

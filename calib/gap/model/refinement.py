@@ -1,6 +1,6 @@
-"""The joint maximum over everything in the mean, by Gauss-Newton steps.
+"""Joint maximum over all values of the mean, by Gauss-Newton steps.
 
-A shape whose tangent leads nowhere stays where it is: amplitudes and the other shapes go on without it.
+A shape whose tangent leads nowhere is held, and amplitudes and other shapes continue without it.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ _SHORTENED = 4
 
 
 def refined(model: Model) -> tuple[Model, Joint]:
-    """The joint maximum over everything in the mean, at the present noise; moments stay where they were found."""
+    """The joint maximum over the mean at the present noise; discontinuous shapes are held."""
     return _refined(model, tuple(range(len(model.terms))))
 
 
 def refined_on(model: Model, sensors: Collection[Sensor], *, hold: bool = False) -> Model:
-    """The same over the terms of some sensors, and of all that have a term in common with them.
+    """The same over the terms of some sensors and of those coupled with them.
 
-    With `hold` one step of the amplitudes alone: shapes stay where they are.
+    With `hold` one step of the amplitudes alone.
     """
     near = coupled_sensors(model, sensors)
     members = (i for i, t in enumerate(model.terms) if t.effect.shared or t.effect.sensor in near)
@@ -51,7 +51,7 @@ def refined_on(model: Model, sensors: Collection[Sensor], *, hold: bool = False)
 
 
 def coupled_sensors(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
-    """`sensors`, and all others if a term or an error of the reference ties sensors together."""
+    """`sensors`, or all sensors if a shared term or an error of the reference couples them."""
     tied = model.ridge is not None or any(t.effect.shared for t in model.terms)
     return frozenset(view.sensor for view in model.setting.views) if tied else frozenset(sensors)
 
@@ -83,7 +83,7 @@ def _refined(model: Model, members: tuple[int, ...], *, hold: bool = False) -> t
 
 
 def _after_step(model: Model, joint: Joint, rows: Mapping[int, slice], free: Collection[int]) -> tuple[Model, float]:
-    """The model after the Gauss-Newton step of amplitudes and `free` shapes, if that promises enough, and the gain."""
+    """The model after a Gauss-Newton step of amplitudes and `free` shapes, if it promises enough, and the gain."""
     step = _gauss_newton_step(model, joint, rows, free)
     if float(step @ joint.normal.right) < _WORTH_A_STEP:
         return model, 0.0
@@ -93,10 +93,10 @@ def _after_step(model: Model, joint: Joint, rows: Mapping[int, slice], free: Col
 def _held_shapes(
     model: Model, joint: Joint, rows: Mapping[int, slice], shaped: frozenset[int], stuck: frozenset[int]
 ) -> frozenset[int]:
-    """Shapes that stay for the next step, after one in which `stuck` ones stayed had led nowhere.
+    """Shapes to hold in the next step, after a step with `stuck` ones held led nowhere.
 
-    Far from its best shape the tangent leads nowhere (a frequency between two peaks), and one such shape spoils the
-    step of all: amplitudes and the other shapes still lead somewhere. From there it may lead somewhere too.
+    Far from its best value the tangent of a shape leads nowhere (a frequency between two peaks), and one such shape
+    spoils the step of all. The others may still gain, and the shape may be freed later.
     """
     step = _gauss_newton_step(model, joint, rows, shaped)
     if not float(step @ joint.normal.right) >= _WORTH_A_STEP:
@@ -107,7 +107,7 @@ def _held_shapes(
 
 
 def _gauss_newton_step(model: Model, joint: Joint, rows: Mapping[int, slice], free: Collection[int]) -> Array:
-    """The Gauss-Newton step; shapes that are not `free` have no part in it."""
+    """The Gauss-Newton step; shapes that are not `free` are held."""
     normal = joint.normal
     shaped = {i for i in rows if model.terms[i].effect.shape is not None}
     still = {rows[i].stop - 1 for i in shaped.difference(free)}
@@ -120,7 +120,7 @@ def _gauss_newton_step(model: Model, joint: Joint, rows: Mapping[int, slice], fr
 
 
 def _line_search(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Model, float]:
-    """The model after the step, shortened until it is no worse; and what was gained in twice the log-likelihood."""
+    """The model after the step, shortened until it is no worse, and the gain in twice the log-likelihood."""
     parts = _misfits(model)
     level = _total_misfit(parts, model)
     for _ in range(_SHORTENED):
@@ -140,12 +140,12 @@ def _line_search(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[
 
 
 def misfit(model: Model) -> float:
-    """Weighted sum of squares of what is left, and of the random process against its prior."""
+    """Weighted sum of squares of the residual, and of the ridge against its prior."""
     return _total_misfit(_misfits(model), model)
 
 
 def _misfits(model: Model, before: tuple[Model, Sequence[float]] | None = None) -> list[float]:
-    """Weighted sums of squares by axis; those of `before` where neither its bins nor its weights have changed."""
+    """Weighted sums of squares by axis, taken from `before` if neither bins nor weights changed."""
     found = []
     for axis, (w, y) in enumerate(zip(model.weight, model.y, strict=True)):
         if before is not None and before[0].y[axis] is y and before[0].weight[axis] is w:

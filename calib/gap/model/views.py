@@ -1,8 +1,8 @@
-"""The series that enter the likelihood: traces, or combinations of instances whose noise is independent.
+"""The series of the likelihood: traces, or combinations of instances with independent noise.
 
-Instances that share an uncertain reference share its error; their differences are free of it. The traces of several
-instances on one grid are therefore turned into orthonormal contrasts: the mean, and differences in which the reference
-cancels. They hold the same information, and each series has noise of its own.
+Instances with a common uncertain reference share its error; their differences are free of it. Traces of several
+instances on one grid are therefore turned into orthonormal contrasts: the mean, and differences. They hold the same
+information, and each has noise of its own.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class View:
 
     @property
     def count(self) -> int:
-        """Numbers an axis that it brings to the likelihood."""
+        """Numbers an axis that it adds to the likelihood."""
         return self.n - self.first
 
     @property
@@ -100,11 +100,11 @@ class View:
         return self.gain * frequencies(self.n)[self.first :]
 
     def spectra(self, series: Array) -> Array:
-        """The bins of the transforms of a `series` (n, 3), (3, count); the last ones asked for are kept."""
+        """Transforms (3, count) of a `series` (n, 3), from its first bin."""
         return _spectra(series, self.first)
 
     def whitened(self, bins: Array) -> Array:
-        """A series (n,) back from its bins (count,), the others zero."""
+        """The series (n,) of given bins (count,), with zero for the others."""
         padded = np.concatenate([np.zeros(self.first), bins]) if self.first else bins
         return np.asarray(idct(padded, type=2, norm="ortho"))
 
@@ -166,7 +166,7 @@ def views_of(
 
 
 class _Entry:
-    """A trace with the rows that it keeps."""
+    """A trace and the rows of it that are kept."""
 
     def __init__(self, trace: Trace, masked: NDArray[np.bool_] | None, extra: float) -> None:
         finite = np.isfinite(trace.measured).all(axis=1) & np.isfinite(trace.ideal).all(axis=1)
@@ -195,7 +195,7 @@ def _same_grid(a: Trace, b: Trace) -> bool:
 
 
 def _independent_differences(against: Sequence[_Entry], covered: set[int]) -> list[_Entry]:
-    """Differences that each bring an instance that was not there before."""
+    """Differences that each add a further instance."""
     chosen = []
     seen = set(covered)
     for entry in against:
@@ -263,14 +263,14 @@ def _declared_variance(used: Sequence[tuple[_Entry, float]]) -> Array | None:
     for entry, f in used:
         if entry.trace.sigma is None:
             return None
-        # What was learned from a recording has its quantisation in it.
+        # Noise learned from a recording includes its quantisation.
         rounding = entry.trace.quantum**2 / 12.0 if math.isinf(entry.trace.sigma_dof) else 0.0
         total += f**2 * (np.asarray(entry.trace.sigma) ** 2 + rounding + entry.extra)
     return total if (total > 0.0).all() else None
 
 
 def _learned_density(used: Sequence[tuple[_Entry, float]], n: int) -> Array | None:
-    """Each sensor's own noise adds by squares; the error of the reference is one for all: it cancels, or grows."""
+    """Learned power: independent noise adds by squares; the reference's error is common and cancels or grows."""
     traces = [entry.trace for entry, _ in used]
     if any(t.psd is None or t.psd_hz is None or (t.own_psd is None and len(used) > 1) for t in traces):
         return None
@@ -292,10 +292,7 @@ def _interpolated(trace: Trace, spectrum: Array | None, n: int) -> Array:
 
 
 def between(view: View, start: float, end: float) -> View | None:
-    """The part of a series with ``start <= t < end``; None if it is too short to say anything.
-
-    Its last few samples are left out, so that it transforms fast.
-    """
+    """The part of a series with ``start <= t < end``, shortened to a fast length; None if it is too short."""
     rows = (view.t >= start) & (view.t < end)
     if rows.sum() < _SHORTEST:
         return None

@@ -1,7 +1,6 @@
-"""Whether two recordings are of one trajectory: by how much their clocks differ, and how their axes are exchanged.
+"""Whether two recordings are of one trajectory: their clock offset, and an exchange of axes.
 
-A sensor is compared with its reference axis by axis. One that does not follow it has no scale of minus a hundred
-percent.
+A sensor is compared with its reference axis by axis; an exchanged axis is no scale of minus one.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ mistaken units do."""
 def best_axis_exchange(measured: Array, ideal: Array, slight: float = 0.0) -> Array:
     """The exchange of axes and signs that fits best; the identity unless another leaves a quarter of its misfit.
 
-    The identity stands as well where its misfit is less than the share `slight`. Scale and offset are left out of the
-    comparison: among turns the sum ``m . P i`` decides. Where several fit equally, the one that changes least is taken.
+    The identity also stands if its misfit is below the share `slight`. Scale and offset do not count: the sum ``m . P
+    i`` decides. Of several equal fits the one nearest to the identity is taken.
     """
     cross = measured.T @ ideal
     best = float(np.sqrt((measured**2).sum() * (ideal**2).sum()))
@@ -63,13 +62,13 @@ _IDENTITY = ((0, 1, 2), (1, 1, 1))
 
 
 def correlation_in_best_frame(a: Array, b: Array) -> float:
-    """Correlation of the movements (N, 3) in whichever frame of `b` it is highest."""
+    """Correlation of two movements (N, 3), with the axes of `b` exchanged for the best fit."""
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     return max(correlation(a, b @ turn.T) for turn in AXIS_EXCHANGES.values())
 
 
 def matched_to(measured: Array, ideal: Array) -> Array:
-    """`measured` in the frame and the unit of `ideal`, both (N, 3), where they are not its own."""
+    """`measured` in the frame and the unit of `ideal`, both (N, 3), if they differ."""
     turn = best_axis_exchange(measured, ideal)
     turned = measured @ turn
     size = float(np.sum(turned * ideal) / max(float(np.sum(ideal**2)), 1e-300))
@@ -77,7 +76,7 @@ def matched_to(measured: Array, ideal: Array) -> Array:
 
 
 def correlation(a: Array, b: Array) -> float:
-    """Correlation of two movements (N, 3) as a whole, 1 at best; their means are not taken off."""
+    """Correlation of two movements (N, 3) over all axes, without removing means."""
     size = float(np.sqrt((a**2).sum() * (b**2).sum()))
     return float((a * b).sum()) / size if size > 0.0 else 0.0
 
@@ -102,10 +101,11 @@ _FEWEST = 20
 
 
 def uncorrelated_axes(trace: Trace, moves: float) -> NDArray[np.bool_]:
-    """Axes (3,) on which the reference changes by `moves` (rms over half a second) or more, and the sensor otherwise.
+    """Axes (3,) on which the reference moves and the sensor does not follow.
 
-    The share of the reference's movement that is in the readings is asked for and not the correlation alone: a sensor
-    that shakes follows as well. Where exchanged axes are nearer, that is another matter.
+    The reference moves if its rms change over half a second is `moves` or more. The share of its movement in the
+    readings counts, not the correlation alone: a sensor that vibrates follows as well. Exchanged axes are reported
+    elsewhere.
     """
     step = max(1, round(_OVER_S * trace.fs))
     both = trace.observed[step:] & trace.observed[:-step]
@@ -161,7 +161,7 @@ below."""
 
 @dataclass(frozen=True)
 class ClockAlignment:
-    """`lag` seconds are to be added to the second clock; `correlation` is that of the movements then, 1 at best."""
+    """`lag` seconds to add to the second clock, and the `correlation` of the movements with it."""
 
     lag: float
     correlation: float
@@ -172,14 +172,14 @@ class ClockAlignment:
 
 
 def have_same_samples(real: Recording, other: Recording) -> bool:
-    """Whether all three sensors hold the same samples in both: one recording given twice."""
+    """Whether all three sensors have the same samples in both: one recording given twice."""
     pairs = [(_first(real, sensor), _first(other, sensor)) for sensor in TRIADS]
     both = [(a, b) for a, b in pairs if a is not None and b is not None]
     return bool(both) and all(np.array_equal(a.values, b.values) for a, b in both)
 
 
 def have_same_times(real: Recording, other: Recording) -> bool:
-    """Whether a sensor of both was sampled at the very same times: rows of one run."""
+    """Whether a sensor of both was sampled at the same times: rows of one run."""
     for sensor in TRIADS:
         a, b = _first(real, sensor), _first(other, sensor)
         if a is not None and b is not None:
@@ -190,9 +190,9 @@ def have_same_times(real: Recording, other: Recording) -> bool:
 
 
 def have_unrelated_movement(real: Recording, other: Recording) -> bool:
-    """Whether every sensor that moves in both moves otherwise: two runs whose clocks both began at the same number.
+    """Whether every sensor that moves in both moves differently: two runs with clocks from the same start.
 
-    Movements that are one in another frame are not apart: which frame, the checks say.
+    Movements that agree in another frame are related.
     """
     found = []
     for sensor in TRIADS:
@@ -208,9 +208,9 @@ def have_unrelated_movement(real: Recording, other: Recording) -> bool:
 
 
 def clock_alignment_in_any_frame(real: Recording, other: Recording) -> ClockAlignment | None:
-    """As :func:`clock_alignment`, by the sizes of turn rates and forces, which no frame changes; None: not known.
+    """As :func:`clock_alignment`, by the norms of rates and forces, which no frame changes; None if they do not move.
 
-    The correlation is that of the movements in the frame of `other` that fits best.
+    The correlation is that in the best frame of `other`.
     """
     for sensor in (Sensor.GYRO, Sensor.ACCEL):
         a, b = _first(real, sensor), _first(other, sensor)
@@ -231,9 +231,9 @@ def clock_alignment_in_any_frame(real: Recording, other: Recording) -> ClockAlig
 
 
 def clock_alignment(real: Recording, other: Recording) -> ClockAlignment | None:
-    """The shift that makes `other` move as `real` does; None if either does not move, or they have no sensor in common.
+    """The shift with which `other` moves as `real` does; None if either does not move, or without a common sensor.
 
-    Turn rates decide, then specific forces, then fields: the first of them that moves in both.
+    Rates decide, else specific forces, else fields: the first that moves in both.
     """
     for sensor in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG):
         a, b = _first(real, sensor), _first(other, sensor)
@@ -269,7 +269,7 @@ def _sampled(signal: Signal, step: float) -> Array:
 
 
 def _energy(x: Array, lags: NDArray[np.intp], other: int) -> Array:
-    """Sum of squares of the rows of `x` that overlap `other` rows shifted by each lag."""
+    """Sum of squares of the rows of `x` that overlap `other` rows, by lag."""
     total = np.concatenate([[0.0], np.cumsum((x**2).sum(axis=1))])
     start, end = np.clip(lags, 0, len(x)), np.clip(lags + other, 0, len(x))
     return np.asarray(total[end] - total[start])

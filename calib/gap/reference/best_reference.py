@@ -1,8 +1,8 @@
-"""Which reference a recording and its nominal companions are compared with, and what the report says about it.
+"""The best reference of a recording and its nominal companions, and notices about it.
 
-The notices name what was not compared, given twice, or is too coarse to be compared. A reference is useless if its
-trajectory bends to any reading, so that effects which are measured along it are made by it. Then only the differences
-of instances are left, which need no attitude; the notices say what would make the reference better.
+The notices name sensors without a reference, repeated recordings and slow references. A reference is useless if its
+trajectory fits any reading, so that effects along it are its own. Then only differences of instances are left, which
+need no attitude.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ log."""
 
 
 def notices(real: Recording, sim: Recording | None, nominal: Sequence[Recording], ideal: Ideal) -> Iterator[str]:
-    """Sentences for the report."""
+    """Notices for the report."""
     if sim is not None and sim is not real and have_same_samples(real, sim):
         yield (
             "the simulator's recording holds the same samples as the real one: what they show counts as the "
@@ -108,7 +108,7 @@ def _hole_notice(real: Recording) -> Iterator[str]:
 
 
 def why_no_reference(real: Recording, sim: Recording) -> str:
-    """Why the simulator's recording is no reference for the real one, and what would be."""
+    """Why the simulator's recording is no reference, and what would be."""
     if have_same_samples(real, sim):
         return "the simulator's recording holds the same samples as the real one: was one file given twice?"
     ours, theirs = ({c.sensor for c in sensors_of(r)} for r in (real, sim))
@@ -132,13 +132,13 @@ def _names(sensors: set[Sensor]) -> str:
 
 
 def refusals(info: ReferenceInfo, sensors: Iterable[Sensor]) -> tuple[Refusal, ...]:
-    """Why the `sensors` of a recording are not judged by its reference `info`, one line each."""
+    """Why the `sensors` of a recording are not judged by its reference."""
     reason = f"{uselessness(info)}: no single {{}} is compared with it"
     return tuple((s.value, reason.format(s.value), REFERENCE_NEED) for s in dict.fromkeys(sensors))
 
 
 def uselessness(info: ReferenceInfo) -> str:
-    """How badly the attitude of a useless reference is known, and the limit."""
+    """How inaccurate the attitude of a useless reference is."""
     if math.isinf(info.att_sigma_deg):
         return "the trajectory that was estimated contradicts its own inertial unit all the time"
     return (
@@ -147,7 +147,7 @@ def uselessness(info: ReferenceInfo) -> str:
 
 
 def not_learned(info: ReferenceInfo) -> str:
-    """The same of another recording, from which noise was to be learned."""
+    """The same for another recording, from which noise was to be learned."""
     return (
         f"nothing was learned of single sensors from the simulator's or a nominal recording: {uselessness(info)}; "
         f"it takes {REFERENCE_NEED}"
@@ -161,7 +161,7 @@ like 0.09 m/s2."""
 
 @dataclass(frozen=True, eq=False)
 class BestReferences:
-    """The reference of the real recording, and nominal recordings, each with its own; None where it has none."""
+    """The reference of the real recording, and the nominal recordings with their own; None without one."""
 
     ideal: Ideal
     nominal: tuple[tuple[Recording, Ideal | None], ...]
@@ -225,9 +225,9 @@ def _not_learned(chosen: BestReferences) -> tuple[str, ...]:
 
 
 def same_trajectory_reference(real: Recording, sim: Recording) -> Ideal | None:
-    """What `sim` says of the trajectory of `real`, on the clock of `real`; None if it flew another one.
+    """The readings of `sim` on the clock of `real`; None if it flew another trajectory.
 
-    A log of a simulated autopilot closes the loop through its own sensors: it counts only if it moves as one.
+    A simulated autopilot closes the loop through its own sensors, so its log must agree more closely.
     """
     ideal = recorded_reference(sim) or simulator_reference(sim)
     if ideal is None or have_same_samples(real, sim):
@@ -247,25 +247,25 @@ def same_trajectory_reference(real: Recording, sim: Recording) -> Ideal | None:
 
 
 def is_another_flight(real: Recording, sim: Recording) -> bool:
-    """Whether a simulated vehicle's log is of another flight: each is compared with an ideal sensor of its own."""
+    """Whether `sim` is the log of a simulated vehicle on another flight, to be compared with its own ideal reading."""
     table = sim.identity.autopilot is None or real.identity.autopilot is None
     return not table and recorded_reference(real) is None and same_trajectory_reference(real, sim) is None
 
 
 def companion_with_pose(real: Recording, nominal: Sequence[Recording]) -> Recording | None:
-    """The first of the `nominal` recordings with a pose, where `real` is compared with one as well."""
+    """The first of the `nominal` recordings with a pose, if `real` is compared with a pose too."""
     if real.identity.autopilot is not None or recorded_reference(real) is not None or true_attitude(real) is None:
         return None
     return next((n for n in nominal if recorded_reference(n) is None and true_attitude(n) is not None), None)
 
 
 def have_separate_poses(real: Recording, sim: Recording) -> bool:
-    """Whether two tables are of two flights and each has a pose of its own: what `sim` shows against its is no gap."""
+    """Whether two tables are of two flights with a pose each."""
     return companion_with_pose(real, [sim]) is not None and same_trajectory_reference(real, sim) is None
 
 
 def earth_field_along(posed: Sequence[tuple[Recording, PoseTrajectory]]) -> Array | None:
-    """The field that the magnetometers of the first of `companion_with_pose` saw that has any."""
+    """The field that the magnetometers of the first of `posed` measured."""
     for recording, pose in posed:
         if magnetometers := [c for c in sensors_of(recording) if c.sensor == Sensor.MAG]:
             return earth_field_of(magnetometers, pose)
@@ -273,7 +273,7 @@ def earth_field_along(posed: Sequence[tuple[Recording, PoseTrajectory]]) -> Arra
 
 
 def _with_attitude_warning(ideal: Ideal) -> Ideal:
-    """With a warning, if the attitude of the reference is so poor that it imitates an effect."""
+    """With a warning if the attitude is so inaccurate that it imitates an effect."""
     if ideal.info.att_sigma_deg < DOUBTFUL_DEG or ideal.info.useless:  # that ends the diagnosis
         return ideal
     said = (
@@ -285,7 +285,7 @@ def _with_attitude_warning(ideal: Ideal) -> Ideal:
 
 
 def _with_missing_sensors(ideal: Ideal, real: Recording) -> Ideal:
-    """With a pose, what an ideal sensor read is also known where it was not recorded."""
+    """With readings from a pose for the sensors whose ideal reading was not recorded."""
     sensors = {c.sensor for c in sensors_of(real)} - set(ideal.readings)
     pose = pose_of(real) if sensors else None
     if pose is None:
@@ -296,6 +296,6 @@ def _with_missing_sensors(ideal: Ideal, real: Recording) -> Ideal:
 
 
 def _nominal_reference(nominal: Recording, real: Recording, ideal: Ideal) -> Ideal | None:
-    """What a nominal recording itself says, or the real one's reference if both are of one run."""
+    """The nominal recording's own reference, or the real one's if both are of one run."""
     own = recorded_reference(nominal)
     return own if own is not None else (ideal if have_same_times(real, nominal) else None)

@@ -1,4 +1,4 @@
-"""Which references apply, and the traces that they make."""
+"""Traces of a recording beside its references, with the noise learned from its companions."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ def build(
 
 @dataclass(frozen=True, eq=False)
 class PreparedProblem:
-    """Every sensor beside its reference, before anything is learned of its noise.
+    """Every sensor beside its reference, before noise is learned.
 
-    `single` and `pairs` are the traces of the real recording, against the reference and against each other; `judged`
-    those of each of the `companions`, in their order, or none where none of them has a reference.
+    `single` and `pairs` are the traces of the real recording against the reference and against each other; `judged`
+    those of each of the `companions`, in order, empty if none has a reference.
     """
 
     real: Recording
@@ -106,12 +106,12 @@ class PreparedProblem:
         nuisance: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
         companion: Recording | None = None,
     ) -> GapProblem:
-        """The problem with the noise that the companions show beside `nuisance`; parameters as in :func:`build`."""
+        """The problem with the noise of the companions beside `nuisance`; parameters as in :func:`build`."""
         return _with_learned_noise(self, nuisance, companion)
 
 
 def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Recording] = ()) -> PreparedProblem:
-    """What of :func:`build` does not depend on known nuisance effects; parameters and errors are the same."""
+    """The part of :func:`build` that does not depend on nuisance effects; same parameters and errors."""
     companions = (*nominal, *(() if sim is None else (sim,)))
     given, real = real, corrected(real)
     sim = None if sim is None else real if sim is given else corrected(sim)
@@ -189,7 +189,7 @@ def _with_learned_noise(
 
 
 def _logged_attitude(real: Recording) -> tuple[Array, Array] | None:
-    """The longest attitude that the vehicle estimated itself."""
+    """The longest attitude that the vehicle logged."""
     found = (s for c in real.find(Sensor.ATTITUDE) if (s := Signal.of(c)) is not None)
     best = max(found, key=lambda s: float(s.t[-1] - s.t[0]), default=None)
     return None if best is None else (best.t, continuous(best.values))
@@ -203,7 +203,7 @@ def _tilt_sd(chosen: BestReferences | None) -> float:
 
 
 def _reference_info(chosen: BestReferences | None) -> ReferenceInfo:
-    """The reference; a useless one bounds nothing, since nothing is judged by it."""
+    """The reference; a useless one has no bandwidth, since nothing is judged by it."""
     if chosen is None:
         return ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT)
     info = chosen.ideal.info
@@ -215,14 +215,14 @@ def _span(channels: Sequence[Channel]) -> float:
 
 
 def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:
-    """By sensor that is judged by its differences alone: variance of the age of their samples, where there is any."""
+    """Variance of the age of samples, by sensor that is judged by differences only; without zeros."""
     alone = {t.sensor for t in nominal} - {t.sensor for t in nominal if t.against is None}
     found = {s: age_of([t for t in nominal if t.sensor is s]) for s in alone}
     return {sensor: age for sensor, age in found.items() if age > 0.0}
 
 
 def _simulator_traces(sim: Recording | None, chosen: BestReferences | None) -> tuple[Trace, ...]:
-    """Each instance of a simulator's recording against its own reference, where it flew by itself."""
+    """Each instance of a simulator's recording against its own reference, if it has one."""
     own = None if chosen is None else next((its for n, its in chosen.nominal if n is sim), None)
     return () if sim is None or own is None else single_traces(sim, sensors_of(sim), own)
 
@@ -247,27 +247,27 @@ def _with_more_noise(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequen
 def _at_same_rate(
     total: dict[Sensor, ResidualSpectrum], of_readings: Mapping[Sensor, ResidualSpectrum], traces: Sequence[Trace]
 ) -> dict[Sensor, ResidualSpectrum]:
-    """Without what was learned from readings of another rate: whether these were averaged or picked, nobody knows."""
+    """Learned noise without sensors of another rate, whose readings may be averaged or picked."""
     rates = {t.sensor: t.fs for t in traces}
     other = {s for s, n in of_readings.items() if s in rates and abs(math.log(rates[s] / n.fs)) > SAME_RATE}
     return {s: noise for s, noise in total.items() if s not in other}
 
 
 def informative(single: tuple[Trace, ...], pairs: tuple[Trace, ...]) -> tuple[Trace, ...]:
-    """Without those whose reference was drawn through their own few samples, where another instance tells more."""
+    """Traces without gyroscopes whose reference was interpolated from their own few samples, if a difference exists."""
     paired = {pair.sensor for pair in pairs}
     return tuple(t for t in single if t.rate_known or t.sensor is not Sensor.GYRO or t.sensor not in paired)
 
 
 def nominal_traces(recording: Recording, ideal: Ideal | None) -> Checked:
-    """What is sound of a nominal recording: each instance against the reference, and against each other."""
+    """The usable traces of a nominal recording, against the reference and of instances against each other."""
     single = () if ideal is None else single_traces(recording, sensors_of(recording), ideal)
     pairs = differences(recording, ideal, single)
     return checked(informative(single, pairs) + pairs)
 
 
 def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, ResidualSpectrum], dict[Sensor, ResidualSpectrum]]:
-    """By sensor, what nominal recordings leave against the reference, and what their instances leave to each other."""
+    """Learned noise by sensor: against the reference, and of instances against each other."""
     total: dict[Sensor, list[ResidualSpectrum]] = {}
     own: dict[Sensor, list[ResidualSpectrum]] = {}
     for trace in nominal:
@@ -277,13 +277,13 @@ def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, ResidualSpectrum], 
 
 
 def single_traces(real: Recording, channels: list[Channel], ideal: Ideal) -> tuple[Trace, ...]:
-    """Each of `channels` beside what an ideal sensor of its kind read, where that is known."""
+    """Each of `channels` beside the ideal reading of its kind, if known."""
     made = [trace_of(c, ideal.readings[c.sensor], ideal, real) for c in channels if c.sensor in ideal.readings]
     return tuple(replace(t, rate_known=_rate_known(t, ideal.info)) for t in made if t.observed.sum() > 1)
 
 
 def _rate_known(trace: Trace, reference: ReferenceInfo) -> bool:
-    """A re-estimated trajectory follows forces up to its bandwidth, and turns as fast as the gyroscope was logged."""
+    """Whether the reference follows fast changes: forces up to its bandwidth, turns at the gyroscope's log rate."""
     if math.isinf(reference.bandwidth_hz) or trace.sensor is Sensor.MAG:
         return True
     return trace.sensor is Sensor.GYRO and trace.fs > _FAST_HZ

@@ -40,11 +40,10 @@ _FILTERS = {Sensor.ACCEL: "INS_ACCEL_FILTER", Sensor.GYRO: "INS_GYRO_FILTER"}
 
 
 def corrected(recording: Recording) -> Recording:
-    """`recording` with the raw sensors of a vehicle whose calibration is known corrected, in body axes.
+    """`recording` with raw sensors of a known calibration corrected, in body axes.
 
-    Tables and vehicles without a known calibration stay as they are, and so do sensors whose correction depends on a
-    temperature: bare, they are what their table says. A compass whose offset in force changed is kept as long as it had
-    one offset, over the longest such time.
+    Tables, vehicles without a known calibration, and sensors with a thermal correction stay as they are. A compass
+    whose offset in force changed is cut to the longest time with one offset.
     """
     if not _has_calibration(recording):
         return recording
@@ -58,7 +57,7 @@ def corrected(recording: Recording) -> Recording:
 
 
 def offset_changed(channels: Sequence[Channel], recording: Recording) -> tuple[str, ...]:
-    """A warning for each compass that lost a part of its readings, because its offset in force changed there."""
+    """A warning for each compass that was cut because its offset in force changed."""
     changes = compass_offset_changes(recording) if _has_calibration(recording) else {}
     said = []
     for channel in channels:
@@ -72,7 +71,7 @@ def offset_changed(channels: Sequence[Channel], recording: Recording) -> tuple[s
 
 
 def _with_constant_offset(channel: Channel, changes: Mapping[int, Sequence[float]]) -> Channel:
-    """A corrected compass without what its firmware wrote with other offsets."""
+    """A corrected compass, cut to its longest time with one offset."""
     moments = changes.get(channel.instance, ()) if channel.sensor is Sensor.MAG else ()
     if channel.stage == Stage.RAW or not moments or not len(channel):
         return channel
@@ -82,10 +81,7 @@ def _with_constant_offset(channel: Channel, changes: Mapping[int, Sequence[float
 
 
 def sensor_from_corrected(channel: Channel, recording: Recording) -> Array:
-    """``R L^-1`` (3, 3): what brings corrected readings, and ideal ones, to the sensor's scale in body axes.
-
-    The identity for what is not corrected, or not known.
-    """
+    """``R L^-1`` (3, 3), from corrected to sensor readings in body axes; the identity if not corrected or unknown."""
     about = _calibration(channel, recording) if channel.stage != Stage.RAW else None
     if about is None:
         return np.eye(3)
@@ -94,7 +90,7 @@ def sensor_from_corrected(channel: Channel, recording: Recording) -> Array:
 
 
 def not_undone(channels: Sequence[Channel], recording: Recording) -> tuple[str, ...]:
-    """A warning, if the scale of a correction in force on any of `channels` is not known."""
+    """A warning if a correction in force on any of `channels` is unknown."""
     unknown = [c for c in channels if c.stage != Stage.RAW and _calibration(c, recording) is None]
     if not unknown:
         return ()
@@ -127,7 +123,7 @@ def _calibration(channel: Channel, recording: Recording) -> tuple[TriadModel, Ar
 
 
 def filter_in_force(channel: Channel, recording: Recording) -> float | None:
-    """Cut-off, Hz, of the two-pole filter that ArduPilot's filtered channels went through; None: none, or unknown."""
+    """Cut-off, Hz, of ArduPilot's two-pole filter on a filtered channel; None if none or unknown."""
     name = _FILTERS.get(channel.sensor)
     if channel.stage != Stage.FILTERED or recording.identity.autopilot != "ardupilot" or name is None:
         return None
@@ -136,19 +132,19 @@ def filter_in_force(channel: Channel, recording: Recording) -> float | None:
 
 
 def filter_delay(cutoff: float | None) -> float:
-    """Seconds by which that filter is late at low frequencies, ``sqrt(2) / (2 pi cutoff)``; 0 without one."""
+    """Delay of that filter at low frequencies, s, ``sqrt(2) / (2 pi cutoff)``; 0 without one."""
     return 0.0 if cutoff is None else math.sqrt(2.0) / (2.0 * math.pi * cutoff)
 
 
 def filter_gain(hz: Array, cutoff: float | None) -> Array:
-    """Amplitude that a two-pole Butterworth filter leaves of a tone at `hz`; 1 without one."""
+    """Amplitude gain of a two-pole Butterworth filter at `hz`; 1 without one."""
     if cutoff is None:
         return np.ones_like(hz)
     return np.asarray(1.0 / np.sqrt(1.0 + (hz / cutoff) ** 4))
 
 
 def sensors_of(recording: Recording) -> list[Channel]:
-    """One channel of every instance of the three sensors: the ones that can be compared, where there are several."""
+    """One channel of every instance of the three sensors, comparable ones if there are several."""
     chosen: list[Channel] = []
     for sensor in TRIADS:
         together = comparable_channels(recording, sensor)
@@ -161,9 +157,9 @@ def sensors_of(recording: Recording) -> list[Channel]:
 
 
 def comparable_channels(real: Recording, sensor: Sensor) -> dict[int, Channel]:
-    """A channel of every instance, all of one source and stage; the source that most instances have, then the longest.
+    """A channel of every instance from one source and stage: that of most instances, then the longest.
 
-    Sources whose instances were sampled at different times are passed over: their difference would be movement.
+    Sources whose instances were sampled at different times are omitted: their difference would be movement.
     """
     sources: dict[tuple[str, Stage], dict[int, Channel]] = {}
     for channel in real.channels:
@@ -174,9 +170,9 @@ def comparable_channels(real: Recording, sensor: Sensor) -> dict[int, Channel]:
 
 
 def with_common_channels(real: Recording, other: Recording) -> tuple[Recording, Recording]:
-    """Both without the channels of a sensor that have no counterpart, where every instance of `real` has one that does.
+    """Both without sources that only one has, if every instance of `real` keeps a channel.
 
-    What one stage of a sensor shows, before or behind the firmware's filter, says little of another.
+    A stage before the firmware's filter says little about one behind it.
     """
     dropped: set[tuple[Sensor, tuple[str, Stage]]] = set()
     for sensor in TRIADS:
@@ -193,7 +189,7 @@ def with_common_channels(real: Recording, other: Recording) -> tuple[Recording, 
 
 
 def _source_and_stage(channel: Channel) -> tuple[str, Stage]:
-    """Where a channel comes from; older logs number their messages: IMU, IMU2, IMU3."""
+    """Source and stage of a channel; older logs number their messages: IMU, IMU2, IMU3."""
     return channel.source.rstrip("0123456789"), channel.stage
 
 

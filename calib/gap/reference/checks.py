@@ -1,4 +1,4 @@
-"""Whether a trace can be diagnosed at all: length, life, frames, units, and a reference that goes with it."""
+"""Checks of a trace: length, life, frame, unit, and a matching reference."""
 
 from __future__ import annotations
 
@@ -80,14 +80,14 @@ Refusal = tuple[str, str, str]
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """The traces that can be diagnosed, and why the others cannot."""
+    """The usable traces, and why the others are refused."""
 
     traces: tuple[Trace, ...]
     refused: tuple[Refusal, ...]
 
 
 def checked(traces: tuple[Trace, ...]) -> Checked:
-    """Each of `traces` that is long enough, alive, and in the frame and unit of its reference."""
+    """The traces that are long enough, alive, and in the frame and unit of their reference."""
     accepted, refused = [], []
     for trace in traces:
         refusal = refusal_of(trace)
@@ -99,7 +99,7 @@ def checked(traces: tuple[Trace, ...]) -> Checked:
 
 
 def refusal_of(trace: Trace) -> Refusal | None:
-    """Why `trace` cannot be diagnosed; None: it can."""
+    """Why `trace` cannot be diagnosed; None if it can."""
     name = f"{trace.sensor.value} of instance {trace.instances[0] + 1}"
     rows = trace.observed
     seconds = rows.sum() / trace.fs if len(trace.t) > 1 else 0.0
@@ -135,7 +135,7 @@ def _impossible_reading(trace: Trace, name: str, measured: Array, ideal: Array) 
 
 
 def _constant_axis(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
-    """An axis that never changes says nothing, even at rest: a live sensor has noise."""
+    """An axis that never changes; a live sensor has noise even at rest."""
     stuck = np.ptp(measured, axis=0) < _ONE_VALUE
     if stuck.any():
         moves = (ideal.std(axis=0) > MOVES[trace.sensor]) & stuck
@@ -163,7 +163,7 @@ def _uncorrelated(trace: Trace, name: str) -> Refusal | None:
 def _noise_free_difference(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
     """A difference without noise: the reference was made from the sensor, or both by one formula.
 
-    Two instances of a simulator may read the same digits, noise and all: what they differ by is then known exactly.
+    Two instances of a simulator may be equal to the last digit; their difference is then known exactly.
     """
     if trace.against is not None:
         return None
@@ -199,7 +199,7 @@ def _spreads(values: Array) -> Array:
 
 
 def _wrong_field(name: str, measured: Array, ideal: Array) -> Refusal | None:
-    """Units of a magnetometer, by the size of the whole field: iron adds to it, but not several times of it."""
+    """A wrong unit of a magnetometer, by the norm of the field, which iron changes by less than a few times."""
     read, true = (float(np.median(np.linalg.norm(v, axis=1))) for v in (measured, ideal))
     if true == 0.0 or read == 0.0:
         return None  # nothing was read: that is said elsewhere
@@ -217,11 +217,11 @@ def _wrong_field(name: str, measured: Array, ideal: Array) -> Refusal | None:
 
 
 def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
-    """A reference whose own white noise is most of the difference: the sensor is then the better of the two."""
+    """A reference with far more white noise than the sensor."""
     if trace.against is not None:
         return None
     length = min(256, len(measured) // 6)
-    # Medians over pieces and frequencies: what happens at an edge, once, or as a line is no noise.
+    # Medians over pieces and frequencies exclude edges, single events and lines.
     power = [_median_power(v, length)[2:-1] for v in (measured, ideal, measured - ideal)]
     half = len(power[0]) // 2
     own, of_reference, left = (np.median(p[half:], axis=0) for p in power)
@@ -236,9 +236,9 @@ def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> 
 
 
 def _median_power(values: Array, length: int) -> Array:
-    """One-sided power of `values` (N, 3) at a sampling rate of one: the median over pieces of `length` less trend.
+    """One-sided power of `values` (N, 3) at a sampling rate of one: the median over detrended pieces of `length`.
 
-    Welch's periodogram (half overlapping, Hann) of all pieces at once; the median of so many exponential variables of
+    Welch's periodogram (half overlapping, Hann) of all pieces at once; the median of that many exponential variables of
     mean one is the alternating harmonic sum.
     """
     pieces = np.lib.stride_tricks.sliding_window_view(values, length, axis=0)[:: length - length // 2]
@@ -251,7 +251,7 @@ def _median_power(values: Array, length: int) -> Array:
 
 
 def _is_large_enough(sensor: Sensor, ideal: Array) -> bool:
-    """Whether the vectors are long enough that a frame or a unit would show."""
+    """Whether the vectors are large enough to show a frame or a unit."""
     return bool(np.sqrt((ideal**2).sum(axis=1).mean()) > MOVES[sensor])
 
 
@@ -284,7 +284,7 @@ def _unit_need(sensor: Sensor) -> str:
 
 
 def _exchange_in_words(turn: Array) -> str:
-    """Which axis of the sensor reads which of the reference."""
+    """Description of an exchange of axes."""
     said = []
     for row in range(3):
         column = int(np.argmax(np.abs(turn[row])))
@@ -304,7 +304,7 @@ def _factor(size: float, sensor: Sensor) -> str:
 
 
 def check_vehicles(real: Recording, others: tuple[Recording, ...]) -> None:
-    """Recordings that are compared are of one kind of vehicle.
+    """Check that all recordings are of one kind of vehicle.
 
     Raises
     ------
@@ -321,7 +321,7 @@ def check_vehicles(real: Recording, others: tuple[Recording, ...]) -> None:
 
 
 def check_times(recordings: Iterable[Recording]) -> None:
-    """Time is in seconds, and fast enough to follow a movement.
+    """Check that time is in seconds, with samples fast enough for a movement.
 
     Raises
     ------

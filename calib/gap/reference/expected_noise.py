@@ -46,11 +46,10 @@ Array = NDArray[np.float64]
 
 
 def with_sway_noise(trace: Trace, nominal: Sequence[Trace]) -> Trace:
-    """The difference of two instances, with the noise that it has for moving faster than the `nominal` ones.
+    """The difference of two instances, with the noise expected because it moves faster than the `nominal` ones.
 
-    At most all that the nominal ones leave is movement between the moments of their samples. As much noise is expected
-    as there is, up to that bound. The movement is what both instances show, without the noise of either. A calmer
-    recording is not expected to have less noise.
+    At most the whole nominal noise is movement between sample times, which bounds the expected noise. The movement is
+    the common part of both instances. A calmer recording keeps its noise.
     """
     before, now = [_common_movement(n) for n in nominal], _common_movement(trace)
     if trace.against is None or not before:
@@ -63,10 +62,9 @@ def with_sway_noise(trace: Trace, nominal: Sequence[Trace]) -> Trace:
 
 
 def _common_movement(trace: Trace) -> Array:
-    """How much of the fast movement both instances of a difference show, (3,).
+    """Fast movement that both instances of a difference show, (3,), from second differences.
 
-    Second differences: manoeuvres are far larger than what changes from one sample to the next, and hide it in the
-    first ones.
+    Manoeuvres dominate first differences.
     """
     known = trace.observed[2:] & trace.observed[1:-1] & trace.observed[:-2]
     if not known.any():
@@ -77,21 +75,21 @@ def _common_movement(trace: Trace) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MotorNoise:
-    """Noise of the difference of two instances: variance (3,) at motor power one, and its mean power in the flight."""
+    """Noise of the difference of two instances: variance (3,) at motor power one, and the mean power in the flight."""
 
     variance: Array
     power: float
 
 
 def motor_power(trace: Trace) -> Array | None:
-    """Square of the mean motor output or, where there is none, of the throttle, (N,); None without either."""
+    """Square of the mean motor output or else of the throttle, (N,); None without either."""
     if trace.motors is not None:
         return np.asarray((np.maximum(trace.motors, 0.0) ** 2).mean(axis=1))
     return None if trace.throttle is None else np.asarray(np.maximum(trace.throttle, 0.0) ** 2)
 
 
 def motor_noise_of(nominal: Sequence[Trace]) -> dict[Sensor, MotorNoise]:
-    """By sensor what differences of instances in `nominal` recordings show; without those that show nothing."""
+    """Motor noise by sensor, from differences of instances in `nominal` recordings."""
     found: dict[Sensor, list[MotorNoise]] = {}
     for trace in nominal:
         if trace.against is not None and (one := _motor_noise(trace)) is not None:
@@ -115,7 +113,7 @@ def _motor_noise(trace: Trace) -> MotorNoise | None:
 
 
 def _variance_with_power(residual: Array, power: Array) -> float:
-    """Part of the variance of `residual` (N,) that goes with `power` (N,) of mean one; 0 if none does."""
+    """Part of the variance of `residual` (N,) that follows `power` (N,) of mean one; 0 if not significant."""
     squares = (residual - np.median(residual)) ** 2
     unit = float(squares.mean())
     if unit == 0.0:
@@ -128,7 +126,7 @@ def _variance_with_power(residual: Array, power: Array) -> float:
 
 
 def with_motor_noise(trace: Trace, found: Mapping[Sensor, MotorNoise]) -> Trace:
-    """`trace` with the noise expected that more power of its motors than in the nominal recordings makes."""
+    """`trace` with the noise expected of more motor power than in the nominal recordings."""
     driven, power = found.get(trace.sensor), motor_power(trace)
     if driven is None or power is None:
         return trace
@@ -149,7 +147,7 @@ the bandwidth of usual attitude controllers."""
 
 
 def movement_of(traces: Sequence[Trace]) -> dict[Sensor, ResidualSpectrum]:
-    """By sensor, the mean spectrum of what ideal sensors read in `traces`, those that are too short left out."""
+    """By sensor, the mean spectrum of the ideal readings in `traces`, without short ones."""
     found: dict[Sensor, list[ResidualSpectrum]] = {}
     for trace in traces:
         if (spectrum := _movement_spectrum(trace)) is not None:
@@ -165,10 +163,10 @@ def _movement_spectrum(trace: Trace) -> ResidualSpectrum | None:
 
 
 def with_movement_noise(trace: Trace, nominal: Mapping[Sensor, ResidualSpectrum]) -> Trace:
-    """`trace` with the noise that is expected because it moves more than the `nominal` recordings.
+    """`trace` with the noise expected because it moves more than the `nominal` recordings.
 
-    The noise was a share of movement and noise together, at most all of it: more movement adds that share. A calmer
-    recording is not expected to have less noise.
+    The nominal noise is taken as a share of movement and noise together, so more movement adds that share. A calmer
+    recording keeps its noise.
     """
     if trace.against is not None or trace.sensor not in nominal or (trace.psd is None and trace.sigma is None):
         return trace
@@ -184,11 +182,10 @@ def with_movement_noise(trace: Trace, nominal: Mapping[Sensor, ResidualSpectrum]
 
 
 def with_heave_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
-    """A single unit's `trace` with as much noise expected as there is, where its reference does not follow a body.
+    """A single unit's `trace` with the noise expected above the bandwidth of its reference.
 
-    From the reference's bandwidth to where bodies are too heavy to follow, what a single unit feels is how its vehicle
-    moves in gusts: no other flight moves the same. Faster, it is how the vehicle shakes, unless it is as loud at rest;
-    lines of rotors stand out of that.
+    Up to the frequencies of rigid-body motion, a unit measures gusts that differ from flight to flight. Above, it
+    measures vibration, unless it is as loud at rest; rotor lines are excluded.
     """
     bandwidth = {Sensor.ACCEL: reference.bandwidth_hz, Sensor.GYRO: reference.turns_hz}.get(trace.sensor, math.inf)
     if trace.against is not None or trace.psd is None or math.isinf(bandwidth):
@@ -207,7 +204,7 @@ def with_heave_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
 
 
 def _exceeds_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
-    """Whether fast noise is more than expected while the motors are off; without such a time, it is of the flight."""
+    """Whether fast noise exceeds the expected noise with the motors off; False without such a time."""
     power = motor_power(trace)
     if power is None:
         return False
@@ -217,19 +214,19 @@ def _exceeds_at_rest(trace: Trace, hz: Array, psd: Array) -> bool:
         return False
     steps = (np.diff(trace.residual, axis=0)[pairs] ** 2).mean(axis=0)
     omega = 2.0 * np.pi * np.minimum(hz / trace.fs, 0.5)
-    # of steps: each frequency by four times the square of the sine of half of it, over all of them evenly
+    # variance of successive differences: the spectrum times 4 sin^2(w/2), averaged over frequency
     expected = np.trapezoid(psd * (4.0 * np.sin(0.5 * omega) ** 2)[:, None], hz, axis=0) / (0.5 * trace.fs)
     return bool((steps > _EXCESS * expected).any())
 
 
 def _local_median(hz: Array, values: Array) -> Array:
-    """Medians of `values` (K, 3) over frequencies within a part of each: what lies between lines."""
+    """Medians of `values` (K, 3) over neighbouring frequencies, to exclude lines."""
     low, high = np.searchsorted(hz, hz * (1.0 - _ABOUT)), np.searchsorted(hz, hz * (1.0 + _ABOUT))
     return np.array([np.median(values[a : max(b, a + 1)], axis=0) for a, b in zip(low, high, strict=True)])
 
 
 def slopes_squared(trace: Trace) -> Array:
-    """Square of the change of the reading in a second, (N, 3): mean of the steps to the samples before and after."""
+    """Square of the rate of change of the reading, (N, 3), averaged over the steps on either side."""
     known = trace.observed[1:] & trace.observed[:-1]
     steps = np.where(known[:, None], (np.diff(trace.measured, axis=0) * trace.fs) ** 2, 0.0)
     total = np.vstack([steps, np.zeros(3)]) + np.vstack([np.zeros(3), steps])
@@ -237,15 +234,12 @@ def slopes_squared(trace: Trace) -> Array:
 
 
 def age_of(nominal: Sequence[Trace]) -> float:
-    """Variance (s2) of the age of one unit's samples against the other's, the largest of differences `nominal`.
-
-    Zero where the noise does not follow the change of the reading.
-    """
+    """Largest variance (s2) of the age of samples among the differences `nominal`; zero if noise does not follow it."""
     return max((_age_variance(trace) for trace in nominal if trace.observed.sum() >= FEWEST), default=0.0)
 
 
 def _age_variance(trace: Trace, change: Array | None = None) -> float:
-    """Variance of the age by the squares (N, 3) of a `change` in a second; None: of the trace's own readings."""
+    """Variance of the age from the squares (N, 3) of a rate of `change`; None: that of the readings."""
     squares = slopes_squared(trace) if change is None else change
     slopes = squares[trace.observed].T.ravel()
     steady = _fitted_variances(trace, np.zeros(len(slopes)), ())
@@ -259,7 +253,7 @@ def _age_variance(trace: Trace, change: Array | None = None) -> float:
 
 
 def _fitted_variances(trace: Trace, base: Array, more: Sequence[Array]) -> AmplitudeFit | None:
-    """Steady noise of each axis, in units of its mean square, beside `base` and variances `more`, all (3 n,)."""
+    """Stationary noise of each axis, in units of its mean square, beside `base` and variances `more`, all (3 n,)."""
     squares = squared_residuals(trace)
     if not squares.any(axis=0).all():
         return None
@@ -268,7 +262,7 @@ def _fitted_variances(trace: Trace, base: Array, more: Sequence[Array]) -> Ampli
 
 
 def without_aged_samples(trace: Trace, age: float) -> Trace:
-    """`trace` without the samples in which an `age` of that variance (s2) is more than the noise beside it."""
+    """`trace` without samples in which the noise of an `age` variance (s2) exceeds the rest."""
     expected = age * slopes_squared(trace)
     rest = _fitted_variances(trace, expected[trace.observed].T.ravel(), ())
     if rest is None:
@@ -278,7 +272,7 @@ def without_aged_samples(trace: Trace, age: float) -> Trace:
 
 
 def with_age_noise(trace: Trace, age: float, nominal: Sequence[Trace]) -> Trace:
-    """`trace` with the noise that its faster movement adds to what the `nominal` ones show, all of them settled."""
+    """`trace` with the noise of sample age expected because it moves faster than the `nominal` ones."""
     nominal_slopes = np.mean([slopes_squared(n)[n.observed].mean(axis=0) for n in nominal], axis=0)
     more = age * np.maximum(slopes_squared(trace)[trace.observed].mean(axis=0) - nominal_slopes, 0.0)
     return with_added_variance(trace, more)
@@ -286,10 +280,10 @@ def with_age_noise(trace: Trace, age: float, nominal: Sequence[Trace]) -> Trace:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AgeNoise:
-    """Noise of units against a reference that follows the change of their reading, in another flight.
+    """Noise of sample age in another flight.
 
-    `density` (K,) at `hz` (K,) is the power in a bin of the cosine transform for each square of the change, s2;
-    `change` (3,) the mean square of the change in a second.
+    `density` (K,) at `hz` (K,) is the power of a bin for each square of the rate of change, s2; `change` (3,) its mean
+    square.
     """
 
     hz: Array
@@ -298,9 +292,9 @@ class AgeNoise:
 
 
 def age_noise_of(nominal: Sequence[Trace]) -> dict[tuple[Sensor, bool], AgeNoise]:
-    """Noise by the age of samples in `nominal` flights, by sensor; True: against the trajectory, False: against a unit.
+    """Noise of sample age in `nominal` flights, by sensor and whether against the trajectory (True) or a unit (False).
 
-    Every axis is as old as the others: one that did not move has the noise of those that did.
+    The age is the same on every axis, so an axis without movement takes the noise of the others.
     """
     found: dict[tuple[Sensor, bool], list[AgeNoise]] = {}
     for trace in nominal:
@@ -321,9 +315,9 @@ def _age_noise(trace: Trace) -> AgeNoise | None:
 
 
 def with_aged_noise(trace: Trace, found: Mapping[tuple[Sensor, bool], AgeNoise]) -> Trace:
-    """`trace` with the noise expected that its reading has for changing faster than in other flights.
+    """`trace` with the noise of sample age expected because it changes faster than in other flights.
 
-    A calmer recording is not expected to have less noise.
+    A calmer recording keeps its noise.
     """
     aged = found.get((trace.sensor, trace.against is None))
     if aged is None or (trace.psd is None and trace.sigma is None):

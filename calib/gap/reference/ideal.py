@@ -1,4 +1,4 @@
-"""What an ideal sensor would have read, as signals over time, and what was recorded of it.
+"""Readings of ideal sensors as signals over time, and recorded ones.
 
 A recorded reference is in ``ref_*`` columns, or is the readings of a simulator on the same trajectory.
 """
@@ -30,7 +30,7 @@ flights have moments of calm as long."""
 
 @dataclass(frozen=True, eq=False)
 class Ideal:
-    """A reference: what ideal sensors in the vehicle's body axes read.
+    """A reference: readings of ideal sensors in body axes.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Ideal:
         return Ideal(self.info, readings, attitude, place, self.warnings, noise=self.noise)
 
     def body(self, t: Array) -> dict[str, Any]:
-        """Force, rate, spin, field, attitude and place at `t`; None for what is not known."""
+        """Force, rate, spin, field, attitude and place at `t`; None if unknown."""
         signals = {
             "force": self.readings.get(Sensor.ACCEL),
             "rate": self.readings.get(Sensor.GYRO),
@@ -84,10 +84,10 @@ class Ideal:
 
 
 def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: Recording) -> Trace:
-    """`channel` on its own grid beside `reading`, with what the body and the vehicle did meanwhile.
+    """`channel` on its own grid beside `reading`, with the state of body and vehicle.
 
-    The ideal reading is taken at the true time stamps, so that jitter of the stamps does not become a gap. Both are
-    brought to the scale of the sensor (:mod:`calibrated`).
+    The ideal reading is taken at the true time stamps, so that their jitter is no gap. Both are in the scale of the
+    sensor.
 
     Raises
     ------
@@ -119,10 +119,10 @@ def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: 
 
 
 def with_unit_noise(trace: Trace, reference: ReferenceInfo) -> Trace:
-    """`trace` with the noise of the inertial unit inside its reference.
+    """`trace` with the noise of the inertial unit that is inside its reference.
 
-    The trajectory follows that unit between its other measurements. At rest this is all that moves in the ideal
-    reading; a flight without rest bounds it by its quietest second.
+    The trajectory follows that unit between its other measurements. The quietest second of the ideal reading bounds its
+    noise.
     """
     bandwidth = {Sensor.ACCEL: reference.bandwidth_hz, Sensor.GYRO: reference.turns_hz}.get(trace.sensor, math.inf)
     width = max(2, round(_QUIET_S * trace.fs))
@@ -142,7 +142,7 @@ def _observed_span(observed: NDArray[np.bool_]) -> slice:
 
 
 def _vehicle_data(recording: Recording, channel: Channel, t: Array) -> dict[str, Any]:
-    """Temperature, current, throttle, motors and rotors at `t`; None where they were not recorded."""
+    """Temperature, current, throttle, motors and rotors at `t`; None if not recorded."""
     thermometers = [c for i in (channel.instance, 0) for c in recording.find(Sensor.TEMPERATURE, i)]
     single = {
         "temperature": slow_values(thermometers, t),
@@ -161,12 +161,12 @@ TABLE = "table"
 
 
 def reference_readings(recording: Recording) -> dict[Sensor, Signal]:
-    """What `recording` says that ideal sensors read."""
+    """Ideal readings that `recording` carries."""
     return _signals(recording.reference)
 
 
 def recorded_reference(recording: Recording) -> Ideal | None:
-    """The reference that `recording` carries itself; None if it has none.
+    """The reference that `recording` carries; None without one.
 
     Attitude: ``ref_q_*``, else that of a table, which counts as truth; never an estimator's.
     """
@@ -179,7 +179,7 @@ def recorded_reference(recording: Recording) -> Ideal | None:
 
 
 def simulator_reference(recording: Recording) -> Ideal | None:
-    """What the sensors of a simulator's `recording` read, without its noise where it has some; None if it has none."""
+    """Readings of a simulator's `recording`, without its noise if that can be separated; None without sensors."""
     channels = [
         recording.channel(sensor, recording.instances(sensor)[0])
         for sensor in TRIADS
@@ -202,7 +202,7 @@ def simulator_reference(recording: Recording) -> Ideal | None:
 
 
 def true_attitude(recording: Recording) -> Signal | None:
-    """Body to north-east-down: ``ref_q_*``, else that of a table; None: only an estimator's or none."""
+    """Body to north-east-down: ``ref_q_*``, else that of a table; None for an estimator's."""
     found = [c for c in recording.reference if c.sensor == Sensor.ATTITUDE]
     found += [c for c in recording.channels if c.sensor == Sensor.ATTITUDE and c.source == TABLE]
     for channel in found:
@@ -212,12 +212,12 @@ def true_attitude(recording: Recording) -> Signal | None:
 
 
 def true_place(recording: Recording) -> Signal | None:
-    """North, east, down of the reference's origin; None if it was not recorded."""
+    """North, east, down of the reference's origin; None if not recorded."""
     return next((Signal.of(c) for c in recording.reference if c.sensor == Sensor.PLACE), None)
 
 
 def continuous(q: Array) -> Array:
-    """The same attitudes (N, 4) without jumps of sign, so that they can be interpolated."""
+    """The same attitudes (N, 4) without sign changes, for interpolation."""
     turned = np.concatenate([[1.0], np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))])
     return np.asarray(q * turned[:, None])
 

@@ -1,4 +1,4 @@
-"""Noise that a nominal recording shows: white, or a spectrum."""
+"""Noise of nominal recordings: white, or a spectrum."""
 
 from __future__ import annotations
 
@@ -97,10 +97,10 @@ class ResidualSpectrum:
         return self.steady and bool(chance.min() * chance.size > _COLOURED)
 
     def smoothed(self) -> ResidualSpectrum:
-        """Few coefficients say little about the lowest bands: white noise, drifts and flicker, and what they miss.
+        """The spectrum as a sum of white noise, flicker, walks and Gauss-Markov drifts.
 
-        Drifts are a walk and ones that return to their mean, which are level below some frequency (Gauss-Markov).
-        A band that differs from their sum by more than chance is taken as it is, but for a share of that sum.
+        Its lowest bands have few coefficients. A band that differs significantly from that sum is kept, shrunk a little
+        towards it.
         """
         if self.smooth:
             return self
@@ -119,7 +119,7 @@ class ResidualSpectrum:
         return dataclasses.replace(self, psd=made)
 
     def widened(self) -> ResidualSpectrum:
-        """Lines of rotors over the frequencies that they have in other flights, which hover at other speeds."""
+        """The spectrum with rotor lines widened to the speeds of other flights."""
         if self.smooth:
             return self
         near = np.abs(np.log(self.hz[:, None] / self.hz)) <= _HOVERS
@@ -130,7 +130,7 @@ class ResidualSpectrum:
 
 
 def _smooth_model(measured: Array, dof: Array, shapes: Sequence[Array]) -> Array:
-    """The sum of `shapes` that fits `measured` (K,), lines left out: one strong line would raise all of it."""
+    """The sum of `shapes` that fits `measured` (K,), without lines."""
     quiet = np.ones(len(measured), dtype=bool)
     model = measured
     for _ in range(_CLEANED):
@@ -145,15 +145,15 @@ def _smooth_model(measured: Array, dof: Array, shapes: Sequence[Array]) -> Array
 
 
 def two_sided_chances(ratio: Array, dof: Array) -> Array:
-    """Chance, to either side, of means (K, k) of `dof` (K,) squared numbers of variance one as far off as `ratio`."""
+    """Two-sided chance of means (K, k) of `dof` (K,) squares of variance one at `ratio`."""
     total = ratio * dof[:, None]
     return np.asarray(2.0 * np.minimum(chdtrc(dof[:, None], total), chdtr(dof[:, None], total)))
 
 
 def learned_spectrum(trace: Trace) -> ResidualSpectrum | None:
-    """The noise in the residual of a nominal `trace`; None if it is too short.
+    """The noise spectrum of the residual of a nominal `trace`; None if it is too short.
 
-    Few holes are filled with zeros; what lies between many is taken as one series, as the likelihood takes it.
+    Few holes are filled with zeros; a series with many is joined, as in the likelihood.
     """
     residual = trace.residual - trace.residual[trace.observed].mean(axis=0)
     if trace.observed.mean() < _WHOLE:
@@ -177,7 +177,7 @@ def learned_spectrum(trace: Trace) -> ResidualSpectrum | None:
 
 
 def _is_stationary(residual: Array) -> bool:
-    """Whether the differences of successive rows of `residual` (N, 3) are as large in every part of the recording."""
+    """Whether the differences of successive rows of `residual` (N, 3) have the same size throughout."""
     squares = np.diff(residual, axis=0)[::2] ** 2
     width = len(squares) // _PARTS
     if width < 2 or not squares.any(axis=0).all():
@@ -189,12 +189,12 @@ def _is_stationary(residual: Array) -> bool:
 
 
 def digit_variance(trace: Trace) -> float:
-    """Variance of the rounding of single-precision numbers: instances of a simulator may agree to the last digit."""
+    """Variance of single-precision rounding; instances of a simulator may agree to the last digit."""
     return max((_SINGLE * float(np.abs(trace.measured).max())) ** 2, float(np.finfo(float).tiny))
 
 
 def _edges(n: int, fs: float) -> NDArray[np.intp]:
-    """First coefficients of the bands: evenly spaced in the logarithm, but never wider than a line of a rotor."""
+    """First coefficients of the bands, evenly spaced in the logarithm and at most as wide as a rotor line."""
     widest = max(FEWEST, round(LINE_HZ * 2.0 * n / fs))
     even = np.unique(np.rint(np.geomspace(_LEAST, n, _BANDS)))
     narrow = np.diff(even) < widest
@@ -203,7 +203,7 @@ def _edges(n: int, fs: float) -> NDArray[np.intp]:
 
 
 def pooled(noises: Sequence[ResidualSpectrum]) -> ResidualSpectrum:
-    """The mean of several of them, on the bands of the first."""
+    """The mean of several spectra on the bands of the first."""
     first = noises[0]
     if len(noises) == 1:
         return first
@@ -213,7 +213,7 @@ def pooled(noises: Sequence[ResidualSpectrum]) -> ResidualSpectrum:
 
 
 def with_noise(trace: Trace, total: ResidualSpectrum | None, own: ResidualSpectrum | None) -> Trace:
-    """`trace` with its noise declared.
+    """`trace` with declared noise.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def with_noise(trace: Trace, total: ResidualSpectrum | None, own: ResidualSpectr
 
 
 def with_added_variance(trace: Trace, variance: Array) -> Trace:
-    """`trace` with noise of `variance` (3,) expected on top, which comes and goes: a spectrum, and no steady number."""
+    """`trace` with additional noise of `variance` (3,), which is not stationary: a spectrum."""
     if trace.sigma is None and trace.psd is None:
         return trace
     psd, hz = trace.psd, trace.psd_hz
@@ -270,15 +270,15 @@ def with_added_variance(trace: Trace, variance: Array) -> Trace:
 
 
 def _quantisation_variance(trace: Trace) -> float:
-    """Variance of the rounding, twice that of a difference: less is an accident of digits that did not change."""
+    """Variance of the rounding, twice for a difference: the least possible noise."""
     return trace.quantum**2 / 12.0 * (1.0 if trace.against is None else 2.0)
 
 
 def spectrum_at(noise: ResidualSpectrum, hz: Array, fs: float, low_pass_hz: float | None) -> Array:
-    """Its spectrum at `hz` in samples of rate `fs`, behind the filter `low_pass_hz`.
+    """The spectrum at `hz` in samples of rate `fs`, behind the filter `low_pass_hz`.
 
-    It is carried over as a density, and brought to the other filter as far as it was still to be seen behind its own;
-    where it says nothing, the nearest band holds.
+    It is converted as a density, and to the other filter as far as its own filter lets it through; beyond, the nearest
+    band is used.
     """
     filtered = low_pass_hz != noise.low_pass_hz
     known = noise.hz <= _SEEN * (noise.low_pass_hz or np.inf) if filtered else np.ones(len(noise.hz), dtype=bool)
@@ -289,12 +289,12 @@ def spectrum_at(noise: ResidualSpectrum, hz: Array, fs: float, low_pass_hz: floa
 
 
 def noise_frequencies(trace: Trace) -> Array:
-    """Frequencies (K,) at which the noise of `trace` is known; none where it is white or not known."""
+    """Frequencies (K,) of the noise spectrum of `trace`; empty if white or unknown."""
     return np.zeros(0) if trace.psd_hz is None else trace.psd_hz
 
 
 def psd_at(trace: Trace, hz: Array) -> Array:
-    """The noise (K, 3) that is known of `trace`, at `hz` (K,); it has a spectrum or a `sigma`."""
+    """The noise spectrum (K, 3) of `trace` at `hz` (K,); it has a spectrum or a `sigma`."""
     if trace.psd is None:
         assert trace.sigma is not None
         return np.tile(trace.sigma**2, (len(hz), 1))
@@ -302,13 +302,13 @@ def psd_at(trace: Trace, hz: Array) -> Array:
 
 
 def own_psd_at(trace: Trace, hz: Array) -> Array | None:
-    """The same of the sensor alone; None where that is not known."""
+    """The same of the sensor alone; None if unknown."""
     if trace.own_psd is None:
         return None
     return np.column_stack([np.interp(hz, noise_frequencies(trace), column) for column in trace.own_psd.T])
 
 
 def squared_residuals(trace: Trace) -> Array:
-    """Squares (n, 3) of what the observed samples are off the median."""
+    """Squares (n, 3) of the observed residual about its median."""
     residual = trace.residual[trace.observed]
     return np.asarray((residual - np.median(residual, axis=0)) ** 2)

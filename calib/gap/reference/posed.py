@@ -38,7 +38,7 @@ class Cutoffs:
     translation: float | None = None
 
     def lower(self, other: Cutoffs) -> Cutoffs:
-        """The lower of each: two recordings are compared as far as both poses tell."""
+        """The lower of each, so that two recordings are compared in one band."""
         return Cutoffs(_lower(self.rotation, other.rotation), _lower(self.translation, other.translation))
 
 
@@ -73,7 +73,7 @@ def rotation(q: Array) -> Rotation:
 def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTrajectory | None:
     """The reference pose of `recording`: ``ref_q_*``, or a table's own; None without an attitude.
 
-    `highest`: frequencies beyond which nothing is kept, whatever the recording allows; None: there are none.
+    `highest`: upper limits of the cut-offs; None: none.
     """
     highest = highest or Cutoffs()
     attitude = true_attitude(recording)
@@ -99,7 +99,7 @@ def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTraject
 
 
 def _known(attitude: Signal, smooth: LowPassedSignal) -> NDArray[np.bool_]:
-    """Where an attitude was recorded nearby: what a filter draws across a hole is no pose."""
+    """Where an attitude was recorded nearby, and not interpolated across a hole."""
     known = attitude.known(smooth.t)
     if smooth.cutoff_hz is None or known.all():
         return known
@@ -108,9 +108,9 @@ def _known(attitude: Signal, smooth: LowPassedSignal) -> NDArray[np.bool_]:
 
 
 def _check_convention(smooth: LowPassedSignal, gyro: Array, force: Array | None) -> None:
-    """The quaternion turns as the gyroscope does, unless it was written in another convention.
+    """Check that the quaternion turns as the gyroscope does.
 
-    Some conventions turn as a gyroscope in another frame does: then gravity decides.
+    Some wrong conventions turn as a gyroscope in another frame does; then gravity decides.
 
     Raises
     ------
@@ -164,14 +164,14 @@ _SAME = 0.9
 
 
 def _attitude_and_rate(attitude: Signal, cutoff: float | None) -> tuple[LowPassedSignal, Array, Array]:
-    """Attitudes below `cutoff`, as unit quaternions, and the rates in the body."""
+    """Attitude below `cutoff` as unit quaternions, and the rate in the body."""
     smooth = low_passed(attitude, cutoff)
     q = smooth.values / np.linalg.norm(smooth.values, axis=1, keepdims=True)
     return smooth, q, body_rate(q, smooth.first)
 
 
 def _readings_at(recording: Recording, sensor: Sensor, t: Array) -> Array | None:
-    """Readings of the first instance at `t`, by which the bandwidth of a pose is judged; None without one."""
+    """Readings of the first instance at `t`, to judge the bandwidth of a pose; None without one."""
     channel = next((c for c in recording.channels if c.sensor == sensor and c.stage != Stage.DEBIASED), None)
     signal = None if channel is None else Signal.of(channel)
     return None if signal is None else interpolated(signal.t, signal.values, t)
@@ -184,9 +184,9 @@ def body_rate(q: Array, change: Array) -> Array:
 
 
 def _acceleration(recording: Recording, t: Array, q: Array, highest: float | None) -> tuple[Array | None, float | None]:
-    """In NED at `t`, from velocity or place, as far up in frequency as the accelerometer knows of it, and how far.
+    """Acceleration in NED at `t` from velocity or place, and its cut-off; None without either.
 
-    None without.
+    The cut-off is the highest frequency at which it still agrees with the accelerometer.
     """
     found: dict[Sensor, Channel] = {c.sensor: c for c in recording.reference if len(c) >= 16}
     turn = rotation(q)
@@ -212,7 +212,7 @@ def _derivative(smooth: LowPassedSignal, sensor: Sensor) -> Array:
 def ideal_along(pose: PoseTrajectory, earth: Array | None) -> Ideal:
     """Ideal sensors along `pose`; the magnetometer in the field `earth` (3,), uT, north-east-down, None: unknown.
 
-    Without a place or a velocity the vehicle is taken not to accelerate, and the text says so.
+    Without place or velocity the acceleration is zero, as the text says.
     """
     rows, turn = pose.known, rotation(pose.attitude).inv()
     acceleration = np.zeros((len(pose.t), 3)) if pose.acceleration is None else pose.acceleration
@@ -234,12 +234,11 @@ def ideal_along(pose: PoseTrajectory, earth: Array | None) -> Ideal:
 
 
 def earth_field_of(channels: list[Channel], pose: PoseTrajectory) -> Array | None:
-    """The field in NED that magnetometers saw along `pose`, beside an offset of each; None if nothing determines it.
+    """The field in NED that magnetometers measured along `pose`, beside an offset of each; None if undetermined.
 
-    ``m = R_bn B + h``, linear in B and every h; residuals beyond three times their median lose weight, so that what
-    comes and goes does not pull. Where too few attitudes were visited to tell B from h, h is taken as zero. A
-    magnetometer in another frame fits no field in its own: B is then what it saw in the frame that fits, in which the
-    field points north. None as well where several frames fit alike, as they do about one axis.
+    ``m = R_bn B + h``, linear in B and every h; residuals beyond three times their median lose weight. With too few
+    attitudes to separate B and h, h is zero. A magnetometer in another frame fits no field in its own: B is then that
+    of the frame in which it fits and points north. None also if several frames fit alike, as they do about one axis.
     """
     rows, values, owner = [], [], []
     for i, channel in enumerate(channels):
@@ -263,9 +262,9 @@ def earth_field_of(channels: list[Channel], pose: PoseTrajectory) -> Array | Non
 
 
 def _magnetometer_frame(design: Array, m: Array) -> Array | None:
-    """Exchange of axes and signs after which `m` (N, 3) fits a field; None: several do, and its own does not.
+    """Exchange of axes and signs after which `m` (N, 3) fits a field; None if several do and the identity does not.
 
-    A frame and its opposite fit alike, with opposite fields: the one in which the field points north.
+    A frame and its opposite fit alike, with opposite fields: the one whose field points north is taken.
     """
     few = slice(None, None, max(1, len(m) // 500))
     flat = design[few].reshape(-1, design.shape[2])

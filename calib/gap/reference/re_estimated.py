@@ -1,6 +1,6 @@
-"""An ideal sensor driven by a trajectory that was re-estimated from the recording itself (GAP 3.5b).
+"""Ideal sensors along a trajectory that is re-estimated from the recording itself (GAP 3.5b).
 
-The attitude in a log was built from the sensors under test and hides their errors; here it only starts the search.
+The logged attitude was made from the sensors under test and hides their errors; it is only the initial value.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ where the field is not known the gain is one."""
 class SmoothedTrajectory:
     """A trajectory, and the instances that it was made with.
 
-    `late` are the seconds by which the firmware's own filters delayed gyroscope and accelerometer: the trajectory is
-    free of them, and what an ideal sensor behind the same filters read has them again.
+    `late` are the delays of gyroscope and accelerometer in the firmware's filters, s: the trajectory is without them,
+    and the ideal readings have them again.
     """
 
     state: TrajectoryState
@@ -104,17 +104,17 @@ class SmoothedTrajectory:
 
 
 def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | None:
-    """Ideal sensors along the smoothed trajectory of `recording`; `with_truth`: a simulator's attitude is in it.
+    """Ideal sensors along the smoothed trajectory of `recording`; `with_truth`: with a simulator's attitude.
 
-    None without GPS velocity, a gyroscope and an accelerometer over the same ten seconds. Among
-    several inertial units, and several magnetometers, the one is taken with which everything agrees best.
+    None without GPS velocity, a gyroscope and an accelerometer over the same ten seconds. Of several inertial units and
+    magnetometers the best-fitting ones are used.
     """
     found = best_trajectory(recording, with_truth=with_truth)
     return None if found is None else _ideal_along(found)
 
 
 def best_trajectory(recording: Recording, *, with_truth: bool = False) -> SmoothedTrajectory | None:
-    """The smoothed trajectory with the inertial unit and the magnetometer that fit best; None if there is none."""
+    """The smoothed trajectory with the best-fitting inertial unit and magnetometer; None without one."""
     channels = sensors_of(recording)
     velocity = next((s for c in recording.find(Sensor.VELOCITY) if (s := Signal.of(c)) is not None), None)
     gyros, accels, mags = (
@@ -155,7 +155,7 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
 def _unit_without_delay(
     best: SmoothedTrajectory, close: Sequence[SmoothedTrajectory], gyros: Mapping[int, Channel]
 ) -> SmoothedTrajectory:
-    """Among units that fit about as well, the one whose gyroscope is not late: no sensor reads the future."""
+    """Of units that fit about equally, the one whose gyroscope is not late: no sensor reads the future."""
     for other in close:
         first, second = (Signal.of(gyros[m.instance]) for m in (other, best))
         if first is None or second is None or other is best:
@@ -172,9 +172,9 @@ def _unit_without_delay(
 
 
 def _with_unit_errors(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTrajectory:
-    """With scales and axes that may differ, and biases that follow the temperature or walk where that says much more.
+    """The trajectory with scales and misalignments, and thermal or wandering biases if those fit far better.
 
-    As it was if they were turned to explain something else, like a crash.
+    Unchanged if the estimates are implausible because they explain something else, like a crash.
     """
     state = smooth(found.imu, aiding, found.state)
     free = smooth(found.imu, aiding, state, matrices=True)
@@ -191,10 +191,10 @@ def _with_unit_errors(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTraj
 def _with_bias_walk(
     imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool, drifts: bool
 ) -> TrajectoryState:
-    """`state`, or with a gyroscope whose bias wanders as much as its own readings say beside the aiding.
+    """`state`, or a trajectory whose gyroscope bias wanders as much as the readings and the aiding say.
 
-    A bias that wanders more than a smoother grants turns the attitude: axes, scales and the Earth's field would seem
-    to be wrong. A crash says nothing of it: intervals that are not believed have no voice.
+    A bias that wanders more than the smoother assumes turns the attitude, and looks like errors of axes, scales and the
+    Earth's field. Intervals that are contradicted, as in a crash, do not count.
     """
     strained = _contradicted_intervals(state, imu, state.interval_motion(imu))
     calm = dataclasses.replace(imu, known=imu.known & ~strained) if strained.any() else imu
@@ -221,7 +221,7 @@ def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:
 
 
 def _median_instance(mags: dict[int, Channel]) -> int:
-    """The instance that is nearest to all others; of two, the first."""
+    """The instance with the least total distance to all others; of two, the first."""
 
     def apart(i: int) -> float:
         signal = Signal.of(mags[i])
@@ -250,9 +250,9 @@ def _aiding(recording: Recording, velocity: Signal, compass: Channel | None, t: 
 
 
 def _expected_field(recording: Recording, field: Signal) -> tuple[Array, float, float]:
-    """The field of the World Magnetic Model where the recording was made, how well it is known, uT, and the gain by it.
+    """The field of the World Magnetic Model at the place, its standard deviation, uT, and that of the gain.
 
-    Without a position: one of the size that was measured, north and down as in middle latitudes.
+    Without a position: a field of the measured size, north and down as in middle latitudes.
     """
     place = next((c for c in recording.find(Sensor.POSITION) if len(c)), None)
     if place is not None:
@@ -274,7 +274,7 @@ def _year(recording: Recording) -> float:
 
 
 def _initial_attitude(recording: Recording, gyro: Channel, accel: Channel, aiding: Aiding, t: Array) -> Rotation:
-    """Where the search starts: the estimator's attitude, else levelled at the start and turned by the gyroscope."""
+    """Initial attitudes: the estimator's, else levelled at the start and integrated from the gyroscope."""
     estimate = next((s for c in recording.find(Sensor.ATTITUDE) if (s := Signal.of(c)) is not None), None)
     if estimate is not None and estimate.t[0] < t[0] + 2.0 and estimate.t[-1] > t[-1] - 2.0:
         return rotation(interpolated(estimate.t, continuous(estimate.values), t))
@@ -293,7 +293,7 @@ def _initial_attitude(recording: Recording, gyro: Channel, accel: Channel, aidin
 
 
 def _levelled_attitude(accel: Channel, aiding: Aiding, start: float) -> Rotation:
-    """From the first second: gravity is down; the magnetometer, if there is one, points along the Earth's field."""
+    """Attitude from the first second: gravity is down, and the magnetometer along the Earth's field."""
     early = accel.values[accel.t <= start + 1.0].mean(axis=0)
     body, world = [early / np.linalg.norm(early)], [np.array([0.0, 0.0, -1.0])]
     if len(aiding.mag_t):
@@ -331,7 +331,7 @@ def _ideal_along(found: SmoothedTrajectory) -> Ideal:
 
 
 def _contradicted_intervals(state: TrajectoryState, imu: Increments, between: IntervalMotion) -> NDArray[np.bool_]:
-    """Intervals about which the trajectory and the inertial unit contradict each other: a crash, a clipped sensor."""
+    """Intervals in which trajectory and inertial unit contradict each other: a crash, a clipped sensor."""
     here, there = state.attitude[:-1], state.attitude[1:]
     turned = (there.inv() * here * between.turn).as_rotvec()
     moved = state.velocity[:-1] + here.apply(between.velocity) + GRAVITY_NED * imu.dt - state.velocity[1:]

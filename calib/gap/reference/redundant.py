@@ -1,12 +1,11 @@
 """Instances of one vehicle against each other: a reference that needs neither attitude nor field.
 
-A difference d of two instances says that one has what the other has not, and not which. Their mean s does, however
-badly any reference follows it. What only one of them has is half in s: ``E[s d] = (var_1 - var_2) / 2``. This is the
-test of Pitman 1939 and Morgan 1939 for two variances of a correlated pair; the movement of the vehicle is in s and not
-in d. Let X be the power of d beyond that in the simulator's recording, in the band where it is largest. There the
-excess of ``2 s d / X`` is 1 if the first instance has it, -1 if the second, and 0 if both have as much.
-
-Below the slowest bands there is too little of either; there it is asked which of both is at the reference.
+A difference d of two instances does not tell which of them has an error. Their mean s does, without any reference: an
+error of one of them is half in s, so ``E[s d] = (var_1 - var_2) / 2``. This is the test of Pitman 1939 and Morgan 1939
+for two variances of a correlated pair; the vehicle's movement is in s and not in d. Let X be the power of d beyond that
+in the simulator's recording, in the band of the largest excess. There the excess of ``2 s d / X`` is 1 if the first
+instance has the error, -1 if the second, and 0 if both have it alike. In the lowest band, with too few coefficients,
+the distance of both from the reference decides.
 """
 
 from __future__ import annotations
@@ -43,10 +42,10 @@ of a vehicle settle within as long."""
 
 
 def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...]) -> tuple[Trace, ...]:
-    """Every instance of a sensor that has several, against the one that is most like its reference.
+    """Every instance of a sensor against the one nearest to its reference.
 
-    That one is found from the `single` traces; without them it is the one that is nearest to all others. For two
-    instances without a single trace nothing says which is at fault: the first is compared with the second.
+    That one is found from the `single` traces, else it is the one nearest to all others. Of two instances without a
+    single trace the first is compared with the second.
     """
     made: list[Trace] = []
     for sensor in TRIADS:
@@ -62,7 +61,7 @@ def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Reco
     reading = Signal.of(base)
     assert reading is not None
     if _rate(channel) > _FASTER * _rate(base) and (faster := Signal.of(channel)) is not None:
-        # Between the samples of a slow unit nobody knows how the vehicle moved.
+        # The movement between the samples of a slow unit is unknown.
         within = base.between(float(channel.t[0]), float(channel.t[-1]))
         channel = dataclasses.replace(channel, t=within.t, values=faster.at(within.t), zero_bin=None)
     trace = dataclasses.replace(trace_of(channel, reading, ideal, real), against=base.instance)
@@ -72,9 +71,9 @@ def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Reco
 
 
 def _with_movement_as_ideal(trace: Trace, channel: Channel, base: Channel, real: Recording) -> Trace:
-    """`trace` with the movement in the readings of `base` as ideal, and the same residual.
+    """`trace` with the movement in the readings of `base` as the ideal reading, and the same residual.
 
-    Its own noise is in the residual too: what follows such a reading would seem to explain it.
+    The noise of `base` is in the residual, so an effect in proportion to its noisy readings would seem to explain it.
     """
     found = denoised(base)
     if found is None:
@@ -91,7 +90,7 @@ def _rate(channel: Channel) -> float:
 
 
 def _contradicted_rows(sensor: Sensor, ideal: Ideal, t: Array) -> NDArray[np.bool_]:
-    """Where a re-estimated trajectory does not believe its own inertial unit: in a crash no unit is a reference."""
+    """Where a re-estimated trajectory contradicts its own inertial unit, as in a crash."""
     own = ideal.readings.get(sensor)
     if own is None or ideal.attitude is None or math.isinf(ideal.info.bandwidth_hz) or sensor is Sensor.MAG:
         return np.zeros(len(t), dtype=np.bool_)
@@ -152,7 +151,7 @@ Source: decision 42 has the rule. Three is chosen, not measured: one in 370 is l
 def faulty_instances_of(
     real: Sequence[Trace], sim: Sequence[Trace] = (), tilt_sd: float = 0.0
 ) -> dict[Sensor, FaultyInstances]:
-    """By sensor with two instances, which of them has more than it should; absent where nothing says so.
+    """By sensor with two instances, which of them has an error; absent if undecided.
 
     Parameters
     ----------
@@ -184,22 +183,22 @@ def _pair(traces: Sequence[Trace], sensor: Sensor) -> tuple[Trace, Trace] | None
 
 
 def _have_same_times(one: Trace, other: Trace) -> bool:
-    """Whether both were sampled at the same moments, row by row, and some rows are known of both."""
+    """Whether both were sampled at the same times, with common rows."""
     if len(one.t) != len(other.t) or float(np.abs(one.t - other.t).max(initial=0.0)) > SAME_SAMPLE / one.fs:
         return False
     return bool(_known(one, other).any())
 
 
 def _instance_off_reference(one: Trace, other: Trace) -> tuple[int, ...] | None:
-    """The one that is off the reference while the other is not."""
+    """The instance that is off the reference while the other is not."""
     known = _known(one, other)
     return _off_reference((one, other), one.residual[known], other.residual[known])
 
 
 def _tilt_explains_difference(one: Trace, other: Trace, tilt_sd: float) -> bool:
-    """Whether a tilt of the reference may stand for all that two accelerometers differ by across gravity.
+    """Whether a tilt of the reference may explain what two accelerometers differ by across gravity.
 
-    The attitude follows one of them. If that one is off, the other seems to be, with the opposite sign.
+    The attitude follows one of them. If that one is wrong, the other seems to be, with the opposite sign.
     """
     known = _known(one, other)
     apart = one.residual[known] - other.residual[known]
@@ -215,19 +214,19 @@ def _direction(force: Array) -> Array:
 
 
 def _along(series: Array, force: Array) -> Array:
-    """The part of a series (n, 3) along the specific force, (n,)."""
+    """Component of a series (n, 3) along the specific force, (n,)."""
     return np.asarray((series * _direction(force)).sum(axis=1))
 
 
 def _along_gravity(one: Trace, other: Trace) -> tuple[int, ...] | None:
-    """The one that is off the reference along gravity, where no tilt reaches to first order."""
+    """The instance that is off the reference along gravity, which a tilt does not change to first order."""
     known = _known(one, other)
     first, second = (_along(t.residual[known], t.ideal[known])[:, None] for t in (one, other))
     return _off_reference((one, other), first, second)
 
 
 def _off_reference(traces: tuple[Trace, Trace], first_left: Array, second_left: Array) -> tuple[int, ...] | None:
-    """The one whose slow residual is large while the other's is small; residuals (n, axes)."""
+    """The instance with a large slow residual while the other's is small; residuals (n, axes)."""
     first, second = (_spectra(left)[:, :_SLOW] for left in (first_left, second_left))
     apart = float(((first - second) ** 2).sum())
     left = [float((second**2).sum()), float((first**2).sum())]
@@ -239,7 +238,7 @@ def _off_reference(traces: tuple[Trace, Trace], first_left: Array, second_left: 
 
 @dataclass(frozen=True)
 class _Band:
-    """Two instances in a band: power of their mean and of their difference, and the product of both, a number."""
+    """Two instances in a band: power of mean and difference, their product, and the count."""
 
     mean: float
     difference: float
@@ -248,7 +247,7 @@ class _Band:
 
 
 def _instances_with_excess(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] | None) -> tuple[int, ...] | None:
-    """Who has what the difference has more than in the simulator's recording, in the band where that is most."""
+    """The instances with the largest excess of the difference beyond the simulator's recording."""
     if sim is not None and abs(math.log(real[0].fs / sim[0].fs)) > SAME_RATE:
         return None
     bands = _bands(*real)
@@ -268,9 +267,9 @@ def _instances_with_excess(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] |
 
 
 def _quieter_is_louder_too(band: _Band, before: _Band) -> bool:
-    """Whether the quieter of two instances has become louder as well, by its own noise and more.
+    """Whether the quieter of two instances also has significantly more noise than the simulator's.
 
-    One may have nine tenths of what the difference gained, and the other is ten times as loud as it should be.
+    One may have nine tenths of the excess while the other is ten times as loud as it should be.
     """
     excess = band.difference - before.difference
     side = 2.0 * (band.product - before.product) / excess
@@ -292,7 +291,7 @@ def _owner_of_excess(real: tuple[Trace, Trace], band: _Band, before: _Band, exce
 
 
 def _bands(one: Trace, other: Trace) -> list[_Band]:
-    """Octaves, the highest first."""
+    """Octave bands, the highest first."""
     known = _known(one, other)
     first, second = (_spectra(t.measured[known]) for t in (one, other))
     mean, difference = 0.5 * (first + second), first - second

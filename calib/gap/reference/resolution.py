@@ -1,4 +1,4 @@
-"""The lattice that numbers lie on: the steps of a converter, or of a program that rounded."""
+"""The lattice of quantised numbers: the step of a converter or of rounding."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class Levels:
 
 
 def noise_of(values: Array) -> float:
-    """Noise of one sample of `values` (N,) from successive differences that are not zero; 0 if there are none."""
+    """Noise of one sample of `values` (N,) from nonzero successive differences; 0 without any."""
     steps = np.diff(values)
     steps = steps[steps != 0.0]
     return float(1.4826 * np.median(np.abs(steps)) / math.sqrt(2.0)) if len(steps) else 0.0
 
 
 def levels_of(values: Array) -> Levels | None:
-    """The lattice of `values` (N,), None if they are on none (or never change)."""
+    """The lattice of `values` (N,), None if there is none or they never change."""
     distinct = np.unique(values)
     size = float(np.abs(distinct).max(initial=0.0))
     gaps = np.diff(distinct)
@@ -63,7 +63,7 @@ def levels_of(values: Array) -> Levels | None:
 
 
 def step_of(values: Array) -> float:
-    """Coarsest step of the columns of `values` (N, k), 0 if they lie on none."""
+    """Coarsest step of the columns of `values` (N, k), 0 without a lattice."""
     return max((found.step for column in values.T if (found := levels_of(column)) is not None), default=0.0)
 
 
@@ -77,6 +77,6 @@ def steps_of(channels: Iterable[Channel]) -> dict[Sensor, float]:
 
 
 def with_simulated_step(trace: Trace, step: float) -> Trace:
-    """`trace` with the `step` that the simulator rounds to declared, as far as the sensor rounds so too."""
+    """`trace` with the simulator's quantisation `step` declared, if the sensor has it too."""
     quantum = max(trace.quantum, min(step, step_of(trace.measured[trace.observed])) if step else 0.0)
     return trace if quantum == trace.quantum else replace(trace, quantum=quantum)

@@ -55,7 +55,7 @@ class Signal:
         return smooth
 
     def known(self, t: Array) -> NDArray[np.bool_]:
-        """Whether each of `t` lies between two samples that are near to each other."""
+        """Whether each of `t` lies between two neighbouring samples without a hole."""
         step = float(np.median(np.diff(self.t)))
         inside = (t >= self.t[0] - 0.5 * step) & (t <= self.t[-1] + 0.5 * step)
         return np.asarray(inside & ~self._in_hole(t))
@@ -72,14 +72,14 @@ class Signal:
 
 
 def interpolated(t: Array, values: Array, wanted: Array) -> Array:
-    """Columns of `values` (N, k) at `t` (N,), straight between the samples and held at the ends."""
+    """Columns of `values` (N, k) at `wanted`, linear between the samples `t` and held at the ends."""
     return np.column_stack([np.interp(wanted, t, column) for column in values.T])
 
 
 def slow_values(channels: Iterable[Channel], wanted: Array) -> Array | None:
-    """The first of `channels` that has samples, at the times `wanted`; None if none has.
+    """The first of `channels` with samples, interpolated at `wanted`; None without one.
 
-    For what changes slowly: temperature, current, throttle. Held at the ends.
+    For slow quantities: temperature, current, throttle.
     """
     for channel in channels:
         good = np.isfinite(channel.values).all(axis=1) & np.isfinite(channel.t)
@@ -121,10 +121,10 @@ class Grid:
 
 
 def grid_of(channel: Channel) -> Grid:
-    """The grid nearest to the time stamps of `channel`, over its longest part without a long hole.
+    """The uniform grid nearest to the time stamps of `channel`, over its longest part without a long hole.
 
-    Stamps of whole milliseconds, or that jitter by less than half a step, are kept apart; samples with the same stamp
-    count once. Samples that are not finite are holes.
+    Stamps of whole milliseconds, or with jitter below half a step, stay distinct; samples with one stamp count once.
+    Samples that are not finite are holes.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def _longest_part(t: Array) -> tuple[int, int]:
 
 
 def _uniform_steps(t: Array) -> tuple[float, float, NDArray[np.intp]]:
-    """Step, start and number of every stamp on the line that fits them best."""
+    """Step, start and sample numbers of the line that fits the time stamps best."""
     if len(t) < 2:
         return 1.0, float(t[0]), np.zeros(len(t), dtype=np.intp)
     differences = np.diff(t)
@@ -220,10 +220,10 @@ def low_passed(signal: Signal, cutoff_hz: float | None = None) -> LowPassedSigna
 
 
 def bandwidth(t: Array, derived: Array, measured: Array) -> float | None:
-    """Frequency up to which `derived` (N, 3), uniform in `t`, tells of `measured` (N, 3) more than noise; None: all.
+    """Frequency up to which `derived` (N, 3), uniform in `t`, predicts `measured` (N, 3); None: all.
 
-    A band of it helps where ``|m - d|^2 < |m|^2``: the cut-off is where the sum of what is gained is largest. What the
-    sensor adds of its own raises both sides alike.
+    A band helps if ``|m - d|^2 < |m|^2``; the cut-off maximises the cumulative gain. The sensor's own noise raises both
+    sides alike.
     """
     d, m = (dct(x - x.mean(axis=0), axis=0, norm="ortho") for x in (derived, measured))
     gained = np.cumsum((2.0 * m * d - d**2).sum(axis=1))

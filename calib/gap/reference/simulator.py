@@ -1,13 +1,12 @@
-"""A simulator's readings as a reference: the movement in them without their noise, and their own mean error.
+"""A simulator's readings as a reference: their movement without noise, and their mean error.
 
-Noise in the reference is an error in the regressors (Fuller, Measurement Error Models, 1987): it makes every column
-smaller than it is. It is also in the difference, with the other sign. A filter or a delay that takes some of it away
-then seems to explain the difference. Against the best estimate of the movement that is not so: what a Wiener
-filter leaves out is uncorrelated with what it lets through (regression calibration; Carroll et al., Measurement Error
-in Nonlinear Models, 2006). The price is known: at a frequency that the filter passes by ``g``, noise of power ``s^2``
-leaves ``g s^2`` in the reference.
+Noise in the reference is an error in the regressors (Fuller, Measurement Error Models, 1987): it attenuates every
+column and is in the difference with the other sign, so that a filter or a delay seems to explain it. The best estimate
+of the movement avoids that: what a Wiener filter removes is uncorrelated with what it passes (regression calibration;
+Carroll et al., Measurement Error in Nonlinear Models, 2006). At a frequency that the filter passes by ``g``, noise of
+power ``s^2`` leaves ``g s^2`` in the reference.
 
-What a simulated flight reads beside its own ideal is part of the simulator, and no gap.
+Mean errors of a simulated flight against its own ideal reading belong to the simulator.
 """
 
 from __future__ import annotations
@@ -60,14 +59,14 @@ one."""
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Denoised:
-    """The movement in some readings, and the noise (variance of one sample) that a sensor like it shows beside it."""
+    """The movement in readings, and the noise (variance of one sample) of a sensor like it beside that movement."""
 
     signal: Signal
     noise: ResidualSpectrum
 
 
 def denoised(channel: Channel) -> Denoised | None:
-    """The readings of `channel` without their white noise; None if they have none that can be told from movement."""
+    """The readings of `channel` without white noise; None if noise and movement cannot be separated."""
     grid = grid_of(channel)
     n = len(grid.t)
     values = interpolated(grid.stamps, channel.values[grid.sample], grid.t)
@@ -93,7 +92,7 @@ def denoised(channel: Channel) -> Denoised | None:
 
 
 def _line_gains(ratio: Array) -> Array:
-    """Gains (n - 1, 3) where a few neighbours of power `ratio` over the floor stand out: a frame that swings."""
+    """Gains (n - 1, 3) at narrow lines of power `ratio` over the floor: a vibrating frame."""
     gain = np.zeros_like(ratio)
     for width in _LINES:
         mean = uniform_filter1d(ratio, width, axis=0, mode="nearest")
@@ -106,23 +105,23 @@ def _line_gains(ratio: Array) -> Array:
 
 
 def with_reference_error(own: ResidualSpectrum, noise: ResidualSpectrum) -> ResidualSpectrum:
-    """The noise `own` of a sensor, learned elsewhere, with the error of the reference that is in `noise`."""
+    """The noise `own` of a sensor with the reference's error from `noise`."""
     error = dataclasses.replace(noise, psd=np.maximum(_error_power(noise), 1e-9 * noise.psd))
     return dataclasses.replace(own, psd=own.psd + spectrum_at(error, own.hz, own.fs, own.low_pass_hz))
 
 
 def error_sd(noise: ResidualSpectrum) -> float:
-    """Standard deviation of the noise that is left in the reference, of the axis that has most."""
+    """Standard deviation of the noise left in the reference, of the noisiest axis."""
     return float(np.sqrt((noise.dof @ _error_power(noise) / noise.dof.sum()).max()))
 
 
 def _error_power(noise: ResidualSpectrum) -> Array:
-    """Power of the noise that is left in the reference: the filter is closed in some band, and there is none of it."""
+    """Power of the noise left in the reference, zero in the band where the filter is closed."""
     return np.asarray(noise.psd - noise.psd.min(axis=0))
 
 
 def _white_power(power: Array) -> float | None:
-    """White noise in coefficients (n - 1,): the mean of the lowest blocks that agree with each other."""
+    """White noise power in coefficients (n - 1,), from the lowest blocks that agree."""
     high = power[int(_LOWEST * len(power)) :]
     blocks = np.array_split(high, max(1, min(_BLOCKS, len(high) // _FEWEST)))
     means = np.sort([block.mean() for block in blocks])
@@ -146,9 +145,9 @@ _SURE_OF_MEAN = 5.0
 
 
 def mean_deviations(single: Sequence[Trace]) -> dict[tuple[Sensor, int], Array]:
-    """Mean (3,) of the simulator's residuals by sensor and instance; axes on which it could be chance are zero.
+    """Significant mean (3,) of the simulator's residuals by sensor and instance, else zero.
 
-    The firmware's own calibration makes one: a simulated sensor without errors reads off by what it corrects.
+    The firmware's calibration causes one: a simulated sensor without errors is off by what it corrects.
     """
     found: dict[tuple[Sensor, int], Array] = {}
     for trace in single:
@@ -162,7 +161,7 @@ def mean_deviations(single: Sequence[Trace]) -> dict[tuple[Sensor, int], Array]:
 
 
 def with_simulated_offset(trace: Trace, found: Mapping[tuple[Sensor, int], Array]) -> Trace:
-    """`trace` against what the simulator's sensor would have read; its first instance stands for one that it lacks."""
+    """`trace` against the simulator's sensor with its mean error; a missing instance takes that of the first."""
     offset = found.get((trace.sensor, trace.instances[0]), found.get((trace.sensor, 0)))
     if offset is None or trace.against is not None or not offset.any():
         return trace

@@ -1,4 +1,4 @@
-"""Gyroscope and accelerometer between the nodes of a trajectory: turned and summed, all intervals at once."""
+"""Strapdown integration of gyroscope and accelerometer between the nodes of a trajectory, all intervals at once."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ sensor's noise."""
 
 @dataclass(frozen=True, eq=False)
 class Increments:
-    """Increments of one inertial unit: angle and velocity (K, STEPS, 3) over the steps of K intervals of `dt` seconds.
+    """Angle and velocity increments (K, STEPS, 3) of an inertial unit over the steps of K intervals of `dt` seconds.
 
-    `sampling` (2,) are the standard deviations of angle and velocity over an interval that come of sampling alone: how
-    much the sums change when every second sample is left out. It bounds the error, since sampled turns and vibrations
-    alias. An error of slow samples lasts over several intervals and adds up; it is counted as independent errors of the
-    same sum. `known` (K,) is False for intervals that lie in a hole of the recording. `warm` (K,) is how much warmer
-    than on average the unit is in each interval, in units of :data:`WARMTH_UNIT`; 0: not known.
+    `sampling` (2,) are standard deviations of angle and velocity over an interval by sampling alone: the change of the
+    sums when every second sample is omitted. It bounds aliasing of sampled turns and vibration. With slow samples that
+    error is correlated over several intervals; it is scaled as independent errors with the same sum. `known` (K,) is
+    False for intervals in a hole. `warmth` (K,) is the temperature above its mean in units of :data:`WARMTH_UNIT`; 0 if
+    unknown or nearly constant.
     """
 
     t: Array
@@ -44,7 +44,7 @@ class Increments:
 
     @classmethod
     def of(cls, gyro: Signal, accel: Signal, t: Array, temperature: Array | None = None) -> Increments:
-        """Between the nodes `t` (K + 1,), uniform; `temperature` (K + 1,) there, degC."""
+        """Increments between uniform nodes `t` (K + 1,); `temperature` (K + 1,) at the nodes, degC."""
         dt = float(t[1] - t[0])
         edges = t[0] + dt / STEPS * np.arange((len(t) - 1) * STEPS + 1)
         shape = (len(t) - 1, STEPS, 3)
@@ -61,8 +61,9 @@ class Increments:
     def integrated(
         self, gyro_bias: Array, accel_bias: Array, gyro_matrix: Array | None = None, accel_turn: Rotation | None = None
     ) -> IntervalMotion:
-        """With the biases (K, 3) of each interval taken off, and what the gyroscope's matrix (3, 3) and the
-        accelerometer's turn do to what they measure.
+        """Motion over each interval, with the errors of the unit corrected.
+
+        Biases (K, 3) are subtracted, and gyroscope matrix (3, 3) and accelerometer rotation undone.
         """
         step = self.dt / STEPS
         angle = self.angle - step * gyro_bias[:, None, :]
@@ -84,7 +85,7 @@ class Increments:
 
 @dataclass(frozen=True, eq=False)
 class IntervalMotion:
-    """Turn and velocity (K, 3), in the axes at its start, over each interval; attitudes and rates at its steps."""
+    """Rotation and velocity change (K, 3) over each interval, in its initial axes; attitudes and rates at its steps."""
 
     turn: Rotation
     velocity: Array
@@ -100,7 +101,7 @@ def _relative_warmth(temperature: Array | None, count: int) -> Array:
 
 
 def _integrals(signal: Signal, edges: Array) -> Array:
-    """Integral of every column between consecutive `edges`, straight lines between the samples, held at the ends."""
+    """Integral of every column between consecutive `edges`, with linear interpolation, held at the ends."""
     t, values = signal.t, signal.values
     area = np.vstack([np.zeros(3), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], axis=0)])
     inside = np.clip(edges, t[0], t[-1])

@@ -134,23 +134,23 @@ class TrajectoryState:
 
     @property
     def soft_iron(self) -> Array:
-        """What the magnetometer makes of a field, (3, 3)."""
+        """Soft-iron matrix of the magnetometer, (3, 3)."""
         xx, yy, zz, xy, xz, yz = self.constants[SOFT_IRON]
         return np.asarray(np.eye(3) + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
     @property
     def gyro_matrix(self) -> Array:
-        """What the gyroscope makes of a rate, (3, 3)."""
+        """Scale and misalignment matrix of the gyroscope, (3, 3)."""
         return np.asarray(np.eye(3) + self.constants[GYRO].reshape(3, 3))
 
     @property
     def plausible(self) -> bool:
-        """Whether scales and axes are those of a sensor: no good one is off by so many standard deviations."""
+        """Whether scales and misalignments are within plausible limits."""
         matrices = slice(SOFT_IRON.start, None)
         return bool((np.abs(self.constants[matrices]) < _IMPLAUSIBLE * CONSTANT[matrices]).all())
 
     def interval_motion(self, imu: Increments) -> IntervalMotion:
-        """What the inertial unit measured from node to node, without its errors."""
+        """Motion between the nodes from the inertial unit, with its errors corrected."""
         turn = Rotation.from_rotvec(self.constants[ACCEL])
         gyro, accel = (
             _drift_regressors(imu) @ self.constants[drift].reshape(2, 3) for drift in (GYRO_DRIFT, ACCEL_DRIFT)
@@ -159,12 +159,12 @@ class TrajectoryState:
 
 
 def _drift_regressors(imu: Increments) -> Array:
-    """What drifts follow, (K, 2): the unit's temperature and its square."""
+    """Regressors of the biases, (K, 2): temperature and its square."""
     return np.stack([imu.warmth, imu.warmth**2], axis=1)
 
 
 def initial_state(t: Array, attitude: Rotation, aiding: Aiding) -> TrajectoryState:
-    """Where the search starts: the attitudes of the nodes `t`, the velocity of the GPS, no errors."""
+    """Initial state: given attitudes at the nodes `t`, GPS velocity, no errors."""
     velocity = np.column_stack([np.interp(t, aiding.velocity_t, v) for v in aiding.velocity.T])
     constants = _prior_constants(aiding)
     zero = np.zeros((len(t), 3))
@@ -172,7 +172,7 @@ def initial_state(t: Array, attitude: Rotation, aiding: Aiding) -> TrajectorySta
 
 
 def _prior_constants(aiding: Aiding) -> Array:
-    """The constants a priori."""
+    """Prior means of the constants."""
     constants = np.zeros(CONSTANTS)
     constants[EARTH] = aiding.earth
     constants[LATE_GPS] = 0.1
@@ -188,10 +188,10 @@ def smooth(
     matrices: bool = False,
     drifts: bool = False,
 ) -> TrajectoryState:
-    """The trajectory that agrees best with everything, searched from `state`.
+    """The trajectory of maximum posterior probability, from the initial `state`.
 
-    `matrices`: whether scales and axes may differ from the ideal ones, `drifts`: whether biases may follow the
-    temperature; not where the attitude is known, since they would take what is the sensor's.
+    `matrices` frees scales and misalignments, `drifts` thermal biases; neither with a known attitude, since they would
+    absorb errors of the sensor.
     """
     prior = _prior_sd(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
     for _ in range(iterations):
@@ -208,9 +208,9 @@ def smooth(
 def log_evidence(
     imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool = False, drifts: bool = False
 ) -> float:
-    """Log of the likelihood of everything that was measured, whatever the trajectory (Laplace), but for a constant.
+    """Log marginal likelihood of all measurements over trajectories (Laplace), up to a constant.
 
-    It compares walks: a free one fits no worse than a narrow one, but it had more to choose from.
+    It compares bias walks, of which a freer one always fits at least as well.
     """
     prior = _prior_sd(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
     normal = _normal_equations(imu, aiding, state, prior)
@@ -229,7 +229,7 @@ def _prior_sd(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
 
 
 class _NormalEquations:
-    """Normal equations: blocks on the diagonal (n, 12, 12) and beside it (n - 1, 12, 12), border, corner, right."""
+    """Banded normal equations with a border: diagonal blocks (n, 12, 12), blocks beside them, border, corner."""
 
     def __init__(self, n: int) -> None:
         self.diagonal = np.zeros((n, NODE, NODE))
@@ -314,7 +314,7 @@ def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, s
 
 
 def _add_inertial(normal: _NormalEquations, imu: Increments, between: IntervalMotion, state: TrajectoryState) -> None:
-    """Neighbours: ``x[k+1] = F x[k] + B c + defect + walk``; of the constants c those of the inertial unit."""
+    """Add the dynamics ``x[k+1] = F x[k] + B c + defect + walk``, with the constants c of the inertial unit."""
     dt = imu.dt
     here, there = state.attitude[:-1], state.attitude[1:]
     matrix = here.as_matrix()
@@ -410,7 +410,7 @@ def _add_truth(
 def _attitudes(
     t: Array, dt: float, between: IntervalMotion, state: TrajectoryState
 ) -> tuple[NDArray[np.intp], Rotation, Array]:
-    """The node before each of `t`, the turn from north-east-down to the body then, and the rate in the body."""
+    """The node before each of `t`, the rotation from north-east-down to the body, and the rate in the body."""
     node, since = _node_before(t, state.t)
     rate = between.turn.as_rotvec()[np.minimum(node, len(between.velocity) - 1)] / dt
     return node, (state.attitude[node] * Rotation.from_rotvec(rate * since[:, None])).inv(), rate
@@ -423,12 +423,12 @@ def _node_before(t: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def _weights(residual: Array, sd: Array) -> Array:
-    """Inverse variances; what lies beyond three standard deviations loses weight (Huber)."""
+    """Inverse variances with Huber weights beyond three standard deviations."""
     return np.asarray(np.minimum(1.0, _HUBER * sd / np.maximum(np.abs(residual), 1e-12)) / sd**2)
 
 
 def _updated(state: TrajectoryState, normal: _NormalEquations) -> tuple[TrajectoryState, float]:
-    """The state moved by the solution, with the noise of the aiding learned again, and how far attitudes moved, rad."""
+    """The state after the step, with re-estimated noise of the aiding, and the largest change of attitude, rad."""
     nodes, constants = normal.solved(normal.right[:, :, None], normal.right_constants[:, None])
     step = nodes[:, :, 0]
     mag = normal.mag_residual
@@ -446,7 +446,7 @@ def _updated(state: TrajectoryState, normal: _NormalEquations) -> tuple[Trajecto
 
 
 def _standard_deviations(normal: _NormalEquations) -> tuple[float, Array]:
-    """Standard deviations: of roll, pitch and yaw, rad, the median over a few nodes, and of the constants (41,)."""
+    """Standard deviations of roll, pitch and yaw, rad, as a median over nodes, and of the constants (41,)."""
     n = len(normal.diagonal)
     nodes = np.linspace(0, n - 1, 8).astype(np.intp)
     right = np.zeros((n, NODE, 24 + CONSTANTS))

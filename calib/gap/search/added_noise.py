@@ -75,12 +75,10 @@ def tone_exceeds_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> boo
     """Whether a tone with amplitudes `beta` is more than the unsteadiness of the model's lines."""
     if not hypothesis.effect.tonal:
         return True
-    samples = sum(model.setting.views[v].whole.n for v in _series_of(hypothesis, model) if not _upper(model, v))
+    samples = sum(
+        model.setting.views[v].whole.n for v in _series_of(hypothesis, model) if not model.setting.views[v].first
+    )
     return 0.5 * float(beta @ beta) * samples > prices.LINE_UNSTEADINESS * line_power(hypothesis, model)
-
-
-def _upper(model: Model, v: int) -> bool:
-    return bool(model.setting.views[v].first)
 
 
 def line_power(hypothesis: Hypothesis, model: Model) -> float:

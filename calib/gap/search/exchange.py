@@ -240,7 +240,7 @@ def _comparison(
         energy = float(term.beta @ gram @ term.beta)
         own = _own_score(chosen, term, own_columns, beside)
         own_gain, own_delta = own.gain, own.delta
-        # What the others would take over along their tangents, and do not: no noise gains it beside them.
+        # The part that the other terms absorb: linearised columns could take it, added noise could not.
         stiff = max(misfit(bare) - misfit(model) - own_gain, 0.0)
     taken = {t.hypothesis.key for t in model.members} | {one.score.hypothesis.key for one in known}
     found = list(known)

@@ -213,7 +213,8 @@ def extended(
     step = 0
     while step < prices.MOST_IN_A_ROW + prices.MOST_EVENTS:
         full = step >= prices.MOST_IN_A_ROW
-        still = {key: s for key, s in scores.items() if _happens(s)} if full else scores
+        # An event that waits for errors of other sensors to enter would spoil the noise of its own meanwhile.
+        still = {key: s for key, s in scores.items() if s.hypothesis.effect.jumps} if full else scores
         best, trial = _best_candidate(still, level, gains, contest, model)
         if best is None or contest.pace.ends():
             break
@@ -230,11 +231,6 @@ def extended(
     model, joined = _without_second_order(model, joined, gains)
     model, joint, noise = jointly_fitted(model)
     return ChosenModel(model, joint, noise, tuple(joined), chosen.tests, first)
-
-
-def _happens(score: ContestScore) -> bool:
-    """Whether it is an event. An event that waits for errors of other sensors to enter spoils its noise meanwhile."""
-    return score.hypothesis.effect.jumps
 
 
 def with_score(model: Model, score: ContestScore) -> Model:
@@ -274,7 +270,7 @@ def _candidate_scores(
 def _best_candidate(
     scores: dict[Key, ContestScore], level: float, gains: Gains, contest: Contest, model: Model
 ) -> tuple[ContestScore | None, Model | None]:
-    """The best significant score, refined and no second order of the model's effects, and its fitted model, if any.
+    """The best significant score, refined and no second order of other effects, and its fitted model, if any.
 
     Drift noise and undeclared noise may have absorbed a slow mean, so the gain of a mean beside them is not compared
     with the second order.
@@ -427,7 +423,8 @@ def _mean_marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[floa
     for i, term in enumerate(model.terms):
         mine = normal.slices[i]
         start = normal.slices[count].start
-        beside = np.array([k for k in range(start, size) if not _within(k, normal.slices[count + i])], np.intp)
+        own_rows = normal.slices[count + i]
+        beside = np.array([*range(start, own_rows.start), *range(own_rows.stop, size)], np.intp)
         values = np.ones(1) if term.effect.fixed else term.beta
         right = normal.right + normal.gram[:, mine] @ values
         cross = normal.gram[mine][:, beside]
@@ -440,10 +437,6 @@ def _mean_marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[floa
             basis = independent_directions(gram, np.diag(normal.gram)[mine])
             found[term.hypothesis.key] = (float(((basis.T @ left) ** 2).sum()), basis.shape[1], 1)
     return found
-
-
-def _within(k: int, rows: slice) -> bool:
-    return bool(rows.start <= k < rows.stop)
 
 
 def with_term_in_residual(model: Model, i: int) -> Model:

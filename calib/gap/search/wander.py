@@ -93,7 +93,7 @@ def fit_wander(chosen: ChosenModel, contest: Contest, start: Model, alpha: float
         return None
     frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
-    # A bias that wanders cannot be told from a reference that does.
+    # A wandering bias cannot be separated from a wandering reference.
     candidates = [
         h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.drifts and _sees_direction(h))
     ]

@@ -1,4 +1,4 @@
-"""Whether two diagnoses, of two flights, say the same of an effect."""
+"""Agreement of two diagnoses, of two flights, on an effect."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class Remainder:
 
 
 def agreements(effects: Sequence[EffectEstimate], others: Iterable[EffectEstimate]) -> tuple[EffectAgreement, ...]:
-    """Each of `effects` beside its counterpart among `others`; each of these is the counterpart of one at most.
+    """Each of `effects` with its counterpart among `others`, each of which is used once.
 
-    Where there are several of one kind (steps), the one with the nearest parameters counts.
+    Of several of one kind (steps), the one with the nearest parameters.
     """
     left = list(others)
     found = []
@@ -77,7 +77,7 @@ def _remainder(one: ParameterEstimate, other: ParameterEstimate | None) -> Remai
 
 
 def distance(one: EffectEstimate, other: EffectEstimate) -> float:
-    """The largest difference of their parameters in units of what is allowed; infinite where none can be compared."""
+    """Largest difference of their parameters in units of the allowed one; infinite without a common parameter."""
     theirs = {p.name: p for p in other.params}
     apart = [
         abs(p.value - theirs[p.name].value) / max(math.hypot(p.se, theirs[p.name].se), 1e-300)

@@ -1,4 +1,4 @@
-"""Effects of a model as a report has them: parameters, evidence, rivals, and the gates that they passed."""
+"""Effects of a model for the report: parameters, evidence, rivals and gates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mavcal.calib.recording import Sensor
 
 
 def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:
-    """An effect of the catalogue; `passed`: whether held-out blocks confirm it, None where they say nothing."""
+    """The estimate of an effect; `passed`: whether held-out blocks confirm it, None if undecided."""
     term, dose = _term(chosen.model, found), block_agreement(chosen, found.key)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
     probability = calibrated_probability(found.probability, found.gain, beside_unknown=beside_unknown)
@@ -42,10 +42,9 @@ _EITHER_UNIT_SHARE = 0.5
 
 
 def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
-    """A delay on the unit that has it, of two `units`, which count from 1.
+    """A delay, moved to the unit that has it, of two `units`, which count from 1.
 
-    A re-estimated trajectory follows one of them and is as late. Beside it the other seems to come early, and no sensor
-    reads what has not happened.
+    A re-estimated trajectory follows one unit and is as late. The other then seems to be early, which no sensor can be.
     """
     if Trait.LATE not in by_id()[effect.id].traits or len(units) != 2 or len(effect.instances) != 1:
         return effect
@@ -58,7 +57,7 @@ def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> Effect
 
 
 def with_other_unit_as_rival(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
-    """`effect` with its doubt: of two `units`, which count from 1, the other may have it instead."""
+    """`effect` with half its probability and the other of two `units`, which count from 1, as a rival."""
     other = next(unit for unit in sorted(units) if unit not in effect.instances)
     fix = f"turning through all headings and tilts (instance {other} may have it instead, with the opposite sign)"
     evidence = replace(effect.evidence, probability=_EITHER_UNIT_SHARE * effect.evidence.probability)
@@ -67,7 +66,7 @@ def with_other_unit_as_rival(effect: EffectEstimate, units: Collection[int]) -> 
 
 
 def attitude_error_effect(wander: WanderFit, attributions: tuple[Attribution, ...]) -> EffectEstimate:
-    """The reference's own error as an effect: its size on each axis."""
+    """The reference's attitude error as an effect: its rms about each axis."""
     model = wander.chosen.model
     instances = sorted({i + FIRST for view in model.setting.views if sees_attitude(view) for i in view.weights})
     others = sum(a.gain for a in attributions)

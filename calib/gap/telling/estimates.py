@@ -36,11 +36,11 @@ further off by chance."""
 
 
 def estimates_of(chosen: ChosenModel, term: Term | NoiseTerm, widening: float = 1.0) -> tuple[ParameterEstimate, ...]:
-    """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise,
-    and what the reference's attitude leaves open (:mod:`calib.gap.worth.attitude_error`).
+    """Parameters of one effect, the shape last.
 
-    A step between levels that do not fit it has at least the error by which they differ from it. The error of its
-    moment is at least the distance of the samples beside it.
+    Standard errors on the mean are `widening` times those of the noise, plus those of the reference's attitude
+    (:mod:`calib.gap.worth.attitude_error`). A step has at least the error of its level mismatch, and its moment at
+    least that of the sample interval.
     """
     if isinstance(term, NoiseTerm):
         found = chosen.noise.estimates[term.hypothesis.key]
@@ -88,10 +88,10 @@ def _of_noise(term: NoiseTerm, found: NoiseEstimate, chosen: ChosenModel) -> tup
 
 
 def _with_fixed_temperatures(chosen: ChosenModel) -> tuple[Array, Array]:
-    """Covariance and Gram matrix of all amplitudes, where a temperature is stated that no data can show.
+    """Covariance and Gram matrix of all amplitudes, with undetermined reference temperatures fixed.
 
-    Beside a free offset the temperature at which a drift vanishes is a choice: any will do, with the offset that the
-    sensor has there. The one that was fitted is kept, without an error, and the offset is the one at it.
+    Beside a free offset the temperature at which a drift vanishes is arbitrary: any is possible with the matching
+    offset. The fitted one is kept without an error.
     """
     joint = chosen.joint
     hidden = _undetermined(joint.normal.gram)
@@ -113,7 +113,7 @@ def _with_fixed_temperatures(chosen: ChosenModel) -> tuple[Array, Array]:
 
 
 def _undetermined(gram: Array) -> NDArray[np.bool_]:
-    """Which parameters have a part in a direction that the Gram matrix does not see."""
+    """Which parameters have a part in a direction without information."""
     scale = np.sqrt(np.diag(gram))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
@@ -130,9 +130,9 @@ _FURTHEST = 1.0
 
 
 def frequency_sd(model: Model, term: NoiseTerm) -> float:
-    """Standard error of the shape of a noise term, in its unit; infinite where any other within an octave is as likely.
+    """Standard error of the shape of a noise term; infinite if no value within an octave is excluded.
 
-    The amplitudes are fitted again at every frequency.
+    Amplitudes are fitted again at every frequency.
     """
     bare = without_term(model, term)
     fits = noise_fits(bare, term.hypothesis.effect.sensor)
@@ -142,7 +142,7 @@ def frequency_sd(model: Model, term: NoiseTerm) -> float:
 
 
 def _sd_on_side(bare: Model, fits: tuple[AxisFit, ...], term: NoiseTerm, best: float, sign: float) -> float:
-    """Half of the distance at which two standard errors are lost, by doubling; infinite where they never are."""
+    """Half of the distance at which the likelihood falls by two standard errors; infinite if it never does."""
     part, before = _FIRST, (0.0, 0.0)
     while part < _FURTHEST:
         lost = _deviance(bare, fits, term, term.theta * (1.0 + sign * part)) - best

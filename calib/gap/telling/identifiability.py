@@ -30,12 +30,12 @@ Array = NDArray[np.float64]
 
 
 def is_bounded(params: Iterable[ParameterEstimate]) -> bool:
-    """Whether all of them have an error."""
+    """Whether all parameters are finite with finite errors."""
     return all(math.isfinite(p.value) and math.isfinite(p.se) for p in params)
 
 
 def unbounded_parameters(chosen: ChosenModel) -> dict[Key, str]:
-    """Named effects of a model with a parameter that has no finite error, and the names of these."""
+    """Named effects with a parameter without a finite error, and the names of those parameters."""
     found = {}
     for term in chosen.model.members:
         if term.hypothesis.effect.nameless:
@@ -47,7 +47,7 @@ def unbounded_parameters(chosen: ChosenModel) -> dict[Key, str]:
 
 
 def unbounded_causes(chosen: ChosenModel, loose: dict[Key, str]) -> Iterator[UnnamedCause]:
-    """What is said in their place."""
+    """Unnamed causes in place of effects with unbounded parameters."""
     for term in chosen.model.members:
         effect = term.hypothesis.effect
         if (names := loose.get(term.hypothesis.key)) is not None:
@@ -60,7 +60,7 @@ _ERRORS = 2.0
 
 
 def inseparable(chosen: ChosenModel, reference: ReferenceInfo) -> frozenset[Key]:
-    """Named effects on the mean without an amplitude beyond two standard errors, the reference's tilt included."""
+    """Named effects on the mean without an amplitude beyond two standard errors, those of the attitude included."""
     if reference.kind is not ReferenceKind.ESTIMATOR:
         return frozenset()
     return frozenset(_within_error(chosen))
@@ -77,12 +77,12 @@ def _within_error(chosen: ChosenModel) -> Iterator[Key]:
 
 
 def _exceeds_error(amplitude: ParameterEstimate) -> bool:
-    """Whether it differs from zero; of one that by itself has no error nothing is known."""
+    """Whether an amplitude exceeds its error, or has no error by itself."""
     return not math.isfinite(amplitude.se) or abs(amplitude.value) > _ERRORS * amplitude.se
 
 
 def inseparable_notice(ids: Collection[str]) -> tuple[str, ...]:
-    """One sentence for the report; none where there are no such effects."""
+    """A notice of the effects; empty without any."""
     names = ", ".join(dict.fromkeys(ids))
     return (f"small, not separable from the reference's error: {names}",) if names else ()
 
@@ -98,7 +98,7 @@ _SAMPLES = 2000
 
 
 def with_equal_effects(effect: EffectEstimate, model: Model, term: Term | NoiseTerm) -> EffectEstimate:
-    """`effect` with those that are the same within the reference's error; the probability is shared with them."""
+    """`effect` with those that are equal within the reference's error as rivals, sharing its probability."""
     if isinstance(term, NoiseTerm) or term.effect.shared or term.effect.shape is not None:
         return effect
     if effect.sensor is Sensor.GYRO:  # a rate of turn does not depend on the attitude
@@ -121,7 +121,7 @@ def with_equal_effects(effect: EffectEstimate, model: Model, term: Term | NoiseT
 
 
 def _series_with_error(model: Model, term: Term) -> View | None:
-    """The series that has the reference's error, if the effect is on all units in it: no unit says otherwise then."""
+    """The series with the reference's error, if the effect is on all its units; else the other units decide."""
     for view in model.setting.views:
         if term.hypothesis.touches(view) and view.reference_error and view.att_sd > 0.0 and not view.first:
             return view if set(term.hypothesis.instances) == set(view.weights) else None
@@ -129,7 +129,7 @@ def _series_with_error(model: Model, term: Term) -> View | None:
 
 
 def _equal_effects(term: Term, view: View) -> Iterator[tuple[CatalogueEffect, float]]:
-    """Linear effects that are known to imitate it, or to be imitated, and the part of its energy that they take."""
+    """Linear rivals that equal the effect within the attitude error, and the share of its energy that they imitate."""
     every = max(1, view.n // _SAMPLES)
     made = predicted(term, view)[::every]
     ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])[::every]
@@ -150,7 +150,7 @@ def _equal_effects(term: Term, view: View) -> Iterator[tuple[CatalogueEffect, fl
 
 
 def _best_fit(columns: Array, made: Array, weight: Array) -> Array:
-    """What columns (p, n, 3) make of `made` (n, 3), by weighted least squares."""
+    """Weighted least-squares fit of columns (p, n, 3) to `made` (n, 3)."""
     X = (columns * weight).reshape(len(columns), -1)
     found = np.linalg.lstsq(X.T, (made * weight).ravel(), rcond=1e-9)[0]
     return np.asarray(np.tensordot(found, columns, axes=1))

@@ -1,8 +1,8 @@
-"""Where a sensor differs from its reference: every channel in every regime, in nats and in its own unit.
+"""Location of the gap: every channel in every regime, in nats and in its unit.
 
 A regime is one bin of one covariate: time, temperature, current, throttle, rate, specific force, attitude, frequency.
-Samples are whitened by the noise that is declared; in a cell without a gap their squares add up to chi-squared and
-their sum is normal. Both are asked, and every cell of every channel pays for all of them (Holm).
+Samples are whitened by the declared noise; in a cell without a gap their squares add up to chi-squared and their sum is
+normal. Both are tested, with Holm's correction for all cells and channels.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ class _Cell:
 
     @property
     def p(self) -> float:
-        """Chance of so large a power or sum; twice the smaller of both."""
+        """Chance of the power or of the sum, twice the smaller one."""
         power = float(chdtrc(self.count, self.squares))
         mean = 2.0 * float(ndtr(-abs(self.total) / math.sqrt(self.count))) if math.isfinite(self.total) else 1.0
         return min(1.0, 2.0 * min(power, mean))
 
     @property
     def nats(self) -> float:
-        """Loss of log-likelihood a sample against the noise that is declared."""
+        """Loss of log-likelihood a sample against the declared noise."""
         return 0.5 * max(self.squares / self.count - 1.0, (self.total / self.count) ** 2, 0.0)
 
 
 def located(model: Model, alpha: float) -> tuple[LocatedGap, ...]:
-    """Every significant cell of a model without effects, largest loss in total first."""
+    """Every significant cell of a model without effects, the largest total loss first."""
     cells = [cell for v in range(len(model.setting.views)) for c in range(3) for cell in _cells(model, v, c)]
     order = sorted(range(len(cells)), key=lambda i: cells[i].p)
     findings, running = [], 0.0
@@ -113,7 +113,7 @@ def _bands(v: int, c: int, view: View, y: Array, sd: Array) -> Iterator[_Cell]:
 
 
 def _edges(values: Array) -> Array:
-    """Edges of bins of equal width, those of a constant apart."""
+    """Edges of bins of equal width; one bin for a constant."""
     low, high = float(values.min()), float(values.max())
     return np.linspace(low, high, _BINS + 1) if high > low else np.array([low, high])
 

@@ -1,9 +1,9 @@
-"""How often a name is right, from how likely it is among its rivals and from what it gains.
+"""Calibrated probability of a named effect, from its probability among rivals and its gain.
 
-The softmax over rivals knows only the rivals that somebody wrote down. What gains little is often the second order of
-something large, or of something that has no name. The numbers were fitted to 446 names of cases that were no longer
-sealed: one to three effects, seeds 90001 to 90570, and unknown errors without and with them. Each kind has the weight
-of a full run of the check (1000, 400, 400 and 200 cases), where 83 % are right.
+The softmax over rivals knows only listed rivals. A small gain is often a second order of something large or unnamed.
+The numbers were fitted to 446 names of cases that were no longer sealed: one to three effects, seeds 90001 to 90570,
+without and with unknown errors. Each kind has the weight of a full run of the check (1000, 400, 400 and 200 cases), in
+which 83 % are right.
 """
 
 from __future__ import annotations

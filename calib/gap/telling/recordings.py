@@ -45,7 +45,7 @@ def inputs_of(problem: GapProblem) -> Inputs:
 
 @cache
 def diagnoser_sha256() -> str:
-    """Over the sources of ``calib.gap``: which diagnoser spoke."""
+    """Digest of the sources of ``calib.gap``: the version of the diagnoser."""
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
@@ -54,9 +54,9 @@ def diagnoser_sha256() -> str:
 
 
 def series_of(model: Model, tolerated: Collection[Key] = ()) -> tuple[SeriesFit, ...]:
-    """Every series of a model at its own rate; what its bands have in common is one.
+    """Every series of a model at its own rate, with both bands as one.
 
-    Effects of the keys `tolerated` are in what is modelled and are not shown by themselves.
+    Effects of the keys `tolerated` are in what is modelled and have no part of their own.
     """
     return tuple(_series_fit(model, v, tolerated) for v, band in enumerate(model.setting.views) if not band.first)
 
@@ -82,7 +82,7 @@ def _series_fit(model: Model, v: int, tolerated: Collection[Key]) -> SeriesFit:
 
 
 def _parts(drawn: Iterable[tuple[Term, Array]]) -> dict[str, Array]:
-    """What each effect adds to a series, by id; what happens more than once is shown as one."""
+    """Contribution of each effect to a series, by id; repeated effects are summed."""
     parts: dict[str, Array] = {}
     for term, added in drawn:
         name = term.effect.id
@@ -91,7 +91,7 @@ def _parts(drawn: Iterable[tuple[Term, Array]]) -> dict[str, Array]:
 
 
 def _at_own_rate(term: Term, band: View) -> Array:
-    """The prediction of a term at the own rate of a series; what is slow is drawn between the samples of its band."""
+    """Prediction of a term at the series' own rate; slow ones are interpolated from the lower band."""
     if band.fine is None or term.hypothesis.fast:
         return predicted(term, band.whole)
     slow = predicted(term, band)
@@ -106,7 +106,7 @@ _SURE = 6.0
 
 
 def overstated_noise(model: Model) -> Iterator[str]:
-    """A sentence for every series that a model leaves with less noise than nominal recordings or a simulator have."""
+    """A notice for every series whose residual has less noise than is declared."""
     labels = dict.fromkeys(view.label for view in model.setting.views)
     for label in labels:
         found = [(v, view) for v, view in enumerate(model.setting.views) if view.label == label]

@@ -147,10 +147,9 @@ def _chain_likelihoods(energy: Array, freedom: NDArray[np.intp]) -> Array:
 
 
 def _mixture_likelihood(energy: Array, freedom: int) -> float:
-    """The largest log-likelihood of sums (n,) of `freedom` squares with one of two variances each, against unit
-    variance.
+    """Largest log-likelihood of sums (n,) with one of two variances each, against unit variance.
 
-    By expectation and maximisation, each sum independently.
+    Each is a sum of `freedom` squares; by expectation and maximisation, each sum independently.
     """
     best = 0.0
     for part, variance in _STARTS:

@@ -66,7 +66,7 @@ class _ShapePlace:
 
     @property
     def elaborate(self) -> bool:
-        """Whether it explains hardly more than the effects that it replaces, with more parameters than they have."""
+        """Whether it explains hardly more than the replaced effects, with more parameters."""
         more = is_broken_line(self.score.hypothesis) or self.score.df > self.df
         return more and self.own > _CONTAINED_SHARE * self.score.delta
 

@@ -164,7 +164,7 @@ def _resampled(trace: Trace, own: Trace, drawn: Array) -> Array:
 
 
 def _effect(own: Trace, text: str, group: _ShapeGroup, rows: Rows, *, part: bool) -> MeanEffect:
-    """The effect with columns `rows` of a group along the trace `own`; column ``3 q + axis`` is signal q on an axis."""
+    """An effect with the columns `rows` of a group along `own`; column ``3 q + axis`` is signal q on that axis."""
     sensor = own.sensor
 
     def columns(trace: Trace, _theta: float) -> Array:

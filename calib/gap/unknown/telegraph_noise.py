@@ -151,8 +151,8 @@ def _remaining_power(noise: AxisNoise, names: Collection[str]) -> Array:
 
 
 def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
-    """By column of `x` (n, p), twice the log-likelihood ratio of a Markov chain of two levels against zero, and its
-    jumps.
+    """Twice the log-likelihood ratio of a Markov chain of two levels against zero, and its jumps, by column of `x` (n,
+    p).
 
     `variance` (p,) is that of the white noise. Levels and transition probabilities are estimated (Baum & Welch; Rabiner
     1989, III).

@@ -1,1 +1,1 @@
-"""What each effect of a model is worth: its share, its rivals, and how sure its amplitudes are."""
+"""Attribution of the gap to effects: shares, rivals, probabilities, and attitude errors of amplitudes."""

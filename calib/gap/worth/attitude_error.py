@@ -1,8 +1,8 @@
-"""What the error of a re-estimated trajectory makes of the amplitudes of effects, and which of them are no more.
+"""Errors of amplitudes by the error of a re-estimated trajectory, and effects that are no larger.
 
-A tilt that stays reads like an accelerometer's bias and an offset of the compass, one that grows like a bias of the
-gyroscope; a gyroscope's matrix that was estimated inside the trajectory reads like axes of the sensor. The noise of the
-samples says nothing of it: a minute of them would state a bias to a part in a thousand of what the tilt leaves open.
+A constant tilt reads like a bias of the accelerometer and an offset of the compass, a growing one like a bias of the
+gyroscope. A gyroscope matrix estimated inside the trajectory reads like misalignment of the sensor. The noise of the
+samples does not contain these errors: a minute of data would state a bias to a thousandth of what the tilt leaves open.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ covariance, 1e-16, with a margin."""
 
 
 def variance_from_attitude(model: Model, joint: Joint) -> Array:
-    """What the trajectory's error adds to the variance of each number of `joint`, (p,)."""
+    """Variance that the trajectory's error adds to each value of `joint`, (p,)."""
     return np.asarray((_amplitude_errors(model, joint) ** 2).sum(axis=1))
 
 
 def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
-    """Effects on the mean that the trajectory's own error makes as large with a chance above `alpha`."""
+    """Effects on the mean that the trajectory's error explains with a chance above `alpha`."""
     moved = _amplitude_errors(model, joint)
     if not moved.any():
         return frozenset()
@@ -57,8 +57,8 @@ def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
 def on_uncertain_unit(model: Model, alpha: float) -> frozenset[Key]:
     """Effects on one of two units that the other may have instead, with the opposite sign.
 
-    The units differ by them for certain. If both had them, the trajectory's own error would be as large with a chance
-    above `alpha`: it cannot say which of both is off.
+    The difference of the units is certain. The trajectory cannot tell which unit is wrong if its own error explains the
+    effect on both with a chance above `alpha`.
     """
     views = model.setting.views
     tilt = max((view.att_sd for view in views if view.reference_error), default=0.0)
@@ -94,12 +94,12 @@ def _chance_of(values: Array, covariance: Array) -> float:
 
 
 def _amplitude_errors(model: Model, joint: Joint) -> Array:
-    """What each error of the trajectory, of one standard deviation, makes of the numbers of `joint`, (p, errors).
+    """Change of each value of `joint` by each error of the trajectory of one standard deviation, (p, errors).
 
-    The attitude is off by a rotation of standard deviation :attr:`View.att_sd` about each axis. Half of its variance is
-    constant, half grows evenly over the recording; :attr:`View.inside_sd` are those of what was estimated with it.
-    They move the amplitudes by ``C X' W R`` (first order), `R` being the readings' change with them. Where the attitude
-    that wanders is itself in the model, what was estimated with it is left.
+    The attitude is rotated by :attr:`View.att_sd` about each axis; half of the variance is constant, half grows over
+    the recording. :attr:`View.inside_sd` are errors of values estimated inside the trajectory. To first order the
+    change is ``C X' W R``, with `R` the change of the readings. If the wandering attitude is in the model, only the
+    latter are left.
     """
     count = len(joint.covariance)
     known = all(view.att_sd == 0.0 for view in model.setting.views if view.reference_error)
@@ -114,7 +114,7 @@ def _amplitude_errors(model: Model, joint: Joint) -> Array:
 
 
 def _error_columns(setting: Setting, *, tilts: bool) -> HypothesisColumns:
-    """What readings change by each error of one standard deviation."""
+    """Change of the readings by each error of one standard deviation."""
     times = [view.t for view in setting.views]
     first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
     parts: dict[int, Part] = {}
@@ -132,9 +132,9 @@ def _error_columns(setting: Setting, *, tilts: bool) -> HypothesisColumns:
 
 
 def _rotation_errors(view: View, first: float, last: float) -> Array:
-    """Columns (6, n, 3) of rotations of the reference about x, y, z that stay, and of ones that grow.
+    """Columns (6, n, 3) of constant rotations of the reference about x, y, z, and of growing ones.
 
-    The growing ones are of unit variance between `first` and `last`.
+    The growing ones have unit variance between `first` and `last`.
     """
     root = math.sqrt(3.0)
     if view.sensor is Sensor.GYRO:
@@ -158,7 +158,7 @@ def _matrix_errors(view: View) -> Array:
 
 
 def _field_errors(view: View) -> Array:
-    """Columns (3, n, 3) of the Earth's field north, east, down; zero where the attitude is not known."""
+    """Columns (3, n, 3) of the Earth's field north, east, down; zero without an attitude."""
     if any(trace.attitude is None for trace in view.traces.values()):
         return np.zeros((3, view.n, 3))
     columns = np.add.reduce([w * earth_columns(view.traces[i], math.nan) for i, w in view.weights.items()])

@@ -1,4 +1,4 @@
-"""What each effect of a model is worth: its share, its rivals, and how probable it is."""
+"""Attribution of the gap to the effects of a model: shares, rivals and probabilities."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ DRIFT_IN_TIME = "drift_in_time"
 
 @dataclass(frozen=True, eq=False)
 class Attribution:
-    """What one effect gains as the last one, its share of all gains, rivals, and probability."""
+    """Marginal gain of an effect, its share of all gains, its rivals and its probability."""
 
     key: Key
     gain: float
@@ -61,12 +61,12 @@ class Attribution:
 
     @property
     def doubted(self) -> bool:
-        """Whether something without a name is likelier than every name."""
+        """Whether an unnamed cause is likelier than every name."""
         return self.unknown_probability > EVEN
 
 
 def attributions(settled: StableModel, contest: Contest) -> tuple[Attribution, ...]:
-    """One attribution for each effect of a model, largest share first."""
+    """One attribution for each effect of a model, the largest share first."""
     chosen, comparisons = settled.chosen, settled.comparisons
     model = chosen.model
     last = marginal_gains(model, contest)
@@ -91,7 +91,7 @@ def attributions(settled: StableModel, contest: Contest) -> tuple[Attribution, .
 
 
 def _grows_with_time(other: Alternative) -> bool:
-    """Whether it is something that grows evenly with time."""
+    """Whether it grows evenly with time."""
     return Trait.GROWING in other.score.hypothesis.effect.traits
 
 
@@ -103,7 +103,7 @@ def _likeliest_shape(others: Sequence[Alternative]) -> str:
 def _rivals_and_probabilities(
     own: Hypothesis, comparison: Comparison, freedom: Flexibility | None, second: float
 ) -> tuple[tuple[Rival, ...], float, float]:
-    """Rivals that these data cannot tell apart, and the probabilities of the effect and of the unknown."""
+    """Rivals that the data do not exclude, and the probabilities of the effect and of an unnamed cause."""
     rivals = []
     same, weights, unknown = [0.0], [-math.inf], [-math.inf]
     for other in comparison.alternatives:

@@ -237,7 +237,7 @@ CONSTANT = {
     "gap.effects.by_id",
     "gap.effects.forward_models",
     "gap.effects.parameter_table",
-    "gap.telling.inputs.diagnoser_sha256",
+    "gap.telling.recordings.diagnoser_sha256",
     "gap.model.hypotheses._places",
     "gap.likelihood.fast_length",
     "gap.likelihood.bins_of",

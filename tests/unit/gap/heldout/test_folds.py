@@ -20,7 +20,8 @@ from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm, Term, setting_of, starting_model
 from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
 from mavcal.calib.gap.model.views import views_of
-from mavcal.calib.gap.search.contest import Beside, Contest
+from mavcal.calib.gap.search.contest import Contest
+from mavcal.calib.gap.search.projection import Projection
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -84,7 +85,7 @@ def test_a_vibration_is_sought_in_the_block_that_has_it():
     # The first of the blocks that remain is still: its four strongest frequencies are chance.
     line = Hypothesis(forward_models()["gyro_vibration"][-1], (0,))
     model = noise_fitted(folds(4, shaken)[1].train).model
-    score = Contest(()).score(line, Beside(model))
+    score = Contest(()).score(line, Projection(model))
     assert score.theta == pytest.approx(17.0, abs=0.5)
     assert score.gain > 1000.0
 

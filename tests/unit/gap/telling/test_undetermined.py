@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _begun, diagnose
+from mavcal.calib.gap.diagnose import _setup_of, diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.progress import GapPace
+from mavcal.calib.gap.search.selection import select
 from mavcal.calib.gap.telling.identifiability import unbounded_causes, unbounded_parameters
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
@@ -18,8 +19,8 @@ def effects(*ids):
 
 
 def chosen_of(problem, few):
-    _, begun = _begun(problem, few, 0.005, GapPace())
-    return begun[1]
+    setup = _setup_of(problem, few, GapPace())
+    return select(setup.bare, setup.contest, 0.005)
 
 
 @pytest.mark.long
