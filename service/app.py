@@ -25,6 +25,7 @@ from mavcal.service.api import (
     recordings,
     reviews,
     signing,
+    unfinished,
     vehicles,
 )
 from mavcal.service.api.document import document
@@ -67,6 +68,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.settings = settings
     app.state.guard = RequestGuard(settings)
     app.state.ending = asyncio.Event()
+    app.state.noting = True
     install_problem_handlers(app)
     app.add_middleware(Envelope, settings=settings, guard=app.state.guard, ending=app.state.ending)
     if settings.cors_origins:  # outermost: a page of such an origin can read what it is refused with, too
@@ -78,7 +80,7 @@ def create_app(settings: Settings) -> FastAPI:
             expose_headers=["Location", "Link", "X-Request-ID"],
         )
     for module in (
-        *(links, signing, vehicles, live, preflight, jobs, reviews),
+        *(links, signing, vehicles, live, preflight, jobs, unfinished, reviews),
         *(recordings, gaps, fleet, campaigns),
     ):
         app.include_router(module.router, prefix="/api/v1")

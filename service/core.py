@@ -94,7 +94,9 @@ class Service:
 
 
 @asynccontextmanager
-async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) -> AsyncIterator[Service]:
+async def running_service(
+    settings: Settings, *, reach: CrashPoint = nowhere, attended: bool = False
+) -> AsyncIterator[Service]:
     """A service from its data directory to its last closed link; `reach` is the engine's (tests).
 
     Raises
@@ -149,7 +151,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         record=fleet,
     )
     jobs.campaigns.works |= works(jobs, source, computations)
-    campaigns = CampaignDesk(jobs, computations, settings.read_only)
+    campaigns = CampaignDesk(jobs, computations, settings.read_only, attended)
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)

@@ -31,6 +31,7 @@ from mavcal.service.api.models import (
     ReviewModel,
     SensorEffectModel,
     SensorStateModel,
+    UnfinishedModel,
     VehicleModel,
     VehicleSensorsModel,
 )
@@ -40,6 +41,7 @@ from mavcal.service.jobs.items import Item
 from mavcal.service.jobs.model import Failure, Job
 from mavcal.service.jobs.preflight import Preflight
 from mavcal.service.jobs.ready import readiness_of
+from mavcal.service.jobs.recovery import Unfinished, beginning, ending
 from mavcal.service.jobs.states import JobState
 from mavcal.service.link import Link
 from mavcal.service.reviews import Review
@@ -73,6 +75,21 @@ def job_model(job: Job) -> JobModel:
                 for name in job.context.get("documents", ())
             ],
             "segments": [{**to_json(s), "path": s.path.name} for s in job.segments],
+        }
+    )
+
+
+def unfinished_model(found: Unfinished) -> UnfinishedModel:
+    """What an interrupted job has left."""
+    return UnfinishedModel.model_validate(
+        {
+            "job": _summary(found.job),
+            "writing": found.writing,
+            "ended": found.ended,
+            "sent": [sent.name for sent in found.sent],
+            "standing": to_json(found.standing),
+            "beginning": beginning(found),
+            "ending": ending(found),
         }
     )
 

@@ -12,7 +12,7 @@ import click
 from mavcal.service.commands.output import EXIT_NO, EXIT_USAGE, AnsweredNo
 
 if TYPE_CHECKING:
-    from mavcal.client import AsyncClient, Client
+    from mavcal.client import ApiProblem, AsyncClient, Client
     from mavcal.client.jobs import JobModel
     from mavcal.service.commands.screen import Screen
 
@@ -136,6 +136,12 @@ def one_of(connect: str | None, url: str | None) -> None:
         raise click.UsageError("give --connect to write from here, or --url to have a running service write")
 
 
+def refused(problem: ApiProblem) -> AnsweredNo:
+    """A service said no."""
+    code = EXIT_USAGE if problem.status in WRONG_USE else EXIT_NO
+    return AnsweredNo(problem.code or "problem", problem.detail or str(problem), code)
+
+
 def _address(url: str) -> str:
     from urllib.parse import urlsplit
 
@@ -168,8 +174,7 @@ def _noes() -> Iterator[None]:
     try:
         yield
     except ApiProblem as error:
-        code = EXIT_USAGE if error.status in WRONG_USE else EXIT_NO
-        raise AnsweredNo(error.code or "problem", error.detail or str(error), code) from None
+        raise refused(error) from None
     except Unreachable as error:
         raise AnsweredNo("unreachable", f"{error}; is `mavcal serve` running, and is --url its address?") from None
     except UnexpectedAnswer as error:

@@ -84,6 +84,8 @@ from __future__ import annotations
 
 from mavcal.service.errors.base import (
     ServiceError,
+    error_of,
+    kinds,
 )
 from mavcal.service.errors.host import (
     AuthError,
@@ -238,4 +240,6 @@ __all__ = [
     "WatchUnknown",
     "WriteFailed",
     "WriteStopped",
+    "error_of",
+    "kinds",
 ]

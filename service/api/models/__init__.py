@@ -140,6 +140,7 @@ from mavcal.service.api.models.steps import (
     ProgressModel,
     PromptModel,
 )
+from mavcal.service.api.models.unfinished import UnfinishedModel
 from mavcal.service.api.models.vehicles import HandRequest, ParameterModel, TurnRequest, VehicleModel
 
 __all__ = [
@@ -256,6 +257,7 @@ __all__ = [
     "StateEvent",
     "TicketModel",
     "TurnRequest",
+    "UnfinishedModel",
     "UnitHistoryModel",
     "UnitPreflightModel",
     "UnitRequest",
