@@ -286,11 +286,11 @@ class Client(Transport):
         return self._follow("/api/v1/events", answers.MESSAGE, last_event_id=last_event_id, resume=True)
 
     def list_unfinished(self) -> list[UnfinishedModel]:
-        """Every job that claims its vehicle, oldest first: what runs, and what an interrupted run has left."""
+        """Jobs that earlier runs have left unfinished, oldest first, as they were when this service began."""
         return self._ask("GET", "/api/v1/unfinished", answers.UNFINISHED_MODEL_LIST)
 
     def get_unfinished(self, job_id: str) -> UnfinishedModel:
-        """What a job has sent, and what is in doubt."""
+        """What a job has sent, and what is in doubt now."""
         return self._ask("GET", f"/api/v1/jobs/{segment(job_id)}/unfinished", answers.UNFINISHED_MODEL)
 
     def get_review(self, job_id: str) -> ReviewModel:

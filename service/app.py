@@ -68,7 +68,6 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.settings = settings
     app.state.guard = RequestGuard(settings)
     app.state.ending = asyncio.Event()
-    app.state.noting = True
     install_problem_handlers(app)
     app.add_middleware(Envelope, settings=settings, guard=app.state.guard, ending=app.state.ending)
     if settings.cors_origins:  # outermost: a page of such an origin can read what it is refused with, too

@@ -27,6 +27,7 @@ from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.live_rates import LiveRates
 from mavcal.service.jobs.model import Failure
 from mavcal.service.jobs.owed_rates import OwedRates
+from mavcal.service.jobs.recovery import Unfinished, left_over
 from mavcal.service.jobs.salvage import CODE as UNREADABLE
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
@@ -71,6 +72,8 @@ class Service:
     signing: SigningAdmin
     live: LiveRates
     hands: SimulatedHands
+    left: tuple[Unfinished, ...] = ()
+    """What earlier runs have left unfinished, as it was before any link was open."""
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -167,6 +170,7 @@ async def running_service(
             started.push_async_callback(workers.stop)
         started.push_async_callback(jobs.stop)
         await jobs.start()
+        left = left_over(store, jobs.list())
         live.start(jobs.claim)
         started.push_async_callback(live.stop)
         await fleet.take_up(jobs.list())
@@ -181,7 +185,7 @@ async def running_service(
         for work in (retention.run(), rotation.run(), give_back_for_ever(), ahead.run(), hands.run()):
             started.push_async_callback(_cancelled, asyncio.create_task(work))
         parts = (store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing, live, hands)
-        yield Service(settings, *parts)
+        yield Service(settings, *parts, left=left)
 
 
 def _instance(settings: Settings, store: Store) -> Instance | None:

@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import secrets
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from dataclasses import dataclass
 
-from fastapi import FastAPI, Request
-from starlette.types import ASGIApp, Receive, Scope, Send
-from uvicorn.server import ServerState
-
-from mavcal.calib.errors import CalibError
 from mavcal.service import core
-from mavcal.service.api.problems import ProblemResponse, problem
-from mavcal.service.api.security import digest
-from mavcal.service.app import create_app
 from mavcal.service.core import Service
-from mavcal.service.http import server_config
+from mavcal.service.errors import ServiceError
+from mavcal.service.loading import loading
 from mavcal.service.settings import ApiKey, Settings
-
-HOST = "127.0.0.1"
 
 
 @dataclass(frozen=True)
@@ -42,8 +34,11 @@ class Hosted:
 
 
 @asynccontextmanager
-async def hosted(settings: Settings, actor: str) -> AsyncIterator[Hosted]:
+async def hosted(settings: Settings, actor: str, endpoints: Iterable[str] = ()) -> AsyncIterator[Hosted]:
     """A service with these settings that answers the holder of its key alone, who is called `actor` in what is kept.
+
+    Its links to `endpoints` open first: vehicles are heard while the application is loaded. One that cannot be opened
+    is left to :meth:`Hosted.open`, which says why.
 
     Raises
     ------
@@ -51,54 +46,20 @@ async def hosted(settings: Settings, actor: str) -> AsyncIterator[Hosted]:
         As :func:`service.core.running_service`.
     """
     key = secrets.token_urlsafe(32)
-    ours = ApiKey(name=actor, sha256=digest(key), scopes=frozenset({"admin"}))
-    settings = settings.model_copy(update={"host": HOST, "port": 0, "api_keys": (ours,)})
-    app = create_app(settings)
-    app.state.noting = False  # the audit trail keeps what was written, not every step of a command
-    app.add_exception_handler(CalibError, _named)
+    ours = ApiKey(name=actor, sha256=hashlib.sha256(key.encode()).hexdigest(), scopes=frozenset({"admin"}))
+    settings = settings.model_copy(update={"host": "127.0.0.1", "port": 0, "api_keys": (ours,)})
     async with core.running_service(settings, attended=True) as service:
-        app.state.service = service
-        async with _answering(app, settings) as url:
+        for endpoint in endpoints:
+            with suppress(ServiceError):
+                await service.links.open(endpoint, remember=False, trusted=True)
+        answering = await asyncio.to_thread(_loaded)
+        async with answering(settings, service) as url:
             yield Hosted(url, key, service)
 
 
-@asynccontextmanager
-async def _answering(app: FastAPI, settings: Settings) -> AsyncIterator[str]:
-    """The address of the application, until the end of the block; what is not answered by then is cancelled."""
-    config = server_config(_quiet(app), settings.limits, lifespan="off")
-    config.load()
-    state = ServerState()
+def _loaded() -> Callable[[Settings, Service], AbstractAsyncContextManager[str]]:
+    """What answers requests: a third of a start is spent on loading it."""
+    with loading():
+        from mavcal.service.answering import answering
 
-    def connected() -> asyncio.Protocol:
-        return config.http_protocol_class(config=config, server_state=state, app_state={})  # type: ignore[call-arg]
-
-    server = await asyncio.get_running_loop().create_server(connected, HOST, 0)
-    try:
-        yield f"http://{HOST}:{server.sockets[0].getsockname()[1]}"
-    finally:
-        app.state.ending.set()
-        server.close()
-        for connection in tuple(state.connections):
-            connection.transport.abort()
-        left = tuple(state.tasks)
-        for task in left:
-            task.cancel()
-        await asyncio.gather(*left, return_exceptions=True)
-
-
-def _quiet(app: FastAPI) -> ASGIApp:
-    """The application; a request that is cancelled at the end is no error of the server."""
-
-    async def quiet(scope: Scope, receive: Receive, send: Send) -> None:
-        try:
-            await app(scope, receive, send)
-        except asyncio.CancelledError:
-            if not app.state.ending.is_set():
-                raise
-
-    return quiet
-
-
-async def _named(request: Request, error: Exception) -> ProblemResponse:
-    """Invalid input with the name of its class as its code, as commands tell it."""
-    return problem(request, 422, type(error).__name__, "Invalid input", str(error))
+        return answering

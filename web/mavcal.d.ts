@@ -1986,13 +1986,13 @@ export interface Operations {
     header: { "Last-Event-ID"?: number | null };
     message: Message;
   };
-  /** Every job that claims its vehicle, oldest first: what runs, and what an interrupted run has left. */
+  /** Jobs that earlier runs have left unfinished, oldest first, as they were when this service began. */
   list_unfinished: {
     method: "GET";
     path: "/api/v1/unfinished";
     answer: UnfinishedModel[];
   };
-  /** What a job has sent, and what is in doubt. */
+  /** What a job has sent, and what is in doubt now. */
   get_unfinished: {
     method: "GET";
     path: "/api/v1/jobs/{job_id}/unfinished";

@@ -94,11 +94,11 @@ async def gap(body: GapCampaignRequest, request: Request, response: Response, se
 
 
 @router.post("/campaigns/{job_id}/resume", operation_id="resume_campaign", status_code=202, dependencies=[OPERATE])
-async def resume(job_id: str, request: Request, response: Response, service: ServiceDep) -> JobModel:
+async def resume(job_id: str, request: Request, service: ServiceDep) -> JobModel:
     """Go on with a campaign that was interrupted; what has ended is not done again."""
     if service.jobs.get(job_id).options.get("apply"):
         await require(Scope.WRITE_PARAMS)(request)
-    return _begun(await service.jobs.campaigns.resume(job_id), request, response)
+    return job_model(await service.jobs.campaigns.resume(job_id))
 
 
 @router.post("/campaigns/{job_id}/interrupt", operation_id="interrupt_campaign", dependencies=[OPERATE])

@@ -8,7 +8,7 @@ from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models import UnfinishedModel
 from mavcal.service.api.security import Scope, SightDep, require
 from mavcal.service.api.views import unfinished_model
-from mavcal.service.jobs.recovery import left_over, unfinished
+from mavcal.service.jobs.recovery import unfinished
 
 router = APIRouter(tags=["jobs"])
 READ = Depends(require(Scope.READ))
@@ -16,12 +16,11 @@ READ = Depends(require(Scope.READ))
 
 @router.get("/unfinished", operation_id="list_unfinished", dependencies=[READ])
 async def list_unfinished(service: ServiceDep, sight: SightDep) -> list[UnfinishedModel]:
-    """Every job that claims its vehicle, oldest first: what runs, and what an interrupted run has left."""
-    seen = (job for job in service.jobs.list() if sight.job(job))
-    return [unfinished_model(found) for found in left_over(service.store, seen)]
+    """Jobs that earlier runs have left unfinished, oldest first, as they were when this service began."""
+    return [unfinished_model(found) for found in service.left if sight.job(found.job)]
 
 
 @router.get("/jobs/{job_id}/unfinished", operation_id="get_unfinished", dependencies=[READ])
 async def get_unfinished(job_id: str, service: ServiceDep) -> UnfinishedModel:
-    """What a job has sent, and what is in doubt."""
+    """What a job has sent, and what is in doubt now."""
     return unfinished_model(unfinished(service.store, service.jobs.get(job_id)))

@@ -115,11 +115,12 @@ def calibrate(
         raise click.UsageError("--reboot is a part of writing: give --apply too")
     from mavcal.service.commands.campaign_run import VehicleWish, run_vehicles
 
-    how = {"kind": kind, "options": parsed(options), "apply": write, "reboot": reboot, "at_once": at_once}
-    plan = options_of_plan(given(more))
+    asked, plan = parsed(options), options_of_plan(given(more))
 
     async def begin(client: AsyncClient, chosen: list[str]) -> JobModel:
-        return await client.start_calibration_campaign(vehicles=chosen, plan_options=plan, **how)
+        return await client.start_calibration_campaign(
+            vehicles=chosen, kind=kind, options=asked, plan_options=plan, apply=write, reboot=reboot, at_once=at_once
+        )
 
     wish = VehicleWish(urls, ids, wait, table, as_json)
     return run_vehicles(load_settings(data_dir=data_dir, connect=()), begin, wish)

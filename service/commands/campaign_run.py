@@ -72,7 +72,7 @@ async def _run(settings: Settings, begin: Begin, wish: VehicleWish, screen: Scre
 
     with stoppable() as caught:
         try:
-            async with door(settings) as at:
+            async with door(settings, wish.urls) as at:
                 job = await begin(at.client, await _heard(at, wish, screen))
                 screen.line(f"campaign {job.id}")
                 try:

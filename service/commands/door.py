@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from mavcal.client import ApiProblem, AsyncClient
-from mavcal.client.transport import Query
-from mavcal.service.commands.remote import refused
-from mavcal.service.errors import error_of
 from mavcal.service.loading import loading
 
 if TYPE_CHECKING:
-    import httpx
-
+    from mavcal.client import AsyncClient
+    from mavcal.service.commands.asking import RaisingClient
     from mavcal.service.hosting import Hosted
     from mavcal.service.settings import Settings
 
@@ -29,23 +25,6 @@ TIDY_S = 30.0
 """How long the vehicle may take to confirm its old message rates."""
 HURRY_S = 5.0
 """The same for a run that was told to stop."""
-
-
-class RaisingClient(AsyncClient):
-    """Raises what the service has raised, in place of a problem document."""
-
-    async def _sent(self, method: str, path: str, also: tuple[int, ...], **request: Any) -> httpx.Response:
-        try:
-            return await super()._sent(method, path, also, **request)
-        except ApiProblem as problem:
-            raise _raised(problem) from None
-
-    async def _stream(self, path: str, query: Query | None, last: int | str | None) -> AsyncIterator[dict[str, Any]]:
-        try:
-            async for found in super()._stream(path, query, last):
-                yield found
-        except ApiProblem as problem:
-            raise _raised(problem) from None
 
 
 @dataclass(frozen=True)
@@ -67,17 +46,19 @@ class Door:
 
 
 @asynccontextmanager
-async def door(settings: Settings, actor: str = COMMAND) -> AsyncIterator[Door]:
-    """The application in this process, with these settings; nothing of it is left behind."""
+async def door(settings: Settings, endpoints: Iterable[str] = (), actor: str = COMMAND) -> AsyncIterator[Door]:
+    """The application in this process, with these settings and links; nothing of it is left behind."""
     with loading():
         from mavcal.service.hosting import hosted
 
-    async with (
-        hosted(settings, actor) as own,
-        RaisingClient(own.url, key=own.key, timeout_s=ANSWER_S) as client,
-    ):
-        yield Door(client, own)
+    async with hosted(settings, actor, endpoints) as own:
+        client = await asyncio.to_thread(_loaded)
+        async with client(own.url, key=own.key, timeout_s=ANSWER_S) as asking:
+            yield Door(asking, own)
 
 
-def _raised(problem: ApiProblem) -> Exception:
-    return error_of(problem.code, problem.detail) or refused(problem)
+def _loaded() -> type[RaisingClient]:
+    with loading():
+        from mavcal.service.commands.asking import RaisingClient
+
+        return RaisingClient

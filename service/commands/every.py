@@ -157,7 +157,7 @@ async def with_each(
 
     with stoppable() as caught:
         try:
-            async with door(settings) as at:
+            async with door(settings, whom.urls) as at:
                 left = await at.client.list_unfinished()
                 found = await vehicles_of(at, whom, screen)
                 async with asyncio.TaskGroup() as group:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import aclosing, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,6 @@ from mavcal.service.commands.door import HURRY_S
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
-    from mavcal.client.events import JobMessage
     from mavcal.client.jobs import JobModel
     from mavcal.client.models import JobSummary, UnfinishedModel, VehicleModel
     from mavcal.service.commands.door import Door
@@ -102,7 +101,7 @@ async def follow(
     told: set[str] = set()
     job = await client.get_job(job_id)
     with suppress(TimeoutError):
-        async with asyncio.timeout(None) as limit, aclosing(_events(client, job_id)) as events:
+        async with asyncio.timeout(None) as limit, aclosing(client.follow_job(job_id)) as events:  # type: ignore[type-var]
             if state_of(job) is JobState.IN_DOUBT:
                 limit.reschedule(loop.time() + doubt_s)
             async for message in events:
@@ -126,11 +125,6 @@ async def follow(
     return await client.get_job(job_id)
 
 
-async def _events(client: AsyncClient, job_id: str) -> AsyncIterator[JobMessage]:
-    async for message in client.follow_job(job_id):
-        yield message
-
-
 def show_event(kind: str, data: Mapping[str, Any], screen: Screen) -> None:
     """One event of a job, if it is one that a person reads."""
     if kind == "prompt" and data:
@@ -146,7 +140,7 @@ async def recovered(
 ) -> tuple[UnfinishedModel, ...]:
     """Bring to an end what earlier runs left unfinished on this vehicle; every such job, as it stands afterwards.
 
-    `left` is what they left, as it was before the vehicle was heard: from then on the service goes on by itself.
+    `left` is what they left, as it was when the service began: it goes on by itself once the vehicle is heard.
     """
     client, told = door.client, []
     for found in left:

@@ -61,7 +61,7 @@ async def _recovered(settings: Settings, connect: str, wait: float, screen: Scre
     from mavcal.service.commands.headless import heard, recovered, told_of
     from mavcal.service.errors import VehicleSilent
 
-    async with door(settings) as at:
+    async with door(settings, (connect,)) as at:
         left = await at.client.list_unfinished()
         try:
             vehicle = await heard(at, connect, wait, screen)
@@ -74,7 +74,8 @@ async def _recovered(settings: Settings, connect: str, wait: float, screen: Scre
         done = await recovered(at, vehicle, left, screen, doubt_s=wait)
         await at.tidied()
         ours = {found.job.id for found in done}
-        others = [found for found in await at.client.list_unfinished() if found.job.id not in ours]
+        now = [await at.client.get_unfinished(found.job.id) for found in left if found.job.id not in ours]
+        others = [found for found in now if not found.ended]
     doubt = [found for found in done if not found.ended]
     for found in others:
         job = found.job

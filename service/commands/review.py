@@ -64,7 +64,7 @@ async def _job(settings: Settings, begin: Begin, wish: JobWish, screen: Screen) 
 
     with stoppable() as caught:
         try:
-            async with door(settings, OPERATOR) as at:
+            async with door(settings, (wish.connect,), OPERATOR) as at:
                 left = await at.client.list_unfinished()
                 vehicle = await heard(at, wish.connect, wish.wait_s, screen)
                 screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")

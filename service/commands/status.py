@@ -48,7 +48,7 @@ def command(*, urls: tuple[str, ...], every: bool, data_dir: Path | None, wait: 
 async def _status(settings: Settings, whom: Whom, screen: Screen) -> list[dict[str, Any]]:
     from mavcal.service.commands.door import door
 
-    async with door(settings) as at:
+    async with door(settings, whom.urls) as at:
         return [await _one(at, found) for found in await vehicles_of(at, whom, screen)]
 
 

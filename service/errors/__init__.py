@@ -84,8 +84,6 @@ from __future__ import annotations
 
 from mavcal.service.errors.base import (
     ServiceError,
-    error_of,
-    kinds,
 )
 from mavcal.service.errors.host import (
     AuthError,
@@ -240,6 +238,4 @@ __all__ = [
     "WatchUnknown",
     "WriteFailed",
     "WriteStopped",
-    "error_of",
-    "kinds",
 ]

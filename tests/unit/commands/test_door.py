@@ -10,7 +10,8 @@ import pytest
 from mavcal.client import ApiProblem, AsyncClient, Unreachable
 from mavcal.service.commands.door import Door, door
 from mavcal.service.commands.output import AnsweredNo
-from mavcal.service.errors import EndpointError, JobUnknown, TooManyAttempts, error_of
+from mavcal.service.errors import EndpointError, JobUnknown, TooManyAttempts
+from mavcal.service.errors.base import error_of
 from mavcal.service.settings import ApiKey, Settings
 
 
