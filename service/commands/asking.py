@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from mavcal.client import ApiProblem, AsyncClient
 from mavcal.client.transport import Query
-from mavcal.service.commands.remote import refused
+from mavcal.service.commands.output import refused
 from mavcal.service.errors.base import error_of
 
 if TYPE_CHECKING:

@@ -9,18 +9,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from mavcal.service.commands.output import EXIT_NO, EXIT_USAGE, AnsweredNo
+from mavcal.service.commands.output import EXIT_USAGE, AnsweredNo, refused
 
 if TYPE_CHECKING:
-    from mavcal.client import ApiProblem, AsyncClient, Client
+    from mavcal.client import AsyncClient, Client
     from mavcal.client.jobs import JobModel
     from mavcal.service.commands.screen import Screen
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 DEFAULT_URL = "http://127.0.0.1:8765"
-WRONG_USE = frozenset({401, 403, 422, 429})
-"""Statuses of problems that lie in how it was asked; every other one is the answer no."""
 
 _key = click.option(
     "--key-file",
@@ -134,12 +132,6 @@ def one_of(connect: str | None, url: str | None) -> None:
     """Raise UsageError unless either the vehicle or the service is named."""
     if (connect is None) == (url is None):
         raise click.UsageError("give --connect to write from here, or --url to have a running service write")
-
-
-def refused(problem: ApiProblem) -> AnsweredNo:
-    """A service said no."""
-    code = EXIT_USAGE if problem.status in WRONG_USE else EXIT_NO
-    return AnsweredNo(problem.code or "problem", problem.detail or str(problem), code)
 
 
 def _address(url: str) -> str:
