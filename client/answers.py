@@ -31,6 +31,7 @@ from mavcal.client.models import (
     SeriesModel,
     SigningKeyModel,
     TicketModel,
+    UnfinishedModel,
     UnitHistoryModel,
     VehicleModel,
     VehicleSensorsModel,
@@ -58,6 +59,7 @@ REGISTRATION_MODEL: TypeAdapter[RegistrationModel] = TypeAdapter(RegistrationMod
 REVIEW_MODEL: TypeAdapter[ReviewModel] = TypeAdapter(ReviewModel)
 SIGNING_KEY_MODEL: TypeAdapter[SigningKeyModel] = TypeAdapter(SigningKeyModel)
 TICKET_MODEL: TypeAdapter[TicketModel] = TypeAdapter(TicketModel)
+UNFINISHED_MODEL: TypeAdapter[UnfinishedModel] = TypeAdapter(UnfinishedModel)
 UNIT_HISTORY_MODEL: TypeAdapter[UnitHistoryModel] = TypeAdapter(UnitHistoryModel)
 VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
 VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)
@@ -74,4 +76,5 @@ PROCEDURE_MODEL_LIST: TypeAdapter[list[ProcedureModel]] = TypeAdapter(list[Proce
 RECORDING_MODEL_LIST: TypeAdapter[list[RecordingModel]] = TypeAdapter(list[RecordingModel])
 SERIES_MODEL_LIST: TypeAdapter[list[SeriesModel]] = TypeAdapter(list[SeriesModel])
 SIGNING_KEY_MODEL_LIST: TypeAdapter[list[SigningKeyModel]] = TypeAdapter(list[SigningKeyModel])
+UNFINISHED_MODEL_LIST: TypeAdapter[list[UnfinishedModel]] = TypeAdapter(list[UnfinishedModel])
 VEHICLE_MODEL_LIST: TypeAdapter[list[VehicleModel]] = TypeAdapter(list[VehicleModel])

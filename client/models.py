@@ -33,6 +33,7 @@ from mavcal.client.jobs import (
     OutcomeModel,
     ProgressModel,
     PromptModel,
+    StandingModel,
     WriteModel,
 )
 
@@ -667,6 +668,24 @@ class TicketModel(Answer):
     """Empty: the service runs without keys, and asks for none."""
     valid_s: Number
     """How long it is good, s."""
+
+
+class UnfinishedModel(Answer):
+    """A job that claims its vehicle, and what is known of the parameters that it has sent."""
+
+    job: JobSummary
+    writing: bool
+    """Parameters of the vehicle may be this job's."""
+    ended: bool
+    """Nothing of it is in doubt any more."""
+    sent: list[str]
+    """Parameters for which a PARAM_SET may have left."""
+    standing: list[StandingModel]
+    """What is known of each of them."""
+    beginning: str
+    """What is going to happen to it."""
+    ending: list[str]
+    """How it ended, or what is in doubt, a sentence each."""
 
 
 class UnitHistoryModel(Answer):

@@ -36,6 +36,7 @@ from mavcal.client.models import (
     SeriesModel,
     SigningKeyModel,
     TicketModel,
+    UnfinishedModel,
     UnitHistoryModel,
     VehicleModel,
     VehicleSensorsModel,
@@ -284,6 +285,14 @@ class Client(Transport):
         changes.
         """
         return self._follow("/api/v1/events", answers.MESSAGE, last_event_id=last_event_id, resume=True)
+
+    def list_unfinished(self) -> list[UnfinishedModel]:
+        """Jobs that earlier runs have left unfinished, oldest first, as they were when this service began."""
+        return self._ask("GET", "/api/v1/unfinished", answers.UNFINISHED_MODEL_LIST)
+
+    def get_unfinished(self, job_id: str) -> UnfinishedModel:
+        """What a job has sent, and what is in doubt now."""
+        return self._ask("GET", f"/api/v1/jobs/{segment(job_id)}/unfinished", answers.UNFINISHED_MODEL)
 
     def get_review(self, job_id: str) -> ReviewModel:
         """What the plan of a job does, and what speaks for and against it; 409 while there is no plan."""
@@ -564,6 +573,14 @@ class Client(Transport):
             answers.JOB_MODEL,
             body={"at_once": at_once, "recordings": recordings, "sim": sim, "nominal": nominal},
         )
+
+    def resume_campaign(self, job_id: str) -> JobModel:
+        """Go on with a campaign that was interrupted; what has ended is not done again."""
+        return self._ask("POST", f"/api/v1/campaigns/{segment(job_id)}/resume", answers.JOB_MODEL)
+
+    def interrupt_campaign(self, job_id: str) -> JobModel:
+        """Stop a running campaign so that it can be resumed; jobs that it has begun go on."""
+        return self._ask("POST", f"/api/v1/campaigns/{segment(job_id)}/interrupt", answers.JOB_MODEL)
 
     def list_items(
         self,

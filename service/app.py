@@ -25,6 +25,7 @@ from mavcal.service.api import (
     recordings,
     reviews,
     signing,
+    unfinished,
     vehicles,
 )
 from mavcal.service.api.document import document
@@ -78,7 +79,7 @@ def create_app(settings: Settings) -> FastAPI:
             expose_headers=["Location", "Link", "X-Request-ID"],
         )
     for module in (
-        *(links, signing, vehicles, live, preflight, jobs, reviews),
+        *(links, signing, vehicles, live, preflight, jobs, unfinished, reviews),
         *(recordings, gaps, fleet, campaigns),
     ):
         app.include_router(module.router, prefix="/api/v1")

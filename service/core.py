@@ -41,6 +41,7 @@ from mavcal.service.signing import SigningAdmin
 from mavcal.service.signing_keys import SigningKeys
 from mavcal.service.store import Store
 from mavcal.service.storing import open_store
+from mavcal.service.unfinished import Unfinished, left_over
 from mavcal.service.vehicle import VehicleRegistry
 from mavcal.service.vehicle.job_vehicle import VehicleSource
 
@@ -72,6 +73,8 @@ class Service:
     signing: SigningAdmin
     live: LiveRates
     hands: SimulatedHands
+    left: tuple[Unfinished, ...] = ()
+    """What earlier runs have left unfinished, as it was before any link was open."""
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -95,7 +98,9 @@ class Service:
 
 
 @asynccontextmanager
-async def running_service(settings: Settings, *, reach: CrashPoint = no_crash) -> AsyncIterator[Service]:
+async def running_service(
+    settings: Settings, *, reach: CrashPoint = no_crash, attended: bool = False
+) -> AsyncIterator[Service]:
     """A service from its data directory to its last closed link; `reach` is the engine's (tests).
 
     Raises
@@ -150,7 +155,8 @@ async def running_service(settings: Settings, *, reach: CrashPoint = no_crash) -
         record=fleet,
         ledgers=ledgers,
     )
-    campaigns = CampaignDesk(running_campaigns(jobs, source, computations), computations, settings.read_only)
+    running = running_campaigns(jobs, source, computations)
+    campaigns = CampaignDesk(running, computations, settings.read_only, attended)
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)
@@ -166,6 +172,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = no_crash) -
             started.push_async_callback(workers.stop)
         started.push_async_callback(jobs.stop)
         await jobs.start()
+        left = left_over(store, jobs.list())
         live.start(jobs.claim)
         started.push_async_callback(live.stop)
         await fleet.take_up(jobs.list())
@@ -180,7 +187,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = no_crash) -
         for work in (retention.run(), rotation.run(), give_back_for_ever(), ahead.run(), hands.run()):
             started.push_async_callback(_cancelled, asyncio.create_task(work))
         parts = (store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing, live, hands)
-        yield Service(settings, *parts)
+        yield Service(settings, *parts, left=left)
 
 
 def _instance(settings: Settings, store: Store) -> Instance | None:

@@ -6,8 +6,10 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Protocol
 
 from mavcal.calib.firmware.options import key_text
+from mavcal.calib.recording import Sensor
 from mavcal.service.jobs.core.model import Accept, Failure, Job
 from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.jobs.engine import JobEngine
@@ -22,12 +24,8 @@ class Fixable(StrEnum):
 
 WAIT_S = 120.0
 """How long a calibration at rest, or its write, may take."""
-
-
 _LOOK_S = 0.1
-
-
-_LEFT = ENDED | {JobState.REVIEW, JobState.IN_DOUBT, JobState.WAITING_FOR_REBOOT}
+LEFT = ENDED | {JobState.REVIEW, JobState.IN_DOUBT, JobState.WAITING_FOR_REBOOT}
 """States from which a job does not go on without somebody."""
 
 
@@ -39,16 +37,10 @@ class Fix:
     job_id: str
     state: JobState
     text: str
-    late: tuple[str, ...] = ()
-    """Sensors that stay as they are: their change would act only after a restart."""
 
 
-async def fixed(
-    engine: JobEngine, vehicle_id: str, kinds: Sequence[Fixable], *, actor: str, look: bool = False
-) -> tuple[Fix, ...]:
+async def fixed(engine: JobEngine, vehicle_id: str, kinds: Sequence[Fixable], *, actor: str) -> tuple[Fix, ...]:
     """Run and write each kind once; the first one that does not succeed is the last.
-
-    `look`: look at the vehicle after each write (:func:`service.jobs.write.readiness.readiness_of`).
 
     Raises
     ------
@@ -61,52 +53,83 @@ async def fixed(
         job, left = await _without_restart(engine, await wait_for_job(engine, job.id))
         if job.state == JobState.REVIEW and job.plan is not None and not job.plan.blockers and not left.all:
             accept = Accept(job.plan.sha256, prove_s=0.0, actor=actor)
-            await engine.apply(job.id, accept, look=look)
+            await engine.apply(job.id, accept)
             job = await wait_for_job(engine, job.id)
-        done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_told(job, left), left.text))), left.keys))
+        done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_told(job, left), left.text)))))
         if job.state != JobState.SUCCEEDED:
             break
     await engine.tidied()
     return tuple(done)
 
 
+class PlannedChange(Protocol):
+    """A change of a plan, here or as a client of the service gets it."""
+
+    @property
+    def sensor(self) -> str | None:
+        """See :class:`calib.firmware.plan.Change`."""
+        ...
+
+    @property
+    def instance(self) -> int:
+        """See :class:`calib.firmware.plan.Change`."""
+        ...
+
+    @property
+    def needs_reboot(self) -> bool:
+        """See :class:`calib.firmware.plan.Change`."""
+        ...
+
+
 @dataclass(frozen=True)
-class _LeftOut:
+class Late:
     """Sensors that stay as they are, because their change would act only after a restart of the vehicle."""
 
     keys: tuple[str, ...] = ()
+    at_once: tuple[str, ...] = ()
+    """The others, if some have to wait."""
     all: bool = False
+    """Whether none is left whose change acts at once."""
 
     @property
     def text(self) -> str:
+        """What stays as it is, as a sentence; empty if nothing does."""
         if not self.keys:
             return ""
         stays = "stays as it is: its" if len(self.keys) == 1 else "stay as they are: their"
         return f"{', '.join(self.keys)} {stays} change would act only after a restart."
 
 
-async def _without_restart(engine: JobEngine, job: Job) -> tuple[Job, _LeftOut]:
-    """The job, planned for those sensors alone whose change acts at once: nobody is there to restart a vehicle."""
-    if job.state != JobState.REVIEW or job.plan is None or not job.plan.needs_reboot:
-        return job, _LeftOut()
-    sensors = {(c.sensor, c.instance): key_text(c.sensor, c.instance) for c in job.plan.changes if c.sensor is not None}
-    late = {(c.sensor, c.instance) for c in job.plan.changes if c.needs_reboot}
-    at_once = [text for key, text in sensors.items() if key not in late]
-    left = _LeftOut(tuple(text for key, text in sensors.items() if key in late), all=not at_once)
-    if at_once:
-        job = await engine.plan_again(job.id, {**job.context.get("plan_options", {}), "only": at_once})
+def late(changes: Sequence[PlannedChange]) -> Late:
+    """Which sensors of a plan have to wait for a restart: nobody is there to restart a vehicle."""
+    if not any(change.needs_reboot for change in changes):
+        return Late()
+    named = [(c.sensor, c.instance) for c in changes if c.sensor is not None]
+    sensors = {(sensor, instance): key_text(Sensor(sensor), instance) for sensor, instance in named}
+    waiting = {(c.sensor, c.instance) for c in changes if c.needs_reboot}
+    at_once = tuple(text for key, text in sensors.items() if key not in waiting)
+    return Late(tuple(text for key, text in sensors.items() if key in waiting), at_once, all=not at_once)
+
+
+async def _without_restart(engine: JobEngine, job: Job) -> tuple[Job, Late]:
+    """The job, planned for those sensors alone whose change acts at once."""
+    if job.state != JobState.REVIEW or job.plan is None:
+        return job, Late()
+    left = late(job.plan.changes)
+    if left.at_once:
+        job = await engine.plan_again(job.id, {**job.context.get("plan_options", {}), "only": list(left.at_once)})
     return job, left
 
 
 async def wait_for_job(engine: JobEngine, job_id: str) -> Job:
     """The job, once nothing goes on with it by itself. Raises TimeoutError after :data:`WAIT_S`."""
     async with asyncio.timeout(WAIT_S):
-        while engine.get(job_id).state not in _LEFT:  # noqa: ASYNC110 - the engine wakes nobody for a state
+        while engine.get(job_id).state not in LEFT:  # noqa: ASYNC110 - the engine wakes nobody for a state
             await asyncio.sleep(_LOOK_S)
     return engine.get(job_id)
 
 
-def _told(job: Job, left: _LeftOut) -> str:
+def _told(job: Job, left: Late) -> str:
     if left.all:
         return "Nothing was written."
     if isinstance(job.outcome, Failure):

@@ -1502,6 +1502,23 @@ export interface TurnRequest {
   attitude: [number, number, number, number];
 }
 
+/** A job that claims its vehicle, and what is known of the parameters that it has sent. */
+export interface UnfinishedModel {
+  job: JobSummary;
+  /** Parameters of the vehicle may be this job's. */
+  writing: boolean;
+  /** Nothing of it is in doubt any more. */
+  ended: boolean;
+  /** Parameters for which a PARAM_SET may have left. */
+  sent: string[];
+  /** What is known of each of them. */
+  standing: StandingModel[];
+  /** What is going to happen to it. */
+  beginning: string;
+  /** How it ended, or what is in doubt, a sentence each. */
+  ending: string[];
+}
+
 /** Everything that was measured of a unit's sensors, oldest first, with their drifts. */
 export interface UnitHistoryModel {
   unit: FleetUnitModel;
@@ -1969,6 +1986,19 @@ export interface Operations {
     header: { "Last-Event-ID"?: number | null };
     message: Message;
   };
+  /** Jobs that earlier runs have left unfinished, oldest first, as they were when this service began. */
+  list_unfinished: {
+    method: "GET";
+    path: "/api/v1/unfinished";
+    answer: UnfinishedModel[];
+  };
+  /** What a job has sent, and what is in doubt now. */
+  get_unfinished: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/unfinished";
+    parameters: { job_id: string };
+    answer: UnfinishedModel;
+  };
   /** What the plan of a job does, and what speaks for and against it; 409 while there is no plan. */
   get_review: {
     method: "GET";
@@ -2137,6 +2167,20 @@ export interface Operations {
     method: "POST";
     path: "/api/v1/campaigns/gap";
     body: GapCampaignRequest;
+    answer: JobModel;
+  };
+  /** Go on with a campaign that was interrupted; what has ended is not done again. */
+  resume_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/{job_id}/resume";
+    parameters: { job_id: string };
+    answer: JobModel;
+  };
+  /** Stop a running campaign so that it can be resumed; jobs that it has begun go on. */
+  interrupt_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/{job_id}/interrupt";
+    parameters: { job_id: string };
     answer: JobModel;
   };
   /** Items of a campaign, a page at a time; other jobs have none. A header `Link` leads to the next page, if any. */

@@ -93,6 +93,20 @@ async def gap(body: GapCampaignRequest, request: Request, response: Response, se
     return _begun(await begun, request, response)
 
 
+@router.post("/campaigns/{job_id}/resume", operation_id="resume_campaign", status_code=202, dependencies=[OPERATE])
+async def resume(job_id: str, request: Request, service: ServiceDep) -> JobModel:
+    """Go on with a campaign that was interrupted; what has ended is not done again."""
+    if service.jobs.get(job_id).options.get("apply"):
+        await require(Scope.WRITE_PARAMS)(request)
+    return job_model(await service.campaigns.campaigns.resume(job_id))
+
+
+@router.post("/campaigns/{job_id}/interrupt", operation_id="interrupt_campaign", dependencies=[OPERATE])
+async def interrupt(job_id: str, service: ServiceDep) -> JobModel:
+    """Stop a running campaign so that it can be resumed; jobs that it has begun go on."""
+    return job_model(await service.campaigns.campaigns.interrupt(job_id))
+
+
 def _job(job_id: str, service: ServiceDep) -> Job:
     return service.jobs.get(job_id)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
 from http import HTTPStatus
 from typing import Any
 
@@ -17,6 +16,7 @@ from starlette.exceptions import HTTPException
 from mavcal.calib.errors import CalibError
 from mavcal.service.api.addresses import relative
 from mavcal.service.errors import AuthError, ServiceError, TooManyAttempts, TooManyStreams
+from mavcal.service.errors.base import kinds
 
 log = structlog.get_logger(__name__)
 
@@ -68,7 +68,7 @@ def internal_problem(request: Request, error: Exception) -> ProblemResponse:
 
 def codes() -> dict[str, frozenset[int]]:
     """Every problem code with the statuses that it comes with."""
-    found = {kind.code: frozenset({kind.status_code}) for kind in _kinds()}
+    found = {kind.code: frozenset({kind.status_code}) for kind in kinds()}
     return found | {
         "invalid-input": frozenset({422}),
         "validation": frozenset({422}),
@@ -79,20 +79,12 @@ def codes() -> dict[str, frozenset[int]]:
 
 def explanations() -> dict[str, str]:
     """Every problem code with the text that explains it: the docstring of its exception."""
-    found = {kind.code: f"{kind.title} ({kind.status_code}). {(kind.__doc__ or '').strip()}" for kind in _kinds()}
+    found = {kind.code: f"{kind.title} ({kind.status_code}). {(kind.__doc__ or '').strip()}" for kind in kinds()}
     found["invalid-input"] = f"Invalid input (422). {(CalibError.__doc__ or '').strip()}"
     found["validation"] = "Invalid request (422). The request does not have the documented form."
     found["not-found"] = "Not found (404). There is nothing at this address."
     found["http"] = "The request cannot be handled: its method, form or size is not what this address takes."
     return dict(sorted(found.items()))
-
-
-def _kinds() -> Iterator[type[ServiceError]]:
-    pending: list[type[ServiceError]] = [ServiceError]
-    while pending:
-        kind = pending.pop()
-        yield kind
-        pending += kind.__subclasses__()
 
 
 def install_problem_handlers(app: FastAPI) -> None:

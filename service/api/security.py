@@ -168,7 +168,12 @@ def require(scope: Scope, *, noted: bool = True) -> Callable[[Request], Awaitabl
         if key is not None and key.tags:
             operation = getattr(request.scope["route"], "operation_id", None) or ""
             _sight(request).require(operation, request.method, request.path_params)
-        if noted and scope in _NOTED and request.method not in SAFE_METHODS:
+        if (
+            noted
+            and getattr(request.app.state, "noting", True)
+            and scope in _NOTED
+            and request.method not in SAFE_METHODS
+        ):
             await note(request, _actor(request))
 
     return check

@@ -27,7 +27,7 @@ from mavcal.service.jobs.core.model import Job
 FILTERED: Final = frozenset(
     {
         *("list_vehicles", "list_jobs", "list_links", "list_gaps", "list_recordings", "list_fleet", "export_fleet"),
-        *("follow_events", "list_procedures", "get_info", "make_ticket"),
+        *("list_unfinished", "follow_events", "list_procedures", "get_info", "make_ticket"),
     }
 )
 """Operations without a name in their address that leave out what is not seen, or tell of no vehicle."""

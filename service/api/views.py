@@ -29,6 +29,7 @@ from mavcal.service.api.models import (
     RecordingModel,
     ReviewModel,
     SensorEffectModel,
+    UnfinishedModel,
     VehicleModel,
     VehicleSensorsModel,
 )
@@ -42,6 +43,7 @@ from mavcal.service.link import Link
 from mavcal.service.preflights import Preflight
 from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
+from mavcal.service.unfinished import Unfinished, beginning, ending
 from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.vehicle import Vehicle
@@ -71,6 +73,21 @@ def job_model(job: Job) -> JobModel:
                 for name in job.context.get("documents", ())
             ],
             "segments": [{**to_json(s), "path": s.path.name} for s in job.segments],
+        }
+    )
+
+
+def unfinished_model(found: Unfinished) -> UnfinishedModel:
+    """What an interrupted job has left."""
+    return UnfinishedModel.model_validate(
+        {
+            "job": _summary(found.job),
+            "writing": found.writing,
+            "ended": found.ended,
+            "sent": [sent.name for sent in found.sent],
+            "standing": found.standing,
+            "beginning": beginning(found),
+            "ending": ending(found),
         }
     )
 

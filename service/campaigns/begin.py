@@ -75,17 +75,14 @@ class CampaignDesk:
     campaigns: Campaigns
     computations: Computations
     read_only: bool = False
+    attended: bool = False
+    """A command runs the campaigns of vehicles, and only its `resume` goes on with them."""
 
     async def preflight(
-        self,
-        vehicles: Iterable[Selectable],
-        selection: Selection,
-        *,
-        at_once: int | None = None,
-        attended: bool = False,
+        self, vehicles: Iterable[Selectable], selection: Selection, *, at_once: int | None = None
     ) -> Job:
         """A preflight of each vehicle. Raises InvalidInputError, CampaignsBusy."""
-        return await self._begin(CampaignTask.PREFLIGHT, {}, selected(vehicles, selection), at_once, attended)
+        return await self._of_vehicles(CampaignTask.PREFLIGHT, {}, selected(vehicles, selection), at_once)
 
     async def calibrate(
         self,
@@ -94,7 +91,6 @@ class CampaignDesk:
         order: CalibrationOrder,
         *,
         at_once: int | None = None,
-        attended: bool = False,
     ) -> Job:
         """A calibration of each vehicle.
 
@@ -110,7 +106,7 @@ class CampaignDesk:
         writing = self._writing(order)
         require_sensors_of(spec, order.plan_options)
         options = {"kind": spec.kind, "options": dict(validate_options(order.kind, order.options)), **writing}
-        return await self._begin(CampaignTask.CALIBRATE, options, selected(vehicles, selection), at_once, attended)
+        return await self._of_vehicles(CampaignTask.CALIBRATE, options, selected(vehicles, selection), at_once)
 
     async def restore(
         self,
@@ -119,11 +115,10 @@ class CampaignDesk:
         order: RestoreOrder,
         *,
         at_once: int | None = None,
-        attended: bool = False,
     ) -> Job:
         """The last verified calibration of each vehicle put back. Raises as :meth:`calibrate`."""
         options = self._writing(order)
-        return await self._begin(CampaignTask.RESTORE, options, selected(vehicles, selection), at_once, attended)
+        return await self._of_vehicles(CampaignTask.RESTORE, options, selected(vehicles, selection), at_once)
 
     def _writing(self, order: CalibrationOrder | RestoreOrder) -> dict[str, Any]:
         """What a campaign keeps of its plans. Raises InvalidInputError, Forbidden."""
@@ -169,6 +164,11 @@ class CampaignDesk:
         order = {"sim": sim, "nominal": list(nominal)}
         others = [row for row in uploads if selection.ids is not None or row.id not in beside]
         return await self._of_uploads(CampaignTask.GAP, order, others, selection, at_once)
+
+    async def _of_vehicles(
+        self, task: CampaignTask, order: Mapping[str, Any], chosen: Sequence[str], at_once: int | None
+    ) -> Job:
+        return await self._begin(task, order, chosen, at_once, self.attended)
 
     async def _of_uploads(
         self,

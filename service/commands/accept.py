@@ -12,17 +12,15 @@ import click
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, json_option, write_json
 from mavcal.service.commands.place import CommandPlace
-from mavcal.service.commands.plan_options import all_plan_options, given
+from mavcal.service.commands.plan_options import all_plan_options, given, options_of_plan
 from mavcal.service.commands.remote import async_service_at, followed, may_be_remote, one_of, show_came_of
-from mavcal.service.commands.review import JobWish, run_job, show_plan
+from mavcal.service.commands.review import JobWish, job_of, run_job, show_plan
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
     from mavcal.client.jobs import JobModel
+    from mavcal.client.models import VehicleModel
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.core import Service
-    from mavcal.service.jobs.core.model import Job
-    from mavcal.service.vehicle import Vehicle
 
 
 @click.command()
@@ -56,20 +54,16 @@ def command(
     """
     one_of(connect, url)
     decided = given(more)
-    wish = JobWish(write=True, require_proof=require_proof, reboot=reboot, wait_s=wait, as_json=as_json)
+    wish = JobWish(connect or "", write=True, require_proof=require_proof, reboot=reboot, wait_s=wait, as_json=as_json)
     if url is not None:
         return asyncio.run(_at_service(url, key_file, job_id, decided, wish))
     assert connect is not None
-    settings = load_settings(data_dir=data_dir, connect=(connect,))
+    settings = load_settings(data_dir=data_dir, connect=())
 
-    async def begin(service: Service, vehicle: Vehicle) -> Job:
-        from mavcal.service.commands.headless import is_of
-        from mavcal.service.errors import OtherVehicle
-
-        job = service.jobs.get(job_id)
-        if not is_of(service, job, vehicle):
-            raise OtherVehicle(f"job {job_id} belongs to {job.vehicle_id}, but {connect} leads to {vehicle.id}")
-        return await service.jobs.plan_again(job_id, {**job.context.get("plan_options", {}), **decided})
+    async def begin(client: AsyncClient, vehicle: VehicleModel) -> tuple[JobModel, float]:
+        job = await job_of(client, job_id, connect, vehicle)
+        await client.renew_plan(job_id, plan_options=options_of_plan({**job.plan_options, **decided}))
+        return await client.get_job(job_id), job.updated_at
 
     return run_job(settings, begin, wish)
 
@@ -92,10 +86,8 @@ async def _at_service(url: str, key_file: Path | None, job_id: str, decided: dic
 async def _accepted(
     client: AsyncClient, job_id: str, decided: dict[str, Any], wish: JobWish, screen: Screen
 ) -> JobModel:
-    from mavcal.client.requests import PlanOptions
-
     job = await client.get_job(job_id)
-    plan = await client.renew_plan(job_id, plan_options=PlanOptions(**{**job.plan_options, **decided}))
+    plan = await client.renew_plan(job_id, plan_options=options_of_plan({**job.plan_options, **decided}))
     show_plan(plan, screen)
     job = await client.get_job(job_id)
     if plan.blockers or not plan.changes:

@@ -12,13 +12,14 @@ import click
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.every import Acted, Whom, all_option, connect_option, one_of, run_every
 from mavcal.service.commands.output import json_option
-from mavcal.service.commands.plan_options import given, plan_options
+from mavcal.service.commands.plan_options import given, options_of_plan, plan_options
 from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
-    from mavcal.service.core import Service
-    from mavcal.service.jobs.core.model import Job
-    from mavcal.service.vehicle import Vehicle
+    from mavcal.client import AsyncClient
+    from mavcal.client.jobs import JobModel
+    from mavcal.client.models import VehicleModel
+    from mavcal.service.commands.door import Door
 
 KINDS = (
     *("gyro", "accel", "mag", "thermal", "level"),
@@ -77,28 +78,27 @@ def command(
             raise click.UsageError(f"--all is for {' and '.join(HANDS_FREE)} with --apply, and without other options")
         whom = Whom(urls, every, wait)
         return run_every(whom.settings(data_dir), whom, partial(_hands_free, kind), as_json=as_json)
-    settings = load_settings(data_dir=data_dir, connect=(one_of(urls),))
+    connect = one_of(urls)
+    settings = load_settings(data_dir=data_dir, connect=())
 
-    async def begin(service: Service, vehicle: Vehicle) -> Job:
-        return await service.jobs.submit(vehicle.id, kind, chosen, decided)
+    async def begin(client: AsyncClient, vehicle: VehicleModel) -> tuple[JobModel, float]:
+        options = options_of_plan(decided)
+        return await client.start_job(vehicle.id, kind=kind, options=chosen, plan_options=options), 0.0
 
-    return run_job(settings, begin, JobWish(write, require_proof, reboot, wait, as_json))
+    return run_job(settings, begin, JobWish(connect, write, require_proof, reboot, wait, as_json))
 
 
-async def _hands_free(kind: str, service: Service, vehicle: Vehicle) -> Acted:
+async def _hands_free(kind: str, door: Door, vehicle: VehicleModel) -> Acted:
     """Calibrate and write; whether it would arm afterwards is told too."""
-    from mavcal.service.fixing import Fixable, fixed
-    from mavcal.service.jobs.core.states import JobState
-    from mavcal.service.jobs.write.readiness import readiness_of
+    from mavcal.client.enums import JobState
+    from mavcal.service.commands.hands_free import mended
 
-    [fix] = await fixed(service.jobs, vehicle.id, [Fixable(kind)], actor="command line", look=True)
-    job = service.jobs.get(fix.job_id)
-    found = readiness_of(job)
-    told = {"job": fix.job_id, "kind": kind, "state": fix.state.value, "text": fix.text}
-    ready = None if found is None else {"verdict": found.verdict.value, "text": found.text, "against": found.against}
-    text = f"{kind}: {fix.state.value}: {fix.text}" + ("" if found is None else f" {found.text}")
-    in_part = bool(job.left_out or fix.late)
-    return Acted(fix.state is JobState.SUCCEEDED, text, {**told, "readiness": ready}, in_part=in_part)
+    came = await mended(door, vehicle.id, kind, look=True)
+    job, ready = came.job, came.job.readiness
+    told = {"job": job.id, "kind": kind, "state": job.state.value, "text": came.text}
+    text = f"{kind}: {job.state.value}: {came.text}" + ("" if ready is None else f" {ready.text}")
+    document = {**told, "readiness": None if ready is None else ready.model_dump(mode="json")}
+    return Acted(job.state == JobState.SUCCEEDED, text, document, in_part=came.in_part)
 
 
 def parsed(options: tuple[str, ...], *, words: bool = False) -> dict[str, Any]:

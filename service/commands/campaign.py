@@ -11,13 +11,14 @@ import click
 from mavcal.service.commands.calibrate import KINDS, parsed
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option
-from mavcal.service.commands.plan_options import given, plan_options
+from mavcal.service.commands.plan_options import given, options_of_plan, plan_options
 from mavcal.service.commands.reading import reading_options, split_reading
 
 if TYPE_CHECKING:
+    from mavcal.client import AsyncClient
+    from mavcal.client.jobs import JobModel
     from mavcal.service.campaigns.archive import Archive
     from mavcal.service.commands.campaign_run import VehicleWish
-    from mavcal.service.core import Service
     from mavcal.service.jobs.core.model import Job
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -75,12 +76,10 @@ def preflight(
     urls: tuple[str, ...], ids: tuple[str, ...], wait: float, *, at_once: int | None, data_dir: Path | None, **told: Any
 ) -> int:
     """Check every vehicle that is heard on these endpoints; nothing is written."""
-    from mavcal.service.campaigns.selection import Selection
     from mavcal.service.commands.campaign_run import VehicleWish, run_vehicles
 
-    async def begin(service: Service, chosen: tuple[str, ...]) -> Job:
-        vehicles = service.vehicles.all()
-        return await service.campaigns.preflight(vehicles, Selection(chosen), at_once=at_once, attended=True)
+    async def begin(client: AsyncClient, chosen: list[str]) -> JobModel:
+        return await client.start_preflight_campaign(vehicles=chosen, at_once=at_once)
 
     return run_vehicles(load_settings(data_dir=data_dir, connect=()), begin, VehicleWish(urls, ids, wait, **told))
 
@@ -114,15 +113,14 @@ def calibrate(
     """Calibrate every vehicle that is heard on these endpoints; without --apply their plans wait in review."""
     if reboot and not write:
         raise click.UsageError("--reboot is a part of writing: give --apply too")
-    from mavcal.service.campaigns.begin import CalibrationOrder
-    from mavcal.service.campaigns.selection import Selection
     from mavcal.service.commands.campaign_run import VehicleWish, run_vehicles
 
-    order = CalibrationOrder(kind, parsed(options), given(more), write, reboot, "command line")
+    asked, plan = parsed(options), options_of_plan(given(more))
 
-    async def begin(service: Service, chosen: tuple[str, ...]) -> Job:
-        vehicles, selection = service.vehicles.all(), Selection(chosen)
-        return await service.campaigns.calibrate(vehicles, selection, order, at_once=at_once, attended=True)
+    async def begin(client: AsyncClient, chosen: list[str]) -> JobModel:
+        return await client.start_calibration_campaign(
+            vehicles=chosen, kind=kind, options=asked, plan_options=plan, apply=write, reboot=reboot, at_once=at_once
+        )
 
     wish = VehicleWish(urls, ids, wait, table, as_json)
     return run_vehicles(load_settings(data_dir=data_dir, connect=()), begin, wish)

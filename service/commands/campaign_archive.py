@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mavcal.service.commands.campaign_told import Telling, followed, tell
+from mavcal.service.commands.campaign_told import Seen, Telling, followed, tell, write_table
 from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
@@ -62,14 +62,33 @@ async def _run(settings: Settings, given: Workers, begin: Begin, telling: Tellin
                 job = await begin(found)
                 screen.line(f"campaign {job.id}")
                 try:
-                    job = await followed(lambda: found.book.handle(job.id).job, screen)
+                    seen = await followed(lambda: _seen(found, job.id), screen)
                 except asyncio.CancelledError:
                     screen.line(f"stopped: `mavcal campaign resume {job.id}` goes on with it", bold=True)
                     raise
-                rows = await found.store.do(lambda: found.store.items(job.id, limit=_ALL))
-                return tell(job, rows, telling, screen)
+                return await _told(found, seen, telling, screen)
         except asyncio.CancelledError:
             if not caught:
                 raise
             abandon()
             return 128 + caught[0]
+
+
+async def _seen(found: Archive, job_id: str) -> Seen:
+    from mavcal.service.jobs.core.codec import to_json
+
+    job = found.book.handle(job_id).job
+    return Seen(job.id, job.state.value, dict(job.options), to_json(job.outcome), to_json(job.progress))
+
+
+async def _told(found: Archive, seen: Seen, telling: Telling, screen: Screen) -> int:
+    from mavcal.service.campaigns.items import item_from_row
+    from mavcal.service.campaigns.outcome import head, lines
+    from mavcal.service.jobs.core.codec import to_json
+
+    rows = await found.store.do(lambda: found.store.items(seen.id, limit=_ALL))
+    items = [item_from_row(row) for row in rows]
+    if telling.table is not None:
+        write_table(telling.table, head() + lines(items), len(items))
+    told = [{n: value for n, value in to_json(item).items() if n not in {"result", "starts"}} for item in items]
+    return tell(seen, told, telling, screen)

@@ -18,10 +18,10 @@ from mavcal.service.loading import loading
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from mavcal.client.models import UnfinishedModel, VehicleModel
+    from mavcal.service.commands.door import Door
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.core import Service
     from mavcal.service.settings import Settings
-    from mavcal.service.vehicle import Vehicle
 
 LISTEN_S = 4.0
 """How long a link is listened to for further vehicles once the first one is known: heartbeats come every second."""
@@ -43,7 +43,7 @@ class Found:
     """A vehicle at the end of a link, or why there is none."""
 
     connect: str
-    vehicle: Vehicle | None = None
+    vehicle: VehicleModel | None = None
     error: ServiceError | None = None
 
     @property
@@ -67,7 +67,7 @@ class Acted:
 
 
 T = TypeVar("T")
-Act = Callable[["Service", "Vehicle"], Awaitable[Acted]]
+Act = Callable[["Door", "VehicleModel"], Awaitable[Acted]]
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,13 @@ class Whom:
         return load_settings(data_dir=data_dir, connect=() if self.urls else None)
 
 
-async def vehicles_of(service: Service, whom: Whom, screen: Screen) -> list[Found]:
+async def vehicles_of(door: Door, whom: Whom, screen: Screen) -> list[Found]:
     """One vehicle an endpoint, or with `every` all of them, each unit once. A link without one tells why."""
-    urls = list(dict.fromkeys(whom.urls)) or [str(link.endpoint) for link in service.links.all()]
+    urls = list(dict.fromkeys(whom.urls)) or [link.url for link in await door.client.list_links()]
     if not urls:
         raise click.UsageError("the settings and the data directory remember no link: give --connect URL")
     async with asyncio.TaskGroup() as group:
-        tasks = [group.create_task(_of_link(service, url, whom, screen)) for url in urls]
+        tasks = [group.create_task(_of_link(door, url, whom, screen)) for url in urls]
     found = [one for task in tasks for one in task.result()]
     once: dict[str, Found] = {}
     for one in found:
@@ -99,20 +99,18 @@ async def vehicles_of(service: Service, whom: Whom, screen: Screen) -> list[Foun
     return list(once.values())
 
 
-async def _of_link(service: Service, url: str, whom: Whom, screen: Screen) -> list[Found]:
-    from mavcal.service.commands.headless import heard
-    from mavcal.service.link_registry import link_id_of
+async def _of_link(door: Door, url: str, whom: Whom, screen: Screen) -> list[Found]:
+    from mavcal.service.commands.headless import heard, on_link
 
     try:
-        vehicle = await heard(service, url, whom.wait_s, screen)
-        link = service.links.get(link_id_of(url))
+        vehicle = await heard(door, url, whom.wait_s, screen)
+        link_id = await door.open(url)
     except ServiceError as error:
         return [Found(url, error=error)]
     if not whom.every:
         return [Found(url, vehicle)]
     await asyncio.sleep(LISTEN_S)
-    there = [v for v in service.vehicles.all() if v.identity.known and link in v.links]
-    return [Found(url, v) for v in there]
+    return [Found(url, v) for v in await on_link(door.client, link_id)]
 
 
 def run_every(settings: Settings, whom: Whom, act: Act, *, as_json: bool) -> int:
@@ -137,33 +135,33 @@ def run_every(settings: Settings, whom: Whom, act: Act, *, as_json: bool) -> int
 
 
 async def with_each(
-    settings: Settings, whom: Whom, act: Callable[[Service, Vehicle], Awaitable[T]], screen: Screen
+    settings: Settings, whom: Whom, act: Callable[[Door, VehicleModel], Awaitable[T]], screen: Screen
 ) -> list[tuple[Found, T | ServiceError]] | int:
     """What came of every vehicle, side by side, or why nothing did; the exit code of a run that was told to stop.
 
     What an earlier run has left on a vehicle is finished first.
     """
     with loading():
-        from mavcal.service.commands.headless import earlier, recovered, stoppable
-        from mavcal.service.core import running_service
+        from mavcal.service.commands.door import door
+        from mavcal.service.commands.headless import recovered, stoppable
 
-    async def one(found: Found) -> T | ServiceError:
+    async def one(at: Door, found: Found, left: list[UnfinishedModel]) -> T | ServiceError:
         if found.vehicle is None:
             assert found.error is not None
             return found.error
         try:
-            await recovered(service, found.vehicle, left, screen)
-            return await act(service, found.vehicle)
+            await recovered(at, found.vehicle, left, screen)
+            return await act(at, found.vehicle)
         except ServiceError as error:
             return error
 
     with stoppable() as caught:
         try:
-            async with running_service(settings) as service:
-                left = earlier(service)
-                found = await vehicles_of(service, whom, screen)
+            async with door(settings, whom.urls) as at:
+                left = await at.client.list_unfinished()
+                found = await vehicles_of(at, whom, screen)
                 async with asyncio.TaskGroup() as group:
-                    tasks = [group.create_task(one(vehicle)) for vehicle in found]
+                    tasks = [group.create_task(one(at, vehicle, left)) for vehicle in found]
                 return list(zip(found, [task.result() for task in tasks], strict=True))
         except asyncio.CancelledError:
             if not caught:

@@ -4,43 +4,46 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import aclosing, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
+from mavcal.service.commands.door import HURRY_S
+
 if TYPE_CHECKING:
+    from mavcal.client import AsyncClient
+    from mavcal.client.jobs import JobModel
+    from mavcal.client.models import JobSummary, UnfinishedModel, VehicleModel
+    from mavcal.service.commands.door import Door
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.core import Service
-    from mavcal.service.jobs.core.model import Job
-    from mavcal.service.link import Link
-    from mavcal.service.unfinished import Unfinished
-    from mavcal.service.vehicle import Vehicle
+    from mavcal.service.jobs.core.states import JobState
 
 QUIET_S = 3.0
 """A vehicle that is not heard by then is said to be waited for."""
 DOUBT_S = 120.0
 """How long a job in doubt is waited for; the next run on this data directory goes on with it."""
-TIDY_S = 30.0
-"""How long the vehicle may take to confirm its old message rates."""
-HURRY_S = 5.0
-"""The same for a run that was told to stop."""
+LOOK_S = 0.05
+"""How often it is asked whether a vehicle has been heard."""
+PAGE = 1000
+"""Jobs of a page, at most."""
 
 
-async def heard(service: Service, url: str, wait: float, screen: Screen) -> Vehicle:
+async def heard(door: Door, url: str, wait: float, screen: Screen) -> VehicleModel:
     """The vehicle at the other end of this link, and of no other that the data directory remembers.
 
     Raises VehicleSilent if none is heard within `wait` seconds; meanwhile `screen` says what is waited for.
     """
     from mavcal.service.errors import VehicleSilent
 
-    link = await service.links.open(url, remember=False, trusted=True)
-    telling = asyncio.create_task(_tell_wait(link, url, wait, screen))
+    link_id = await door.open(url)
+    telling = asyncio.create_task(_tell_wait(door.client, link_id, url, wait, screen))
     try:
         async with asyncio.timeout(wait):
-            return await service.vehicles.wait_for_vehicle(link)
+            while not (found := await on_link(door.client, link_id)):  # noqa: ASYNC110 - a service is asked
+                await asyncio.sleep(LOOK_S)
+            return found[0]
     except TimeoutError:
-        said = f" ({link.reason})" if link.reason else ""
+        said = await _reason(door.client, link_id)
         raise VehicleSilent(
             f"no vehicle was heard on {url} within {wait:g} s{said}: check its power and the link"
         ) from None
@@ -48,47 +51,78 @@ async def heard(service: Service, url: str, wait: float, screen: Screen) -> Vehi
         telling.cancel()
 
 
-async def _tell_wait(link: Link, url: str, wait: float, screen: Screen) -> None:
+async def on_link(client: AsyncClient, link_id: str) -> list[VehicleModel]:
+    """The vehicles of this link that have said who they are, in the order in which they were found."""
+    if not (await client.get_link(link_id)).vehicles:
+        return []
+    return [vehicle for vehicle in await client.list_vehicles() if link_id in vehicle.links and vehicle.firmware]
+
+
+async def _reason(client: AsyncClient, link_id: str) -> str:
+    reason = (await client.get_link(link_id)).reason
+    return f" ({reason})" if reason else ""
+
+
+async def _tell_wait(client: AsyncClient, link_id: str, url: str, wait: float, screen: Screen) -> None:
     """Say that a vehicle is waited for, once for every reason."""
     told: set[str] = set()
     while True:
         await asyncio.sleep(QUIET_S)
-        if link.reason not in told:
-            told.add(link.reason)
-            why = f" ({link.reason})" if link.reason else ""
+        if (why := await _reason(client, link_id)) not in told:
+            told.add(why)
             screen.line(f"waiting up to {wait:g} s for a vehicle on {url}{why}")
 
 
-async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, *, doubt_s: float = DOUBT_S) -> Job:
-    """Show what happens after that event until the job ends, waits for acceptance, or stays in doubt for too long.
+def state_of(job: JobSummary | JobModel) -> JobState:
+    """Where a job is, to be compared with the sets of ``service.jobs.core.states``."""
+    from mavcal.service.jobs.core.states import JobState
 
-    What is in doubt is said once, however often the vehicle falls silent and comes back.
-    """
+    return JobState(job.state.value)
+
+
+def rests(job: JobSummary | JobModel) -> bool:
+    """Whether nothing goes on with the job by itself: it has ended, or its plan waits to be accepted."""
     from mavcal.service.jobs.core.states import ENDED, JobState
-    from mavcal.service.unfinished import ending, unfinished
+
+    return state_of(job) in ENDED | {JobState.REVIEW}
+
+
+async def follow(
+    client: AsyncClient, job_id: str, screen: Screen, since: float = 0.0, *, doubt_s: float = DOUBT_S
+) -> JobModel:
+    """Show what happens after that time until the job rests, or stays in doubt for too long.
+
+    `since` is in s since 1970, by the clock of the service. What is in doubt is said once, however often the vehicle
+    falls silent and comes back.
+    """
+    from mavcal.service.jobs.core.states import JobState
 
     loop = asyncio.get_running_loop()
     told: set[str] = set()
+    job = await client.get_job(job_id)
     with suppress(TimeoutError):
-        async with asyncio.timeout(None) as limit:
-            if service.jobs.get(job_id).state is JobState.IN_DOUBT:
+        async with asyncio.timeout(None) as limit, aclosing(client.follow_job(job_id)) as events:  # type: ignore[type-var]
+            if state_of(job) is JobState.IN_DOUBT:
                 limit.reschedule(loop.time() + doubt_s)
-            async for event in service.jobs.subscribe(None, after):
-                if event.job_id != job_id:
+            async for message in events:
+                event = message.data
+                if event.at <= since:
                     continue
-                show_event(event.kind, event.data, screen)
-                job = service.jobs.get(job_id)
-                if job.state in ENDED | {JobState.REVIEW}:
+                show_event(event.kind, event.data.model_dump(mode="json"), screen)
+                if event.kind != "state":
+                    continue
+                job = await client.get_job(job_id)  # the event may be an old one
+                if rests(job):
                     return job
-                if job.state is not JobState.IN_DOUBT:
+                if state_of(job) is not JobState.IN_DOUBT:
                     limit.reschedule(None)
                 elif limit.when() is None:
-                    for sentence in ending(unfinished(service.store, job)):
+                    for sentence in (await client.get_unfinished(job_id)).ending:
                         if sentence not in told:  # a busy machine puts a job in doubt again and again
                             screen.line(sentence, bold=True)
                         told.add(sentence)
                     limit.reschedule(loop.time() + doubt_s)
-    return service.jobs.get(job_id)
+    return await client.get_job(job_id)
 
 
 def show_event(kind: str, data: Mapping[str, Any], screen: Screen) -> None:
@@ -101,93 +135,73 @@ def show_event(kind: str, data: Mapping[str, Any], screen: Screen) -> None:
         screen.line(f"    note: {data['text']}")
 
 
-@dataclass(frozen=True)
-class Earlier:
-    """What earlier runs left unfinished, as it was when this one began."""
-
-    found: tuple[Unfinished, ...]
-    event_id: int
-    """The newest event then: what has happened since belongs to the recovery."""
-
-
-def earlier(service: Service) -> Earlier:
-    """To be asked before the vehicle is heard: from then on the engine goes on with these jobs by itself."""
-    from mavcal.service.unfinished import left_over
-
-    return Earlier(left_over(service.store, service.jobs.list()), service.store.last_event_id())
-
-
 async def recovered(
-    service: Service, vehicle: Vehicle, left: Earlier, screen: Screen, *, doubt_s: float = DOUBT_S
-) -> tuple[Unfinished, ...]:
-    """Bring to an end what earlier runs left unfinished on this vehicle; every such job, as it stands afterwards."""
-    from mavcal.service.unfinished import beginning, ending, unfinished
+    door: Door, vehicle: VehicleModel, left: Sequence[UnfinishedModel], screen: Screen, *, doubt_s: float = DOUBT_S
+) -> tuple[UnfinishedModel, ...]:
+    """Bring to an end what earlier runs left unfinished on this vehicle; every such job, as it stands afterwards.
 
-    told = []
-    for found in left.found:
-        if not is_of(service, found.job, vehicle):
+    `left` is what they left, as it was when the service began: it goes on by itself once the vehicle is heard.
+    """
+    client, told = door.client, []
+    for found in left:
+        job = found.job
+        if not await is_of(client, job, vehicle):
             continue
-        screen.line(beginning(found), bold=True)
+        screen.line(found.beginning, bold=True)
         if found.writing:
-            await follow(service, found.job.id, screen, left.event_id, doubt_s=doubt_s)
+            await follow(client, job.id, screen, job.updated_at, doubt_s=doubt_s)
         else:
-            await service.jobs.cancel(found.job.id)
-        now = unfinished(service.store, service.jobs.get(found.job.id))
-        for sentence in ending(now):
+            await client.cancel_job(job.id)
+        now = await client.get_unfinished(job.id)
+        for sentence in now.ending:
             screen.line(f"    {sentence}")
         told.append(now)
     return tuple(told)
 
 
-def is_of(service: Service, job: Job, vehicle: Vehicle) -> bool:
-    """Whether the job is of this vehicle."""
+async def is_of(client: AsyncClient, job: JobSummary | JobModel, vehicle: VehicleModel) -> bool:
+    """Whether the job is of this vehicle, which may have had another name when it began."""
     from mavcal.service.errors import VehicleUnknown
 
     if job.vehicle_id is None:
         return False
     with suppress(VehicleUnknown):
-        return service.vehicles.get(job.vehicle_id) is vehicle
+        return (await client.get_vehicle(job.vehicle_id)).id == vehicle.id
     return False
 
 
-def told_of(found: Unfinished) -> dict[str, Any]:
+async def jobs_of(client: AsyncClient, **wanted: Any) -> list[JobSummary]:
+    """Every job that is `wanted`, oldest first."""
+    found: list[JobSummary] = []
+    while page := await client.list_jobs(limit=PAGE, after=found[-1].id if found else None, **wanted):
+        found += page
+        if len(page) < PAGE:
+            break
+    return found
+
+
+def told_of(found: UnfinishedModel) -> dict[str, Any]:
     """A job that was recovered, or could not be, as JSON."""
-    from mavcal.service.jobs.core.codec import to_json
-
-    return {
-        "id": found.job.id,
-        "kind": found.job.kind,
-        "vehicle_id": found.job.vehicle_id,
-        "state": found.job.state.value,
-        "outcome": to_json(found.job.outcome),
-        "parameters": [vars(s) for s in found.standing],
-    }
+    about = found.job.model_dump(mode="json", include={"id", "kind", "vehicle_id", "state", "outcome"})
+    return {**about, "parameters": [standing.model_dump(mode="json") for standing in found.standing]}
 
 
-async def tidied(service: Service, seconds: float = TIDY_S) -> None:
-    """Give the vehicle time to take its old message rates back; what is missing then, the next run does."""
-    with suppress(TimeoutError):
-        async with asyncio.timeout(seconds):
-            await service.jobs.tidied()
-
-
-async def put_down(service: Service, job_id: str, screen: Screen) -> None:
+async def put_down(door: Door, job_id: str, screen: Screen) -> None:
     """Leave a job because this process has to stop: cancel what wrote nothing, say what a write leaves behind."""
     from mavcal.service.jobs.core.states import CANCELLABLE, WRITING, JobState
-    from mavcal.service.unfinished import unfinished
 
-    job = service.jobs.get(job_id)
-    if job.state in CANCELLABLE - {JobState.REVIEW}:
-        await service.jobs.cancel(job_id)
+    found = await door.client.get_unfinished(job_id)
+    job, state = found.job, state_of(found.job)
+    if state in CANCELLABLE - {JobState.REVIEW}:
+        await door.client.cancel_job(job_id)
         screen.line(f"stopped: job {job_id} ({job.kind}) was cancelled, nothing was written", bold=True)
-    elif job.state in WRITING:
-        names = unfinished(service.store, job).names
-        may = f"{names} may hold new values" if names else "nothing was sent yet"
-        screen.line(f"stopped while job {job_id} ({job.kind}) is {job.state.value}: {may}.", bold=True)
+    elif state in WRITING:
+        may = f"{', '.join(found.sent)} may hold new values" if found.sent else "nothing was sent yet"
+        screen.line(f"stopped while job {job_id} ({job.kind}) is {state.value}: {may}.", bold=True)
         screen.line("`mavcal recover` finishes it or takes it back, and so does the next calibration.")
     else:
-        screen.line(f"stopped: job {job_id} ({job.kind}) is {job.state.value}", bold=True)
-    await tidied(service, HURRY_S)
+        screen.line(f"stopped: job {job_id} ({job.kind}) is {state.value}", bold=True)
+    await door.tidied(HURRY_S)
 
 
 @contextmanager

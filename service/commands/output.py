@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from mavcal.client import ApiProblem
 
 EXIT_NO = 1
 """The answer is no: a failed check, a refused fit."""
@@ -15,6 +18,9 @@ EXIT_USAGE = 2
 EXIT_PART = 3
 """Done in part: a sensor left out, a proof that is partial where a full one was asked, a check that says neither."""
 
+WRONG_USE = frozenset({401, 403, 422, 429})
+"""Statuses of problems that lie in how it was asked; every other one is the answer no."""
+
 
 class AnsweredNo(click.ClickException):
     """A running service refused what was asked, or did not answer; `code` says to programs why."""
@@ -22,6 +28,12 @@ class AnsweredNo(click.ClickException):
     def __init__(self, code: str, detail: str, exit_code: int = EXIT_NO) -> None:
         super().__init__(detail)
         self.code, self.ends_with = code, exit_code
+
+
+def refused(problem: ApiProblem) -> AnsweredNo:
+    """A service said no."""
+    code = EXIT_USAGE if problem.status in WRONG_USE else EXIT_NO
+    return AnsweredNo(problem.code or "problem", problem.detail or str(problem), code)
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")

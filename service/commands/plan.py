@@ -13,14 +13,14 @@ from mavcal.calib.methods import METHODS
 from mavcal.service.commands.calibrate import parsed
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option
-from mavcal.service.commands.plan_options import all_plan_options, given
+from mavcal.service.commands.plan_options import all_plan_options, given, options_of_plan
 from mavcal.service.commands.reading import readable_file, reading_options, split_reading
 from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
-    from mavcal.service.core import Service
-    from mavcal.service.jobs.core.model import Job
-    from mavcal.service.vehicle import Vehicle
+    from mavcal.client import AsyncClient
+    from mavcal.client.jobs import JobModel
+    from mavcal.client.models import VehicleModel
 
 CHUNK = 1 << 20
 
@@ -65,13 +65,17 @@ def command(
         raise click.UsageError("--require-proof asks for a proof of what was written: give --apply too")
     path, chosen, decided = readable_file(file), parsed(options, words=True), given(more)
     reading, _ = split_reading(more)
-    settings = load_settings(data_dir=data_dir, connect=(connect,))
+    settings = load_settings(data_dir=data_dir, connect=())
+    from mavcal.client.requests import ReadingOptions
 
-    async def begin(service: Service, vehicle: Vehicle) -> Job:
-        kept = await service.recordings.add(path.name, _chunks(path), reading)
-        return await service.jobs.adopt(vehicle.id, kept.id, method, chosen, decided)
+    async def begin(client: AsyncClient, vehicle: VehicleModel) -> tuple[JobModel, float]:
+        kept = await client.upload_recording(_chunks(path), name=path.name, reading=ReadingOptions(**reading))
+        planned = client.plan_recording(
+            kept.id, method=method, vehicle_id=vehicle.id, options=chosen, plan_options=options_of_plan(decided)
+        )
+        return await planned, 0.0
 
-    return run_job(settings, begin, JobWish(write, require_proof, reboot, wait, as_json))
+    return run_job(settings, begin, JobWish(connect, write, require_proof, reboot, wait, as_json))
 
 
 async def _chunks(path: Path) -> AsyncIterator[bytes]:

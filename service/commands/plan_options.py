@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from mavcal.client.requests import PlanOptions
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -63,6 +66,20 @@ def given(options: dict[str, Any]) -> dict[str, Any]:
         if name in found:
             found[name] = _pairs(name, found[name])
     return found
+
+
+def options_of_plan(given: dict[str, Any]) -> PlanOptions:
+    """Options of a plan as the client takes them. Raises InvalidInputError."""
+    from pydantic import ValidationError
+
+    from mavcal.calib.errors import InvalidInputError
+    from mavcal.client.requests import PlanOptions
+
+    try:
+        return PlanOptions(**given)
+    except ValidationError as error:
+        faults = "; ".join(f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors())
+        raise InvalidInputError(f"the options of the plan are not valid: {faults}") from None
 
 
 def _pairs(name: str, text: str) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,10 +18,9 @@ from mavcal.service.commands.place import NOWHERE, CommandPlace, place_of
 from mavcal.service.errors import ServiceError
 
 if TYPE_CHECKING:
-    from mavcal.service.api.models import CheckModel, PreflightModel
+    from mavcal.client.models import CheckModel, FixModel, PreflightModel, VehicleModel
+    from mavcal.service.commands.door import Door
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.core import Service
-    from mavcal.service.vehicle import Vehicle
 
 FIXABLE = ("gyro", "level")
 """Those of ``service.fixing``, stated here so that help does without it (a test compares them)."""
@@ -95,17 +94,29 @@ class _Wish:
 Answer = tuple["Found", "PreflightModel | ServiceError"]
 
 
-async def _checked(service: Service, vehicle: Vehicle, *, wish: _Wish, screen: Screen) -> PreflightModel:
-    from mavcal.service.api.views import preflight_model
-    from mavcal.service.fixing import Fixable, fixed
-
-    screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
-    mended = await fixed(service.jobs, vehicle.id, [Fixable(kind) for kind in wish.kinds], actor="command line")
-    for fix in mended:
+async def _checked(door: Door, vehicle: VehicleModel, *, wish: _Wish, screen: Screen) -> PreflightModel:
+    screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")
+    fixed = await _fixed(door, vehicle, wish.kinds)
+    for fix in fixed:
         screen.line(f"    {fix.kind.value}: {fix.state.value}: {fix.text}")
     with _said_meanwhile(screen):
-        found = await service.jobs.preflight(vehicle.id, heading=wish.heading)
-    return preflight_model(found, mended)
+        found = await door.client.run_preflight(vehicle.id, heading=wish.heading)
+    return found.model_copy(update={"fixed": fixed})
+
+
+async def _fixed(door: Door, vehicle: VehicleModel, kinds: Sequence[str]) -> list[FixModel]:
+    """What came of each calibration; the first one that does not succeed is the last."""
+    from mavcal.client.enums import Fixable, JobState
+    from mavcal.client.models import FixModel
+    from mavcal.service.commands.hands_free import mended
+
+    done: list[FixModel] = []
+    for kind in dict.fromkeys(kinds):
+        came = await mended(door, vehicle.id, kind, look=False)
+        done.append(FixModel(kind=Fixable(kind), job_id=came.job.id, state=came.job.state, text=came.text))
+        if came.job.state != JobState.SUCCEEDED:
+            break
+    return done
 
 
 @contextmanager

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,6 +15,7 @@ from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
     from mavcal.service.commands.screen import Screen
+    from mavcal.service.settings import Settings
 
 
 @click.command()
@@ -35,17 +37,18 @@ def command(connect: str, data_dir: Path | None, wait: float, as_json: bool) -> 
     from mavcal.service.commands.screen import Screen
     from mavcal.service.logs import configure_logging
 
-    settings = load_settings(data_dir=data_dir, connect=(connect,))
+    settings = load_settings(data_dir=data_dir, connect=())
     configure_logging(as_json=settings.log_json)
-    return asyncio.run(_recover(settings, wait, Screen(place_of(settings)), as_json))
+    screen = Screen(replace(place_of(settings), connect=connect))
+    return asyncio.run(_recover(settings, connect, wait, screen, as_json))
 
 
-async def _recover(settings: Any, wait: float, screen: Screen, as_json: bool) -> int:
+async def _recover(settings: Settings, connect: str, wait: float, screen: Screen, as_json: bool) -> int:
     from mavcal.service.commands.headless import stoppable
 
     with stoppable() as caught:
         try:
-            return await _recovered(settings, wait, screen, as_json)
+            return await _recovered(settings, connect, wait, screen, as_json)
         except asyncio.CancelledError:
             if not caught:
                 raise
@@ -53,28 +56,30 @@ async def _recover(settings: Any, wait: float, screen: Screen, as_json: bool) ->
             return 128 + caught[0]
 
 
-async def _recovered(settings: Any, wait: float, screen: Screen, as_json: bool) -> int:
-    from mavcal.service.commands.headless import earlier, heard, recovered, tidied, told_of
-    from mavcal.service.core import running_service
+async def _recovered(settings: Settings, connect: str, wait: float, screen: Screen, as_json: bool) -> int:
+    from mavcal.service.commands.door import door
+    from mavcal.service.commands.headless import heard, recovered, told_of
     from mavcal.service.errors import VehicleSilent
-    from mavcal.service.unfinished import ending, left_over
 
-    async with running_service(settings) as service:
-        left = earlier(service)
+    async with door(settings, (connect,)) as at:
+        left = await at.client.list_unfinished()
         try:
-            vehicle = await heard(service, settings.connect[0], wait, screen)
+            vehicle = await heard(at, connect, wait, screen)
         except VehicleSilent:
-            for found in left.found:
-                for sentence in ending(found):
+            for found in left:
+                for sentence in found.ending:
                     screen.line(sentence)
             raise
-        screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
-        done = await recovered(service, vehicle, left, screen, doubt_s=wait)
-        await tidied(service)
-        others = [f for f in left_over(service.store, service.jobs.list()) if all(f.job.id != d.job.id for d in done)]
+        screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")
+        done = await recovered(at, vehicle, left, screen, doubt_s=wait)
+        await at.tidied()
+        ours = {found.job.id for found in done}
+        now = [await at.client.get_unfinished(found.job.id) for found in left if found.job.id not in ours]
+        others = [found for found in now if not found.ended]
     doubt = [found for found in done if not found.ended]
     for found in others:
-        screen.line(f"job {found.job.id} ({found.job.kind}) of {found.job.vehicle_id} is {found.job.state.value}")
+        job = found.job
+        screen.line(f"job {job.id} ({job.kind}) of {job.vehicle_id} is {job.state.value}")
     if as_json:
         named = {"recovered": done, "in_doubt": doubt, "of_other_vehicles": others}
         write_json({"vehicle_id": vehicle.id, **{key: [told_of(f) for f in some] for key, some in named.items()}})

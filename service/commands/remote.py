@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from mavcal.service.commands.output import EXIT_NO, EXIT_USAGE, AnsweredNo
+from mavcal.service.commands.output import EXIT_USAGE, AnsweredNo, refused
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient, Client
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 DEFAULT_URL = "http://127.0.0.1:8765"
-WRONG_USE = frozenset({401, 403, 422, 429})
-"""Statuses of problems that lie in how it was asked; every other one is the answer no."""
 
 _key = click.option(
     "--key-file",
@@ -168,8 +166,7 @@ def _noes() -> Iterator[None]:
     try:
         yield
     except ApiProblem as error:
-        code = EXIT_USAGE if error.status in WRONG_USE else EXIT_NO
-        raise AnsweredNo(error.code or "problem", error.detail or str(error), code) from None
+        raise refused(error) from None
     except Unreachable as error:
         raise AnsweredNo("unreachable", f"{error}; is `mavcal serve` running, and is --url its address?") from None
     except UnexpectedAnswer as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,9 +12,9 @@ from mavcal.service.commands.output import json_option
 from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
-    from mavcal.service.core import Service
-    from mavcal.service.jobs.core.model import Job
-    from mavcal.service.vehicle import Vehicle
+    from mavcal.client import AsyncClient
+    from mavcal.client.jobs import JobModel
+    from mavcal.client.models import VehicleModel
 
 
 @click.command()
@@ -41,10 +41,10 @@ def command(
     --apply, and never to a vehicle with another unit id. Exit code 1 if there is nothing to restore from, or if the
     write did not succeed; 3 if a sensor is left out.
     """
-    settings = load_settings(data_dir=data_dir, connect=(connect,))
-    options: dict[str, Any] = {"only": [part for part in only.split(",") if part]} if only else {}
+    settings = load_settings(data_dir=data_dir, connect=())
+    sensors = [part for part in only.split(",") if part] if only else None
 
-    async def begin(service: Service, vehicle: Vehicle) -> Job:
-        return await service.jobs.restore(vehicle.id, options)
+    async def begin(client: AsyncClient, vehicle: VehicleModel) -> tuple[JobModel, float]:
+        return await client.restore_calibration(vehicle.id, only=sensors), 0.0
 
-    return run_job(settings, begin, JobWish(write, reboot=reboot, wait_s=wait, as_json=as_json))
+    return run_job(settings, begin, JobWish(connect, write, reboot=reboot, wait_s=wait, as_json=as_json))

@@ -14,12 +14,13 @@ from mavcal.service.commands.every import one_of as one_endpoint
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.commands.place import CommandPlace
 from mavcal.service.commands.remote import async_service_at, followed, may_be_remote, one_of, show_came_of
-from mavcal.service.commands.review import JobWish, run_job
+from mavcal.service.commands.review import JobWish, job_of, run_job, taken_back, writable
 
 if TYPE_CHECKING:
-    from mavcal.service.core import Service
-    from mavcal.service.jobs.core.model import Job
-    from mavcal.service.vehicle import Vehicle
+    from mavcal.client import AsyncClient
+    from mavcal.client.jobs import JobModel
+    from mavcal.client.models import VehicleModel
+    from mavcal.service.commands.door import Door
 
 
 @click.command()
@@ -55,8 +56,8 @@ def command(
             raise click.UsageError("--all takes the vehicles of --connect or of the data directory, not of a --url")
         whom = Whom(urls, every, wait)
 
-        async def act(service: Service, vehicle: Vehicle) -> Acted:
-            return await _all_writes(service, vehicle, wait)
+        async def act(door: Door, vehicle: VehicleModel) -> Acted:
+            return await _all_writes(door.client, vehicle, wait)
 
         return run_every(whom.settings(data_dir), whom, act, as_json=as_json)
     name = str(job_id)
@@ -64,20 +65,14 @@ def command(
     if url is not None:
         return asyncio.run(_at_service(url, key_file, name, as_json=as_json))
     connect = one_endpoint(urls)
-    settings = load_settings(data_dir=data_dir, connect=(connect,))
+    settings = load_settings(data_dir=data_dir, connect=())
 
-    async def begin(service: Service, vehicle: Vehicle) -> Job:
-        from mavcal.service.commands.headless import is_of
-        from mavcal.service.commands.review import writable
-        from mavcal.service.errors import OtherVehicle
+    async def begin(client: AsyncClient, vehicle: VehicleModel) -> tuple[JobModel, float]:
+        before = await job_of(client, name, connect, vehicle)
+        await writable(client, vehicle, wait)
+        return await client.revert_job(name), before.updated_at
 
-        job = service.jobs.get(name)
-        if not is_of(service, job, vehicle):
-            raise OtherVehicle(f"job {name} belongs to {job.vehicle_id}, but {connect} leads to {vehicle.id}")
-        await writable(vehicle, wait)
-        return await service.jobs.revert(name)
-
-    return run_job(settings, begin, JobWish(write=True, wait_s=wait, as_json=as_json, revert=True))
+    return run_job(settings, begin, JobWish(connect, write=True, wait_s=wait, as_json=as_json, revert=True))
 
 
 async def _at_service(url: str, key_file: Path | None, job_id: str, *, as_json: bool) -> int:
@@ -96,23 +91,22 @@ async def _at_service(url: str, key_file: Path | None, job_id: str, *, as_json: 
     return 0 if job.state == JobState.REVERTED else EXIT_NO
 
 
-async def _all_writes(service: Service, vehicle: Vehicle, wait: float) -> Acted:
+async def _all_writes(client: AsyncClient, vehicle: VehicleModel, wait: float) -> Acted:
     """Take back every job that has written to this vehicle, the newest first: each finds the values that it wrote."""
-    from mavcal.service.commands.headless import is_of
-    from mavcal.service.commands.review import taken_back, writable
-    from mavcal.service.fixing import wait_for_job
-    from mavcal.service.jobs.core.states import JobState
+    from mavcal.client.enums import JobState
+    from mavcal.service.commands.hands_free import wait_for_job
+    from mavcal.service.commands.headless import is_of, jobs_of
 
-    written = [job for job in service.jobs.list() if job.state is JobState.SUCCEEDED and job.accept is not None]
-    ours = sorted((job for job in written if is_of(service, job, vehicle)), key=lambda j: j.updated_at, reverse=True)
+    written = [job for job in await jobs_of(client, state=JobState.SUCCEEDED) if job.last_write is not None]
+    ours = [job for job in sorted(written, key=lambda j: -j.updated_at) if await is_of(client, job, vehicle)]
     if not ours:
         text = "nothing was written to it by a job of this data directory"
         return Acted(good=True, text=text, document={"jobs": []})
-    done: list[Job] = []
+    done: list[JobModel] = []
     for job in ours:
-        await writable(vehicle, wait)
-        await service.jobs.revert(job.id)
-        done.append(await wait_for_job(service.jobs, job.id))
+        await writable(client, vehicle, wait)
+        await client.revert_job(job.id)
+        done.append(await wait_for_job(client, job.id))
         if not taken_back(done[-1]):
             break  # an older one must not put values back over what is in doubt
     told = [{"job": job.id, "kind": job.kind, "state": job.state.value, "text": _said(job)} for job in done]
@@ -121,5 +115,5 @@ async def _all_writes(service: Service, vehicle: Vehicle, wait: float) -> Acted:
     return Acted(taken_back(done[-1]), " ".join([*lines, *waiting]), {"jobs": told})
 
 
-def _said(job: Job) -> str:
+def _said(job: JobModel) -> str:
     return "" if job.outcome is None else getattr(job.outcome, "text", "") or getattr(job.outcome, "cause", "")

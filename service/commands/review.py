@@ -5,26 +5,24 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json
 from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
-    from mavcal.calib.firmware.plan import WritePlan
-    from mavcal.calib.preflight.readiness import Readiness
-    from mavcal.client.jobs import JobModel, PlanModel
+    from mavcal.client import AsyncClient
+    from mavcal.client.enums import ProofLevel
+    from mavcal.client.jobs import JobModel, PlanModel, VehicleReadinessModel
+    from mavcal.client.models import UnfinishedModel, VehicleModel
+    from mavcal.service.commands.door import Door
     from mavcal.service.commands.keyboard import Keyboard
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.core import Service
-    from mavcal.service.jobs.core.model import Job
     from mavcal.service.settings import Settings
-    from mavcal.service.unfinished import Unfinished
-    from mavcal.service.vehicle import Vehicle
 
-    Begin = Callable[[Service, Vehicle], Awaitable[Job]]
-    """Makes the job, or takes up one that waits in review. Raises ServiceError."""
+    Begin = Callable[[AsyncClient, VehicleModel], Awaitable[tuple[JobModel, float]]]
+    """Makes the job, or takes one up; with it the time after which its events are shown. Raises ServiceError."""
 
 PATIENCE_S = 10.0
 """How long a write waits for the vehicle to be writable."""
@@ -35,6 +33,8 @@ YES = frozenset({"yes", "y"})
 class JobWish:
     """What a run of a command is to do with its job."""
 
+    connect: str
+    """Endpoint of the vehicle."""
     write: bool
     require_proof: bool = False
     reboot: bool = False
@@ -50,68 +50,81 @@ def run_job(settings: Settings, begin: Begin, wish: JobWish) -> int:
     from mavcal.service.logs import configure_logging
 
     configure_logging(as_json=settings.log_json)
-    job = asyncio.run(_job(settings, begin, wish, Screen(place_of(settings))))
+    screen = Screen(replace(place_of(settings), connect=wish.connect))
+    job = asyncio.run(_job(settings, begin, wish, screen))
     if isinstance(job, int):
         return job
     return exit_code(job, wish)
 
 
-async def _job(settings: Settings, begin: Begin, wish: JobWish, screen: Screen) -> Job | int:
+async def _job(settings: Settings, begin: Begin, wish: JobWish, screen: Screen) -> JobModel | int:
     """The job as it ended, or the exit code of a run that was told to stop."""
-    from mavcal.service.commands.headless import earlier, heard, recovered, stoppable
-    from mavcal.service.core import running_service
+    from mavcal.service.commands.door import OPERATOR, door
+    from mavcal.service.commands.headless import heard, recovered, stoppable
 
     with stoppable() as caught:
         try:
-            async with running_service(settings) as service:
-                left = earlier(service)
-                vehicle = await heard(service, settings.connect[0], wish.wait_s, screen)
-                screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
-                resolved = await recovered(service, vehicle, left, screen)
+            async with door(settings, (wish.connect,), OPERATOR) as at:
+                left = await at.client.list_unfinished()
+                vehicle = await heard(at, wish.connect, wish.wait_s, screen)
+                screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")
+                resolved = await recovered(at, vehicle, left, screen)
                 _require_resolved(resolved)
-                return await _Run(service, vehicle, wish, screen).of(begin, resolved)
+                return await _Run(at, vehicle, wish, screen).of(begin, resolved)
         except asyncio.CancelledError:
             if not caught:
                 raise
             return 128 + caught[0]
 
 
-def _require_resolved(resolved: Sequence[Unfinished]) -> None:
+def _require_resolved(resolved: Sequence[UnfinishedModel]) -> None:
     """Raise PhysicalJobRunning, with every parameter, if an earlier job is still in doubt."""
     from mavcal.service.errors import PhysicalJobRunning
-    from mavcal.service.unfinished import ending
 
     for found in resolved:
         if not found.ended:
-            raise PhysicalJobRunning("; ".join(ending(found)) + ". Nothing new is begun until that is resolved.")
+            raise PhysicalJobRunning("; ".join(found.ending) + ". Nothing new is begun until that is resolved.")
+
+
+async def job_of(client: AsyncClient, job_id: str, endpoint: str, vehicle: VehicleModel) -> JobModel:
+    """The job of that id. Raises OtherVehicle if it is not of the vehicle at this endpoint."""
+    from mavcal.service.commands.headless import is_of
+    from mavcal.service.errors import OtherVehicle
+
+    job = await client.get_job(job_id)
+    if not await is_of(client, job, vehicle):
+        raise OtherVehicle(f"job {job_id} belongs to {job.vehicle_id}, but {endpoint} leads to {vehicle.id}")
+    return job
 
 
 @dataclass(frozen=True)
 class _Run:
     """One job of one vehicle, in a service that runs."""
 
-    service: Service
-    vehicle: Vehicle
+    door: Door
+    vehicle: VehicleModel
     wish: JobWish
     screen: Screen
 
-    async def of(self, begin: Begin, resolved: Sequence[Unfinished]) -> Job:
-        from mavcal.service.api.views import job_model
-        from mavcal.service.commands.headless import put_down, tidied, told_of
+    @property
+    def client(self) -> AsyncClient:
+        return self.door.client
+
+    async def of(self, begin: Begin, resolved: Sequence[UnfinishedModel]) -> JobModel:
+        from mavcal.service.commands.headless import put_down, told_of
         from mavcal.service.commands.keyboard import keyboard
 
-        after = self.service.store.last_event_id()
-        job = await begin(self.service, self.vehicle)
+        job, since = await begin(self.client, self.vehicle)
         try:
             async with keyboard(self._answer(job.id)) as typed:
-                job = await self._carried(job, after, typed)
+                await self._carried(job, since, typed)
         except asyncio.CancelledError:
-            await put_down(self.service, job.id, self.screen)
+            await put_down(self.door, job.id, self.screen)
             raise
-        await tidied(self.service)
-        job = self.service.jobs.get(job.id)  # what the vehicle says after a write is known only now
+        await self.door.tidied()
+        job = await self.client.get_job(job.id)  # what the vehicle says after a write is known only now
         if self.wish.as_json:
-            write_json({**job_model(job).model_dump(), "recovered": [told_of(found) for found in resolved]})
+            write_json({**job.model_dump(), "recovered": [told_of(found) for found in resolved]})
         show_end(job, self.screen, written=self.wish.write)
         return job
 
@@ -120,95 +133,92 @@ class _Run:
 
         async def answer(line: str) -> None:
             try:
-                await self.service.jobs.answer(job_id, line)
+                await self.client.answer_job(job_id, value=line)
             except ServiceError as error:
                 self.screen.line(f"    {error}")
 
         return answer
 
-    async def _carried(self, job: Job, after: int, typed: Keyboard) -> Job:
-        """The job, once nothing goes on with it by itself."""
-        from mavcal.service.commands.headless import follow
-        from mavcal.service.jobs.core.model import Accept
-        from mavcal.service.jobs.core.states import ENDED, JobState
+    async def _carried(self, job: JobModel, since: float, typed: Keyboard) -> None:
+        """Take the job to where nothing goes on with it by itself."""
+        from mavcal.client.enums import JobState
+        from mavcal.service.commands.headless import follow, rests
 
-        jobs = self.service.jobs
-        if job.state not in ENDED | {JobState.REVIEW}:
-            job = await follow(self.service, job.id, self.screen, after)
-        if job.state is not JobState.REVIEW or job.plan is None:
-            return job
+        if not rests(job):
+            job = await follow(self.client, job.id, self.screen, since)
+        if job.state != JobState.REVIEW or job.plan is None:
+            return
         show_plan(job.plan, self.screen)
         if self.wish.write:
-            job = await self._confirmed(job, typed)
+            job = await self._confirmed(job, job.plan, typed)
         if not self.wish.write or job.plan is None or job.plan.blockers:
-            return job
-        await writable(self.vehicle, self.wish.wait_s)
-        after = self.service.store.last_event_id()
-        await jobs.apply(job.id, Accept(job.plan.sha256, reboot=self.wish.reboot), look=True)
-        return await follow(self.service, job.id, self.screen, after)
+            return
+        await writable(self.client, self.vehicle, self.wish.wait_s)
+        since = (await self.client.get_job(job.id)).updated_at
+        await self.client.apply_plan(job.id, plan_sha256=job.plan.sha256, reboot=self.wish.reboot)
+        await follow(self.client, job.id, self.screen, since)
 
-    async def _confirmed(self, job: Job, typed: Keyboard) -> Job:
+    async def _confirmed(self, job: JobModel, plan: PlanModel, typed: Keyboard) -> JobModel:
         """The job, planned again with what the person at the terminal has confirmed; as it is if there is nobody."""
         from mavcal.calib.firmware.options import confirmations
+        from mavcal.service.commands.plan_options import options_of_plan
 
-        assert job.plan is not None
-        names = confirmations(job.plan.blockers)
+        names = confirmations(plan.blockers)
         if not names or not typed.there:
             return job
         self.screen.prompt("type yes to confirm this and write the plan; anything else leaves the vehicle as it is")
         if (await typed.asked()).lower() not in YES:
             return job
-        options = {**job.context.get("plan_options", {}), **dict.fromkeys(names, True)}
-        job = await self.service.jobs.plan_again(job.id, options)
-        assert job.plan is not None
-        show_plan(job.plan, self.screen)
-        return job
+        options = options_of_plan({**job.plan_options, **dict.fromkeys(names, True)})
+        show_plan(await self.client.renew_plan(job.id, plan_options=options), self.screen)
+        return await self.client.get_job(job.id)
 
 
-async def writable(vehicle: Vehicle, wait: float) -> None:
+async def writable(client: AsyncClient, vehicle: VehicleModel, wait: float) -> None:
     """Give the vehicle time to have been disarmed for long enough; what else stands in the way is said by apply."""
     with suppress(TimeoutError):
         async with asyncio.timeout(min(wait, PATIENCE_S)):
-            while not vehicle.writable().ok:  # noqa: ASYNC110 - time alone changes it
+            while not (await client.get_vehicle(vehicle.id)).writable:  # noqa: ASYNC110 - time alone changes it
                 await asyncio.sleep(0.1)
 
 
-def good(job: Job, write: bool, require_proof: bool) -> bool:
+def good(job: JobModel, write: bool, require_proof: bool) -> bool:
     """Whether the job has reached what was asked for."""
-    from mavcal.service.jobs.core.model import Result
-    from mavcal.service.jobs.core.proof import ProofLevel
-    from mavcal.service.jobs.core.states import JobState
+    from mavcal.client.enums import JobState, ProofLevel
 
     if job.plan is not None and job.plan.blockers:
         return False
     if not write:
         return job.state in {JobState.REVIEW, JobState.SUCCEEDED}  # it succeeds at once where nothing is to be changed
-    proved = isinstance(job.outcome, Result) and job.outcome.proof is ProofLevel.FULL
-    unneeded = job.plan is not None and job.plan.nothing_to_write
-    return job.state is JobState.SUCCEEDED and (proved or unneeded or not require_proof)
+    unneeded = job.plan is not None and not job.plan.changes
+    return job.state == JobState.SUCCEEDED and (_proof(job) == ProofLevel.FULL or unneeded or not require_proof)
 
 
-def exit_code(job: Job, wish: JobWish) -> int:
+def exit_code(job: JobModel, wish: JobWish) -> int:
     """0 done, 1 the answer is no, 3 done in part: not of every sensor, or not with the whole proof."""
-    from mavcal.service.jobs.core.model import Result
-    from mavcal.service.jobs.core.proof import ProofLevel
+    from mavcal.client.enums import ProofLevel
 
     if wish.revert:
         return 0 if taken_back(job) else EXIT_NO
     if good(job, wish.write, wish.require_proof):
         return EXIT_PART if job.left_out else 0
-    partly = isinstance(job.outcome, Result) and job.outcome.proof is ProofLevel.PARTIAL
+    partly = _proof(job) == ProofLevel.PARTIAL
     return EXIT_PART if partly and good(job, wish.write, require_proof=False) else EXIT_NO
 
 
-def taken_back(job: Job) -> bool:
+def _proof(job: JobModel) -> ProofLevel | None:
+    """How much the streams have proved; None: the job has no result."""
+    return job.outcome.proof if job.outcome is not None and job.outcome.kind == "result" else None
+
+
+def taken_back(job: JobModel) -> bool:
     """Whether what the job had written is gone."""
-    from mavcal.service.jobs.core.states import JobState
+    from mavcal.client.enums import JobState
 
-    return job.state is JobState.REVERTED
+    return job.state == JobState.REVERTED
 
 
-def show_plan(plan: WritePlan | PlanModel, screen: Screen) -> None:
+def show_plan(plan: PlanModel, screen: Screen) -> None:
     """What is written, what is not, and what has to be confirmed first."""
     from mavcal.calib.firmware.options import confirmations
     from mavcal.calib.firmware.values import shown
@@ -224,32 +234,32 @@ def show_plan(plan: WritePlan | PlanModel, screen: Screen) -> None:
         screen.line(f"    cannot be held: {loss.text} ({loss.cost:.3g} {loss.unit})")
 
 
-def show_end(job: Job, screen: Screen, *, written: bool) -> None:
+def show_end(job: JobModel, screen: Screen, *, written: bool) -> None:
     """How the job ended; for one in review, how it is written later."""
-    from mavcal.service.jobs.core.model import Failure
-    from mavcal.service.jobs.core.states import JobState
-    from mavcal.service.jobs.write.readiness import readiness_of
+    from mavcal.client.enums import JobState
 
-    if isinstance(job.outcome, Failure):
-        screen.line(f"{job.state.value}: {job.outcome.cause} {job.outcome.remedy}", bold=True)
-    elif job.outcome is not None:
-        screen.line(f"{job.state.value}: {job.outcome.text}", bold=True)
+    outcome = job.outcome
+    if outcome is None:
+        if job.plan is not None:
+            show_left_out(job, screen)
+            screen.line(_waiting(job, job.plan), bold=True)
+        return
+    if outcome.kind != "result":
+        screen.line(f"{job.state.value}: {outcome.cause} {outcome.remedy}", bold=True)
+    else:
+        screen.line(f"{job.state.value}: {outcome.text}", bold=True)
         if written:
-            screen.line(f"proof: {job.outcome.proof.value}")
-        for open_still in job.outcome.unproved:
+            screen.line(f"proof: {outcome.proof.value}")
+        for open_still in outcome.unproved:
             screen.line(f"    {open_still.name} is not proved: {open_still.why}")
         show_left_out(job, screen)
-        if written and job.state is JobState.SUCCEEDED and job.accept is not None:
+        if written and job.state == JobState.SUCCEEDED and job.last_write is not None:
             screen.line(f"this was job {job.id}: `mavcal revert {job.id}` takes it back")
-        found = readiness_of(job)
-        if found is not None:
-            show_readiness(found, screen)
-    elif job.plan is not None:
-        show_left_out(job, screen)
-        screen.line(_waiting(job, job.plan), bold=True)
+        if job.readiness is not None:
+            show_readiness(job.readiness, screen)
 
 
-def show_left_out(job: Job | JobModel, screen: Screen) -> None:
+def show_left_out(job: JobModel, screen: Screen) -> None:
     """Which sensors got no new calibration, or only a part of it, and why."""
     from mavcal.calib.procedures.roster import label
     from mavcal.calib.recording import Sensor
@@ -261,14 +271,14 @@ def show_left_out(job: Job | JobModel, screen: Screen) -> None:
         screen.line(f"fell out, though this job needs only its help: {found}", bold=True)
 
 
-def show_readiness(found: Readiness, screen: Screen) -> None:
+def show_readiness(found: VehicleReadinessModel, screen: Screen) -> None:
     """Whether the vehicle would arm now, and what stands against it."""
     screen.line(found.text, bold=True)
     for text in found.against:
         screen.line(f"    {text}")
 
 
-def _waiting(job: Job, plan: WritePlan) -> str:
+def _waiting(job: JobModel, plan: PlanModel) -> str:
     """What becomes of a plan that was not written."""
     from mavcal.calib.firmware.options import PLAN_OPTIONS, confirmations
 

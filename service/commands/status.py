@@ -14,9 +14,8 @@ from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
-    from mavcal.service.api.models import JobSummary, VehicleModel
+    from mavcal.service.commands.door import Door
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.core import Service
     from mavcal.service.settings import Settings
 
 
@@ -47,31 +46,21 @@ def command(*, urls: tuple[str, ...], every: bool, data_dir: Path | None, wait: 
 
 
 async def _status(settings: Settings, whom: Whom, screen: Screen) -> list[dict[str, Any]]:
-    from mavcal.service.core import running_service
+    from mavcal.service.commands.door import door
 
-    async with running_service(settings) as service:
-        return [_one(service, found) for found in await vehicles_of(service, whom, screen)]
+    async with door(settings, whom.urls) as at:
+        return [await _one(at, found) for found in await vehicles_of(at, whom, screen)]
 
 
-def _one(service: Service, found: Found) -> dict[str, Any]:
-    from mavcal.service.api.views import job_summary, vehicle_model
-    from mavcal.service.jobs.core.states import JobState
+async def _one(door: Door, found: Found) -> dict[str, Any]:
+    from mavcal.client.enums import JobState
+    from mavcal.service.commands.headless import jobs_of
 
-    vehicle = found.vehicle
-    if vehicle is None:
+    if found.vehicle is None:
         return found.document
-    ours = [job for job in service.jobs.list() if job.vehicle_id == vehicle.id]
-    done = {job.kind: job_summary(job) for job in ours if job.state == JobState.SUCCEEDED}
-    told = {kind: _last(job) for kind, job in done.items()}
-    return {"connect": found.connect, **_plain(vehicle_model(vehicle)), "calibrated": told}
-
-
-def _plain(model: VehicleModel) -> dict[str, Any]:
-    return model.model_dump(mode="json")
-
-
-def _last(job: JobSummary) -> dict[str, Any]:
-    return {"job": job.id, "at": job.updated_at}
+    done = await jobs_of(door.client, vehicle_id=found.vehicle.id, state=JobState.SUCCEEDED)
+    told = {job.kind: {"job": job.id, "at": job.updated_at} for job in done}
+    return {"connect": found.connect, **found.vehicle.model_dump(mode="json"), "calibrated": told}
 
 
 def _show(one: dict[str, Any]) -> None:

@@ -225,7 +225,13 @@ def test_whatever_is_begun_names_its_address() -> None:
     begun = {
         o["operationId"]: o["responses"] for _, _, o in every_operation() if {"201", "202"} & o["responses"].keys()
     }
-    acts = {"refit_job", "apply_plan", "revert_job", "make_ticket"}  # on a job whose address was asked, or nowhere
+    acts = {
+        "refit_job",
+        "resume_campaign",
+        "apply_plan",
+        "revert_job",
+        "make_ticket",
+    }  # on a job whose address was asked, or nowhere
     without = {name for name, of in begun.items() if "headers" not in (of.get("201") or of["202"])}
     assert without == acts
 

@@ -51,8 +51,8 @@ class Engine:
         self.jobs[job_id] = replace(old, plan=replace(old.plan, changes=kept))
         return self.jobs[job_id]
 
-    async def apply(self, job_id: str, accept: Accept, *, look: bool) -> None:
-        self.done.append(("apply", job_id, accept, look))
+    async def apply(self, job_id: str, accept: Accept) -> None:
+        self.done.append(("apply", job_id, accept))
         failure = Failure("in-doubt", "It fell silent", "switch it on")
         outcome = Result("It is written.") if self.writes is JobState.SUCCEEDED else failure
         self.jobs[job_id] = replace(self.jobs[job_id], state=self.writes, outcome=outcome)
@@ -75,7 +75,7 @@ def names(engine: Engine) -> list[str]:
 
 async def test_a_plan_is_written_for_whom_asked_and_no_movement_is_waited_for() -> None:
     engine = Engine({"gyro": job(plan=plan(FIRST))})
-    [done] = await fix(engine, "gyro", look=True)
+    [done] = await fix(engine, "gyro")
     assert (done.kind, done.job_id, done.state, done.text) == (
         Fixable.GYRO,
         "gyro",
@@ -83,7 +83,7 @@ async def test_a_plan_is_written_for_whom_asked_and_no_movement_is_waited_for() 
         "It is written.",
     )
     accept = Accept(plan(FIRST).sha256, prove_s=0.0, actor="me")
-    assert engine.done == [("submit", "v1", "gyro"), ("apply", "gyro", accept, True), ("tidied",)]
+    assert engine.done == [("submit", "v1", "gyro"), ("apply", "gyro", accept), ("tidied",)]
 
 
 async def test_each_kind_is_done_once_and_the_first_that_fails_is_the_last() -> None:

@@ -35,6 +35,7 @@ from mavcal.service.api.models.reviews import MountingChoiceModel, ReviewModel, 
 from mavcal.service.api.models.sensors import VehicleSensorsModel
 from mavcal.service.api.models.signing import SigningKeyModel, SigningKeyRequest, SigningRequest
 from mavcal.service.api.models.steps import OptionModel, ProcedureModel, ProgressModel, PromptModel
+from mavcal.service.api.models.unfinished import UnfinishedModel
 from mavcal.service.api.models.vehicles import HandRequest, ParameterModel, TurnRequest, VehicleModel
 
 __all__ = [
@@ -97,6 +98,7 @@ __all__ = [
     "SigningRequest",
     "TicketModel",
     "TurnRequest",
+    "UnfinishedModel",
     "UnitHistoryModel",
     "UnitRequest",
     "VehicleModel",

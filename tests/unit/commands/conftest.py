@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from mavcal.service import core
-from mavcal.service.commands import headless
+from mavcal.service.commands import door, headless
 from mavcal.service.jobs.core.model import Job
 from tests.unit.commands.doubles import FakeService, KeptScreen
 
@@ -33,14 +32,14 @@ def make_service() -> Iterator[Callable[..., Any]]:
 
 @pytest.fixture
 def runs(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Makes `running_service` give a certain service."""
+    """Makes the door of every command lead to a certain service."""
 
     def give(service: Any) -> None:
         @asynccontextmanager
-        async def running(_settings: Any) -> AsyncIterator[Any]:
+        async def opened(*_: Any) -> AsyncIterator[Any]:
             yield service
 
-        monkeypatch.setattr(core, "running_service", running)
+        monkeypatch.setattr(door, "door", opened)
 
     return give
 

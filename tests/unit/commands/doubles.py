@@ -6,18 +6,19 @@ import asyncio
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
-from mavcal.calib.recording import Identity
-from mavcal.client.jobs import JobModel
-from mavcal.service.api.views import job_model
+from mavcal.client.jobs import JobModel, PlanModel
+from mavcal.client.models import UnfinishedModel
+from mavcal.client.requests import PlanOptions
+from mavcal.service.api.views import job_model, unfinished_model
 from mavcal.service.commands.screen import Screen
 from mavcal.service.errors import JobUnknown, VehicleUnknown
-from mavcal.service.jobs.core.model import Accept, Job
+from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.link_registry import link_id_of
 from mavcal.service.store import SqliteStore
-from mavcal.service.store.rows import EventRow, JobRow
+from mavcal.service.store.rows import JobRow
+from mavcal.service.unfinished import Unfinished, left_over, unfinished
 
 
 class KeptScreen(Screen):
@@ -50,26 +51,24 @@ def of_service(job: Job) -> JobModel:
 
 @dataclass
 class FakeVehicle:
-    """What the commands look at; it may be written to after `refusals` looks."""
+    """What the commands look at of a vehicle; it may be written to after `refusals` looks."""
 
     id: str = "v1"
-    link: Any = None
+    link: str = ""
     refusals: int = 0
-    identity: Any = field(
-        default_factory=lambda: SimpleNamespace(
-            **vars(Identity("px4", 2, (1, 17, 0), "00ab", 1, 1)), version_text="1.17.0", known=True
-        )
-    )
+    autopilot: str = "px4"
+    firmware: str = "1.17.0"
 
     @property
-    def links(self) -> tuple[Any, ...]:
-        """See Vehicle."""
-        return () if self.link is None else (self.link,)
+    def links(self) -> list[str]:
+        """See VehicleModel."""
+        return [self.link] if self.link else []
 
-    def writable(self) -> Any:
-        """See Vehicle."""
+    @property
+    def writable(self) -> bool:
+        """See VehicleModel."""
         self.refusals -= 1
-        return SimpleNamespace(ok=self.refusals < 0)
+        return self.refusals < 0
 
 
 Step = tuple[Job, str, Mapping[str, Any]]
@@ -98,124 +97,138 @@ class ScriptedJobs:
         """See JobEngine."""
         return list(self.jobs.values())
 
-    async def subscribe(self, _job: str | None, after: int) -> AsyncIterator[EventRow]:
-        """See JobEngine; a step without a kind lets the loop run."""
-        for number, (job, kind, data) in enumerate(self.steps, after + 1):
+    async def events(self, job_id: str) -> AsyncIterator[Any]:
+        """What a client is told of one job; a step without a kind lets the loop run."""
+        for number, (job, kind, data) in enumerate(self.steps, 1):
             self.jobs[job.id] = job
-            if kind:
-                yield EventRow(number, job.id, number, 0.0, kind, data)
-            else:
-                for _ in range(5):
-                    await asyncio.sleep(0)
+            if kind and job.id == job_id:
+                told = SimpleNamespace(model_dump=lambda mode, data=data: dict(data))
+                yield SimpleNamespace(data=SimpleNamespace(kind=kind, at=float(number), data=told))
+            for _ in range(5):
+                await asyncio.sleep(0)
         self.steps = []
         await asyncio.Event().wait()
 
-    def _asked(self, *what: Any) -> None:
+    def ask(self, *what: Any) -> None:
+        """Note a request, or refuse it."""
         if self.refusal is not None:
             refusal, self.refusal = self.refusal, None
             raise refusal
         self.done.append(what)
-
-    async def cancel(self, job_id: str) -> None:
-        """See JobEngine."""
-        self._asked("cancel", job_id)
-        self.jobs[job_id] = replace(self.jobs[job_id], state=JobState.CANCELLED)
-
-    async def answer(self, job_id: str, value: str) -> None:
-        """See JobEngine."""
-        self._asked("answer", job_id, value)
-
-    async def apply(self, job_id: str, accept: Accept, *, look: bool = False) -> None:
-        """See JobEngine."""
-        self._asked("apply", job_id, accept, look)
-
-    async def revert(self, job_id: str) -> Job:
-        """See JobEngine."""
-        self._asked("revert", job_id)
-        self.jobs[job_id] = replace(self.jobs[job_id], state=JobState.REVERTED)
-        return self.jobs[job_id]
-
-    async def plan_again(self, job_id: str, options: Mapping[str, Any]) -> Job:
-        """See JobEngine."""
-        self._asked("plan_again", job_id, dict(options))
-        assert self.planned is not None
-        self.jobs[job_id] = self.planned
-        return self.planned
-
-    async def tidied(self) -> None:
-        """See JobEngine."""
-        self._asked("tidied")
 
 
 @dataclass(eq=False)
 class FakeLink:
     """A link that leads nowhere."""
 
-    endpoint: str
+    url: str
     reason: str = ""
-
-
-@dataclass
-class FakeLinks:
-    """Links by address; opening one is noted."""
-
-    known: dict[str, Any] = field(default_factory=dict)
-    opened: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
-
-    async def open(self, url: str, **how: Any) -> Any:
-        """See LinkRegistry."""
-        self.opened.append((url, how))
-        return self.known.setdefault(url, FakeLink(url))
-
-    def all(self) -> list[Any]:
-        """See LinkRegistry."""
-        return list(self.known.values())
-
-    def get(self, link_id: str) -> Any:
-        """See LinkRegistry."""
-        return next(link for url, link in self.known.items() if link_id_of(url) == link_id)
-
-
-@dataclass
-class FakeVehicles:
-    """Vehicles by id; one is heard on a link if it is one of that link's."""
-
-    there: dict[str, FakeVehicle] = field(default_factory=dict)
-
-    def get(self, vehicle_id: str) -> FakeVehicle:
-        """See VehicleRegistry."""
-        if vehicle_id not in self.there:
-            raise VehicleUnknown(f"there is no vehicle {vehicle_id}")
-        return self.there[vehicle_id]
-
-    def all(self) -> list[FakeVehicle]:
-        """See VehicleRegistry."""
-        return list(self.there.values())
-
-    async def wait_for_vehicle(self, link: Any) -> FakeVehicle:
-        """See VehicleRegistry."""
-        for vehicle in self.there.values():
-            if vehicle.link is link:
-                return vehicle
-        await asyncio.Event().wait()
-        raise AssertionError
+    vehicles: list[str] = field(default_factory=list)
 
 
 class FakeService:
-    """As much of a service as the commands take, on a store in memory."""
+    """As much of a service as the commands take, on a store in memory: its client, and the door to it."""
 
-    def __init__(self, *jobs: Job, connect: tuple[str, ...] = ("tcp:v:1",)) -> None:
+    def __init__(self, *jobs: Job) -> None:
         self.jobs: Any = ScriptedJobs({job.id: job for job in jobs})
-        self.links: Any = FakeLinks()
-        self.vehicles: Any = FakeVehicles()
-        self.settings: Any = SimpleNamespace(connect=connect)
+        self.links: dict[str, FakeLink] = {}
+        self.opened: list[str] = []
+        self.vehicles: dict[str, FakeVehicle] = {}
         self.store: Any = SqliteStore(None)
         for job in jobs:
             self.store.save_job(JobRow(job.id, job.vehicle_id, job.kind, job.state.value, 0.0, 0.0, {}))
 
+    @property
+    def client(self) -> Any:
+        """See Door."""
+        return self
+
     def joined(self, url: str, *ids: str) -> FakeLink:
         """A link with vehicles of these ids on it."""
-        link = FakeLink(url)
-        self.links.known[url] = link
-        self.vehicles.there |= {each: FakeVehicle(each, link) for each in ids}
+        link = self.links.setdefault(url, FakeLink(url))
+        link.vehicles += ids
+        self.vehicles |= {each: FakeVehicle(each, url) for each in ids}
         return link
+
+    async def open(self, url: str) -> str:
+        """See Door; a link has its address as its id here."""
+        self.opened.append(url)
+        self.links.setdefault(url, FakeLink(url))
+        return url
+
+    async def tidied(self, _seconds: float = 0.0) -> None:
+        """See Door."""
+        self.jobs.ask("tidied")
+
+    async def list_links(self) -> list[FakeLink]:
+        """See AsyncClient."""
+        return list(self.links.values())
+
+    async def get_link(self, link_id: str) -> FakeLink:
+        """See AsyncClient."""
+        return self.links[link_id]
+
+    async def list_vehicles(self) -> list[FakeVehicle]:
+        """See AsyncClient."""
+        return list(self.vehicles.values())
+
+    async def get_vehicle(self, vehicle_id: str) -> FakeVehicle:
+        """See AsyncClient."""
+        if vehicle_id not in self.vehicles:
+            raise VehicleUnknown(f"there is no vehicle {vehicle_id}")
+        return self.vehicles[vehicle_id]
+
+    async def get_job(self, job_id: str) -> JobModel:
+        """See AsyncClient."""
+        return of_service(self.jobs.get(job_id))
+
+    async def list_jobs(self, *, limit: int, after: str | None, **wanted: Any) -> list[JobModel]:
+        """See AsyncClient; everything is on the first page."""
+        assert limit
+        found = [of_service(job) for job in self.jobs.list()]
+        return [] if after else [job for job in found if all(getattr(job, n) == v for n, v in wanted.items())]
+
+    async def list_unfinished(self) -> list[UnfinishedModel]:
+        """See AsyncClient."""
+        return [_told(found) for found in left_over(self.store, self.jobs.list())]
+
+    async def get_unfinished(self, job_id: str) -> UnfinishedModel:
+        """See AsyncClient."""
+        return _told(unfinished(self.store, self.jobs.get(job_id)))
+
+    def follow_job(self, job_id: str) -> AsyncIterator[Any]:
+        """See AsyncClient."""
+        return cast("AsyncIterator[Any]", self.jobs.events(job_id))
+
+    async def cancel_job(self, job_id: str) -> None:
+        """See AsyncClient."""
+        self.jobs.ask("cancel", job_id)
+        self._is_now(job_id, JobState.CANCELLED)
+
+    async def answer_job(self, job_id: str, *, value: str) -> None:
+        """See AsyncClient."""
+        self.jobs.ask("answer", job_id, value)
+
+    async def apply_plan(self, job_id: str, *, plan_sha256: str, **how: Any) -> None:
+        """See AsyncClient."""
+        self.jobs.ask("apply", job_id, plan_sha256, how)
+
+    async def revert_job(self, job_id: str) -> JobModel:
+        """See AsyncClient."""
+        self.jobs.ask("revert", job_id)
+        return self._is_now(job_id, JobState.REVERTED)
+
+    async def renew_plan(self, job_id: str, *, plan_options: PlanOptions) -> PlanModel | None:
+        """See AsyncClient."""
+        self.jobs.ask("plan_again", job_id, plan_options.model_dump(exclude_unset=True))
+        assert self.jobs.planned is not None
+        self.jobs.jobs[job_id] = self.jobs.planned
+        return of_service(self.jobs.planned).plan
+
+    def _is_now(self, job_id: str, state: JobState) -> JobModel:
+        self.jobs.jobs[job_id] = replace(self.jobs.jobs[job_id], state=state)
+        return of_service(self.jobs.jobs[job_id])
+
+
+def _told(found: Unfinished) -> UnfinishedModel:
+    return UnfinishedModel.model_validate(unfinished_model(found).model_dump(mode="json"))

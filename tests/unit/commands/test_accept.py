@@ -13,12 +13,12 @@ from click.testing import CliRunner
 from mavcal.client.enums import JobState as ClientState
 from mavcal.service.commands import accept, answer, cancel, follow, revert
 from mavcal.service.commands.review import JobWish
-from mavcal.service.jobs.core.model import Accept, Failure, Result
+from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import FakeVehicle, of_service, plain
-from tests.unit.commands.test_review import BLOCKED, EMPTY, FULL, HALF, PLAN
+from tests.unit.commands.test_review import BLOCKED, EMPTY, FULL, HALF, PLAN, WROTE
 
-WISH = JobWish(write=True)
+WISH = JobWish("", write=True)
 
 
 class Service:
@@ -151,16 +151,16 @@ def test_what_is_taken_back_is_said_exactly(arguments, said):
 
 
 @pytest.fixture
-def settled(monkeypatch):
-    async def at_once(jobs, job_id):
-        return jobs.get(job_id)
+def at_rest(monkeypatch):
+    async def at_once(client, job_id):
+        return await client.get_job(job_id)
 
-    monkeypatch.setattr("mavcal.service.fixing.wait_for_job", at_once)
+    monkeypatch.setattr("mavcal.service.commands.hands_free.wait_for_job", at_once)
 
 
-@pytest.mark.usefixtures("settled")
+@pytest.mark.usefixtures("at_rest")
 async def test_with_all_every_write_of_this_vehicle_is_taken_back_the_newest_first(make_service):
-    wrote = {"accept": Accept(PLAN.sha256), "outcome": FULL}
+    wrote = {"last_write": WROTE, "outcome": FULL}
     service = make_service(
         plain("old", JobState.SUCCEEDED, **{**wrote, "updated_at": 1.0}),
         plain("newest", JobState.SUCCEEDED, **{**wrote, "updated_at": 5.0}),
@@ -170,7 +170,7 @@ async def test_with_all_every_write_of_this_vehicle_is_taken_back_the_newest_fir
         plain("gone", JobState.REVERTED, **{**wrote, "updated_at": 7.0}),
     )
     service.joined("tcp:v:1", "v1", "v2")
-    acted = await revert._all_writes(service, service.vehicles.get("v1"), 1.0)
+    acted = await revert._all_writes(service, service.vehicles["v1"], 1.0)
     assert service.jobs.done == [("revert", "newest"), ("revert", "middle"), ("revert", "old")]
     assert acted.good
     assert acted.text.startswith("job newest (gyro) is reverted: It is written. job middle (gyro) is reverted")
@@ -183,9 +183,9 @@ async def test_a_vehicle_to_which_nothing_was_written_is_no_failure(make_service
     assert (acted.good, acted.document, service.jobs.done) == (True, {"jobs": []}, [])
 
 
-@pytest.mark.usefixtures("settled")
+@pytest.mark.usefixtures("at_rest")
 async def test_an_older_write_waits_for_a_newer_one_that_is_not_taken_back(make_service, monkeypatch):
-    wrote = {"accept": Accept(PLAN.sha256), "outcome": FULL}
+    wrote = {"last_write": WROTE, "outcome": FULL}
     service = make_service(
         plain("old", JobState.SUCCEEDED, **{**wrote, "updated_at": 1.0}),
         plain("new", JobState.SUCCEEDED, **{**wrote, "updated_at": 5.0}),
@@ -193,10 +193,11 @@ async def test_an_older_write_waits_for_a_newer_one_that_is_not_taken_back(make_
     service.joined("tcp:v:1", "v1")
 
     async def stuck(_jobs, job_id):
-        return plain(job_id, JobState.IN_DOUBT, outcome=Failure("in-doubt", "It fell silent", "Switch it on"))
+        failure = Failure("in-doubt", "It fell silent", "Switch it on")
+        return of_service(plain(job_id, JobState.IN_DOUBT, outcome=failure))
 
-    monkeypatch.setattr("mavcal.service.fixing.wait_for_job", stuck)
-    acted = await revert._all_writes(service, service.vehicles.get("v1"), 1.0)
+    monkeypatch.setattr("mavcal.service.commands.hands_free.wait_for_job", stuck)
+    acted = await revert._all_writes(service, service.vehicles["v1"], 1.0)
     assert service.jobs.done == [("revert", "new")]
     assert not acted.good
     assert acted.text.endswith("job old (gyro) was not tried")

@@ -9,10 +9,11 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from mavcal.client.requests import PlanOptions
 from mavcal.service.commands.review import JobWish
 from mavcal.service.errors import OtherVehicle
 from mavcal.service.jobs.core.states import JobState
-from tests.unit.commands.doubles import FakeVehicle, plain
+from tests.unit.commands.doubles import FakeVehicle, of_service, plain
 from tests.unit.commands.test_review import PLAN
 
 URL = "tcp:v:1"
@@ -32,7 +33,7 @@ def handed(monkeypatch, tmp_path):
             raise result.exception
         assert result.return_value == 7
         [(settings, begin, wish)] = caught
-        assert (settings.connect, settings.data_dir) == ((URL,), tmp_path)
+        assert (settings.connect, settings.data_dir) == ((), tmp_path)
         return begin, wish
 
     return run
@@ -45,47 +46,49 @@ def asked():
 
 
 @pytest.fixture
-def recording_service(asked):
-    """A service that notes every request to its jobs and uploads."""
+def client(asked):
+    """A client that notes every request."""
 
     def method(name, result):
-        async def note(*what):
-            asked.append((name, *what))
+        async def note(*what, **how):
+            asked.append((name, *what, how))
             return result
 
         return note
 
-    jobs = {name: method(name, "job") for name in ("submit", "restore", "adopt")}
-    kept = method("add", SimpleNamespace(id="upload"))
-    return SimpleNamespace(jobs=SimpleNamespace(**jobs), recordings=SimpleNamespace(add=kept))
+    begun = {name: method(name, "job") for name in ("start_job", "restore_calibration", "plan_recording")}
+    return SimpleNamespace(**begun, upload_recording=method("upload", SimpleNamespace(id="upload")))
 
 
-async def test_a_calibration_is_submitted_with_its_options(handed, recording_service, asked):
+async def test_a_calibration_is_submitted_with_its_options(handed, client, asked):
     arguments = ("--option", "uncertainty=0.5", "--only", "gyro1", "--apply", "--require-proof", "--wait", "5")
     begin, wish = handed("calibrate", "gyro", *arguments)
-    assert await begin(recording_service, FakeVehicle()) == "job"
-    assert asked == [("submit", "v1", "gyro", {"uncertainty": 0.5}, {"only": ["gyro1"]})]
-    assert wish == JobWish(write=True, require_proof=True, wait_s=5.0)
+    assert await begin(client, FakeVehicle()) == ("job", 0.0)
+    how = {"kind": "gyro", "options": {"uncertainty": 0.5}, "plan_options": PlanOptions(only=["gyro1"])}
+    assert asked == [("start_job", "v1", how)]
+    assert wish == JobWish(URL, write=True, require_proof=True, wait_s=5.0)
 
 
-async def test_a_restore_is_of_all_sensors_or_of_those_that_are_named(handed, recording_service, asked):
+async def test_a_restore_is_of_all_sensors_or_of_those_that_are_named(handed, client, asked):
     for arguments in ((), ("--only", "gyro0,,accel1"), ("--apply", "--reboot", "--json")):
         begin, wish = handed("restore", *arguments)
-        await begin(recording_service, FakeVehicle())
-    assert asked == [("restore", "v1", {}), ("restore", "v1", {"only": ["gyro0", "accel1"]}), ("restore", "v1", {})]
-    assert wish == JobWish(write=True, reboot=True, as_json=True)
+        await begin(client, FakeVehicle())
+    assert [how["only"] for _, _, how in asked] == [None, ["gyro0", "accel1"], None]
+    assert wish == JobWish(URL, write=True, reboot=True, as_json=True)
 
 
-async def test_a_log_is_kept_and_its_fit_adopted(handed, recording_service, asked, tmp_path):
+async def test_a_log_is_kept_and_its_fit_adopted(handed, client, asked, tmp_path):
     file = tmp_path / "a.csv"
     file.write_bytes(b"t,accel_x\n")
     arguments = ("--option", "model=ring", "--confirm-other-unit", "--unit-accel", "g")
     begin, wish = handed("plan", "gyro-rest", str(file), *arguments)
-    await begin(recording_service, FakeVehicle())
-    [(_, name, chunks, reading), adopted] = asked
-    assert (name, reading["unit_accel"], b"".join([chunk async for chunk in chunks])) == ("a.csv", "g", b"t,accel_x\n")
-    assert adopted == ("adopt", "v1", "upload", "gyro-rest", {"model": "ring"}, {"confirm_other_unit": True})
-    assert wish == JobWish(write=False)
+    await begin(client, FakeVehicle())
+    [(_, chunks, kept), adopted] = asked
+    assert (kept["name"], kept["reading"].unit_accel) == ("a.csv", "g")
+    assert b"".join([chunk async for chunk in chunks]) == b"t,accel_x\n"
+    how = {"method": "gyro-rest", "vehicle_id": "v1", "options": {"model": "ring"}}
+    assert adopted == ("plan_recording", "upload", {**how, "plan_options": PlanOptions(confirm_other_unit=True)})
+    assert wish == JobWish(URL, write=False)
 
 
 def test_a_proof_is_of_what_was_written(handed, tmp_path):
@@ -102,17 +105,18 @@ async def test_a_plan_that_waits_is_made_again_with_its_decisions_and_the_new_on
     service.joined(URL, "v1")
     service.jobs.planned = waiting
     begin, wish = handed("accept", "j", "--no-adjust-level", "--reboot")
-    assert await begin(service, service.vehicles.get("v1")) is waiting
+    assert await begin(service, service.vehicles["v1"]) == (of_service(waiting), 0.0)
     assert service.jobs.done == [("plan_again", "j", {"only": ["gyro0"], "adjust_level": False})]
-    assert wish == JobWish(write=True, reboot=True)
+    assert wish == JobWish(URL, write=True, reboot=True)
 
 
 async def test_a_write_is_taken_back_once_the_vehicle_may_be_written_to(handed, make_service):
     service = make_service(plain("j", JobState.SUCCEEDED))
     service.joined(URL, "v1")
     begin, wish = handed("revert", "j", "--wait", "0")
-    assert (await begin(service, service.vehicles.get("v1"))).state is JobState.REVERTED
-    assert wish == JobWish(write=True, wait_s=0.0, revert=True)
+    job, since = await begin(service, service.vehicles["v1"])
+    assert (job.state, since) == (JobState.REVERTED, 0.0)
+    assert wish == JobWish(URL, write=True, wait_s=0.0, revert=True)
 
 
 @pytest.mark.parametrize("name", ["accept", "revert"])
@@ -122,5 +126,5 @@ async def test_a_job_of_another_vehicle_is_left_alone(handed, make_service, name
     service.joined("tcp:w:1", "v2")
     begin, _ = handed(name, "j")
     with pytest.raises(OtherVehicle, match=f"job j belongs to v2, but {URL} leads to v1"):
-        await begin(service, service.vehicles.get("v1"))
+        await begin(service, service.vehicles["v1"])
     assert service.jobs.done == []

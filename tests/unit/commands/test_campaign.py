@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import click
 import pytest
 from click.testing import CliRunner
 
-from mavcal.service.campaigns.begin import CalibrationOrder
-from mavcal.service.campaigns.selection import Selection
 from mavcal.service.commands import campaign_archive, campaign_run
 from mavcal.service.commands.campaign import command
 from mavcal.service.commands.campaign_run import VehicleWish
@@ -37,8 +33,8 @@ def handed(monkeypatch, tmp_path):
     return run
 
 
-class Campaigns:
-    """Notes what is asked for; `there` are the vehicles of a service."""
+class Noting:
+    """Notes what is asked for."""
 
     def __init__(self):
         self.asked = []
@@ -51,29 +47,25 @@ class Campaigns:
         return note
 
 
-@pytest.fixture
-def service():
-    there = ["v1", "v2"]
-    return SimpleNamespace(vehicles=SimpleNamespace(all=lambda: there), campaigns=Campaigns())
-
-
-async def test_every_vehicle_that_is_heard_is_checked(handed, service):
+async def test_every_vehicle_that_is_heard_is_checked(handed):
     begin, wish = handed("preflight", "--connect", URL, "--connect", "tcp:w:1", "--vehicle", "v1", "--at-once", "3")
     assert wish == VehicleWish((URL, "tcp:w:1"), ("v1",), 30.0)
-    assert await begin(service, ("v1", "tcp:w:1")) == "job"
-    how = {"at_once": 3, "attended": True}
-    assert service.campaigns.asked == [("preflight", ["v1", "v2"], Selection(("v1", "tcp:w:1")), how)]
+    client = Noting()
+    assert await begin(client, ["v1", "tcp:w:1"]) == "job"
+    assert client.asked == [("start_preflight_campaign", {"vehicles": ["v1", "tcp:w:1"], "at_once": 3})]
 
 
-async def test_a_calibration_has_its_options_and_who_asked(handed, service, tmp_path):
+async def test_a_calibration_has_its_options(handed):
     arguments = ("--option", "uncertainty=0.5", "--only", "gyro0", "--apply", "--reboot", "--csv", "a.csv", "--json")
     begin, wish = handed("calibrate", "gyro", "--connect", URL, *arguments)
     assert (str(wish.table), wish.as_json) == ("a.csv", True)
-    await begin(service, ("v1",))
-    [(name, _, selection, order, how)] = service.campaigns.asked
-    assert (name, selection, how) == ("calibrate", Selection(("v1",)), {"at_once": None, "attended": True})
-    options, plan = {"uncertainty": 0.5}, {"only": ["gyro0"]}
-    assert order == CalibrationOrder("gyro", options, plan, apply=True, reboot=True, actor="command line")
+    client = Noting()
+    await begin(client, ["v1"])
+    [(name, how)] = client.asked
+    plan = how.pop("plan_options")
+    assert (name, plan.model_dump(exclude_unset=True)) == ("start_calibration_campaign", {"only": ["gyro0"]})
+    asked = {"vehicles": ["v1"], "kind": "gyro", "options": {"uncertainty": 0.5}, "apply": True, "reboot": True}
+    assert how == {**asked, "at_once": None}
 
 
 def test_a_restart_is_a_part_of_writing(handed):
@@ -85,7 +77,7 @@ async def test_a_folder_is_fitted_by_one_method(handed):
     arguments = ("--glob", "*.bin", "--option", "model=ring", "--unit-accel", "g", "--executor", "processes:2")
     executor, begin, telling = handed("fit", "gyro-rest", "logs", *arguments)
     assert (executor, telling) == ("processes:2", Telling())
-    found = Campaigns()
+    found = Noting()
     await begin(found)
     [(name, folder, pattern, method, chosen, how)] = found.asked
     assert (name, str(folder), pattern, method) == ("fit", "logs", "*.bin", "gyro-rest")
@@ -101,7 +93,7 @@ async def test_a_folder_is_diagnosed_beside_files_that_are_there(handed, tmp_pat
         handed("gap", "logs", "--sim", str(sim), "--nominal", str(nominal))
     nominal.touch()
     _, begin, _ = handed("gap", "logs", "--sim", str(sim), "--nominal", str(nominal), "--at-once", "2")
-    found = Campaigns()
+    found = Noting()
     await begin(found)
     [(name, folder, pattern, given_sim, given_nominal, how)] = found.asked
     assert (name, str(folder), pattern, how["at_once"]) == ("gap", "logs", "*", 2)
@@ -113,7 +105,7 @@ async def test_a_campaign_is_resumed_where_it_was_begun(handed, monkeypatch, of_
     monkeypatch.setattr(campaign_archive, "is_of_folder", lambda _data_dir, _job: of_folder)
     if of_folder:
         executor, begin, _ = handed("resume", "c", "--executor", "threads:3")
-        found = Campaigns()
+        found = Noting()
         await begin(found)
         assert (executor, found.asked) == ("threads:3", [("resume", "c", {})])
     else:

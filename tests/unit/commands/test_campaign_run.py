@@ -1,19 +1,19 @@
 from __future__ import annotations
 
 import asyncio
-from types import SimpleNamespace
 
 import click
 import pytest
 
+from mavcal.client.models import ItemModel
+from mavcal.service.api.views import item_model
 from mavcal.service.campaigns.campaigns import CAMPAIGN
-from mavcal.service.campaigns.items import Item, ItemOutcome, row_from_item
-from mavcal.service.campaigns.vehicles import BEGUN_BY
+from mavcal.service.campaigns.items import Item, ItemOutcome
 from mavcal.service.commands import campaign_run
 from mavcal.service.commands.campaign_run import VehicleWish, resumed
 from mavcal.service.errors import EndpointError, JobUnknown
 from mavcal.service.jobs.core.states import JobState
-from tests.unit.commands.doubles import plain
+from tests.unit.commands.doubles import of_service, plain
 
 A, B = "udpin:0.0.0.0:14550", "tcp:b:5760"
 
@@ -33,15 +33,15 @@ async def test_every_vehicle_of_the_links_is_gone_through_and_no_other(make_serv
     service.joined(A, "v1", "v2")
     service.joined("tcp:remembered:1", "v9")
     service.joined(B, "v3")
-    assert await heard(service, screen, A, B, A) == ("v1", "v2", "v3")
-    assert [url for url, _ in service.links.opened] == [A, B]
+    assert await heard(service, screen, A, B, A) == ["v1", "v2", "v3"]
+    assert service.opened == [A, B]
 
 
 async def test_a_silent_endpoint_is_an_item_by_itself(make_service, screen):
     service = make_service()
     service.joined(A, "v1")
     service.joined(B)
-    assert await heard(service, screen, B, A) == ("v1", B)
+    assert await heard(service, screen, B, A) == ["v1", B]
     [said] = screen.lines
     assert f"no vehicle was heard on {B}" in said
 
@@ -49,7 +49,7 @@ async def test_a_silent_endpoint_is_an_item_by_itself(make_service, screen):
 async def test_named_vehicles_alone(make_service, screen):
     service = make_service()
     service.joined(A, "v1", "v2")
-    assert await heard(service, screen, A, ids=("v2",)) == ("v2",)
+    assert await heard(service, screen, A, ids=("v2",)) == ["v2"]
 
 
 @pytest.mark.parametrize(("there", "said"), [(("v1", "v2"), "there are v1, v2"), ((), "there are none")])
@@ -63,26 +63,36 @@ async def test_a_named_vehicle_that_was_not_heard_is_wrong_use(make_service, scr
 async def test_an_endpoint_that_is_none_ends_the_command(make_service, screen):
     service = make_service()
 
-    async def refused(url, **_):
+    async def refused(url):
         raise EndpointError(f"{url} is no endpoint")
 
-    service.links.open = refused
+    service.open = refused
     with pytest.raises(EndpointError):
         await heard(service, screen, "nowhere")
 
 
-class Campaigns:
-    """Notes what a service is asked for its campaigns."""
+def noting(service, *items):
+    """Such a service, and what is asked of its campaigns; these are their items."""
+    asked = []
 
-    def __init__(self):
-        self.asked = []
+    async def resume(job_id):
+        asked.append(("resume", job_id))
+        return of_service(plain(job_id, JobState.RUNNING, kind=CAMPAIGN))
 
-    async def resume(self, job_id):
-        self.asked.append(("resume", job_id))
-        return plain(job_id, JobState.RUNNING, kind=CAMPAIGN)
+    async def interrupt(job_id):
+        asked.append(("interrupt", job_id))
 
-    async def interrupt(self, job_id):
-        self.asked.append(("interrupt", job_id))
+    async def listed(_job_id, *, after, limit):
+        assert limit == campaign_run.PAGE
+        return [] if after else [item_of(*item) for item in items]
+
+    service.resume_campaign, service.interrupt_campaign, service.list_items = resume, interrupt, listed
+    return asked
+
+
+def item_of(item, job=None):
+    """An item as a client gets it."""
+    return ItemModel.model_validate(item_model(item, "c", job).model_dump(mode="json"))
 
 
 @pytest.mark.parametrize(
@@ -95,43 +105,32 @@ class Campaigns:
 )
 async def test_a_stopped_campaign_is_resumed_and_a_running_one_followed(make_service, job, asked):
     service = make_service(job)
-    service.campaigns = SimpleNamespace(campaigns=Campaigns())
-    assert (await resumed("c")(service, ())).id == "c"
-    assert service.campaigns.campaigns.asked == asked
+    noted = noting(service)
+    assert (await resumed("c")(service, [])).id == "c"
+    assert noted == asked
 
 
 async def test_a_campaign_that_there_is_not_is_an_error(make_service):
     with pytest.raises(JobUnknown):
-        await resumed("c")(make_service(), ())
+        await resumed("c")(make_service(), [])
 
 
 async def test_a_stopped_campaign_takes_its_captures_with_it_and_nothing_else(make_service):
-    ours, others = {BEGUN_BY: {"id": "c", "item": 1}}, {BEGUN_BY: {"id": "d", "item": 1}}
-    service = make_service(
-        plain("capture", JobState.RUNNING, context=ours),
-        plain("review", JobState.REVIEW, context=ours),
-        plain("write", JobState.APPLYING, context=ours),
-        plain("ended", JobState.SUCCEEDED, context=ours),
-        plain("foreign", JobState.RUNNING, context=others),
-        plain("nobody's", JobState.RUNNING, context=SimpleNamespace(get=lambda _: None)),
+    capture, review, write, ended = (
+        plain(name, state)
+        for name, state in [
+            ("capture", JobState.RUNNING),
+            ("review", JobState.REVIEW),
+            ("write", JobState.APPLYING),
+            ("ended", JobState.SUCCEEDED),
+        ]
     )
-    service.campaigns = SimpleNamespace(campaigns=Campaigns())
+    service = make_service(capture, review, write, ended, plain("foreign", JobState.RUNNING))
+    going_on = [(Item(n, "v1", job_id=job.id), job) for n, job in enumerate((capture, review, write, ended), 1)]
+    noted = noting(service, *going_on, (Item(9, "v9"),))
     await campaign_run._put_down(service, "c")
-    assert service.campaigns.campaigns.asked == [("interrupt", "c")]
+    assert noted == [("interrupt", "c")]
     assert service.jobs.done == [("cancel", "capture")]
-
-
-class Ending:
-    """The store of a service whose campaign has one item that is done."""
-
-    def __init__(self, store):
-        self.close = store.close
-
-    async def do(self, read):
-        return read()
-
-    def items(self, job_id, limit):
-        return [row_from_item(job_id, Item(1, "v1", outcome=ItemOutcome.DONE))]
 
 
 @pytest.fixture
@@ -141,7 +140,7 @@ def run(make_service, screen, runs):
     async def of(begin):
         service = make_service()
         service.joined(A, "v1")
-        service.campaigns, service.store = SimpleNamespace(campaigns=Campaigns()), Ending(service.store)
+        service.noted = noting(service, (Item(1, "v1", outcome=ItemOutcome.DONE),))
         runs(service)
         return service, await campaign_run._run(None, lambda *given: begin(service, *given), VehicleWish((A,)), screen)
 
@@ -149,10 +148,10 @@ def run(make_service, screen, runs):
 
 
 def begun(state):
-    async def begin(service, _service, chosen):
-        assert chosen == ("v1",)
+    async def begin(service, _client, chosen):
+        assert chosen == ["v1"]
         service.jobs.jobs["c"] = plain("c", state, kind=CAMPAIGN)
-        return service.jobs.jobs["c"]
+        return await service.get_job("c")
 
     return begin
 
@@ -172,7 +171,7 @@ async def test_a_campaign_that_a_signal_stops_can_be_resumed(run, screen, monkey
     monkeypatch.setattr(campaign_run, "followed", stopped)
     service, code = await run(begun(JobState.RUNNING))
     assert code == 128 + 15
-    assert service.campaigns.campaigns.asked == [("interrupt", "c")]
+    assert service.noted == [("interrupt", "c")]
     assert screen.lines[-1] == "stopped: `mavcal campaign resume c` goes on with it"
     assert ("tidied",) in service.jobs.done
 

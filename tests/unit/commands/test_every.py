@@ -37,7 +37,7 @@ async def test_one_vehicle_an_endpoint(make_service, screen):
 async def test_all_of_a_link_with_all(make_service, screen):
     service = make_service()
     service.joined(A, "v1", "v2", "nameless")
-    service.vehicles.get("nameless").identity.known = False
+    service.vehicles["nameless"].firmware = ""
     assert found(await vehicles_of(service, Whom((A,), every=True, wait_s=1.0), screen)) == [(A, "v1"), (A, "v2")]
 
 
@@ -55,8 +55,10 @@ async def test_without_any_link_it_is_wrong_use(make_service, screen):
 
 async def test_a_unit_that_two_links_reach_counts_once(make_service, screen):
     service = make_service()
-    first = service.joined(A, "v1")
-    service.links.known[B] = first
+    service.joined(A, "v1")
+    service.joined(B)
+    service.links[B].vehicles.append("v1")
+    service.vehicles["v1"] = SimpleNamespace(id="v1", firmware="1.17.0", links=[A, B])
     assert found(await vehicles_of(service, Whom((A, B), every=True, wait_s=1.0), screen)) == [(A, "v1")]
 
 

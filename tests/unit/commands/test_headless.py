@@ -1,29 +1,25 @@
 from __future__ import annotations
 
 import asyncio
-from types import SimpleNamespace
 
 import pytest
 
 from mavcal.service.commands import headless
 from mavcal.service.commands.headless import (
-    Earlier,
-    earlier,
     follow,
     heard,
     is_of,
+    jobs_of,
     put_down,
     recovered,
     show_event,
-    tidied,
     told_of,
 )
 from mavcal.service.errors import VehicleSilent
 from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.unfinished import unfinished
-from tests.unit.commands.doubles import FakeVehicle, plain
+from tests.unit.commands.doubles import FakeVehicle, of_service, plain
 
 URL = "udpin:0.0.0.0:14550"
 DONE = Result("It is written.")
@@ -41,7 +37,7 @@ async def test_the_vehicle_of_this_link_is_heard_and_no_other(make_service, scre
     service.joined(URL, "v1")
     vehicle = await heard(service, URL, 1.0, screen)
     assert vehicle.id == "v1"
-    assert service.links.opened == [(URL, {"remember": False, "trusted": True})]
+    assert service.opened == [URL]
     assert screen.lines == []
 
 
@@ -54,18 +50,26 @@ async def test_a_silent_link_is_named_with_its_reason(make_service, screen, reas
     assert said in str(raised.value)
 
 
+async def test_a_vehicle_that_has_not_said_who_it_is_is_waited_for(make_service, screen):
+    service = make_service()
+    service.joined(URL, "v1")
+    service.vehicles["v1"].firmware = ""
+    with pytest.raises(VehicleSilent):
+        await heard(service, URL, 0.0, screen)
+
+
 async def test_what_is_waited_for_is_said_once_for_every_reason(make_service, screen, monkeypatch):
     monkeypatch.setattr(headless, "QUIET_S", 0.0)
     service = make_service()
     link = service.joined(URL)
 
-    async def wait(_link):
+    async def wait(_client, _link):
         for link.reason in ("", "refused", ""):
             for _ in range(4):
                 await asyncio.sleep(0)
-        return FakeVehicle()
+        return [FakeVehicle()]
 
-    service.vehicles.wait_for_vehicle = wait
+    monkeypatch.setattr(headless, "on_link", wait)
     await heard(service, URL, 30.0, screen)
     assert all(" 30 s" in line and URL in line for line in screen.lines)
     assert ["(refused)" in line for line in screen.lines] == [False, True]
@@ -85,7 +89,7 @@ async def test_a_job_is_followed_until_nothing_goes_on_by_itself(make_service, s
         (plain("j", end), "state", {}),
         (job, "prompt", {"text": "too late"}),
     ]
-    assert (await follow(service, "j", screen)).state is end
+    assert (await follow(service, "j", screen)).state == end
     assert screen.lines == ["  > Turn it.", "    note: It is warm."]
     assert screen.shares == [0.25]
 
@@ -95,14 +99,14 @@ async def test_a_job_that_stays_in_doubt_is_left_after_a_while(make_service, scr
     service = make_service(plain("j", JobState.APPLYING))
     sent(service, "j")
     service.jobs.steps = [(doubt, "state", {})]
-    assert await follow(service, "j", screen, doubt_s=0.0) is doubt
+    assert (await follow(service, "j", screen, doubt_s=0.0)).state == doubt.state
     assert screen.lines[0] == "job j (gyro) is in doubt"
     assert screen.lines[1].startswith("INS_GYROFFS_X: 0 before, 0.5 intended")
 
 
 async def test_a_job_that_is_in_doubt_from_the_beginning_is_left_after_a_while_too(make_service, screen):
     doubt = plain("j", JobState.IN_DOUBT)
-    assert await follow(make_service(doubt), "j", screen, doubt_s=0.0) is doubt
+    assert (await follow(make_service(doubt), "j", screen, doubt_s=0.0)).state == doubt.state
 
 
 async def test_a_job_that_leaves_the_doubt_is_waited_for(make_service, screen):
@@ -113,7 +117,19 @@ async def test_a_job_that_leaves_the_doubt_is_waited_for(make_service, screen):
         (going_on, "", {}),
         (plain("j", JobState.SUCCEEDED), "state", {}),
     ]
-    assert (await follow(service, "j", screen, doubt_s=0.0)).state is JobState.SUCCEEDED
+    assert (await follow(service, "j", screen, doubt_s=0.0)).state == JobState.SUCCEEDED
+
+
+async def test_what_happened_before_is_not_shown(make_service, screen):
+    job = plain("j", JobState.VERIFYING)
+    service = make_service(job)
+    service.jobs.steps = [
+        (job, "prompt", {"text": "Turn it."}),
+        (job, "warning", {"text": "It is warm."}),
+        (plain("j", JobState.SUCCEEDED), "state", {}),
+    ]
+    assert (await follow(service, "j", screen, since=1.0)).state == JobState.SUCCEEDED
+    assert screen.lines == ["    note: It is warm."]
 
 
 def test_an_event_that_nobody_reads_shows_nothing(screen):
@@ -128,10 +144,10 @@ async def test_what_earlier_runs_left_on_this_vehicle_is_cancelled_or_followed(m
     service = make_service(capture, write, foreign, plain("d", JobState.FAILED), plain("e", JobState.REVIEW))
     service.joined(URL, "v1", "v2")
     sent(service, "b")
-    left = earlier(service)
-    assert [found.job.id for found in left.found] == ["a", "b", "c"]
+    left = await service.list_unfinished()
+    assert [found.job.id for found in left] == ["a", "b", "c"]
     service.jobs.steps = [(plain("b", JobState.REVERTED, outcome=DONE), "state", {})]
-    told = await recovered(service, service.vehicles.get("v1"), left, screen)
+    told = await recovered(service, service.vehicles["v1"], left, screen)
     assert [(found.job.id, found.job.state) for found in told] == [
         ("a", JobState.CANCELLED),
         ("b", JobState.REVERTED),
@@ -145,37 +161,49 @@ async def test_what_earlier_runs_left_on_this_vehicle_is_cancelled_or_followed(m
     ]
 
 
-async def test_the_recovery_begins_with_the_events_after_the_start(make_service, screen):
-    service = make_service(plain("b", JobState.IN_DOUBT))
+async def test_the_recovery_begins_with_the_events_after_the_start(make_service, screen, monkeypatch):
+    service = make_service(plain("b", JobState.IN_DOUBT, updated_at=17.0))
     service.joined(URL, "v1")
     heard_after = []
 
-    async def subscribe(_job, after):
-        heard_after.append(after)
-        service.jobs.jobs["b"] = plain("b", JobState.REVERTED)
-        yield SimpleNamespace(job_id="b", kind="state", data={})
+    async def followed(_client, _job_id, _screen, since, **_):
+        heard_after.append(since)
 
-    service.jobs.subscribe = subscribe
-    left = Earlier((unfinished(service.store, service.jobs.get("b")),), 17)
-    await recovered(service, service.vehicles.get("v1"), left, screen)
-    assert heard_after == [17]
+    monkeypatch.setattr(headless, "follow", followed)
+    await recovered(service, service.vehicles["v1"], await service.list_unfinished(), screen)
+    assert heard_after == [17.0]
 
 
-def test_a_job_is_of_the_vehicle_that_the_registry_has_under_its_id(make_service):
+async def test_a_job_is_of_the_vehicle_that_the_service_has_under_its_id(make_service):
     service = make_service()
     service.joined(URL, "v1")
-    vehicle = service.vehicles.get("v1")
-    assert is_of(service, plain("j", JobState.REVIEW), vehicle)
-    assert not is_of(service, plain("j", JobState.REVIEW), FakeVehicle("v1"))  # another one that says the same
-    assert not is_of(service, plain("j", JobState.REVIEW, vehicle_id="gone"), vehicle)
-    assert not is_of(service, plain("j", JobState.REVIEW, vehicle_id=None), vehicle)
+    vehicle = service.vehicles["v1"]
+    service.vehicles["its-old-name"] = vehicle
+    assert await is_of(service, of_service(plain("j", JobState.REVIEW)), vehicle)
+    assert await is_of(service, of_service(plain("j", JobState.REVIEW, vehicle_id="its-old-name")), vehicle)
+    assert not await is_of(service, of_service(plain("j", JobState.REVIEW)), FakeVehicle("v2"))
+    assert not await is_of(service, of_service(plain("j", JobState.REVIEW, vehicle_id="gone")), vehicle)
+    assert not await is_of(service, of_service(plain("j", JobState.REVIEW, vehicle_id=None)), vehicle)
 
 
-def test_a_recovered_job_is_told_with_its_parameters(make_service):
+async def test_jobs_are_listed_a_page_at_a_time(make_service, monkeypatch):
+    monkeypatch.setattr(headless, "PAGE", 2)
+    service, asked = make_service(), []
+
+    async def page(*, limit, after, **wanted):
+        asked.append((limit, after, wanted))
+        return [of_service(plain(name, JobState.FAILED)) for name in {None: "ab", "b": "c"}[after]]
+
+    service.list_jobs = page
+    assert [job.id for job in await jobs_of(service, kind="gyro")] == ["a", "b", "c"]
+    assert asked == [(2, None, {"kind": "gyro"}), (2, "b", {"kind": "gyro"})]
+
+
+async def test_a_recovered_job_is_told_with_its_parameters(make_service):
     failure = Failure("in-doubt", "It fell silent", "switch it on")
     service = make_service(plain("j", JobState.IN_DOUBT, outcome=failure))
     sent(service, "j")
-    told = told_of(unfinished(service.store, service.jobs.get("j")))
+    told = told_of(await service.get_unfinished("j"))
     assert {name: told[name] for name in ("id", "kind", "vehicle_id", "state")} == {
         "id": "j",
         "kind": "gyro",
@@ -184,13 +212,6 @@ def test_a_recovered_job_is_told_with_its_parameters(make_service):
     }
     assert told["outcome"]["code"] == "in-doubt"
     assert [(p["name"], p["old"], p["new"]) for p in told["parameters"]] == [("INS_GYROFFS_X", 0.0, 0.5)]
-
-
-async def test_a_vehicle_that_does_not_confirm_its_rates_is_not_waited_for_longer():
-    async def never():
-        await asyncio.Event().wait()
-
-    await tidied(SimpleNamespace(jobs=SimpleNamespace(tidied=never)), 0.0)
 
 
 @pytest.mark.parametrize("state", [JobState.QUEUED, JobState.WAITING_FOR_OPERATOR, JobState.FITTING])

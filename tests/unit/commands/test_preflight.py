@@ -2,18 +2,19 @@ from __future__ import annotations
 
 import json
 import re
-from types import SimpleNamespace
 
 import click
 import pytest
 from click.testing import CliRunner
 
-from mavcal.service.api.models import PreflightModel
+from mavcal.client.models import PreflightModel
 from mavcal.service.commands import preflight
 from mavcal.service.commands.every import Found
+from mavcal.service.commands.hands_free import Mended
 from mavcal.service.commands.preflight import command, show
 from mavcal.service.errors import VehicleArmed
-from tests.unit.commands.doubles import FakeVehicle
+from mavcal.service.jobs.core.states import JobState
+from tests.unit.commands.doubles import FakeVehicle, of_service, plain
 
 A, B = "udpin:0.0.0.0:14550", "tcp:b:5760"
 
@@ -133,21 +134,23 @@ def test_what_helps_stands_below_its_check_and_names_are_aligned(capsys):
     assert lines[4] == "note: It is cold."
 
 
-async def test_what_is_to_be_fixed_is_fixed_before_the_check(monkeypatch, screen):
+@pytest.mark.parametrize(("state", "kinds"), [("succeeded", ["gyro", "level"]), ("failed", ["gyro"])])
+async def test_what_is_to_be_fixed_is_fixed_before_the_check(monkeypatch, make_service, screen, state, kinds):
     asked = []
 
-    async def fixed(_jobs, vehicle_id, kinds, *, actor):
-        asked.append(("fixed", vehicle_id, [kind.value for kind in kinds]))
-        return [SimpleNamespace(kind=kind, state=SimpleNamespace(value="succeeded"), text="It is.") for kind in kinds]
+    async def mended(_door, vehicle_id, kind, *, look):
+        asked.append((kind, vehicle_id, look))
+        return Mended(of_service(plain("j", JobState(state))), "It is.", in_part=False)
 
     async def checked(vehicle_id, *, heading):
         asked.append(("preflight", vehicle_id, heading))
-        return "report"
+        return PASS
 
-    monkeypatch.setattr("mavcal.service.fixing.fixed", fixed)
-    monkeypatch.setattr("mavcal.service.api.views.preflight_model", lambda found, mended: (found, len(mended)))
-    service = SimpleNamespace(jobs=SimpleNamespace(preflight=checked))
-    wish = preflight._Wish(("gyro", "level"), 90.0)
-    assert await preflight._checked(service, FakeVehicle(), wish=wish, screen=screen) == ("report", 2)
-    assert asked == [("fixed", "v1", ["gyro", "level"]), ("preflight", "v1", 90.0)]
-    assert screen.lines == ["px4 1.17.0 as v1", "    gyro: succeeded: It is.", "    level: succeeded: It is."]
+    monkeypatch.setattr("mavcal.service.commands.hands_free.mended", mended)
+    service = make_service()
+    service.run_preflight = checked
+    wish = preflight._Wish(("gyro", "level", "gyro"), 90.0)
+    found = await preflight._checked(service, FakeVehicle(), wish=wish, screen=screen)
+    assert [fix.kind.value for fix in found.fixed] == kinds
+    assert asked == [*((kind, "v1", False) for kind in kinds), ("preflight", "v1", 90.0)]
+    assert screen.lines == ["px4 1.17.0 as v1", *(f"    {kind}: {state}: It is." for kind in kinds)]

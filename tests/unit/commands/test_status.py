@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 
+from mavcal.client.models import VehicleModel
+from mavcal.service.api.views import vehicle_model
 from mavcal.service.commands import recover, status
 from mavcal.service.commands.every import Found
 from mavcal.service.errors import VehicleSilent
@@ -18,13 +20,14 @@ from tests.unit.commands.doubles import plain
 URL = "tcp:v:1"
 
 
-def one(make_service, *jobs):
-    return status._one(make_service(*jobs), Found(URL, a_vehicle()))
+async def one(make_service, *jobs):
+    heard = VehicleModel.model_validate(vehicle_model(a_vehicle()).model_dump(mode="json"))
+    return await status._one(make_service(*jobs), Found(URL, heard))
 
 
-def test_a_vehicle_is_told_with_the_last_calibration_of_each_kind(make_service):
+async def test_a_vehicle_is_told_with_the_last_calibration_of_each_kind(make_service):
     done = {"state": JobState.SUCCEEDED, "outcome": Result("done")}
-    told = one(
+    told = await one(
         make_service,
         plain("a", **{**done, "updated_at": 1.0}),
         plain("b", **{**done, "updated_at": 60.0}),
@@ -36,13 +39,13 @@ def test_a_vehicle_is_told_with_the_last_calibration_of_each_kind(make_service):
     assert (told["connect"], told["id"], told["autopilot"]) == (URL, "v1", "px4")
 
 
-def test_a_silent_link_is_told_by_its_error(make_service):
-    told = status._one(make_service(), Found(URL, error=VehicleSilent("nobody")))
+async def test_a_silent_link_is_told_by_its_error(make_service):
+    told = await status._one(make_service(), Found(URL, error=VehicleSilent("nobody")))
     assert told == {"connect": URL, "error": {"code": "vehicle-silent", "detail": "nobody"}}
 
 
-def test_a_vehicle_has_its_lines(make_service, capsys):
-    status._show(one(make_service, plain("b", JobState.SUCCEEDED, updated_at=60.0)))
+async def test_a_vehicle_has_its_lines(make_service, capsys):
+    status._show(await one(make_service, plain("b", JobState.SUCCEEDED, updated_at=60.0)))
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == URL
     assert lines[1:] == [
@@ -52,7 +55,7 @@ def test_a_vehicle_has_its_lines(make_service, capsys):
         "  not to be written to: it flies",
         "  gyro calibrated 1970-01-01 00:01 UTC by job b",
     ]
-    status._show(one(make_service))
+    status._show(await one(make_service))
     assert capsys.readouterr().out.splitlines()[-1] == "  no calibration of it is known here"
     status._show({"connect": URL, "error": {"detail": "nobody"}})
     assert capsys.readouterr().out.splitlines() == [URL, "  nobody"]
@@ -71,14 +74,14 @@ def test_a_vehicle_that_is_silent_makes_the_exit_code(monkeypatch, tmp_path, fou
     assert json.loads(result.stdout) == {"vehicles": found}
 
 
-SETTINGS = SimpleNamespace(connect=(URL,), log_json=False)
+SETTINGS = SimpleNamespace(connect=(), log_json=False)
 
 
 async def test_what_was_left_is_brought_to_an_end_and_what_is_of_others_named(make_service, screen, runs, capsys):
     service = make_service(plain("a", JobState.QUEUED), plain("b", JobState.IN_DOUBT, vehicle_id="v2"))
     service.joined(URL, "v1", "v2")
     runs(service)
-    assert await recover._recovered(SETTINGS, 1.0, screen, as_json=True) == 0
+    assert await recover._recovered(SETTINGS, URL, 1.0, screen, as_json=True) == 0
     assert service.jobs.done == [("cancel", "a"), ("tidied",)]
     assert screen.lines[-1] == "job b (gyro) of v2 is in_doubt"
     assert '"of_other_vehicles": [{"id": "b"' in capsys.readouterr().out
@@ -88,7 +91,7 @@ async def test_what_stays_in_doubt_makes_the_exit_code(make_service, screen, run
     service = make_service(plain("a", JobState.IN_DOUBT))
     service.joined(URL, "v1")
     runs(service)
-    assert await recover._recovered(SETTINGS, 0.0, screen, as_json=False) == 1
+    assert await recover._recovered(SETTINGS, URL, 0.0, screen, as_json=False) == 1
     assert "nothing is in doubt on this vehicle" not in screen.lines
 
 
@@ -96,7 +99,7 @@ async def test_where_nothing_was_left_it_is_said(make_service, screen, runs):
     service = make_service()
     service.joined(URL, "v1")
     runs(service)
-    assert await recover._recovered(SETTINGS, 1.0, screen, as_json=False) == 0
+    assert await recover._recovered(SETTINGS, URL, 1.0, screen, as_json=False) == 0
     assert screen.lines[-1] == "nothing is in doubt on this vehicle"
 
 
@@ -105,17 +108,17 @@ async def test_a_vehicle_that_is_silent_leaves_what_is_in_doubt_named(make_servi
     service.joined(URL)
     runs(service)
     with pytest.raises(VehicleSilent):
-        await recover._recovered(SETTINGS, 0.0, screen, as_json=False)
+        await recover._recovered(SETTINGS, URL, 0.0, screen, as_json=False)
     assert screen.lines == ["job a (gyro) is in doubt"]
 
 
 @pytest.mark.usefixtures("signalled")
 async def test_a_recovery_that_a_signal_ends_says_what_stays(screen, monkeypatch):
     @asynccontextmanager
-    async def cancelled(_settings):
+    async def cancelled(*_):
         raise status.asyncio.CancelledError
         yield
 
-    monkeypatch.setattr("mavcal.service.core.running_service", cancelled)
-    assert await recover._recover(SETTINGS, 1.0, screen, as_json=False) == 128 + 15
+    monkeypatch.setattr("mavcal.service.commands.door.door", cancelled)
+    assert await recover._recover(SETTINGS, URL, 1.0, screen, as_json=False) == 128 + 15
     assert screen.lines == ["stopped; what is still in doubt stays so until the next `mavcal recover`"]

@@ -17,6 +17,7 @@ from mavcal.service.jobs.core.codec import job_from_row, row_from_job
 from mavcal.service.jobs.core.model import Attempt, Failure, Job, Outcome, Result, WriteResult
 from mavcal.service.jobs.core.proof import ProofLevel, Unproved, proof_of
 from mavcal.service.jobs.core.states import JobState
+from tests.unit.commands.doubles import of_service
 
 P, C, N = ProofVerdict.PROVED, ProofVerdict.CONSISTENT, ProofVerdict.NOT_OBSERVABLE
 
@@ -105,4 +106,4 @@ def test_the_proof_survives_the_store_and_goes_over_http(outcome: Outcome | None
 def test_what_the_command_line_calls_good(
     state: JobState, outcome: Outcome | None, write: bool, require: bool, good: bool
 ) -> None:
-    assert is_good(job(state, outcome), write, require) == good
+    assert is_good(of_service(job(state, outcome)), write, require) == good

@@ -1,0 +1,75 @@
+"""Calibrates without hands over the client: runs, plans without what needs a restart, and writes."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mavcal.service.commands.headless import state_of
+
+if TYPE_CHECKING:
+    from mavcal.client import AsyncClient
+    from mavcal.client.jobs import JobModel
+    from mavcal.service.commands.door import Door
+
+_LOOK_S = 0.1
+
+
+@dataclass(frozen=True)
+class Mended:
+    """What came of one calibration."""
+
+    job: JobModel
+    text: str
+    in_part: bool
+    """Whether a sensor was left out, or has to wait for a restart."""
+
+
+async def mended(door: Door, vehicle_id: str, kind: str, *, look: bool) -> Mended:
+    """Run and write one kind of calibration; `look`: look at the vehicle after the write.
+
+    Raises
+    ------
+    VehicleError, PhysicalJobRunning, PreflightRunning, Forbidden
+        As for :meth:`service.jobs.engine.JobEngine.submit` and ``apply``.
+    """
+    from mavcal.service.commands.plan_options import options_of_plan
+    from mavcal.service.fixing import Late, late
+    from mavcal.service.jobs.core.states import JobState
+
+    client, left = door.client, Late()
+    job = await wait_for_job(client, (await client.start_job(vehicle_id, kind=kind)).id)
+    if state_of(job) is JobState.REVIEW and job.plan is not None:
+        left = late(job.plan.changes)
+        if left.at_once:
+            options = options_of_plan({**job.plan_options, "only": list(left.at_once)})
+            await client.renew_plan(job.id, plan_options=options)
+            job = await client.get_job(job.id)
+    if state_of(job) is JobState.REVIEW and job.plan is not None and not job.plan.blockers and not left.all:
+        await client.apply_plan(job.id, plan_sha256=job.plan.sha256, prove_s=0.0, preflight=look)
+        await wait_for_job(client, job.id)
+    await door.tidied()
+    job = await client.get_job(job.id)  # what the vehicle says after a write is known only now
+    text = " ".join(filter(None, ("Nothing was written." if left.all else said(job), left.text)))
+    return Mended(job, text, bool(job.left_out or left.keys))
+
+
+async def wait_for_job(client: AsyncClient, job_id: str) -> JobModel:
+    """The job, once nothing goes on with it by itself. Raises TimeoutError after two minutes."""
+    from mavcal.service.fixing import LEFT, WAIT_S
+
+    async with asyncio.timeout(WAIT_S):
+        while state_of(job := await client.get_job(job_id)) not in LEFT:  # noqa: ASYNC110 - another process may run it
+            await asyncio.sleep(_LOOK_S)
+    return job
+
+
+def said(job: JobModel) -> str:
+    """What came of a job, or what stands against its plan."""
+    if job.outcome is not None and job.outcome.kind == "result":
+        return job.outcome.text
+    if job.outcome is not None:
+        return f"{job.outcome.cause} {job.outcome.remedy}".strip()
+    blockers = job.plan.blockers if job.plan is not None else []
+    return f"not written: {'; '.join(blockers)}" if blockers else f"the job is {job.state.value}"
