@@ -25,9 +25,11 @@ from mavcal.service.cli import main
 from mavcal.service.simvehicle import SimulatedVehicle
 
 FOLDER = Path(__file__).with_name("golden")
-COUNTED = frozenset({"plan", "results", "verification", "evidence", "texts", "checks", "progress", "segments"})
-"""What samples of an instant decide: of these parts only names and types are kept."""
-_UNTIMELY = re.compile(r"^ +\d+%|still looking|^waiting up to|^\d{4}-\d\d-\d\d|^\{")
+COUNTED = frozenset({"plan", "results", "verification", "checks", "progress", "segments"})
+"""What samples decide: of these parts only names and types are kept."""
+MOMENTARY = frozenset({"silent", "writable", "obstacles", "evidence", "texts"})
+"""What an instant decides: nothing is kept but the name."""
+_UNTIMELY = re.compile(r"^ +\d+%|still looking|^waiting up to|> The vehicle is silent|^\d{4}-\d\d-\d\d|^\{")
 _CHANGE = re.compile(r"^    [A-Z0-9_]+ +\S+ -> ")
 _NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 _ID = re.compile(r"\b[0-9a-f]{12}(?:[0-9a-f]{4})?\b|\b\d{8}T\d+Z\b")
@@ -80,7 +82,10 @@ class Run:
 
     def _shape(self, found: Any, *, counted: bool = False) -> Any:
         if isinstance(found, dict):
-            return {name: self._shape(value, counted=counted or name in COUNTED) for name, value in found.items()}
+            return {
+                name: "..." if name in MOMENTARY else self._shape(value, counted=counted or name in COUNTED)
+                for name, value in found.items()
+            }
         if isinstance(found, list):
             shapes = [self._shape(value, counted=counted) for value in found]
             return [shape for n, shape in enumerate(shapes) if shape not in shapes[:n]] if counted else shapes

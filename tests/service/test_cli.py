@@ -465,7 +465,7 @@ def test_a_calibration_headless_from_end_to_end(tmp_path):
     checked = [] if job["verification"] is None else job["verification"]["parameters"]
     assert all(v["verdict"] in {"proved", "consistent", "not_observable"} for v in checked)
     assert "succeeded" in done.stderr
-    assert job["last_write"]["result"] == "succeeded"
+    assert (job["last_write"] or {}).get("result") == ("succeeded" if settled else None)  # nothing to write: no write
     assert f"proof: {job['outcome']['proof']}" in done.stderr
     assert all(f"{u['name']} is not proved" in done.stderr for u in job["outcome"]["unproved"])
     assert len(list((data / "tlogs").glob("*.tlog"))) == 1
