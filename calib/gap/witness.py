@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 _INERTIAL: Final = (Sensor.ACCEL, Sensor.GYRO)
 _AT_REST: Final = (SensorTerm.BIAS, SensorTerm.SCALE)
 """What gravity at rest shows of an accelerometer."""
-_OF_A_PART: Final = (SensorTerm.SCALE, SensorTerm.MISALIGNMENT, SensorTerm.ROTATION)
+_OF_A_PART: Final = (SensorTerm.MISALIGNMENT, SensorTerm.ROTATION)
 _OWN: Final = 0.25
 """Part of a residual's variance that the difference of two units must have so that it is a unit's own noise. Chosen,
 not measured: half of what independent noise would have."""

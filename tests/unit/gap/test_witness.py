@@ -140,7 +140,7 @@ def test_other_sensors_and_other_effects_of_one_unit_are_not_asked() -> None:
     assert not_borne_out(report(effect("accel_noise")), real) == ()  # nothing is left of it to compare
 
 
-@pytest.mark.parametrize("id_", ["gyro_misalignment", "gyro_scale", "gyro_step"])
+@pytest.mark.parametrize("id_", ["gyro_misalignment", "gyro_step"])
 def test_no_two_parts_are_wrong_alike(id_: str) -> None:
     """A misalignment or a step of every unit is the reference's, or the flight's; a filter serves all of them."""
     part = 0.05 * swing()
