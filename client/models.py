@@ -674,6 +674,8 @@ class UnfinishedModel(Answer):
     """A job that claims its vehicle, and what is known of the parameters that it has sent."""
 
     job: JobSummary
+    at: Number
+    """When this was so: events up to then belong to the run that is over."""
     writing: bool
     """Parameters of the vehicle may be this job's."""
     ended: bool

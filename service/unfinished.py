@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -24,6 +25,8 @@ class Unfinished:
     """Parameters for which a PARAM_SET may have left, from the journal."""
     standing: tuple[Standing, ...]
     """What is known of each of them."""
+    at: float
+    """When this was so, s since 1970: events up to then belong to the run that is over."""
 
     @property
     def writing(self) -> bool:
@@ -44,7 +47,7 @@ class Unfinished:
 def unfinished(store: JobStore, job: Job) -> Unfinished:
     """The job with what its journal says now."""
     record = fold(store.journal(job.id))
-    return Unfinished(job, record.sent, job.standing or as_heard(record, {}, UNREAD))
+    return Unfinished(job, record.sent, job.standing or as_heard(record, {}, UNREAD), time.time())
 
 
 def left_over(store: JobStore, jobs: Iterable[Job]) -> tuple[Unfinished, ...]:

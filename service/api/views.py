@@ -82,6 +82,7 @@ def unfinished_model(found: Unfinished) -> UnfinishedModel:
     return UnfinishedModel.model_validate(
         {
             "job": _summary(found.job),
+            "at": found.at,
             "writing": found.writing,
             "ended": found.ended,
             "sent": [sent.name for sent in found.sent],

@@ -149,7 +149,7 @@ async def recovered(
             continue
         screen.line(found.beginning, bold=True)
         if found.writing:
-            await follow(client, job.id, screen, job.updated_at, doubt_s=doubt_s)
+            await follow(client, job.id, screen, found.at, doubt_s=doubt_s)
         else:
             await client.cancel_job(job.id)
         now = await client.get_unfinished(job.id)

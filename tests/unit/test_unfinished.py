@@ -20,9 +20,9 @@ SENT = Sent("FLAG", 1, 0, ParameterKind.INT32, session=True, confirmed=1)
 
 
 def test_what_is_going_to_happen() -> None:
-    harmless = beginning(Unfinished(replace(JOB, state=JobState.RUNNING), (), ()))
-    unsent = beginning(Unfinished(JOB, (), ()))
-    sent = beginning(Unfinished(JOB, (SENT, replace(SENT, name="X")), ()))
+    harmless = beginning(Unfinished(replace(JOB, state=JobState.RUNNING), (), (), 0.0))
+    unsent = beginning(Unfinished(JOB, (), (), 0.0))
+    sent = beginning(Unfinished(JOB, (SENT, replace(SENT, name="X")), (), 0.0))
     assert all("j1 (gyro)" in said for said in (harmless, unsent, sent))
     assert ["cancelled" in said for said in (harmless, unsent, sent)] == [True, False, False]
     assert ["taken back" in said for said in (harmless, unsent, sent)] == [False, True, True]
@@ -42,7 +42,7 @@ def test_what_is_going_to_happen() -> None:
     ],
 )
 def test_doubt_names_each_parameter(standing: Standing, says: tuple[str, ...]) -> None:
-    job, parameter = ending(Unfinished(JOB, (SENT,), (standing,)))
+    job, parameter = ending(Unfinished(JOB, (SENT,), (standing,), 0.0))
     assert "j1 (gyro)" in job
     assert job.endswith("in doubt")
     assert parameter.startswith("X:")
@@ -51,9 +51,9 @@ def test_doubt_names_each_parameter(standing: Standing, says: tuple[str, ...]) -
 
 def test_why_it_is_in_doubt_is_the_prompt_or_else_the_outcome() -> None:
     failed = replace(JOB, outcome=Failure("silent", "no heartbeat", "Wait."))
-    (said,) = ending(Unfinished(failed, (), ()))
+    (said,) = ending(Unfinished(failed, (), (), 0.0))
     assert said.endswith(": No heartbeat. Wait.")
-    (said,) = ending(Unfinished(replace(failed, prompt=Prompt(PromptStep.REBOOT, "Restart it.")), (), ()))
+    (said,) = ending(Unfinished(replace(failed, prompt=Prompt(PromptStep.REBOOT, "Restart it.")), (), (), 0.0))
     assert said.endswith(": Restart it.")
     assert "heartbeat" not in said
 
@@ -66,7 +66,7 @@ def test_how_it_ended_and_what_is_back() -> None:
         replace(SENT, name="UNHEARD", confirmed=None),
         replace(SENT, name="KEPT", session=False),
     )
-    job, flag, other = ending(Unfinished(reverted, sent, ()))
+    job, flag, other = ending(Unfinished(reverted, sent, (), 0.0))
     assert "reverted" in job
     assert job.endswith(" Try again.")
     assert flag.startswith("FLAG ")
@@ -75,10 +75,10 @@ def test_how_it_ended_and_what_is_back() -> None:
     assert "5;" in other
     assert other.endswith(" 1")
     fine = replace(JOB, state=JobState.SUCCEEDED, outcome=Result("All written.", proof_reason=""))
-    (said,) = ending(Unfinished(fine, (), ()))
+    (said,) = ending(Unfinished(fine, (), (), 0.0))
     assert "succeeded" in said
     assert said.endswith(" All written.")
-    (said,) = ending(Unfinished(replace(JOB, state=JobState.REVIEW, outcome=None), (), ()))
+    (said,) = ending(Unfinished(replace(JOB, state=JobState.REVIEW, outcome=None), (), (), 0.0))
     assert said.endswith("in review")
 
 

@@ -162,7 +162,7 @@ async def test_what_earlier_runs_left_on_this_vehicle_is_cancelled_or_followed(m
 
 
 async def test_the_recovery_begins_with_the_events_after_the_start(make_service, screen, monkeypatch):
-    service = make_service(plain("b", JobState.IN_DOUBT, updated_at=17.0))
+    service = make_service(plain("b", JobState.IN_DOUBT, updated_at=17.0))  # before its last prompt
     service.joined(URL, "v1")
     heard_after = []
 
@@ -170,8 +170,9 @@ async def test_the_recovery_begins_with_the_events_after_the_start(make_service,
         heard_after.append(since)
 
     monkeypatch.setattr(headless, "follow", followed)
-    await recovered(service, service.vehicles["v1"], await service.list_unfinished(), screen)
-    assert heard_after == [17.0]
+    [left] = await service.list_unfinished()
+    await recovered(service, service.vehicles["v1"], [left.model_copy(update={"at": 18.0})], screen)
+    assert heard_after == [18.0]
 
 
 async def test_a_job_is_of_the_vehicle_that_the_service_has_under_its_id(make_service):
