@@ -187,7 +187,14 @@ def _diagnosed(
     effects = tuple(e for e in effects if slewed is not None or not e.slew)
     evidence = PairEvidence(ours, theirs, effects, None if slewed is None else slewed[0])
     answer = search(evidence, ended=ended)
-    return _answer(answer, real, sim, untestable, None if slewed is None else slewed[1], held=not ended())
+    limit = None if slewed is None else slewed[1]
+    assert isinstance(answer.evidence, PairEvidence)
+    near = (real.near, answer.evidence.side_of(answer.best.model)), (sim.near, answer.evidence.sim)
+    ground = None if GROUND in without else ground_gap(*near, ODDS)
+    if isinstance(ground, Missing):
+        return _answer(answer, real, sim, (*untestable, ground), limit, (), held=not ended())
+    beside = () if ground is None else (ground.told(),)
+    return _answer(answer, real, sim, untestable, limit, beside, held=not ended())
 
 
 def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side, Kind]:
@@ -221,15 +228,18 @@ def _testable(
 
 
 def _answer(
-    answer: Answer, real: _Flight, sim: _Flight, untestable: tuple[Missing, ...], slew: float | None, *, held: bool
+    answer: Answer,
+    real: _Flight,
+    sim: _Flight,
+    untestable: tuple[Missing, ...],
+    slew: float | None,
+    beside: tuple[FoundEffect, ...],
+    *,
+    held: bool,
 ) -> AirframeAnswer:
     evidence = answer.evidence
     assert isinstance(evidence, PairEvidence)
     side = evidence.side_of(answer.best.model)
-    ground = ground_gap((real.near, side), (sim.near, evidence.sim), ODDS)
-    if isinstance(ground, Missing):
-        untestable = (*untestable, ground)
-    beside = () if isinstance(ground, Missing) else (ground.told(),)
     found = effects_of(answer, evidence, slew, least=LIKELY, beside=beside)
     if side.likelihood.airframe.voltage_span >= SAG_SPAN:
         found = with_untested_sag(found, untestable)

@@ -101,6 +101,9 @@ def test_a_vehicle_with_ground_effect_is_told_from_a_simulator_without(tmp_path:
     (value,) = found.values
     assert value.sim == pytest.approx(0.0, abs=0.005)
     assert abs(value.value - told(RADIUS**2)) < 1.96 * value.sd
+    left_out = airframe_gap(real, low_sim, without={ID})
+    assert isinstance(left_out, AirframeAnswer)
+    assert ID not in {f.id for f in left_out.found} | {m.id for m in left_out.missing}
     # with the estimator's height only, which wanders by a decimetre, it is no other name
     blind = diagnosed(without_rangefinder(real), without_rangefinder(low_sim))
     assert {f.id for f in named(blind)} <= {ID}
