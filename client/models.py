@@ -675,7 +675,7 @@ class UnfinishedModel(Answer):
 
     job: JobSummary
     at: Number
-    """When this was so: events up to then belong to the run that is over."""
+    """When this state was read; earlier events belong to the run that is over."""
     writing: bool
     """Parameters of the vehicle may be this job's."""
     ended: bool

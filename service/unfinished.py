@@ -26,7 +26,7 @@ class Unfinished:
     standing: tuple[Standing, ...]
     """What is known of each of them."""
     at: float
-    """When this was so, s since 1970: events up to then belong to the run that is over."""
+    """When this state was read, s since 1970; earlier events belong to the run that is over."""
 
     @property
     def writing(self) -> bool:

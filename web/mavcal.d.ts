@@ -1505,7 +1505,7 @@ export interface TurnRequest {
 /** A job that claims its vehicle, and what is known of the parameters that it has sent. */
 export interface UnfinishedModel {
   job: JobSummary;
-  /** When this was so: events up to then belong to the run that is over. */
+  /** When this state was read; earlier events belong to the run that is over. */
   at: number;
   /** Parameters of the vehicle may be this job's. */
   writing: boolean;

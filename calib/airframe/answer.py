@@ -126,4 +126,4 @@ class AirframePart:
     traces: tuple[AirframeTrace, ...] = ()
     facts: Mapping[str, float] = field(default_factory=dict)
     probabilities: Mapping[str, float] = field(default_factory=dict)
-    """Of every effect that was tested, that it is there: also of those that are too doubtful to report."""
+    """Probability that each tested effect is present, including effects that are too doubtful to report."""

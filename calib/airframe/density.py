@@ -1,6 +1,7 @@
-"""Density of the air in both flights, as their logs tell it: pressure and temperature, or the altitude.
+"""Density of the air in both flights, from pressure and temperature, or from the altitude.
 
-Thrust and drag go with it (AIRFRAME 2). It is a fact beside the flight: an effect of this size is expected.
+Thrust and drag are proportional to it (AIRFRAME 2). Where the densities differ beyond their errors, an effect of that
+size is expected. Where they may be equal, density competes with nothing: it is a rival of a thrust that it explains.
 """
 
 from __future__ import annotations
@@ -30,15 +31,15 @@ _APART: Final = 2.0
 """Errors by which two densities must differ so that the effect is expected. Source: 95 %."""
 _ALIKE: Final = 0.015
 _VAGUE: Final = 0.05
-"""Relative difference that two densities have at most where they count as one, and error above which they say nothing.
-Source: what 85 m of altitude make, 1 % (AIRFRAME 2), and what usual differences of thrust are, 5 to 30 %."""
+"""Relative difference below which two densities count as equal, and error above which their ratio is not known.
+Source: 85 m of altitude make 1 % (AIRFRAME 2), and usual differences of thrust are 5 to 30 %."""
 _NEED: Final = "BARO, vehicle_air_data or a GPS altitude in both logs"
 _FURTHER: Final = "flights 500 m of altitude or 25 K apart"
 
 
 @dataclass(frozen=True)
 class Density:
-    """kg/m3, and its relative standard deviation."""
+    """Density, kg/m3, and its relative standard deviation."""
 
     value: float
     sd: float
@@ -46,25 +47,34 @@ class Density:
 
 @dataclass(frozen=True)
 class Densities:
-    """Of both flights."""
+    """Densities of the air in the real and the simulated flight."""
 
     real: Density
     sim: Density
 
     @property
     def excess(self) -> float:
-        """Real over simulated less one."""
+        """Ratio of the real to the simulated density, less one."""
         return self.real.value / self.sim.value - 1.0
 
     @property
     def sd(self) -> float:
-        """Of the excess."""
+        """Standard deviation of the excess."""
         return float(np.hypot(self.real.sd, self.sim.sd)) * (1.0 + self.excess)
 
     @property
-    def apart(self) -> bool:
-        """Whether the densities differ for certain."""
-        return abs(self.excess) > max(_APART * self.sd, _ALIKE)
+    def alike(self) -> Missing | None:
+        """Why no effect of the density is expected; None: the densities differ beyond their errors."""
+        if abs(self.excess) > max(_APART * self.sd, _ALIKE):
+            return None
+        if self.sd > _VAGUE:
+            return Missing(ID, f"the ratio of the densities is known to {100.0 * self.sd:.0f} % only", _NEED)
+        within = abs(self.excess) + _APART * self.sd
+        return Missing(ID, f"the densities in both flights agree to within {100.0 * within:.0f} %", _FURTHER)
+
+    def explains(self, excess: float, sd: float) -> bool:
+        """Whether a thrust with this relative excess and error may come from the air alone."""
+        return abs(excess - self.excess) < _APART * float(np.hypot(sd, self.sd))
 
 
 def altitude_of(density: float) -> float:
@@ -77,23 +87,17 @@ def _standard(altitude: float) -> float:
 
 
 def densities(real: Density | None, sim: Density | None, settings: Mapping[str, float]) -> Densities | Missing:
-    """What both logs say, or why they do not let an effect be expected; `settings` are the simulator's parameters."""
+    """The densities in both flights, or why they are not known; `settings` are the simulator's parameters."""
     if any(name.startswith("SIH_") for name in settings):
         return Missing(ID, "the thrust of PX4's SIH does not depend on the air", "a simulator that has a density")
     if real is None or sim is None:
         which = "real" if real is None else "simulated"
         return Missing(ID, f"the {which} log has no pressure and no altitude", _NEED)
-    both = Densities(real, sim)
-    within = abs(both.excess) + _APART * both.sd
-    if within < _ALIKE:
-        return Missing(ID, f"the densities in both flights agree to within {100.0 * within:.0f} %", _FURTHER)
-    if both.sd > _VAGUE and not both.apart:
-        return Missing(ID, f"the ratio of the densities is known to {100.0 * both.sd:.0f} % only", _NEED)
-    return both
+    return Densities(real, sim)
 
 
 def density_of(recording: Recording, start: float, end: float) -> Density | None:
-    """In the flight from `start` to `end`, s; None: the log does not tell it."""
+    """Density of the air from `start` to `end`, s; None: the log has neither pressure nor altitude."""
     standard = any(name.startswith("SIM_") for name in recording.parameters.final())
     air = next((c for c in recording.dynamics if c.sensor == Sensor.AIR and len(c)), None)
     if air is not None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.air import GLITCHED_S, Jump, glitches, jumps, outside, turbulence
 from mavcal.calib.airframe.answer import AirframePart, AirframeTrace, Commands, Domain
 from mavcal.calib.airframe.commands import commands_of
+from mavcal.calib.airframe.density import ID as DENSITY
 from mavcal.calib.airframe.density import Densities, Density, densities, density_of
 from mavcal.calib.airframe.effects import ODDS, AirframeEffect, catalogue, nameless, of_density
 from mavcal.calib.airframe.fit import SAG_SPAN, FlightLikelihood, expanded
@@ -29,7 +30,7 @@ from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
-from mavcal.calib.airframe.told import doubtful, effects_of, needed_manoeuvres, probabilities, with_untested_sag
+from mavcal.calib.airframe.told import doubtful, effects_of, needed_manoeuvres, probabilities, with_rivals
 from mavcal.calib.inference.search import Answer, search
 from mavcal.calib.recording import Recording
 
@@ -180,9 +181,10 @@ def _diagnosed(
             return NoAirframe(f"{which} recording: {reason}", "a flight within the motors' limits")
     untestable = missing(ours.likelihood, theirs.likelihood)
     air = densities(real.air, sim.air, sim.parameters)
-    if isinstance(air, Missing):
-        untestable = (*untestable, air)
-    effects = _testable(theirs, kind, untestable, without, None if isinstance(air, Missing) else air)
+    alike = air if isinstance(air, Missing) else air.alike
+    if alike is not None:
+        untestable = (*untestable, alike)
+    effects = _testable(theirs, kind, untestable, without, air if isinstance(air, Densities) else None)
     slewed = with_limit(ours, theirs, effects) if any(e.slew for e in effects) and not ended() else None
     effects = tuple(e for e in effects if slewed is not None or not e.slew)
     evidence = PairEvidence(ours, theirs, effects, None if slewed is None else slewed[0])
@@ -219,7 +221,7 @@ def _testable(
     layout = sim.fit.layout
     gains = [sim.fit.value(f"gain_{axis}") for axis in AXES]
     named = catalogue(layout, rotors_damp=kind.drag_by_rotor, hover_gain=gains)
-    if air is not None:
+    if air is not None and air.alike is None:
         named = (*named, of_density(air, rotors_damp=kind.drag_by_rotor))
     torque = sim.likelihood.torque
     kept = [e for e in named if e.id not in gone and (torque or not e.torque)]
@@ -241,8 +243,7 @@ def _answer(
     assert isinstance(evidence, PairEvidence)
     side = evidence.side_of(answer.best.model)
     found = effects_of(answer, evidence, slew, least=LIKELY, beside=beside)
-    if side.likelihood.airframe.voltage_span >= SAG_SPAN:
-        found = with_untested_sag(found, untestable)
+    found = with_rivals(found, _beside_thrust(found, real, sim, side, untestable))
     parted = held_out(answer, evidence, found) if held else Parted((), None)
     loud = turbulence(real.flight, side.fit.residual[:, :3], sim.flight, evidence.sim.fit.residual[:, :3])
     unknown, share, chance = _unnamed(answer, found)
@@ -272,6 +273,20 @@ def _answer(
         heldout=parted.nats,
         warnings=doubtful(answer, evidence.effects, least=_DOUBTFUL, most=LIKELY, beside=beside),
     )
+
+
+def _beside_thrust(
+    found: Sequence[FoundEffect], real: _Flight, sim: _Flight, side: Side, untestable: Sequence[Missing]
+) -> tuple[str, ...]:
+    """Effects that were not tested and may be the whole difference of a thrust that was found."""
+    thrust = next((f.values[0] for f in found if f.id == "thrust_scale"), None)
+    if thrust is None:
+        return ()
+    gone = {m.id for m in untestable}
+    sags = "battery_sag" in gone and side.likelihood.airframe.voltage_span >= SAG_SPAN
+    air = densities(real.air, sim.air, sim.parameters)
+    thin = isinstance(air, Densities) and air.alike is not None and air.explains(thrust.value, thrust.sd)
+    return (*(("battery_sag",) if sags else ()), *((DENSITY,) if thin else ()))
 
 
 def _unnamed(answer: Answer, found: Sequence[FoundEffect]) -> tuple[str, float, float]:

@@ -65,13 +65,13 @@ class AirframeEffect:
     torque: bool = False
     """Whether only torque shows it."""
     mean: float = 0.0
-    """Of every amplitude before the flights: what the logs tell beside them."""
+    """Prior mean of every amplitude, where the logs state one beside the flights."""
     sides: tuple[float, float] | None = None
-    """The parameter in the real and the simulated flight, where the logs tell it."""
+    """The parameter in the real and in the simulated flight, where the logs state it."""
 
 
 FORMS: Final[Mapping[str, str]] = {"thrust_scale": "thrust", "thrust_by_mass": "mass"}
-"""Causes of one effect that a report tells apart, by block."""
+"""Block to cause, for an effect whose causes a report distinguishes."""
 ODDS: Final = 0.05
 """Of each effect before a flight is seen. Source: mixtures of one to four of twenty effects (AIRFRAME 6) have a mean of
 about one."""
@@ -112,7 +112,7 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     reaction = Change(0, "spin_up", Act.OVER)
     gains = (*(Change(0, f"gain_{a}", relative) for a in AXES), reaction)
     yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k", exclusive="thrust")
-    # another mass: all forces by it, what grows with the rotors' speed by its root, no other torque
+    # another mass scales every force; what goes with the rotors' speed goes with its root; other torques stay
     shares = (("c1", 0.5), ("cz", 0.5), ("c2", 1.0), ("ch", 1.0), ("flap_x", -0.5), ("flap_y", -0.5))
     forces = (Change(0, n, relative, share) for n, share in shares)
     yield AirframeEffect(
@@ -125,7 +125,7 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
         drag += [Change(0, f"damping_{a}", relative) for a in AXES]
         drag += [Change(0, f"flap_{a}", relative) for a in "xy"]
     yield _one("rotor_drag", "c1", 0.6, tuple(drag), "c1", exclusive="rotor_drag", odds=ODDS / 2.0)
-    # blades whose drag across their axis differs and whose inflow, which damps roll and pitch, does not
+    # the in-plane drag of the blades differs, and their inflow, which damps roll and pitch, does not
     flap = tuple(Change(1, f"flap_{a}", relative) for a in "xy")
     across = (Change(0, "c1", relative), *flap, Change(2, "damping_z", relative))
     yield AirframeEffect(
@@ -180,10 +180,9 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
 
 
 def of_density(both: Densities, *, rotors_damp: bool) -> AirframeEffect:
-    """Another density of the air, as the logs tell it: all forces of the air, the rotors' drag by its root.
+    """Another density of the air: it scales all forces of the air, and the rotors' drag by its root.
 
-    Rotors that carry the same weight in denser air turn more slowly, by the root of the density. Densities that differ
-    for certain are expected to show, beside another thrust; others stand in its place only.
+    Rotors that carry the same weight in denser air turn more slowly, by the root of the density.
     """
     whole = ("k", *(f"gain_{a}" for a in AXES), "c2", "ch", "climb")
     damped = (*(f"damping_{a}" for a in AXES), "flap_x", "flap_y") if rotors_damp else ()
@@ -193,8 +192,8 @@ def of_density(both: Densities, *, rotors_damp: bool) -> AirframeEffect:
         Change(0, "spin_up", Act.OVER),
     )
     return AirframeEffect(
-        DENSITY, DENSITY, ("s",), (both.sd,), changes, ("k",), Domain.ENVIRONMENT, odds=1.0 if both.apart else ODDS,
-        exclusive="" if both.apart else "thrust", mean=both.excess, sides=(both.real.value, both.sim.value),
+        DENSITY, DENSITY, ("s",), (both.sd,), changes, ("k",), Domain.ENVIRONMENT, odds=1.0,
+        mean=both.excess, sides=(both.real.value, both.sim.value),
     )  # fmt: skip
 
 

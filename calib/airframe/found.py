@@ -50,7 +50,7 @@ class FoundEffect:
     share: float
     rivals: tuple[FoundRival, ...] = ()
     forms: Mapping[str, float] = field(default_factory=dict)
-    """Probability of each of its causes, of which one is there; empty where it has one only."""
+    """Probability of each possible cause; empty for an effect with a single cause."""
 
 
 @dataclass(frozen=True)

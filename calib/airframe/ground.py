@@ -27,14 +27,14 @@ Array = NDArray[np.float64]
 ID: Final = "ground_effect"
 NEED: Final = FIXES[ID]
 TOLD_AT_M: Final = 0.25
-"""Height of the rotors at which the gain is told. Chosen, not measured: two radii of a 10-inch propeller."""
+"""Rotor height at which the gain is reported, m. Chosen, not measured: two radii of a 10-inch propeller."""
 LEAST_S: Final = 1.0
 """Time near the ground that is judged. Chosen, not measured: a landing at 0.4 m/s."""
 USUAL: Final = 0.03
 """s of a usual vehicle, m2: 10-inch propellers and a strength of 2. Source: AIRFRAME 2, several rotors have more than
 one (Sanchez-Cuevas 2017)."""
 _SHOWN: Final = 8.0
-"""Nats by which the usual s must show in a flight, so that its absence means something. Source: a name takes
+"""Evidence in nats that the usual s must make in a flight, so that its absence counts. Source: a name takes
 log(0.9 / 0.1 / 0.05) = 5.2 nats beyond the Occam factor."""
 _NAMED: Final = 0.5
 """Probability from which an answer counts in a noisier flight as well. Source: even odds."""
@@ -134,7 +134,7 @@ def _prior() -> Array:
 def ground_gap(
     real: tuple[NearGround | None, Side], sim: tuple[NearGround | None, Side], odds: float
 ) -> GroundEffect | Missing:
-    """What the real vehicle gains near the ground beside the simulated one, or why these flights do not show it."""
+    """Thrust gained near the ground, real beside simulated, or why these flights cannot show it."""
     low = {}
     for which, (near, side) in (("real", real), ("simulated", sim)):
         if near is None:

@@ -1,7 +1,6 @@
 """Rows of a flight near the ground but in the air: take-off, landing, a low hover.
 
-They lie outside the stretch that the airframe is fitted on. Thrust there is held against the airframe that the rest of
-the flight shows.
+The airframe is fitted on the rest of the flight. Measured thrust near the ground is compared with that fit.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _CALM_CLIMB: Final = 1.5
 _CALM_SPEED: Final = 2.0
 """Vertical force beside gravity, m/s2, climb and speed over ground, m/s, of calm flight. Chosen, not measured."""
 _LEAST_NOISE: Final = 1e-3
-"""Noise of relative thrust in one row that is always there. Source: a third of what the model is right to."""
+"""Least noise of relative thrust in one row. Source: a third of the model's own error."""
 _BLOCK: Final = 10
 """Rows of the grid in one row here: 0.1 s."""
 MEMORY_S: Final = 3.0
@@ -61,7 +60,7 @@ class Pass:
 
 @dataclass(frozen=True, eq=False)
 class LowFlight:
-    """What a flight shows near the ground.
+    """Passes of a flight near the ground, and the noise of its thrust.
 
     `noise` is the covariance of the relative gain of thrust by lag, `step` s between rows; `height_sd` m.
     """
@@ -153,14 +152,14 @@ def _above_stand(channel: Channel, flight: FlownFlight) -> Array:
 
 
 def _calm(flight: FlownFlight) -> Mask:
-    """Rows (N,) in which the rotors are near a hover: the formula is one of steady flow."""
+    """Rows (N,) near a hover, since the formula holds in steady flow."""
     push = np.abs(flight.force[:, 2] + flight.gravity)
     speed = np.hypot(flight.velocity[:, 0], flight.velocity[:, 1])
     return np.asarray((push < _CALM_PUSH) & (np.abs(flight.velocity[:, 2]) < _CALM_CLIMB) & (speed < _CALM_SPEED))
 
 
 def _covariance(gain: Array, memory: int) -> Array | None:
-    """By lag, of the noise that thrust has in calm flight away from the ground (nan elsewhere); None: too little."""
+    """Covariance by lag of the thrust noise in calm flight above the ground (nan elsewhere); None: too few rows."""
     known = np.isfinite(gain)
     if known.sum() < 2 * memory:
         return None

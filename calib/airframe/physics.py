@@ -290,7 +290,7 @@ class Airframe:
         return across * v[:, :1], across * v[:, 1:2], along
 
     def _drive(self, thrust: Array, k: float) -> Array:
-        """Speed of each rotor beside its usual one (N, n), where drag grows with it."""
+        """Speed of each rotor over that in hover (N, n); 1 for a vehicle whose drag does not grow with it."""
         if not self.kind.drag_by_rotor:
             return np.ones_like(thrust)
         return np.sqrt(np.clip(thrust, 0.0, None) * (max(k, 1.0) / self.flight.gravity))

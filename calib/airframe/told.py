@@ -87,18 +87,16 @@ def effects_of(
     return tuple(sorted((replace(f, share=f.nats / total) for f in found), key=lambda f: -f.nats))
 
 
-def with_untested_sag(found: Sequence[FoundEffect], untestable: Sequence[Missing]) -> tuple[FoundEffect, ...]:
-    """A battery that sags too little to be tested may be what the thrust lacks: its rival, as likely as itself."""
-    if all(m.id != "battery_sag" for m in untestable):
-        return tuple(found)
-    rival = FoundRival("battery_sag", 0.5, 0.0, FIXES["battery_sag"])
-    return tuple(replace(f, rivals=(*f.rivals, rival)) if f.id == "thrust_scale" else f for f in found)
+def with_rivals(found: Sequence[FoundEffect], ids: Sequence[str]) -> tuple[FoundEffect, ...]:
+    """A thrust scale with rivals that these flights cannot test: each is as likely as the thrust itself."""
+    rivals = tuple(FoundRival(id_, 0.5, 0.0, FIXES[id_]) for id_ in ids)
+    return tuple(replace(f, rivals=(*f.rivals, *rivals)) if f.id == "thrust_scale" else f for f in found)
 
 
 def probabilities(
     answer: Answer, effects: Sequence[AirframeEffect], beside: Sequence[FoundEffect] = ()
 ) -> dict[str, float]:
-    """Probability of each effect by its id, the likeliest first; of a motor's effect, that any motor has it."""
+    """Probability of each effect by id, highest first; for a motor's effect, that any motor has it."""
     blocks: dict[str, list[str]] = {}
     for effect in effects:
         if not effect.nameless:
@@ -118,26 +116,13 @@ def doubtful(
             forms.setdefault((effect.id, effect.motor), []).append(effect.block)
     chances = [(id_, motor, answer.probability(*blocks)) for (id_, motor), blocks in forms.items()]
     chances += [(f.id, None, f.probability) for f in beside]
-    chances, found = _undecided(chances, most)
+    found = []
     for id_, motor, chance in chances:
         if least <= chance < most:
             which = "" if motor is None else f" of motor {motor}"
             fly = FIXES.get(id_, STANDARD_FLIGHT)
             found.append(f"{id_}{which} has a probability of {100 * chance:.0f} %, too little to name it; fly {fly}")
     return tuple(found)
-
-
-_Chance = tuple[str, int | None, float]
-
-
-def _undecided(chances: Sequence[_Chance], least: float) -> tuple[list[_Chance], list[str]]:
-    """Thrust differs by `least`, but whether by the air is open: both in one sentence, and what is left of the list."""
-    both = {id_: chance for id_, _, chance in chances if id_ in {"thrust_scale", DENSITY}}
-    if len(both) < 2 or sum(both.values()) < least or max(both.values()) >= least:
-        return list(chances), []
-    told = " or ".join(f"{id_} ({100 * chance:.0f} %)" for id_, chance in both.items())
-    text = f"thrust differs by {told}, too open to name one; fly {FIXES[DENSITY]}"
-    return [c for c in chances if c[0] not in both], [text]
 
 
 def _nats(answer: Answer, blocks: Sequence[str]) -> float:

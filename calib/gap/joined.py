@@ -132,9 +132,9 @@ def _turbulence(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> I
 
 
 def _jumps(answer: AirframeAnswer, real: Recording) -> Iterator[EffectEstimate]:
-    """The worst jump of the estimator, and that of the GPS; without a place of the GPS either may be the cause."""
+    """The largest jumps of the estimator and of the GPS; without a GPS position either may be the cause."""
     unseen = not any(c.sensor == Sensor.POSITION for c in real.channels)
-    rivals = (Rival("gps_glitch", 1.0, 0.0, "log the place and velocity of the GPS"),) if unseen else ()
+    rivals = (Rival("gps_glitch", 1.0, 0.0, "log position and velocity of the GPS"),) if unseen else ()
     for id_, found, unit in (("ekf_reset", answer.jumps, "m/s"), ("gps_glitch", answer.glitches, "m")):
         if found:
             worst = max(found, key=lambda j: j.size)
@@ -155,7 +155,7 @@ def _with_shares(effects: tuple[EffectEstimate, ...]) -> tuple[EffectEstimate, .
 
 
 def _unknown(report: GapReport, answer: AirframeAnswer, sensors: tuple[EffectEstimate, ...]) -> Unknown:
-    """What has no name in the flight; that of an inertial sensor only where an effect of that sensor stands."""
+    """The unnamed part of the flight; that of an inertial sensor only beside a named effect of that sensor."""
     if answer.unknown and answer.nameless >= LIKELY:
         return Unknown(flag=True, share=answer.unknown_share, shape=answer.unknown)
     left = report.unknown

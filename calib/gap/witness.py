@@ -67,12 +67,12 @@ def _borne_out(effect: EffectEstimate, report: GapReport, real: Recording) -> bo
 
 
 def _of_a_part(effect: CatalogueEffect | None) -> bool:
-    """Whether an effect is of one part, not of a filter or clock that serves all units: no two parts have it alike."""
+    """Whether an effect is of one part: no two units have it alike, as they do a filter or a clock."""
     return effect is not None and (effect.term in _OF_A_PART or Trait.JUMPING in effect.traits)
 
 
 def _gravity_only(series: SeriesFit) -> bool:
-    """Whether an accelerometer's reference is gravity alone: in flight, whatever moves the vehicle differs from it."""
+    """Whether an accelerometer's reference is gravity alone, from which every force of flight differs."""
     if series.sensor != Sensor.ACCEL or series.ideal is None:
         return False
     size = np.linalg.norm(series.ideal, axis=1)

@@ -12,7 +12,7 @@ class UnfinishedModel(BaseModel):
     """A job that claims its vehicle, and what is known of the parameters that it has sent."""
 
     job: JobSummary
-    at: Stamp = Field(description="when this was so: events up to then belong to the run that is over")
+    at: Stamp = Field(description="when this state was read; earlier events belong to the run that is over")
     writing: bool = Field(description="parameters of the vehicle may be this job's")
     ended: bool = Field(description="nothing of it is in doubt any more")
     sent: list[str] = Field(description="parameters for which a PARAM_SET may have left")

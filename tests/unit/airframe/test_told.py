@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from mavcal.calib.airframe.answer import Domain
-from mavcal.calib.airframe.density import Densities, Density
 from mavcal.calib.airframe.diagnose import airframe_gap
-from mavcal.calib.airframe.effects import catalogue, of_density
+from mavcal.calib.airframe.effects import catalogue
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundRival
 from mavcal.calib.airframe.physics import Layout
 from mavcal.calib.airframe.testable import Missing
-from mavcal.calib.airframe.told import doubtful, needed_manoeuvres, with_untested_sag
+from mavcal.calib.airframe.told import doubtful, needed_manoeuvres, with_rivals
 from mavcal.calib.airframe.words import FIXES, STANDARD_FLIGHT
 from mavcal.calib.inference.model import Block, Evidence, Model, Posterior
 from mavcal.calib.inference.search import Answer, Visited
@@ -40,13 +39,12 @@ def test_the_standard_flight_is_asked_for_where_it_would_show_more() -> None:
     assert needed_manoeuvres([], [Missing("air_density", "the altitude stays", "a climb")]) == ()
 
 
-def test_a_sag_that_could_not_be_tested_is_a_rival_of_the_thrust() -> None:
+def test_what_could_not_be_tested_is_a_rival_of_the_thrust() -> None:
     """Foreign physics: thrust that fell with 4 % of the voltage was told as a thrust of 0.9."""
     drag = replace(found(), id="rotor_drag")
-    sag = Missing("battery_sag", "the voltage changes by 4.5 %", "a flight that empties the battery")
-    told = with_untested_sag([found(), drag], [sag])
+    told = with_rivals([found(), drag], ["battery_sag"])
     assert [[r.id for r in one.rivals] for one in told] == [["battery_sag"], []]
-    assert with_untested_sag([found()], []) == (found(),)
+    assert with_rivals([found()], []) == (found(),)
 
 
 class Nothing:
@@ -74,19 +72,6 @@ def test_what_is_likelier_than_not_and_not_named_says_what_would_decide() -> Non
         f"thrust_scale has a probability of 65 %, too little to name it; fly {FIXES['thrust_scale']}",
     )  # of both its forms; a certain drag is named, and wind is of the day
     assert doubtful(answer, effects, least=0.1, most=0.2)[0].startswith("motor_weak of motor 2")
-
-
-def test_thrust_that_may_be_the_air_is_told_with_both_probabilities() -> None:
-    layout = Layout(4)
-    air = of_density(Densities(Density(1.17, 0.02), Density(1.22, 0.003)), rotors_damp=True)
-    effects = (*catalogue(layout, rotors_damp=True, hover_gain=(300.0, 300.0, 8.0)), air)
-    weights = {"air_density": 0.65, "thrust_scale": 0.3, "wind": 0.05}
-    kept = tuple(
-        Visited(frozenset({name}), float(np.log(p)), Nothing().posterior(frozenset())) for name, p in weights.items()
-    )
-    (told,) = doubtful(Answer(kept, (), Nothing(), 3), effects, least=0.5, most=0.9)
-    assert told.startswith("thrust differs by thrust_scale (30 %) or air_density (65 %)")
-    assert "SIM_OPOS_ALT" in told
 
 
 @pytest.mark.long
