@@ -43,7 +43,7 @@ _WHITE_ROUNDS: Final = 4
 _SHORTEST: Final = 0.01
 """Part of a step below which the point stands."""
 _ENDS: Final = {"tau": (-0.02, 0.5), "delay": (-0.03, 0.2), "expo": (-0.5, 1.2), "k": (5.0, 200.0), "cg_x": (-0.5, 0.5),
-                "cg_y": (-0.5, 0.5), "spin_up": (-0.1, 0.3)}  # fmt: skip
+                "cg_y": (-0.5, 0.5), "spin_up": (-0.1, 1.0)}  # fmt: skip
 """Beyond these a vehicle does not fly, or the formula has no meaning. Source: AIRFRAME 2, sizes on real drones."""
 _NEAR: Final = 2.0
 """Standard errors from the best point from which on the spectrum can be learned. Chosen, not measured."""
@@ -56,8 +56,8 @@ _STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "fall": 1e-3, 
 PRIORS: Final[Mapping[str, tuple[float, float]]] = {
     "k": (25.0, 20.0), "expo": (0.5, 0.4), "sag": (0.0, 1.5), "c1": (0.3, 0.5), "cz": (0.3, 0.7), "c2": (0.02, 0.05),
     "ch": (0.0, 0.03), "climb": (0.0, 0.1), "wind_north": (0.0, 8.0), "wind_east": (0.0, 8.0), "bias": (0.0, 0.5),
-    "lever": (0.0, 0.1), "gain_x": (150.0, 200.0), "gain_y": (150.0, 200.0), "gain_z": (8.0, 20.0),
-    "damping": (1.0, 5.0), "torque": (0.0, 20.0), "cg": (0.0, 0.3), "spin_up": (0.0, 0.1), "flap": (0.0, 0.3),
+    "lever": (0.0, 0.1), "gain_x": (150.0, 200.0), "gain_y": (150.0, 200.0), "gain_z": (8.0, 40.0),
+    "damping": (1.0, 5.0), "torque": (0.0, 20.0), "cg": (0.0, 0.3), "spin_up": (0.0, 0.3), "flap": (0.0, 0.3),
     "cross": (0.0, 1.0), "tau": (0.02, 0.05), "fall": (0.0, 0.03), "delay": (0.005, 0.02), "weak": (0.0, 0.15),
     "pulse": (0.0, 0.15), "scale": (0.0, 0.003), "load": (0.0, 0.3), "bias_z": (0.0, 0.03),
 }  # fmt: skip
@@ -201,6 +201,17 @@ class FlightLikelihood:
         return prior_of(name)
 
     @cached_property
+    def priors(self) -> tuple[Array, Array]:
+        """Mean and standard deviation of every parameter (P,)."""
+        mean, sd = np.array([self.prior(n) for n in self.airframe.layout.names]).T
+        return mean, sd
+
+    @cached_property
+    def ends(self) -> Array:
+        """Least and greatest value of every parameter (2, P)."""
+        return np.array([_ENDS.get(n, (-np.inf, np.inf)) for n in self.airframe.layout.names]).T
+
+    @cached_property
     def _at_rest(self) -> Mapping[str, tuple[float, float]]:
         """Offset and scale of the accelerometer as gravity at rest allows them."""
         flight = self.airframe.flight
@@ -290,7 +301,7 @@ def fitted(
     for name, value in (fixed or {}).items():
         theta[layout.place[name]], free[layout.place[name]] = value, False
     free &= likelihood.possible
-    mean, sd = (np.array([likelihood.prior(n)[i] for n in layout.names]) for i in (0, 1))
+    mean, sd = likelihood.priors
     white = rounds > _WHITE_ROUNDS
     for turn in range(rounds):
         bins = likelihood.bins(likelihood.residual(theta))
@@ -301,8 +312,8 @@ def fitted(
         curvature, gradient = _normal(columns, bins, spectra)
         penalty = 1.0 / sd[free] ** 2
         hessian = curvature + np.diag(penalty)
-        step = np.linalg.solve(hessian, gradient - penalty * (theta[free] - mean[free]))
-        theta, part = _descended(likelihood, theta, free, step, spectra, (mean, sd))
+        step = _inward(hessian, gradient - penalty * (theta[free] - mean[free]), theta[free], likelihood.ends[:, free])
+        theta, part = _descended(likelihood, theta, free, step, spectra)
         moved = part * float(np.abs(step * np.sqrt(np.diag(hessian))).max())
         if moved < _CONVERGED and not white:
             break
@@ -314,19 +325,30 @@ def fitted(
     return FlightFit(layout, theta, blank, blank[0], free, np.empty((0, 6)), (), blank, 0.0, 0)
 
 
+def _inward(hessian: Array, slope: Array, at: Array, ends: Array) -> Array:
+    """The Gauss-Newton step with every parameter held that is at its end and would leave it.
+
+    Cut off afterwards, such a step would no longer descend, and the fit would stay where it is.
+    """
+    kept = np.ones(len(at), dtype=bool)
+    while True:
+        step = np.zeros(len(at))
+        step[kept] = np.linalg.solve(hessian[np.ix_(kept, kept)], slope[kept])
+        out = kept & (((at <= ends[0]) & (step < 0.0)) | ((at >= ends[1]) & (step > 0.0)))
+        if not out.any():
+            return step
+        kept &= ~out
+
+
 def _descended(
     likelihood: FlightLikelihood,
     theta: Array,
     free: Mask,
     step: Array,
     spectra: list[Array],
-    prior: tuple[Array, Array],
 ) -> tuple[Array, float]:
     """The point after the longest part of the step that does not lose likelihood, and that part."""
-    mean, sd = prior
-    low, high = (
-        np.array([_ENDS.get(n, (-np.inf, np.inf))[k] for n in likelihood.airframe.layout.names]) for k in (0, 1)
-    )
+    mean, sd = likelihood.priors
 
     def loss(at: Array) -> float:
         bins = likelihood.bins(likelihood.residual(at))
@@ -337,7 +359,7 @@ def _descended(
     while part > _SHORTEST:
         moved = theta.copy()
         moved[free] += part * step
-        moved = np.clip(moved, low, high)
+        moved = np.clip(moved, *likelihood.ends)
         if loss(moved) <= before:
             return moved, part
         part *= 0.4

@@ -55,10 +55,8 @@ class Side:
     @cached_property
     def says(self) -> Quadratic:
         """Of the common parameters; this flight's own are integrated out."""
-        names = self.fit.layout.names
-        mean, sd = (np.array([self.likelihood.prior(n)[i] for n in names]) for i in (0, 1))
         whole = Quadratic(self.fit.theta, self.fit.gradient, self.fit.curvature, 0.0)
-        return whole.without(self.own, mean, sd)
+        return whole.without(self.own, *self.likelihood.priors)
 
     @cached_property
     def discrepancy(self) -> Array:

@@ -9,8 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
-from mavcal.calib.airframe.fit import FlightFit, FlightLikelihood, excited, expanded, prior_of, spectra_of
+from mavcal.calib.airframe.fit import FlightFit, FlightLikelihood, excited, expanded, fitted, prior_of, spectra_of
 from mavcal.calib.airframe.flown import FlownFlight, Rest
+from mavcal.calib.airframe.nameless import PREFIX
 from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself
 from mavcal.calib.airframe.physics import Airframe, Kind, Layout
 from mavcal.calib.airframe.slew import with_limit
@@ -192,3 +193,14 @@ def test_a_limit_on_the_rate_of_a_command_is_found(simulated: Side) -> None:
 @pytest.mark.long
 def test_no_limit_is_found_where_there_is_none(simulated: Side) -> None:
     assert with_limit(side(flew(1)), simulated, limits(simulated)) is None
+
+
+@pytest.mark.parametrize(("name", "beyond", "end"), [("spin_up", 0.5, 0.3), ("expo", 1.35, 1.2), ("cg_x", 0.8, 0.5)])
+def test_a_parameter_at_its_end_leaves_the_others_at_their_best(name: str, beyond: float, end: float) -> None:
+    one = airframe(flew(3, **{name: beyond}), kind=KIND, volts=None)
+    likelihood = FlightLikelihood(one, one.flight.usable, torque=True)
+    still = {n: 0.0 for n in one.layout.names if n.startswith(("weak_", "pulse_", "load", "fall", PREFIX))}
+    free, held = (fitted(likelihood, one.layout.start(0.5, G), {**still, **also}) for also in ({}, {name: end}))
+    assert free.value(name) == pytest.approx(end)
+    best = likelihood.loglik(held.theta, held.spectra)
+    assert likelihood.loglik(free.theta, held.spectra) == pytest.approx(best, abs=0.1)
