@@ -320,7 +320,7 @@ def _lost(answer: Answer, name: str) -> float:
 def _facts(side: Side) -> dict[str, float]:
     """Numbers of the real airframe by themselves, for whoever wants to know them."""
     of_turns = ("gain_x", "gain_y", "gain_z", "damping_x", "damping_y")
-    names = ("k", "expo", "c1", "cz", "c2", *(of_turns if side.likelihood.torque else ()))
+    names = ("k", "expo", "c1", "cz", "c2_x", "c2_y", *(of_turns if side.likelihood.torque else ()))
     return {name: float(f"{side.fit.value(name):.4g}") for name in names}
 
 

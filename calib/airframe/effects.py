@@ -77,6 +77,7 @@ ODDS: Final = 0.05
 about one."""
 
 
+BODY_DRAG: Final = ("c2_x", "c2_y")
 STEPS: Final = 50.0
 """Moments at which a load may be dropped in a flight of two minutes: all are tried. Source: one in two seconds."""
 IDS: Final = frozenset(
@@ -113,7 +114,7 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     gains = (*(Change(0, f"gain_{a}", relative) for a in AXES), reaction)
     yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k", exclusive="thrust")
     # another mass scales every force; what goes with the rotors' speed goes with its root; other torques stay
-    shares = (("c1", 0.5), ("cz", 0.5), ("c2", 1.0), ("ch", 1.0), ("flap_x", -0.5), ("flap_y", -0.5))
+    shares = (("c1", 0.5), ("cz", 0.5), *((n, 1.0) for n in BODY_DRAG), ("ch", 1.0), ("flap_x", -0.5), ("flap_y", -0.5))
     forces = (Change(0, n, relative, share) for n, share in shares)
     yield AirframeEffect(
         "thrust_scale", "thrust_by_mass", ("s",), (0.2,), (Change(0, "k", relative), *forces), ("k",),
@@ -132,7 +133,7 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
         "rotor_drag", "rotor_drag_across", ("c1", "flap", "damping_z"), (0.6,) * 3, across,
         ("c1", "flap_x", "damping_z"), odds=ODDS / 2.0, exclusive="rotor_drag",
     )  # fmt: skip
-    yield _one("body_drag", "c2", 0.6, (Change(0, "c2", relative),), "c2")
+    yield _one("body_drag", "c2", 0.6, tuple(Change(0, n, relative) for n in BODY_DRAG), "c2_x")
     yield _one("inflow", "cz", 0.3, (Change(0, "cz", plus),), "cz", exclusive="inflow", odds=ODDS / 2.0)
     # a rotor loses thrust where it rises, whether the vehicle climbs or turns (AIRFRAME 2)
     turning = (Change(0, "cz", plus), Change(1, "damping_x", plus), Change(2, "damping_y", plus))
@@ -184,7 +185,7 @@ def of_density(both: Densities, *, rotors_damp: bool) -> AirframeEffect:
 
     Rotors that carry the same weight in denser air turn more slowly, by the root of the density.
     """
-    whole = ("k", *(f"gain_{a}" for a in AXES), "c2", "ch", "climb")
+    whole = ("k", *(f"gain_{a}" for a in AXES), *BODY_DRAG, "ch", "climb")
     damped = (*(f"damping_{a}" for a in AXES), "flap_x", "flap_y") if rotors_damp else ()
     changes = (
         *(Change(0, n, Act.TIMES) for n in whole),

@@ -65,13 +65,30 @@ PRIORS: Final[Mapping[str, tuple[float, float]]] = {
 small drones in AIRFRAME 2 and 2.1, doubled."""
 
 
-KINDS: Final[Mapping[str, tuple[int, ...]]] = {"force": (0, 1, 2), "roll": (3,), "pitch": (4,), "yaw": (5,)}
-"""Kinds of reference, and their columns of force and torque."""
-RIGHT_TO: Final[Mapping[str, float]] = {"force": 0.003, "roll": 0.008, "pitch": 0.008, "yaw": 0.02}
-"""To what part of a signal the model is right. Measured on nulls: gains spread by 0.3 % in flights of one simulator
-and by twice as much with foreign physics (docs/measured/gap.md); yaw, where the rotors' own inertia counts, by more."""
-ANSWERED: Final = 0.3
-"""Part of what gusts do that the controller's answer may hide in the parameters. Measured on nulls in turbulence."""
+@dataclass(frozen=True)
+class Reference:
+    """A part of force and torque, and to what part of it the model is right.
+
+    A change of the parameters is one standard deviation of the model's own error where it moves `columns` by `right_to`
+    of the size of `whole`, or by `answered` of what the model leaves open there below :data:`GUST_HZ`: parameters may
+    hide the controller's answer to a gust.
+    """
+
+    columns: tuple[int, ...]
+    whole: tuple[int, ...]
+    right_to: float
+    answered: float
+
+
+REFERENCES: Final = (
+    Reference((0, 1), (0, 1, 2), 0.002, 0.2),
+    Reference((2,), (0, 1, 2), 0.002, 0.45),
+    Reference((3,), (3,), 0.006, 0.2),
+    Reference((4,), (4,), 0.006, 0.2),
+    Reference((5,), (5,), 0.009, 0.14),
+)
+"""Force across and along the axis; roll, pitch and yaw. Measured: gains of one simulator's flights spread by 0.3 %, and
+amplitudes of effects in 41 development nulls of other physics in turbulence as their standard errors say."""
 GUST_HZ: Final = 2.0
 """Frequency below which gusts are answered. Source: velocity and attitude loops of both firmwares close below 2 Hz."""
 SAG_SPAN: Final = 0.03
@@ -213,30 +230,27 @@ class FlightLikelihood:
 
     @cached_property
     def _at_rest(self) -> Mapping[str, tuple[float, float]]:
-        """Offset and scale of the accelerometer as gravity at rest allows them."""
+        """The accelerometer's error at rest, as gravity shows it, and its scale: all of the error, or nothing of it."""
         flight = self.airframe.flight
         mean = None if flight.rest is None else flight.rest.means.get(flight.unit)
-        if mean is None:
-            return {"bias_z": (0.0, UNSEEN_BIAS), "scale": (0.0, 0.003)}
+        if flight.rest is None or mean is None:
+            return {"bias_z": (0.0, UNSEEN_BIAS)}
         off = float(np.linalg.norm(mean)) - flight.gravity
+        at_rest = {"bias_z": (-off, flight.rest.sd)}
         if abs(off) < REST_AGREES:
-            return {"bias_z": (-off, flight.rest.sd if flight.rest else REST_AGREES)}
-        return {"bias_z": (0.0, abs(off)), "scale": (off / flight.gravity, abs(off) / flight.gravity)}
+            return at_rest
+        return {**at_rest, "scale": (off / flight.gravity, abs(off) / flight.gravity)}
 
     def trusted(self, columns: list[Array], residual: list[Array]) -> Array:
-        """Precision (F, F) of the free parameters beyond which the model's own errors do not reach.
-
-        A change of the parameters is one standard deviation where it moves a signal by :data:`RIGHT_TO` of its size, or
-        by :data:`ANSWERED` of what the model leaves open below :data:`GUST_HZ`.
-        """
+        """Precision (F, F) of the free parameters beyond which the model's own errors do not reach: `REFERENCES`."""
         measured = self.bins(self._measured)
         total = np.zeros((len(columns[0]), len(columns[0])))
-        for kind, which in KINDS.items():
-            views = [k for k, v in enumerate(self._views) if v.column in which]
-            if views:
-                size = sum(float((measured[k] ** 2).sum()) for k in views)
-                slow = sum(float((residual[k][self._hz[self._views[k].picked] < GUST_HZ] ** 2).sum()) for k in views)
-                error = RIGHT_TO[kind] ** 2 * size + ANSWERED**2 * slow
+        for one in REFERENCES:
+            views = [k for k, v in enumerate(self._views) if v.column in one.columns]
+            size = sum(float((measured[k] ** 2).sum()) for k, v in enumerate(self._views) if v.column in one.whole)
+            slow = sum(float((residual[k][self._hz[self._views[k].picked] < GUST_HZ] ** 2).sum()) for k in views)
+            if size > 0.0:
+                error = one.right_to**2 * size + one.answered**2 * slow
                 total += sum(columns[k] @ columns[k].T for k in views) / max(error, 1e-12)
         return total
 

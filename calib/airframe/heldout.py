@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.airframe.answer import Rollout
+from mavcal.calib.airframe.effects import BODY_DRAG
 from mavcal.calib.airframe.fit import FlightLikelihood, expanded
 from mavcal.calib.airframe.found import FoundEffect, HeldOut
 from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself
@@ -55,7 +56,7 @@ def held_out(answer: Answer, evidence: PairEvidence, found: Sequence[FoundEffect
 
 _TERMS: Final = (
     ("thrust", ("k", "expo", "sag", "tau", "delay")),
-    ("drag", ("c1", "c2", "wind_north", "wind_east")),
+    ("drag", ("c1", *BODY_DRAG, "wind_north", "wind_east")),
     ("inflow", ("cz", "ch", "climb")),
 )
 """Parts of an airframe in the order in which they are added to a hover. Source: AIRFRAME 5.7, log171."""

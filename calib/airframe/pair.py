@@ -128,6 +128,10 @@ class PairEvidence:
             made[True] = replace(better, constant=better.constant + gain)
         return made
 
+    @cached_property
+    def _sim(self) -> Quadratic:
+        return self.sim.says.with_discrepancy(self.sim.discrepancy)
+
     def posterior(self, model: Model) -> Posterior:
         """Of the model with these effects."""
         chosen = self.chosen(model)
@@ -148,7 +152,7 @@ class PairEvidence:
             theta[rows], slope[rows, np.arange(len(rows))] = z[: len(rows)], 1.0
             return theta, slope
 
-        terms = (Term(self._reals[slewed], as_real), Term(self.sim.says, as_sim))
+        terms = (Term(self._reals[slewed], as_real), Term(self._sim, as_sim))
         of_effects = [s for e in chosen for s in e.sd]
         expected = [e.mean for e in chosen for _ in e.names]
         start = np.concatenate([self.sim.fit.theta[places[rows]], expected])

@@ -26,10 +26,10 @@ AXES: Final = ("x", "y", "z")
 _FALLING_ROUNDS: Final = 2
 """Rounds after which a lag that differs for falling commands is known to a hundredth of a doublet. Measured."""
 _PLAIN: Final = (
-    "k", "expo", "sag", "c1", "cz", "c2", "ch", "climb", "wind_north", "wind_east", "bias_x", "bias_y", "bias_z",
-    "lever_x", "lever_y", "lever_z", "gain_x", "gain_y", "gain_z", "damping_x", "damping_y", "damping_z", "torque_x",
-    "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "cross_x", "cross_y", "cross_z", "tau",
-    "fall", "delay", "scale", "load",
+    "k", "expo", "sag", "c1", "cz", "c2_x", "c2_y", "ch", "climb", "wind_north", "wind_east", "bias_x", "bias_y",
+    "bias_z", "lever_x", "lever_y", "lever_z", "gain_x", "gain_y", "gain_z", "damping_x", "damping_y", "damping_z",
+    "torque_x", "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "cross_x", "cross_y", "cross_z",
+    "tau", "fall", "delay", "scale", "load",
 )  # fmt: skip
 _OF_THRUST: Final = ("delay", "tau", "fall", "expo", "sag")
 """Parameters beside those of each motor that thrust depends on: for all others it is remembered."""
@@ -37,7 +37,8 @@ FORCE_ONLY: Final = frozenset(
     {
         "cz",
         "c1",
-        "c2",
+        "c2_x",
+        "c2_y",
         "ch",
         "climb",
         "scale",
@@ -62,7 +63,7 @@ class Layout:
     expo                  curve of one motor: (1 - expo) x + expo x^2
     sag                   exponent of V/V0
     c1, cz                drag that is linear in the air velocity, 1/s at hover: in the rotor plane, along the axis
-    c2                    drag that is quadratic in it, 1/m
+    c2_x, c2_y            drag of the body by the square of its speed, 1/m: along x, along y; their mean along z
     ch, climb             lift by horizontal speed, 1/m; thrust lost by the square of the climb, 1/m
     gain_x y z            angular acceleration at a full differential command, rad/s2
     damping_x y z         1/s
@@ -73,7 +74,7 @@ class Layout:
     cross_x y z           torque by products of rates
     tau, fall             lag of the motors, s; how much longer it is where a command falls, s
     delay                 of the commands, s
-    scale                 of the accelerometer, relative
+    scale                 of the accelerometer, relative, about what it reads at rest: there, bias_z is the whole error
     load                  mass that is gained at one moment, relative
     weak_1 ..., pulse_1   of one motor beside the others, relative: its thrust, or the pulse that it obeys
     ====================  ==============================================================================================
@@ -96,7 +97,8 @@ class Layout:
     def start(self, hover: float, gravity: float) -> Array:
         """A plain airframe that hovers at the mean command `hover`."""
         theta = np.zeros(len(self.names))
-        for name, value in (("expo", 0.5), ("c1", 0.3), ("c2", 0.02), ("damping_x", 1.0), ("damping_y", 1.0)):
+        plain = {"expo": 0.5, "c1": 0.3, "c2_x": 0.02, "c2_y": 0.02, "damping_x": 1.0, "damping_y": 1.0}
+        for name, value in plain.items():
             theta[self.place[name]] = value
         theta[self.place["k"]] = gravity / max(0.5 * hover + 0.5 * hover**2, 0.05)
         for axis, gain in zip(AXES, (100.0, 100.0, 5.0), strict=True):
@@ -223,7 +225,7 @@ class Airframe:
         if load:
             force = force / (1.0 + load * self._loaded)[:, None]
         force = self._grid.through(force, self._filters[Sensor.ACCEL]) + self._at_unit(theta)
-        force = force * (1.0 + theta[self.layout.place["scale"]])
+        force = force + theta[self.layout.place["scale"]] * (force + np.array([0.0, 0.0, self.flight.gravity]))
         torque = self._grid.through(torque, self._filters[Sensor.GYRO]) + self._by_rates(theta)
         nameless = theta[len(theta) - len(self.free) :]
         if nameless.any():
@@ -297,7 +299,8 @@ class Airframe:
 
     def _force(self, theta: Array, rotors: tuple[Array, Array, Array]) -> Array:
         of, v = self._of(theta), self.air_velocity(theta)
-        f = np.column_stack([each.sum(axis=1) for each in rotors]) - of("c2") * v * np.abs(v)
+        of_body = np.array([of("c2_x"), of("c2_y"), 0.5 * (of("c2_x") + of("c2_y"))])
+        f = np.column_stack([each.sum(axis=1) for each in rotors]) - of_body * v * np.abs(v)
         f[:, 2] -= of("ch") * (v[:, 0] ** 2 + v[:, 1] ** 2)
         return np.asarray(f)
 

@@ -30,9 +30,10 @@ RIVAL: Final = 0.01
 """Probability from which another effect in the place of a found one is told. Source: GAP 6, the truth is in the set in
 99 of 100."""
 _UNITS: Final = {
-    "k": "m/s2", "c1": "1/s", "c2": "1/m", "cz": "1/s", "ch": "1/m", "tau": "s", "fall": "s", "delay": "s", "expo": "1",
-    "sag": "1", "cg_x": "arms", "cg_y": "arms", "wind_north": "m/s", "wind_east": "m/s", "gain_x": "rad/s2",
-    "gain_y": "rad/s2", "gain_z": "rad/s2", "damping_x": "1/s", "damping_y": "1/s", "damping_z": "1/s",
+    "k": "m/s2", "c1": "1/s", "c2_x": "1/m", "cz": "1/s", "ch": "1/m", "tau": "s", "fall": "s", "delay": "s",
+    "expo": "1", "sag": "1", "cg_x": "arms", "cg_y": "arms", "wind_north": "m/s", "wind_east": "m/s",
+    "gain_x": "rad/s2", "gain_y": "rad/s2", "gain_z": "rad/s2", "damping_x": "1/s", "damping_y": "1/s",
+    "damping_z": "1/s",
     "torque_x": "rad/s2", "torque_y": "rad/s2", "torque_z": "rad/s2",
 }  # fmt: skip
 _RELATIVE: Final = frozenset(
