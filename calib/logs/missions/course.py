@@ -11,7 +11,16 @@ from dataclasses import dataclass
 from typing import Final
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.logs.missions.items import ABSOLUTE, INSTEAD, Frame, LoggedMission, MissionItem, NavCommand
+from mavcal.calib.logs.missions.items import (
+    ABSOLUTE,
+    INSTEAD,
+    PLACED,
+    REGARDED,
+    Frame,
+    LoggedMission,
+    MissionItem,
+    NavCommand,
+)
 
 METRES_PER_DEGREE: Final = 111_318.845
 _LEAST_COS: Final = 0.01
@@ -81,7 +90,7 @@ def moved(mission: LoggedMission, home: Place) -> LoggedMission:
 
 def _moved(item: MissionItem, before: Place, home: Place) -> MissionItem:
     altitude = item.altitude
-    if item.frame in ABSOLUTE and (item.placed or item.flies):
+    if item.frame in ABSOLUTE and item.command in (*PLACED, *REGARDED):
         altitude += home.altitude - before.altitude
     if not item.placed:
         return dataclasses.replace(item, altitude=altitude)
