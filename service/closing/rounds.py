@@ -200,9 +200,9 @@ class WorkFolder:
         self._identity = to_json(dict(identity))
         path.mkdir(parents=True, exist_ok=True)
         kept = read_json(path / PROGRESS)
-        before = {} if kept is None else {**_UNSAID, **kept.get("of", {})}
-        if kept is not None and before != self._identity:
-            other = [name for name, value in self._identity.items() if before.get(name) != value]
+        before, now = {**_UNSAID, **(kept or {}).get("of", {})}, {**_UNSAID, **self._identity}
+        if kept is not None and before != now:
+            other = [name for name, value in now.items() if before.get(name) != value]
             raise OtherClosing(
                 f"{path} holds the rounds of another loop ({', '.join(other)} differ): choose another folder by "
                 "--work, or remove this one"

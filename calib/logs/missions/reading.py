@@ -56,8 +56,8 @@ def read_mission(path: Path | str) -> LoggedMission:
     if not uploads:
         total = int(np.max(table["CTot"]))
         raise InvalidInputError(
-            f"{file.name} holds {len(table)} messages of a mission of {total} items, and none is complete with an item "
-            f"behind home. {INSTEAD}"
+            f"{file.name} holds no complete mission with an item behind home (messages: {len(table)}, items: {total}). "
+            f"{INSTEAD}"
         )
     start = _flight_start(log)
     before = [upload for upload in uploads if start is not None and upload[0] < start]
