@@ -32,6 +32,7 @@ class Follower:
     def __init__(self, vehicle: Conversation, mission: LogMission) -> None:
         self._vehicle, self._mission = vehicle, mission
         self._home: Place | None = None
+        self._items: tuple[MissionItem, ...] = ()
         self._current, self._reached, self._complete = 0, 0, False
 
     def fly(self, settings: Mapping[str, float] | None = None) -> None:
@@ -58,6 +59,7 @@ class Follower:
         vehicle.listeners.append(self._listen)
         flown = self._moved(self._find_home())
         Upload(vehicle, (flown.home, *flown.items)).run()
+        self._items = flown.items
         speed = min(_CM * vehicle.parameter(_SPEED_NAME, SPEED / _CM), SPEED)
         vehicle.doing = "resting"
         vehicle.run(self._mission.rest_s)
@@ -104,6 +106,7 @@ class Follower:
             if self._lifted:
                 assert way.auto is not None
                 vehicle.obeys, vehicle.flying = way.auto, True
+                self._begun()
                 return
             if vehicle.state.armed:
                 break
@@ -114,29 +117,24 @@ class Follower:
 
     @property
     def _lifted(self) -> bool:
-        return self._vehicle.state.height > _LIFTED_M
+        state = self._vehicle.state
+        return state.mode == self._vehicle.way.auto and state.height > _LIFTED_M
 
     def _follow(self, flown: LoggedMission, speed: float) -> None:
         """Until the last item is done, or the vehicle has landed and disarmed."""
-        vehicle, items = self._vehicle, flown.items
+        vehicle = self._vehicle
         limits = [LONGER * seconds + MORE_S for seconds in durations(flown, speed)]
         began = since = vehicle.state.t
         number = 0
         while not self._done(flown):
             now = vehicle.state.t
-            if self._current != number and 0 < self._current <= len(items):
+            if self._current != number:
                 number, since = self._current, now
-                self._begun(items[number - 1])
             if number and now - since > limits[number - 1]:
-                self._stands(items[number - 1].name, now - since, limits[number - 1])
+                self._stands(self._items[number - 1].name, now - since, limits[number - 1])
             if now - began > sum(limits):
                 self._stands("the mission", now - began, sum(limits))
             vehicle.pump()
-
-    def _begun(self, item: MissionItem) -> None:
-        """What is landing may leave the mode, and disarms."""
-        self._vehicle.doing = f"flying {item.name}"
-        self._vehicle.flying = item.command not in LANDINGS
 
     def _done(self, flown: LoggedMission) -> bool:
         last = flown.last
@@ -155,9 +153,23 @@ class Follower:
     def _listen(self, message: Message) -> None:
         name = message.get_type()
         if name == "MISSION_CURRENT":
-            self._current = int(message.seq)
+            self._is_at(int(message.seq))
             self._complete = message.mission_state == dialect.MISSION_STATE_COMPLETE
         elif name == "MISSION_ITEM_REACHED":
             self._reached = max(self._reached, int(message.seq))
         elif name == "HOME_POSITION":
             self._home = Place(1e-7 * message.latitude, 1e-7 * message.longitude, 1e-3 * message.altitude)
+
+    def _is_at(self, number: int) -> None:
+        """At once, not when all that has arrived is taken in: a vehicle that lands may disarm right behind it."""
+        if number != self._current and 0 < number <= len(self._items):
+            self._current = number
+            if self._vehicle.flying:
+                self._begun()
+
+    def _begun(self) -> None:
+        """What the present item means for the vehicle: it may disarm where it lands."""
+        if self._current > 0:
+            item = self._items[self._current - 1]
+            self._vehicle.doing = f"flying {item.name}"
+            self._vehicle.flying = item.command not in LANDINGS

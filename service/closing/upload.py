@@ -13,7 +13,7 @@ from mavcal.service.closing.errors import MissionRefused
 
 QUIET_S = 3.0
 """Vehicle seconds without a question after which the upload begins anew: vehicles ask again after one second."""
-TRIES = 5
+TRIES = 10
 _PASSED = (dialect.MAV_MISSION_INVALID_SEQUENCE, dialect.MAV_MISSION_OPERATION_CANCELLED)
 """Answers to an item that came twice, and to an upload that was given up: neither is a refusal."""
 _DEGREE = 1e7
