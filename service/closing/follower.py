@@ -22,7 +22,8 @@ _CURRENT_HZ = 5.0
 _LIFTED_M = 0.5
 _LIFT_S = 30.0
 _STARTS = 3
-_SPEED_NAME, _CM = "WPNAV_SPEED", 0.01
+_SPEED_NAME, _CM, _SLOWEST = "WPNAV_SPEED", 0.01, 0.1
+"""cm/s; slower than 0.1 m/s ArduPilot does not fly to a place (``AC_WPNav.cpp``)."""
 _HOME_ASK = dialect.MAVLINK_MSG_ID_HOME_POSITION
 
 
@@ -60,7 +61,7 @@ class Follower:
         flown = self._moved(self._find_home())
         Upload(vehicle, (flown.home, *flown.items)).run()
         self._items = flown.items
-        speed = min(_CM * vehicle.parameter(_SPEED_NAME, SPEED / _CM), SPEED)
+        speed = min(max(_CM * vehicle.parameter(_SPEED_NAME, SPEED / _CM), _SLOWEST), SPEED)
         vehicle.doing = "resting"
         vehicle.run(self._mission.rest_s)
         self._start()

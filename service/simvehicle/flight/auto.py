@@ -43,7 +43,9 @@ class AutoFlight:
         self.state = MissionState.NOT_STARTED if len(self.items) > 1 else MissionState.NO_MISSION
 
     def start(self) -> None:
-        """Begin with the first item behind home."""
+        """Begin with the first item behind home, unless the mission is under way."""
+        if self.state is MissionState.ACTIVE:
+            return
         self._speed = 0.01 * self._parameters["WPNAV_SPEED"]
         self.state, self.yaw = MissionState.ACTIVE, None
         self._begin(1)

@@ -12,7 +12,7 @@ from mavcal.service.simvehicle.flight.checks import arming_fault, mission_fault
 from mavcal.service.simvehicle.flight.control import Controller
 from mavcal.service.simvehicle.flight.estimator import Estimate, degrees_from_metres
 from mavcal.service.simvehicle.flight.frame import Frame, Vector, rotors_of
-from mavcal.service.simvehicle.flight.items import Item, MissionState
+from mavcal.service.simvehicle.flight.items import Item
 from mavcal.service.simvehicle.flight.mixer import Mixer
 from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Log, Mode
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
@@ -75,8 +75,6 @@ class FlyingVehicle:
         self.auto = AutoFlight(parameters)
         self.control.reset(self.estimate.euler[2])
         log.begin(self)
-
-    # --- what it knows
 
     @property
     def time_us(self) -> int:
@@ -154,8 +152,7 @@ class FlyingVehicle:
         """Fly the mission; False where it cannot."""
         if not self.armed or not self.set_mode(Mode.AUTO):
             return False
-        if self.auto.state is not MissionState.ACTIVE:
-            self.auto.start()
+        self.auto.start()
         return True
 
     def follow_velocity(self, target: Vector, yaw: float | None, yaw_rate: float) -> None:
