@@ -1,4 +1,4 @@
-"""How each firmware is flown by a program: ArduPilot in GUIDED, PX4 in offboard.
+"""How each firmware is flown by a program: ArduPilot in GUIDED, or AUTO with a mission; PX4 in offboard.
 
 ArduPilot takes the thrust of SET_ATTITUDE_TARGET as a climb rate about 0.5, PX4 as thrust. PX4 enters offboard only
 while targets arrive, and has no take-off there: it is flown up.
@@ -54,6 +54,8 @@ class Autopilot(ABC):
 
     guided: int
     """Custom mode of its heartbeat while a program flies it."""
+    auto: int | None
+    """Custom mode while it flies a mission; None: no log's mission is flown by it."""
     climbs_by_itself: bool
     """Whether a command takes it off; else a velocity does."""
     hover_thrust: float
@@ -75,6 +77,15 @@ class Autopilot(ABC):
         """Take off to `height`, m; only where it :attr:`climbs_by_itself`."""
         return command(to, dialect.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)
 
+    def follow_mission(self, to: Target) -> Any:
+        """Change to the mode that flies a mission; only where there is :attr:`auto`."""
+        assert self.auto is not None
+        return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, self.auto)
+
+    def start_mission(self, to: Target) -> Any:
+        """Begin the mission with its first item."""
+        return command(to, dialect.MAV_CMD_MISSION_START)
+
     def land(self, to: Target) -> Any:
         """Land where it is."""
         return command(to, dialect.MAV_CMD_NAV_LAND)
@@ -83,7 +94,7 @@ class Autopilot(ABC):
 class ArduPilot(Autopilot):
     """ArduCopter."""
 
-    guided = 4
+    guided, auto = 4, 3
     climbs_by_itself = True
     hover_thrust, thrust_parameter = 0.5, ""
     quiet: Mapping[str, float] = {"LOG_DISARMED": 0.0}
@@ -96,7 +107,7 @@ class ArduPilot(Autopilot):
 class Px4(Autopilot):
     """PX4's multicopters."""
 
-    guided = _PX4_MAIN_OFFBOARD << 16
+    guided, auto = _PX4_MAIN_OFFBOARD << 16, None
     climbs_by_itself = False
     hover_thrust, thrust_parameter = 0.5, "MPC_THR_HOVER"
     quiet: Mapping[str, float] = {}  # it logs from arming to disarming

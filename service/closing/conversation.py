@@ -56,6 +56,10 @@ class Conversation:
         self.doing = "connecting"
         self.flying = False
         """While it flies it must stay armed and in the mode in which it obeys."""
+        self.obeys = self.way.guided
+        """That mode."""
+        self.listeners: list[Callable[[Message], None]] = []
+        """Hear every message after the conversation itself."""
         self._texts: deque[str] = deque(maxlen=_TEXTS)
         self._parameters: dict[str, float] = {}
         self._heard = time.monotonic()
@@ -125,6 +129,8 @@ class Conversation:
             self._texts.append(_text(message.text))
         elif name == "PARAM_VALUE":
             self._parameters[_text(message.param_id)] = float(message.param_value)
+        for listen in self.listeners:
+            listen(message)
 
     def _move_on(self, ms: int) -> None:
         state, t = self.state, 1e-3 * ms
@@ -140,9 +146,9 @@ class Conversation:
     def _still_ours(self) -> None:
         if not self.state.armed:
             raise MissionLeft(f"the vehicle disarmed in the air {self.where()}: it has crashed.{self.said()} {HINT}")
-        if self.state.mode != self.way.guided:
+        if self.state.mode != self.obeys:
             raise MissionLeft(
-                f"the vehicle left the mode in which it is flown ({self.way.guided}) for {self.state.mode}, "
+                f"the vehicle left the mode in which it is flown ({self.obeys}) for {self.state.mode}, "
                 f"{self.where()}.{self.said()} Look for a failsafe."
             )
 

@@ -25,6 +25,12 @@ class OtherClosing(ClosingError):
     code = "other-closing"
 
 
+class NoMission(ClosingError):
+    """The log holds no mission that a simulator can fly. Fly the standard one with --mission standard."""
+
+    code = "no-mission"
+
+
 class SimulatorError(ClosingError):
     """The simulator could not be flown; :meth:`with_output` adds what it said last."""
 
@@ -64,6 +70,12 @@ class MissionLeft(SimulatorError):
     """The simulated vehicle left the mission."""
 
     code = "mission-left"
+
+
+class MissionRefused(SimulatorError):
+    """The simulated vehicle does not take the mission."""
+
+    code = "mission-refused"
 
 
 class LogUnusable(SimulatorError):

@@ -28,6 +28,12 @@ IDS = frozenset(
         dialect.MAVLINK_MSG_ID_COMMAND_ACK,
         dialect.MAVLINK_MSG_ID_STATUSTEXT,
         dialect.MAVLINK_MSG_ID_PARAM_VALUE,
+        dialect.MAVLINK_MSG_ID_HOME_POSITION,
+        dialect.MAVLINK_MSG_ID_MISSION_REQUEST,
+        dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+        dialect.MAVLINK_MSG_ID_MISSION_ACK,
+        dialect.MAVLINK_MSG_ID_MISSION_CURRENT,
+        dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED,
     }
 )
 """Messages that are decoded; the rest is stepped over."""

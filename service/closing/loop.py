@@ -13,7 +13,9 @@ from mavcal.calib.recording import Recording
 from mavcal.service.closing.command import FRAME, PARAMETERS, SimulatorCommand
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import SimulatorError, WrongCommand
+from mavcal.service.closing.follower import Follower
 from mavcal.service.closing.link import VehicleLink
+from mavcal.service.closing.logged import LogMission
 from mavcal.service.closing.logs import find_log, logged_bytes, read_log
 from mavcal.service.closing.mission import Mission, standard_mission
 from mavcal.service.closing.pilot import Pilot
@@ -63,7 +65,7 @@ class ClosingPlan:
     rounds: int = 3
     connect: str = CONNECT
     speedup: float = 4.0
-    mission: Mission = field(default_factory=standard_mission)
+    mission: Mission | LogMission = field(default_factory=standard_mission)
     heartbeat_s: float = HEARTBEAT_S
 
 
@@ -98,6 +100,7 @@ class Closing:
         identity = {
             "real_sha256": plan.real_sha256,
             "command": plan.command.text,
+            "mission": plan.mission.kind.value,
             "start": {"parameters": dict(plan.start.parameters), "frame": dict(plan.start.frame)},
         }
         self._folder = WorkFolder(plan.work, identity)
@@ -156,7 +159,7 @@ class Closing:
                     flight = _FlightClock(plan.mission.seconds, self._tell)
                     vehicle = Conversation(link, simulator.check, flight.told)
                     by_link = {} if plan.command.has("params") else settings.parameters
-                    Pilot(vehicle, plan.mission).fly(by_link)
+                    _pilot(vehicle, plan.mission).fly(by_link)
                     _let_log_end(vehicle, folder)
             except SimulatorError as error:
                 raise error.with_output(simulator.last_lines()) from error
@@ -173,6 +176,11 @@ class Closing:
         self._last_told = now
         self._folder.tell(self._number, doing, share, left_s)
         self._on_told(self._number, doing, share, left_s)
+
+
+def _pilot(vehicle: Conversation, mission: Mission | LogMission) -> Pilot | Follower:
+    """Whoever flies such a mission."""
+    return Follower(vehicle, mission) if isinstance(mission, LogMission) else Pilot(vehicle, mission)
 
 
 class _FlightClock:

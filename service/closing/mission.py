@@ -6,6 +6,14 @@ Velocities are along the heading at take-off (ahead, right, down), so that out a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
+
+
+class MissionKind(StrEnum):
+    """Which mission the simulator flies."""
+
+    STANDARD = "standard"  # the manoeuvres that show every effect
+    LOG = "log"  # that of the real flight's log
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,7 @@ class Mission:
     rest_s: float = 10.0
     height: float = 8.0
     rest_after_s: float = 7.0
+    kind: MissionKind = MissionKind.STANDARD
 
     @property
     def seconds(self) -> float:

@@ -42,9 +42,7 @@ class Pilot:
             If it does something else, or takes too long.
         """
         vehicle = self._vehicle
-        vehicle.begin()
-        for name, value in (settings or {}).items():
-            vehicle.set_parameter(name, value)
+        begin(vehicle, settings)
         way = vehicle.way
         if way.thrust_parameter:
             way.hover_thrust = vehicle.parameter(way.thrust_parameter, way.hover_thrust)
@@ -54,27 +52,15 @@ class Pilot:
         self._take_off()
         for leg in self._mission.legs:
             self._fly_leg(leg)
-        self._land()
+        land(vehicle)
         vehicle.doing = "resting"
         vehicle.run(self._mission.rest_after_s)
 
     def _arm(self) -> None:
         """Have it obey, then arm, again and again."""
-        vehicle, way = self._vehicle, self._vehicle.way
-        vehicle.doing, begin = "arming", vehicle.state.t
-        still = None if way.climbs_by_itself else lambda: self._velocity(0.0, 0.0, 0.0)  # else it obeys nobody
-        while not vehicle.state.armed:
-            if vehicle.state.t - begin > ARM_S:
-                raise SimulatorUnarmed(
-                    f"the vehicle did not arm within {ARM_S:g} s of its clock.{vehicle.said()} Set what it misses by "
-                    "--params, or in the simulator's own defaults"
-                )
-            vehicle.run(0.0 if still is None else TRY_S, still, VELOCITY_EVERY_S)
-            vehicle.send(way.guide(vehicle.to))
-            vehicle.run(_OBEY_S, still, VELOCITY_EVERY_S)
-            vehicle.send(way.arm(vehicle.to))
-            vehicle.run(TRY_S, still, VELOCITY_EVERY_S, lambda: vehicle.state.armed)
-        self._heading = vehicle.state.euler[2]
+        by_itself = self._vehicle.way.climbs_by_itself
+        arm(self._vehicle, None if by_itself else lambda: self._velocity(0.0, 0.0, 0.0))  # else it obeys nobody
+        self._heading = self._vehicle.state.euler[2]
 
     def _take_off(self) -> None:
         vehicle, way, height = self._vehicle, self._vehicle.way, self._mission.height
@@ -135,12 +121,43 @@ class Pilot:
     def _ms(self) -> int:
         return round(1e3 * self._vehicle.state.t)
 
-    def _land(self) -> None:
-        vehicle = self._vehicle
-        vehicle.doing, vehicle.flying = "landing", False
-        landing = vehicle.way.land(vehicle.to)
-        if not vehicle.run(_LAND_S, lambda: landing, _LAND_S, lambda: not vehicle.state.armed):
-            raise MissionLeft(
-                f"the vehicle is still armed {_LAND_S:g} s after the landing began, at {vehicle.state.height:.1f} m."
-                f"{vehicle.said()} {HINT}"
+
+def begin(vehicle: Conversation, settings: Mapping[str, float] | None) -> None:
+    """Hear the vehicle, then set parameters over MAVLink. Raises SimulatorSilent, SimulatorUnarmed."""
+    vehicle.begin()
+    for name, value in (settings or {}).items():
+        vehicle.set_parameter(name, value)
+
+
+def arm(vehicle: Conversation, still: Callable[[], Message] | None = None) -> None:
+    """Have it obey, then arm, again and again; `still` is a target that it needs before it obeys.
+
+    Raises
+    ------
+    SimulatorUnarmed
+        If it does not arm within `ARM_S` of its clock.
+    """
+    way, began = vehicle.way, vehicle.state.t
+    vehicle.doing = "arming"
+    while not vehicle.state.armed:
+        if vehicle.state.t - began > ARM_S:
+            raise SimulatorUnarmed(
+                f"the vehicle did not arm within {ARM_S:g} s of its clock.{vehicle.said()} Set what it misses by "
+                "--params, or in the simulator's own defaults"
             )
+        vehicle.run(0.0 if still is None else TRY_S, still, VELOCITY_EVERY_S)
+        vehicle.send(way.guide(vehicle.to))
+        vehicle.run(_OBEY_S, still, VELOCITY_EVERY_S)
+        vehicle.send(way.arm(vehicle.to))
+        vehicle.run(TRY_S, still, VELOCITY_EVERY_S, lambda: vehicle.state.armed)
+
+
+def land(vehicle: Conversation) -> None:
+    """Land where it is. Raises MissionLeft if it is still armed after `_LAND_S`."""
+    vehicle.doing, vehicle.flying = "landing", False
+    landing = vehicle.way.land(vehicle.to)
+    if not vehicle.run(_LAND_S, lambda: landing, _LAND_S, lambda: not vehicle.state.armed):
+        raise MissionLeft(
+            f"the vehicle is still armed {_LAND_S:g} s after the landing began, at {vehicle.state.height:.1f} m."
+            f"{vehicle.said()} {HINT}"
+        )

@@ -20,12 +20,15 @@ from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict, NotTe
 from mavcal.calib.gap_report.airframe_effects import phrase
 from mavcal.calib.report import to_json
 from mavcal.service.closing.errors import OtherClosing
+from mavcal.service.closing.mission import MissionKind
 from mavcal.service.closing.settings import SimSettings
 
 Json = dict[str, Any]
 
 SCHEMA = "closing/1"
 PROGRESS, FLOWN, ROUND, DIAGNOSIS = "progress.json", "flown.json", "round.json", "diagnosis.json"
+_UNSAID = {"mission": MissionKind.STANDARD.value}
+"""What folders of earlier versions do not say of their loop."""
 _AIRFRAME = "airframe"
 """Id under which a report says that no airframe could be compared."""
 PREDICTED_S = 1.0
@@ -189,7 +192,7 @@ def _settings_json(settings: SimSettings) -> Json:
 class WorkFolder:
     """The folder of one loop. Raises OtherClosing if it is that of another one.
 
-    `identity` is what must be the same for its rounds to hold: flight, command, settings at the start.
+    `identity` is what must be the same for its rounds to hold: flight, command, mission, settings at the start.
     """
 
     def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:
@@ -197,9 +200,9 @@ class WorkFolder:
         self._identity = to_json(dict(identity))
         path.mkdir(parents=True, exist_ok=True)
         kept = read_json(path / PROGRESS)
-        if kept is not None and kept.get("of") != self._identity:
-            before = kept.get("of", {})
-            other = [name for name, value in self._identity.items() if before.get(name) != value]
+        before, now = {**_UNSAID, **(kept or {}).get("of", {})}, {**_UNSAID, **self._identity}
+        if kept is not None and before != now:
+            other = [name for name, value in now.items() if before.get(name) != value]
             raise OtherClosing(
                 f"{path} holds the rounds of another loop ({', '.join(other)} differ): choose another folder by "
                 "--work, or remove this one"

@@ -14,7 +14,7 @@ import click
 from mavcal.service.commands.gap_options import LIMIT_S, layout_option, mass_option, sim_frame_option
 from mavcal.service.commands.gauge import Line
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, EXIT_USAGE, AnsweredNo, json_option, write_json
-from mavcal.service.commands.reading import reading_options
+from mavcal.service.commands.reading import readable_file, reading_options
 
 if TYPE_CHECKING:
     from mavcal.calib.gap.schema import GapReport
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from mavcal.service.closing.rounds import RoundResult
 
 CONNECT = "tcp:127.0.0.1:{port}"
+MISSIONS = ("standard", "log")
+"""Those of ``service.closing.mission.MissionKind``, stated here so that help does without numpy (a test compares)."""
 _SAY_EVERY_S = 10.0
 """Where there is no terminal, progress is a line now and then."""
 _PAGE = "diagnosis.html"
@@ -47,6 +49,15 @@ _PAGE = "diagnosis.html"
 @click.option("--rounds", type=click.IntRange(0, 20), default=3, show_default=True, help="Most flights with a remedy.")
 @click.option(
     "--speedup", type=click.FloatRange(min=0.0), default=4.0, show_default=True, help="What {speedup} stands for."
+)
+@click.option(
+    "--mission",
+    "kind",
+    type=click.Choice(MISSIONS),
+    default=MISSIONS[0],
+    show_default=True,
+    help="What is flown: manoeuvres that show every effect, or the mission of --real (DataFlash), moved to the "
+    "simulator's home.",
 )
 @click.option(
     "--params",
@@ -81,8 +92,8 @@ def command(
 ) -> int:
     """Close the loop: fly the simulator, diagnose --real against it, set what differs, and fly again.
 
-    It ends when nothing material is left, or after --rounds. The mission takes about two minutes of the simulator's
-    clock. Exit code 0 if nothing material is left, 1 if nothing could be tested, 3 if something is left.
+    It ends when nothing material is left, or after --rounds. The standard mission takes about two minutes of the
+    simulator's clock. Exit code 0 if nothing material is left, 1 if nothing could be tested, 3 if something is left.
     """
     from mavcal.service.closing.errors import ClosingError
     from mavcal.service.closing.loop import Closing
@@ -117,13 +128,17 @@ def command(
 
 def _plan(options: Mapping[str, Any]) -> ClosingPlan:
     from mavcal.service.closing.command import SimulatorCommand
+    from mavcal.service.closing.logged import log_mission
     from mavcal.service.closing.loop import ClosingPlan
+    from mavcal.service.closing.mission import MissionKind, standard_mission
     from mavcal.service.closing.settings import read_settings
     from mavcal.service.commands.gap_files import read_files, read_frame
 
     reading = {
         name: options[name] for name in ("mapping", "world", "body", "rate", "unit_accel", "unit_gyro", "unit_mag")
     }
+    logged = MissionKind(options["kind"]) is MissionKind.LOG
+    mission = log_mission(readable_file(options["real"])) if logged else standard_mission()
     command_line = SimulatorCommand(options["simulator"])
     frame = None if options["frame"] is None else read_frame(options["frame"])
     start = read_settings(options["parameters"], frame)
@@ -138,6 +153,7 @@ def _plan(options: Mapping[str, Any]) -> ClosingPlan:
         rounds=options["rounds"],
         connect=options["connect"],
         speedup=options["speedup"],
+        mission=mission,
     )
 
 

@@ -24,10 +24,13 @@ from mavcal.calib.gap.schema import (
     ParameterEstimate,
     Shrink,
 )
+from mavcal.calib.logs.missions import LoggedMission, MissionItem, Place, with_take_off
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.service.closing.command import SimulatorCommand
 from mavcal.service.closing.conversation import Conversation
+from mavcal.service.closing.follower import Follower
 from mavcal.service.closing.link import VehicleLink
+from mavcal.service.closing.logged import LogMission
 from mavcal.service.closing.loop import ClosingPlan
 from mavcal.service.closing.mission import Leg, Mission
 from mavcal.service.closing.pilot import Pilot
@@ -42,6 +45,8 @@ FLYING = (
 )
 SHORT = Mission((Leg("hover", 4.0), Leg("out", 1.0, ahead=2.0), Leg("descent", 5.0, down=1.0, until_height=1.0)),
                 rest_s=1.0, height=3.0, rest_after_s=1.0)  # fmt: skip
+FIELD = Place(47.0, 8.0, 400.0)
+"""Home of a mission far from that of the simulator."""
 SAME = 0.005
 """Ratio of hover throttles that is none."""
 
@@ -78,7 +83,17 @@ def compare(real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder
     )
 
 
-def fly(folder: Path, settings: SimSettings, mission: Mission = SHORT) -> Path:
+def waypoints() -> LogMission:
+    """Up, 12 m north, 3 s there, back and down; from a field elsewhere."""
+    latitude, longitude = FIELD.at(12.0, 0.0)
+    home = MissionItem(0, 16, 0, latitude=FIELD.latitude, longitude=FIELD.longitude, altitude=FIELD.altitude)
+    wait = MissionItem(1, 19, 3, (3.0, 0.0, 0.0, 0.0), latitude, longitude, 4.0)
+    back = MissionItem(2, 16, 0, (0.0,) * 4, FIELD.latitude, FIELD.longitude, FIELD.altitude + 4.0)
+    land = MissionItem(3, 21, 3)
+    return LogMission(with_take_off(LoggedMission(home, (wait, back, land))), rest_s=1.0, rest_after_s=1.0)
+
+
+def fly(folder: Path, settings: SimSettings, mission: Mission | LogMission = SHORT) -> Path:
     """A flight of its own with `settings`, and its log."""
     folder.mkdir(parents=True, exist_ok=True)
     settings.write(folder / "sim.parm", folder / "frame.json")
@@ -86,7 +101,8 @@ def fly(folder: Path, settings: SimSettings, mission: Mission = SHORT) -> Path:
     arguments = SimulatorCommand(FLYING).arguments(port=port, speedup=0.0, here=ROOT)
     with Simulator(arguments, folder) as simulator, VehicleLink(parse_endpoint(f"tcp:127.0.0.1:{port}")) as link:
         link.connect(30.0, simulator.check)
-        Pilot(Conversation(link, simulator.check, lambda *_: None), mission).fly()
+        vehicle = Conversation(link, simulator.check, lambda *_: None)
+        (Follower(vehicle, mission) if isinstance(mission, LogMission) else Pilot(vehicle, mission)).fly()
     return folder / "log.bin"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from mavcal.calib import logs
+from mavcal.calib.logs.missions import Place, read_mission
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.service.closing.errors import (
     LogUnusable,
@@ -26,13 +28,14 @@ from mavcal.service.closing.errors import (
     SimulatorUnarmed,
     WrongCommand,
 )
+from mavcal.service.closing.logged import log_mission
 from mavcal.service.closing.loop import Closing
 from mavcal.service.closing.mission import standard_mission
 from mavcal.service.closing.rounds import Outcome, RoundResult
 from mavcal.service.closing.settings import SimSettings
 from tests.patience import scaled
 from tests.processes import left_over
-from tests.service.closing_bench import FLYING, ROOT, SHORT, compare, fly, hover, plan
+from tests.service.closing_bench import FLYING, ROOT, SHORT, compare, fly, hover, plan, waypoints
 
 PYTHON = sys.executable
 REAL = 0.45
@@ -167,6 +170,30 @@ def test_a_wrong_command_is_refused_before_anything_is_started(real: Recording, 
     with pytest.raises(WrongCommand):
         Closing(plan(real, tmp_path / "work", command), compare)
     assert not (tmp_path / "work").exists()
+
+
+@pytest.mark.long
+def test_the_loop_flies_the_mission_of_the_log(tmp_path: Path) -> None:
+    """A log's own mission, moved to the simulator's home in every round, and only resumed as what it was."""
+    start = SimSettings({"SIM_OPOS_LAT": 12.0, "SIM_OPOS_LNG": 34.0, "SIM_OPOS_ALT": 584.0}, {"hoverThrOut": REAL})
+    flown = fly(tmp_path / "real", start, waypoints())
+    mission = dataclasses.replace(log_mission(flown), rest_s=1.0, rest_after_s=1.0)
+    assert [item.command for item in mission.flown.items] == [22, 19, 16, 21]
+    told: list[str] = []
+    work = tmp_path / "work"
+    closing = Closing(plan(logs.read(flown), work, mission=mission), compare, lambda _n, what, *_: told.append(what))
+    result = closing.run()
+    assert result.outcome is Outcome.CLOSED
+    assert result.rounds[-1].settings.frame["hoverThrOut"] == pytest.approx(REAL, rel=0.02)
+    again = read_mission(work / "round-1" / "log.bin")
+    assert again.home.latitude == pytest.approx(-35.363261, abs=2e-6)  # the parameter is a float32
+    offset = Place(again.home.latitude, again.home.longitude, 584.0).offset
+    assert offset(again.items[1].latitude, again.items[1].longitude) == pytest.approx((12.0, 0.0), abs=0.05)
+    assert any("uploading the mission" in what or "flying item" in what for what in told)
+    assert Closing(plan(logs.read(flown), work, mission=mission), _never).run().rounds == result.rounds
+    with pytest.raises(OtherClosing, match=r"\(mission differ\)"):
+        Closing(plan(logs.read(flown), work), compare)
+    assert nobody_left()
 
 
 STUBBORN = (

@@ -69,3 +69,11 @@ def degrees_from_metres(latitude: float, longitude: float, north: float, east: f
         latitude + north / _METRES_PER_DEGREE,
         longitude + east / (_METRES_PER_DEGREE * math.cos(math.radians(latitude))),
     )
+
+
+def metres_from_degrees(latitude: float, longitude: float, there: float, beside: float) -> tuple[float, float]:
+    """How far north and east of a place latitude `there` and longitude `beside` are; the inverse."""
+    return (
+        (there - latitude) * _METRES_PER_DEGREE,
+        (beside - longitude) * _METRES_PER_DEGREE * math.cos(math.radians(latitude)),
+    )

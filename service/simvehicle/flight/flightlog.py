@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
+from mavcal.service.simvehicle.flight.airframe import in_body
 from mavcal.service.simvehicle.flight.dataflash import DataFlashWriter, Message
+from mavcal.service.simvehicle.flight.items import Item
 from mavcal.service.simvehicle.flight.parameters import DEFAULTS
 from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
 
@@ -29,7 +32,10 @@ MSG = Message(59, "MSG", "QZ", "TimeUS,Message")
 MODE = Message(120, "MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")
 ARM = Message(186, "ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
 EV = Message(181, "EV", "QB", "TimeUS,Id")
-MESSAGES = (IMU, RATE, RCOU, MOTB, CTUN, BAT, ATT, BARO, RFND, MAG, XKF1, XKF2, XKQ, GPS, GPA, PARM, MSG, MODE, ARM, EV)
+CMD = Message(143, "CMD", "QHHHffffLLfB", "TimeUS,CTot,CNum,CId,Prm1,Prm2,Prm3,Prm4,Lat,Lng,Alt,Frame")
+MESSAGES = (
+    IMU, RATE, RCOU, MOTB, CTUN, BAT, ATT, BARO, RFND, MAG, XKF1, XKF2, XKQ, GPS, GPA, PARM, MSG, MODE, ARM, EV, CMD,
+)  # fmt: skip
 
 SECOND_IMU, ESTIMATOR, HOUSEKEEPING, POSITIONING = 10, 16, 40, 80
 """Every so many loops: 40, 25, 10 and 5 Hz."""
@@ -68,6 +74,13 @@ class FlightLog:
     def mode(self, us: int, number: int, reason: int) -> None:
         """The flight mode changed."""
         self._out.write(MODE, us, number, number, reason)
+
+    def mission(self, us: int, items: Sequence[Item]) -> None:
+        """A mission was uploaded."""
+        self.text(us, "New mission")
+        for number, item in enumerate(items):
+            place = (item.latitude, item.longitude, item.altitude, item.frame)
+            self._out.write(CMD, us, len(items), number, item.command, *item.parameters, *place)
 
     def parameter(self, us: int, name: str, value: float) -> None:
         """A parameter was set."""
@@ -149,7 +162,7 @@ class FlightLog:
         )  # fmt: skip
         if parameters["RNGFND1_TYPE"]:
             self._out.write(RFND, us, 0, min(_BELLY_M - vehicle.airframe.place[2], _RANGED_M), _GOOD, _DOWN)
-        field = [int(one) for one in vehicle.in_body(FIELD_MGAUSS)]
+        field = [int(one) for one in in_body(vehicle.airframe.q, FIELD_MGAUSS)]
         self._out.write(MAG, us, 0, *field, *[int(o) for o in parameters.vector("COMPASS_OFS")], 0, 0, 0, 1, us)
 
     def _positioning(self, us: int, vehicle: FlyingVehicle) -> None:

@@ -1,6 +1,6 @@
-"""The flying vehicle's side of MAVLink: what ArduCopter in GUIDED answers, and what it streams once it is asked.
+"""The flying vehicle's side of MAVLink: what ArduCopter in GUIDED and AUTO answers, and streams once it is asked.
 
-Streams and arming, modes and targets only; what is not known is UNSUPPORTED or ignored in silence.
+Streams and arming, modes, targets and missions only; what is not known is UNSUPPORTED or ignored in silence.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle.flight.airframe import euler_of
+from mavcal.service.simvehicle.flight.missionlink import MissionLink
 from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Mode
 from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
 from mavcal.service.simvehicle.links import SimEndpoint
@@ -38,6 +39,7 @@ class GroundLink:
         self._asked: list[int] = []
         self._names = list(vehicle.parameters)
         self._due: dict[int, tuple[int, int]] = {dialect.MAVLINK_MSG_ID_HEARTBEAT: (LOOP_HZ, 0)}
+        self._mission = MissionLink(vehicle, self._send)
         self.heard = False
         vehicle.say = self._say
         self._builders: dict[int, Callable[[], Any]] = {
@@ -47,12 +49,15 @@ class GroundLink:
             dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_state,
             dialect.MAVLINK_MSG_ID_SYS_STATUS: self._status,
+            dialect.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission.current,
+            dialect.MAVLINK_MSG_ID_HOME_POSITION: self._home,
         }
         self._commands: dict[int, Callable[[list[float]], int]] = {
             dialect.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             dialect.MAV_CMD_NAV_TAKEOFF: lambda p: self._answer(vehicle.takeoff(p[6])),
             dialect.MAV_CMD_NAV_LAND: lambda _p: self._answer(vehicle.set_mode(Mode.LAND)),
             dialect.MAV_CMD_DO_SET_MODE: lambda p: self._answer(vehicle.set_mode(int(p[1]))),
+            dialect.MAV_CMD_MISSION_START: lambda _p: self._answer(vehicle.start_mission()),
             dialect.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
             dialect.MAV_CMD_REQUEST_MESSAGE: self._request,
         }
@@ -84,6 +89,8 @@ class GroundLink:
             self._send(dialect.MAVLink_command_ack_message(number, result, 0, 0, *to))
         elif received.name in self._handlers:
             self._handlers[received.name](received.message)
+        else:
+            self._mission.handle(received)
 
     def send_due(self) -> None:
         """Send what falls due in this loop."""
@@ -98,6 +105,7 @@ class GroundLink:
         for name in self._listing[:LIST_PER_LOOP]:
             self._send_parameter(name)
         del self._listing[:LIST_PER_LOOP]
+        self._mission.send_due()
 
     def _send(self, message: Any) -> None:
         self._endpoint.send(self._packer.pack(message))
@@ -204,6 +212,12 @@ class GroundLink:
         where = (round(1e7 * latitude), round(1e7 * longitude), above, round(1000.0 * height))
         return dialect.MAVLink_global_position_int_message(self._ms, *where, *speeds, heading)
 
+    def _home(self) -> Any:
+        p = self._vehicle.parameters
+        where = (round(1e7 * p["SIM_OPOS_LAT"]), round(1e7 * p["SIM_OPOS_LNG"]), round(1000.0 * p["SIM_OPOS_ALT"]))
+        zeros = (0.0, 0.0, 0.0)
+        return dialect.MAVLink_home_position_message(*where, *zeros, [1.0, 0.0, 0.0, 0.0], *zeros)
+
     def _extended_state(self) -> Any:
         vehicle = self._vehicle
         state = dialect.MAV_LANDED_STATE_ON_GROUND
@@ -211,7 +225,7 @@ class GroundLink:
             state = dialect.MAV_LANDED_STATE_IN_AIR
             if vehicle.guidance is Guidance.TAKEOFF:
                 state = dialect.MAV_LANDED_STATE_TAKEOFF
-            elif vehicle.mode is Mode.LAND:
+            elif vehicle.mode is Mode.LAND or (vehicle.mode is Mode.AUTO and vehicle.auto.landing):
                 state = dialect.MAV_LANDED_STATE_LANDING
         return dialect.MAVLink_extended_sys_state_message(_VTOL_NONE, state)
 

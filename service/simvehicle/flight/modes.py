@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum, IntEnum, auto
 from typing import Any, Protocol
+
+from mavcal.service.simvehicle.flight.items import Item
 
 LOOP_HZ = 400
 
@@ -12,6 +15,7 @@ class Mode(IntEnum):
     """Flight modes by ArduCopter's numbers."""
 
     STABILIZE = 0
+    AUTO = 3
     GUIDED = 4
     LAND = 9
 
@@ -42,6 +46,10 @@ class Log(Protocol):
 
     def mode(self, us: int, number: int, reason: int) -> None:
         """The flight mode changed."""
+        ...
+
+    def mission(self, us: int, items: Sequence[Item]) -> None:
+        """A mission was uploaded."""
         ...
 
     def parameter(self, us: int, name: str, value: float) -> None:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from mavcal.service.simvehicle.flight import air
 from mavcal.service.simvehicle.flight.airframe import Airframe
+from mavcal.service.simvehicle.flight.auto import AutoFlight
+from mavcal.service.simvehicle.flight.checks import arming_fault, mission_fault
 from mavcal.service.simvehicle.flight.control import Controller
 from mavcal.service.simvehicle.flight.estimator import Estimate, degrees_from_metres
 from mavcal.service.simvehicle.flight.frame import Frame, Vector, rotors_of
+from mavcal.service.simvehicle.flight.items import Item
 from mavcal.service.simvehicle.flight.mixer import Mixer
 from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Log, Mode
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
 from mavcal.service.simvehicle.flight.sensors import InertialUnit
+from mavcal.service.simvehicle.flight.vertical import CLOSE_ENOUGH, landing_climb, takeoff_climb
 
 SUBSTEPS = 2
 """Physics and sensors at 800 Hz: the fastest thing that is simulated, a filter of 20 Hz, is 40 times slower."""
@@ -21,17 +25,11 @@ DT = 1.0 / LOOP_HZ
 NAVIGATION = 4
 """Velocity and climb are controlled every so many loops."""
 _WANDER_EVERY = 4
-READY_S = 5.0
-"""When the position estimate is good enough for arming. Chosen: SITL takes some seconds more."""
 _SPOOL_S = 0.5
 """MOT_SPOOL_TIME."""
 _LIFT_PER_S = 0.5
 """How fast the throttle rises until the vehicle lifts off."""
 _LANDED_S = 1.0
-_LANDING_FAST = 1.5
-"""m/s, above LAND_ALT_LOW."""
-_TAKEOFF_CLIMB = 2.0
-_CLOSE_ENOUGH = 0.3
 ATTITUDE_CLIMB_MIDDLE = 0.5
 """Thrust of SET_ATTITUDE_TARGET that holds the height: ArduCopter takes it as a climb rate."""
 
@@ -74,10 +72,9 @@ class FlyingVehicle:
             unit.settle(self.airframe.force)
         self.airframe.read(parameters)
         self._density_ratio = air.density(self.altitude_home) / air.SEA_LEVEL_DENSITY
+        self.auto = AutoFlight(parameters)
         self.control.reset(self.estimate.euler[2])
         log.begin(self)
-
-    # --- what it knows
 
     @property
     def time_us(self) -> int:
@@ -98,33 +95,13 @@ class FlyingVehicle:
         """Of the air around, Pa."""
         return air.pressure(self.altitude_home - self.airframe.place[2])
 
-    def in_body(self, vector: Vector) -> Vector:
-        """A world vector in body axes."""
-        w, x, y, z = self.airframe.q
-        n, e, d = vector
-        return (
-            (1 - 2 * (y * y + z * z)) * n + 2 * (x * y + w * z) * e + 2 * (x * z - w * y) * d,
-            2 * (x * y - w * z) * n + (1 - 2 * (x * x + z * z)) * e + 2 * (y * z + w * x) * d,
-            2 * (x * z + w * y) * n + 2 * (y * z - w * x) * e + (1 - 2 * (x * x + y * y)) * d,
-        )
-
     # --- what it is told
-
-    def arming_fault(self) -> str:
-        """Why it does not arm now; empty: it does."""
-        if self.parameters["ARMING_CHECK"] == 0:
-            return ""
-        if not self.parameters["SIM_GPS1_ENABLE"]:
-            return "GPS 1: Bad fix"
-        if self.time < READY_S:
-            return "Need Position Estimate"
-        return ""
 
     def arm(self) -> bool:
         """Arm; False and a text where it is refused."""
         if self.armed:
             return True
-        fault = self.arming_fault()
+        fault = arming_fault(self.parameters, self.time)
         if fault:
             self._tell(2, f"Arm: {fault}")
             return False
@@ -149,6 +126,10 @@ class FlyingVehicle:
         """Change the mode; False: it is not one of ours."""
         if number not in set(Mode):
             return False
+        fault = mission_fault(self.auto.items, flying=self.flying) if number == Mode.AUTO else ""
+        if fault:
+            self._tell(2, f"Auto: {fault}")
+            return False
         self.mode = Mode(number)
         self.guidance, self._since = Guidance.HOLD, 0.0
         self.control.level_off()
@@ -160,6 +141,18 @@ class FlyingVehicle:
         if not self.armed or self.mode is not Mode.GUIDED or self.flying or not height > 0.0:
             return False
         self.guidance, self._target_height = Guidance.TAKEOFF, height
+        return True
+
+    def load_mission(self, items: Sequence[Item]) -> None:
+        """A mission for AUTO; the first item is home."""
+        self.auto.load(items)
+        self._log.mission(self.time_us, items)
+
+    def start_mission(self) -> bool:
+        """Fly the mission; False where it cannot."""
+        if not self.armed or not self.set_mode(Mode.AUTO):
+            return False
+        self.auto.start()
         return True
 
     def follow_velocity(self, target: Vector, yaw: float | None, yaw_rate: float) -> None:
@@ -242,11 +235,13 @@ class FlyingVehicle:
         self._stabilize()
         if self.airframe.on_ground:
             self.flying, self._since = False, 0.0
+            self.auto.landed()
 
     def _on_ground(self) -> None:
         """Spin up and lift off, or idle and disarm."""
         control = self.control
-        if self.guidance is Guidance.TAKEOFF and self._spool >= 1.0:
+        auto = self.mode is Mode.AUTO
+        if (self.auto.lifting if auto else self.guidance is Guidance.TAKEOFF) and self._spool >= 1.0:
             control.throttle = min(control.throttle + _LIFT_PER_S * DT, 1.0)
             if not self.airframe.on_ground:
                 self.flying = True
@@ -256,7 +251,8 @@ class FlyingVehicle:
         control.throttle = 0.0
         self.pulses = self.mixer.idle(self._spool)
         self.control.outputs = (0.0, 0.0, 0.0)
-        limit = _LANDED_S if self.mode is Mode.LAND else self.parameters["DISARM_DELAY"]
+        down = self.mode is Mode.LAND or (auto and self.auto.down)
+        limit = _LANDED_S if down else self.parameters["DISARM_DELAY"]
         if self._since > limit:
             self.disarm()
 
@@ -270,7 +266,7 @@ class FlyingVehicle:
     def _navigate(self, dt: float) -> None:
         control, height = self.control, -self.estimate.place[2]
         self._density_ratio = air.density(self.altitude_home + height) / air.SEA_LEVEL_DENSITY
-        north, east, climb = self._wanted(height)
+        north, east, climb = self._wanted(height, dt)
         if self.guidance is Guidance.ATTITUDE and self._since <= self.parameters["GUID_TIMEOUT"]:
             control.attitude[:] = self._attitude_target
         else:
@@ -278,15 +274,22 @@ class FlyingVehicle:
             control.follow_velocity(north, east, self.estimate.velocity, self.estimate.euler[2], dt)
         control.climb(climb, self.estimate.velocity[2], self.estimate.euler, dt)
 
-    def _wanted(self, height: float) -> Vector:
+    def _auto_wanted(self, dt: float) -> Vector:
+        wanted = self.auto.steer(self.estimate.place, self.estimate.euler[2], dt)
+        if self.auto.yaw is not None:
+            self.control.attitude[2] = self.auto.yaw
+        return wanted
+
+    def _wanted(self, height: float, dt: float) -> Vector:
         """Velocity north and east, and climb, m/s."""
         if self.mode is Mode.LAND:
-            slow = 0.01 * self.parameters["LAND_SPEED"]
-            return 0.0, 0.0, -(_LANDING_FAST if height > 0.01 * self.parameters["LAND_ALT_LOW"] else slow)
+            return 0.0, 0.0, landing_climb(height, self.parameters)
+        if self.mode is Mode.AUTO:
+            return self._auto_wanted(dt)
         if self.guidance is Guidance.TAKEOFF:
-            if height > self._target_height - _CLOSE_ENOUGH:
+            if height > self._target_height - CLOSE_ENOUGH:
                 self.guidance = Guidance.HOLD
-            return 0.0, 0.0, min(_TAKEOFF_CLIMB, max(self._target_height - height, 0.0) + _CLOSE_ENOUGH)
+            return 0.0, 0.0, takeoff_climb(height, self._target_height)
         if self._since > self.parameters["GUID_TIMEOUT"]:
             self._yaw_rate = 0.0
             return 0.0, 0.0, 0.0

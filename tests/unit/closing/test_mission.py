@@ -56,6 +56,7 @@ def test_each_firmware_is_flown_its_own_way(number: int, kind: type[ways.Autopil
     way = ways.autopilot_of(heartbeat)
     assert isinstance(way, kind)
     assert way.guided == mode
+    assert way.auto == (3 if number == 3 else None)
     guide = way.guide((1, 1))
     assert (guide.command, guide.param1) == (dialect.MAV_CMD_DO_SET_MODE, 1)
     assert guide.param2 in (4, 6)

@@ -98,6 +98,13 @@ def test_the_loop_ends_when_another_round_would_not_help(results: list[RoundResu
     assert outcome_of(results, rounds=2) == expected
 
 
+def test_a_folder_that_names_no_mission_flew_the_standard_one(tmp_path: Path) -> None:
+    WorkFolder(tmp_path / "w", {"real": "a"}).tell(0, "flying", 0.5, None)
+    WorkFolder(tmp_path / "w", {"real": "a", "mission": "standard"})
+    with pytest.raises(OtherClosing, match=r"\(mission differ\)"):
+        WorkFolder(tmp_path / "w", {"real": "a", "mission": "log"})
+
+
 def test_a_round_is_kept_and_found_again_with_its_settings_only(tmp_path: Path) -> None:
     folder = WorkFolder(tmp_path / "w", {"real": "a"})
     made = folder.begin_round(0)

@@ -9,11 +9,13 @@ import pytest
 
 from mavcal.service.cli import main
 from mavcal.service.closing.loop import CONNECT
+from mavcal.service.closing.mission import MissionKind
 from mavcal.service.commands import gap_close
 
 
 def test_help_states_what_the_code_does() -> None:
     assert gap_close.CONNECT == CONNECT
+    assert tuple(MissionKind) == gap_close.MISSIONS
 
 
 @pytest.mark.parametrize(
@@ -22,6 +24,7 @@ def test_help_states_what_the_code_does() -> None:
         (["--simulator", "sim {oops}"], "simulator-command", "{oops}"),
         (["--simulator", "sim {frame}"], "simulator-command", "has no {port}"),
         (["--simulator", "sim {port}", "--connect", "nowhere"], "simulator-command", "not an endpoint"),
+        (["--simulator", "sim {port}", "--mission", "log"], "no-mission", "--mission standard"),
         (["--simulator", "no-such-simulator {port}"], "simulator-missing", "cannot be started"),
     ],
 )

@@ -1,0 +1,20 @@
+"""The mission that a log holds: `items` -> `course` (where it flies, how long it takes) -> `reading` (from a file)."""
+
+from __future__ import annotations
+
+from mavcal.calib.logs.missions.course import Place, durations, moved, with_take_off
+from mavcal.calib.logs.missions.items import LANDINGS, Frame, LoggedMission, MissionItem, NavCommand
+from mavcal.calib.logs.missions.reading import read_mission
+
+__all__ = [
+    "LANDINGS",
+    "Frame",
+    "LoggedMission",
+    "MissionItem",
+    "NavCommand",
+    "Place",
+    "durations",
+    "moved",
+    "read_mission",
+    "with_take_off",
+]
