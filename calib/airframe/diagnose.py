@@ -194,9 +194,9 @@ def _diagnosed(
     near = (real.near, answer.evidence.side_of(answer.best.model)), (sim.near, answer.evidence.sim)
     ground = None if GROUND in without else ground_gap(*near, ODDS)
     if isinstance(ground, Missing):
-        return _answer(answer, real, sim, (*untestable, ground), limit, (), held=not ended())
+        return _answer(answer, real, sim, (*untestable, ground), limit, (), own=ours, held=not ended())
     beside = () if ground is None else (ground.told(),)
-    return _answer(answer, real, sim, untestable, limit, beside, held=not ended())
+    return _answer(answer, real, sim, untestable, limit, beside, own=ours, held=not ended())
 
 
 def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side, Kind]:
@@ -237,6 +237,7 @@ def _answer(
     slew: float | None,
     beside: tuple[FoundEffect, ...],
     *,
+    own: Side,
     held: bool,
 ) -> AirframeAnswer:
     evidence = answer.evidence
@@ -256,7 +257,7 @@ def _answer(
         wind=(float(theta[layout.place["wind_north"]]), float(theta[layout.place["wind_east"]])),
         manoeuvres=needed_manoeuvres(found, untestable),
         traces=_traces(side, evidence, answer),
-        facts=_facts(side),
+        facts=_facts(own),
         probabilities=probabilities(answer, evidence.effects, beside),
     )
     return AirframeAnswer(

@@ -52,7 +52,8 @@ def phrase(effect: EffectEstimate) -> str:
     """``motor 3 is 7.9 % weak (7.4 to 8.4)``: what was found, to go on in a sentence."""
     kind = _KINDS.get(effect.id)
     if kind is None or not effect.params:
-        where = f", motor {', '.join(map(str, effect.instances))}" if effect.instances else ""
+        part = "motor" if effect.sensor is None else "unit"
+        where = f", {part} {', '.join(map(str, effect.instances))}" if effect.instances else ""
         return f"{plain_name(effect.id)}{where}"
     try:
         return kind.told({p.name: p for p in effect.params}, effect)

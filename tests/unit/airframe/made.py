@@ -10,6 +10,7 @@ import numpy as np
 
 from mavcal.calib.airframe.answer import Geometry
 from mavcal.calib.airframe.commands import MotorCommands
+from mavcal.calib.airframe.effects import BODY_DRAG
 from mavcal.calib.airframe.flown import FlownFlight
 from mavcal.calib.airframe.geometry import geometry_of
 from mavcal.calib.airframe.physics import Airframe, Kind
@@ -73,11 +74,12 @@ def airframe(one: FlownFlight, *, kind: Kind | None = None, volts: float | None 
 
 
 def theta(model: Airframe, **values: float) -> Array:
-    """Parameters: nothing but what is said."""
+    """Parameters: nothing but what is said; `c2` is the drag of the body along every axis."""
     found = np.zeros(len(model.layout.names))
     found[[model.layout.place[name] for name in ("gain_x", "gain_y", "gain_z", "k")]] = 280.0, 280.0, 7.0, 25.0
     for name, value in values.items():
-        found[model.layout.place[name]] = value
+        for one in BODY_DRAG if name == "c2" else (name,):
+            found[model.layout.place[one]] = value
     return found
 
 
