@@ -58,6 +58,12 @@ def load_libraries() -> None:
         importlib.import_module(name)
 
 
+def load_procedures() -> None:
+    """Load every procedure: a service that runs on does not stop for one later."""
+    for kind in _CLASSES:
+        _loaded(kind)
+
+
 def specification(kind: str) -> ProcedureSpec:
     """The specification of `kind` (or of one of its other names).
 
