@@ -8,8 +8,9 @@ from typing import Any, TypeVar
 from urllib.parse import quote
 
 import httpx
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
+from mavcal.client.base import Reader
 from mavcal.client.errors import ApiProblem, UnexpectedAnswer, Unreachable
 from mavcal.client.problems import PROBLEMS
 
@@ -74,18 +75,18 @@ def problem_of(status: int, content: bytes) -> ApiProblem:
     return PROBLEMS.get(str(document.get("code")), ApiProblem)(status, document)
 
 
-def read_answer(adapter: TypeAdapter[T], content: bytes) -> T:
+def read_answer(reader: Reader[T], content: bytes) -> T:
     """An answer of the service. Raises UnexpectedAnswer."""
     try:
-        return adapter.validate_json(content)
+        return reader.adapter.validate_json(content)
     except ValidationError as error:
         raise UnexpectedAnswer(f"the answer is not as this version of the client knows it: {error}") from error
 
 
-def read_message(adapter: TypeAdapter[T], message: Mapping[str, Any]) -> T | None:
+def read_message(reader: Reader[T], message: Mapping[str, Any]) -> T | None:
     """The message; None: it is of a kind that a newer service has added, and is passed over."""
     try:
-        return adapter.validate_python(message)
+        return reader.adapter.validate_python(message)
     except ValidationError as error:
         if all(fault["type"] == "union_tag_invalid" for fault in error.errors()):
             return None

@@ -9,8 +9,8 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import httpx
-from pydantic import TypeAdapter
 
+from mavcal.client.base import Reader
 from mavcal.client.errors import Unreachable
 from mavcal.client.exchange import (
     AGAIN_S,
@@ -90,7 +90,7 @@ class AsyncTransport:
         self,
         method: str,
         path: str,
-        answer: TypeAdapter[T],
+        answer: Reader[T],
         *,
         query: Query | None = None,
         header: Query | None = None,
@@ -119,7 +119,7 @@ class AsyncTransport:
     async def _follow(
         self,
         path: str,
-        message: TypeAdapter[T],
+        message: Reader[T],
         *,
         query: Query | None = None,
         last_event_id: int | None = None,

@@ -10,8 +10,8 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import httpx
-from pydantic import TypeAdapter
 
+from mavcal.client.base import Reader
 from mavcal.client.errors import Unreachable
 from mavcal.client.exchange import (
     AGAIN_S,
@@ -91,7 +91,7 @@ class Transport:
         self,
         method: str,
         path: str,
-        answer: TypeAdapter[T],
+        answer: Reader[T],
         *,
         query: Query | None = None,
         header: Query | None = None,
@@ -120,7 +120,7 @@ class Transport:
     def _follow(
         self,
         path: str,
-        message: TypeAdapter[T],
+        message: Reader[T],
         *,
         query: Query | None = None,
         last_event_id: int | None = None,

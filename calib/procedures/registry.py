@@ -3,44 +3,48 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.procedures.accel import AccelProcedure
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
-from mavcal.calib.procedures.fixed_yaw import MagFixedYawProcedure
-from mavcal.calib.procedures.gyro import GyroProcedure
-from mavcal.calib.procedures.imu import ImuProcedure
-from mavcal.calib.procedures.level import LevelProcedure
-from mavcal.calib.procedures.mag import MagProcedure
-from mavcal.calib.procedures.one_axis import AccelOneAxisProcedure
 from mavcal.calib.procedures.protocol import Done, GaveUp
-from mavcal.calib.procedures.rings import MagRingsProcedure
-from mavcal.calib.procedures.six_face import AccelSixFaceProcedure
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.procedures.thermal import ThermalProcedure
-from mavcal.calib.procedures.thread import GyroThreadProcedure
-from mavcal.calib.procedures.turntable import GyroTurntableProcedure
 from mavcal.calib.recording import Recording
 
-_CLASSES: tuple[type[TickedProcedure], ...] = (
-    GyroProcedure,
-    AccelProcedure,
-    MagProcedure,
-    ThermalProcedure,
-    LevelProcedure,
-    AccelOneAxisProcedure,
-    AccelSixFaceProcedure,
-    MagRingsProcedure,
-    MagFixedYawProcedure,
-    GyroTurntableProcedure,
-    GyroThreadProcedure,
-    ImuProcedure,
+_CLASSES: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "gyro": ("gyro", "GyroProcedure"),
+        "accel": ("accel", "AccelProcedure"),
+        "mag": ("mag", "MagProcedure"),
+        "thermal": ("thermal", "ThermalProcedure"),
+        "level": ("level", "LevelProcedure"),
+        "accel-one-axis": ("one_axis", "AccelOneAxisProcedure"),
+        "accel-six-face": ("six_face", "AccelSixFaceProcedure"),
+        "mag-rings": ("rings", "MagRingsProcedure"),
+        "mag-fixed-yaw": ("fixed_yaw", "MagFixedYawProcedure"),
+        "gyro-turntable": ("turntable", "GyroTurntableProcedure"),
+        "gyro-thread": ("thread", "GyroThreadProcedure"),
+        "imu-multi": ("imu", "ImuProcedure"),
+    }
 )
-PROCEDURES: Mapping[str, ProcedureSpec] = MappingProxyType({c.spec.kind: c.spec for c in _CLASSES})
+"""Module and class of every kind of job: each is loaded when it is asked for, with the fits that it needs."""
+
+
+class _Procedures(Mapping[str, ProcedureSpec]):
+    def __getitem__(self, kind: str) -> ProcedureSpec:
+        return _loaded(kind).spec
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_CLASSES)
+
+    def __len__(self) -> int:
+        return len(_CLASSES)
+
+
+PROCEDURES: Mapping[str, ProcedureSpec] = _Procedures()
 """Specification of every kind of job."""
 LIBRARIES = ("scipy.linalg", "scipy.special", "scipy.spatial.transform")
 
@@ -52,6 +56,12 @@ def load_libraries() -> None:
     """
     for name in LIBRARIES:
         importlib.import_module(name)
+
+
+def load_procedures() -> None:
+    """Load every procedure: a service that runs on does not stop for one later."""
+    for kind in _CLASSES:
+        _loaded(kind)
 
 
 def specification(kind: str) -> ProcedureSpec:
@@ -88,10 +98,18 @@ def create(kind: str, options: Mapping[str, Any], context: ProcedureContext) -> 
 
 
 def _class_of(kind: str) -> type[TickedProcedure]:
-    for candidate in _CLASSES:
-        if kind == candidate.spec.kind or kind in candidate.spec.aliases:
+    if kind in _CLASSES:
+        return _loaded(kind)
+    for candidate in map(_loaded, _CLASSES):
+        if kind in candidate.spec.aliases:
             return candidate
     raise InvalidInputError(f"there is no procedure {kind!r}; known are: {', '.join(PROCEDURES)}")
+
+
+def _loaded(kind: str) -> type[TickedProcedure]:
+    module, name = _CLASSES[kind]
+    found: type[TickedProcedure] = getattr(importlib.import_module(f"mavcal.calib.procedures.{module}"), name)
+    return found
 
 
 def replay(

@@ -142,13 +142,13 @@ def _problems(document: Document) -> str:
 def _answers(document: Document) -> str:
     shapes = {_shape(o.answer) for o in document.operations if o.answer is not None and not o.plain}
     used = sorted({name for shape in shapes for name in re.findall(r"\b[A-Z]\w+\b", shape)})
-    lines = _head("How answers are read, by their shape.", "from pydantic import TypeAdapter")
+    lines = _head("How answers are read, by their shape.", "from mavcal.client.base import Reader")
     for module, known in _modules(document).items():
         if chosen := sorted(known & set(used)):
             lines.append(f"from mavcal.client.{module} import {', '.join(chosen)}")
     lines.append("")
     for shape in sorted(shapes):
-        lines.append(f"{_adapter(shape)}: TypeAdapter[{shape}] = TypeAdapter({shape})")
+        lines.append(f"{_adapter(shape)}: Reader[{shape}] = Reader({shape})")
     return _text(lines)
 
 

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import json
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.config import load_settings
-from mavcal.service.commands.every import Acted, Whom, all_option, connect_option, one_of, run_every
+from mavcal.service.commands.every import Acted, run_every
+from mavcal.service.commands.headless import Begun
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import given, options_of_plan, plan_options
 from mavcal.service.commands.review import JobWish, run_job
+from mavcal.service.commands.whom import Whom, whom_options
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
-    from mavcal.client.jobs import JobModel
     from mavcal.client.models import VehicleModel
     from mavcal.service.commands.door import Door
+    from mavcal.service.commands.screen import Screen
 
 KINDS = (
     *("gyro", "accel", "mag", "thermal", "level"),
@@ -32,8 +32,7 @@ HANDS_FREE = ("gyro", "level")
 
 @click.command()
 @click.argument("kind", type=click.Choice(KINDS))
-@connect_option
-@all_option
+@whom_options(every=True)
 @click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
 @click.option(
     "--require-proof", is_flag=True, help="With --apply: exit code 3 if the streams prove a part of it, 1 if nothing."
@@ -41,20 +40,15 @@ HANDS_FREE = ("gyro", "level")
 @click.option("--reboot", is_flag=True, help="With --apply: restart the vehicle if the plan needs it.")
 @click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the procedure.")
 @plan_options
-@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
-@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
 def command(
     *,
+    whom: Whom,
     kind: str,
-    urls: tuple[str, ...],
-    every: bool,
     write: bool,
     require_proof: bool,
     reboot: bool,
     options: tuple[str, ...],
-    data_dir: Path | None,
-    wait: float,
     as_json: bool,
     **more: Any,
 ) -> int:
@@ -73,27 +67,24 @@ def command(
     if require_proof and not write:
         raise click.UsageError("--require-proof asks for a proof of what was written: give --apply too")
     chosen, decided = parsed(options), given(more)
-    if every:
+    if whom.every:
         if kind not in HANDS_FREE or not write or require_proof or reboot or chosen or decided:
             raise click.UsageError(f"--all is for {' and '.join(HANDS_FREE)} with --apply, and without other options")
-        whom = Whom(urls, every, wait)
-        return run_every(whom.settings(data_dir), whom, partial(_hands_free, kind), as_json=as_json)
-    connect = one_of(urls)
-    settings = load_settings(data_dir=data_dir, connect=())
+        return run_every(whom, partial(_hands_free, kind), as_json=as_json)
 
-    async def begin(client: AsyncClient, vehicle: VehicleModel) -> tuple[JobModel, float]:
+    async def begin(client: AsyncClient, vehicle: VehicleModel) -> Begun:
         options = options_of_plan(decided)
-        return await client.start_job(vehicle.id, kind=kind, options=chosen, plan_options=options), 0.0
+        return Begun(await client.start_job(vehicle.id, kind=kind, options=chosen, plan_options=options))
 
-    return run_job(settings, begin, JobWish(connect, write, require_proof, reboot, wait, as_json))
+    return run_job(whom, begin, JobWish(write, require_proof, reboot, as_json))
 
 
-async def _hands_free(kind: str, door: Door, vehicle: VehicleModel) -> Acted:
+async def _hands_free(kind: str, door: Door, vehicle: VehicleModel, screen: Screen) -> Acted:
     """Calibrate and write; whether it would arm afterwards is told too."""
     from mavcal.client.enums import JobState
     from mavcal.service.commands.hands_free import mended
 
-    came = await mended(door, vehicle.id, kind, look=True)
+    came = await mended(door, vehicle.id, kind, screen, look=True)
     job, ready = came.job, came.job.readiness
     told = {"job": job.id, "kind": kind, "state": job.state.value, "text": came.text}
     text = f"{kind}: {job.state.value}: {came.text}" + ("" if ready is None else f" {ready.text}")

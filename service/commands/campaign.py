@@ -13,12 +13,12 @@ from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import given, options_of_plan, plan_options
 from mavcal.service.commands.reading import reading_options, split_reading
+from mavcal.service.commands.whom import Whom, data_dir_option, whom_options
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
-    from mavcal.client.jobs import JobModel
     from mavcal.service.campaigns.archive import Archive
-    from mavcal.service.commands.campaign_run import VehicleWish
+    from mavcal.service.commands.headless import Begun
     from mavcal.service.jobs.core.model import Job
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -30,9 +30,7 @@ OUTCOMES = (
 """Those of ``service.campaigns.items``, stated here so that help does without them (a test compares them)."""
 
 at_once_option = click.option("--at-once", type=click.IntRange(1, 1000), default=None, help="Most items at a time.")
-data_dir_option = click.option(
-    "--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept."
-)
+vehicles_options = whom_options(campaign=True, wait_help="How long to wait for vehicles, s.")
 csv_option = click.option(
     "--csv", "table", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Write the outcome as CSV."
 )
@@ -46,17 +44,6 @@ executor_option = click.option(
 glob_option = click.option("--glob", "pattern", default="*", show_default=True, help="Only files whose name matches.")
 
 
-def connect_options(command: Command) -> Command:
-    """Add the options by which vehicles are found."""
-    for option in (
-        click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for vehicles, s."),
-        click.option("--vehicle", "ids", multiple=True, metavar="ID", help="Only this one of the vehicles; repeated."),
-        click.option("--connect", "urls", required=True, multiple=True, metavar="URL", help="Endpoint; repeated."),
-    ):
-        command = option(command)
-    return command
-
-
 @click.group()
 def command() -> None:
     """One preflight, calibration, fit or diagnosis for many vehicles, or for every log in a folder, as one job.
@@ -67,63 +54,60 @@ def command() -> None:
 
 
 @command.command()
-@connect_options
+@vehicles_options
 @at_once_option
 @csv_option
-@data_dir_option
 @json_option
-def preflight(
-    urls: tuple[str, ...], ids: tuple[str, ...], wait: float, *, at_once: int | None, data_dir: Path | None, **told: Any
-) -> int:
-    """Check every vehicle that is heard on these endpoints; nothing is written."""
-    from mavcal.service.commands.campaign_run import VehicleWish, run_vehicles
+def preflight(*, whom: Whom, at_once: int | None, table: Path | None, as_json: bool) -> int:
+    """Check every vehicle that is heard on these endpoints, or by the service; nothing is written."""
+    from mavcal.service.commands.campaign_run import run_vehicles
+    from mavcal.service.commands.campaign_told import Telling
+    from mavcal.service.commands.headless import Begun
 
-    async def begin(client: AsyncClient, chosen: list[str]) -> JobModel:
-        return await client.start_preflight_campaign(vehicles=chosen, at_once=at_once)
+    async def begin(client: AsyncClient, chosen: list[str]) -> Begun:
+        return Begun(await client.start_preflight_campaign(vehicles=chosen, at_once=at_once))
 
-    return run_vehicles(load_settings(data_dir=data_dir, connect=()), begin, VehicleWish(urls, ids, wait, **told))
+    return run_vehicles(whom, begin, Telling(table, as_json))
 
 
 @command.command()
 @click.argument("kind", type=click.Choice(KINDS))
-@connect_options
+@vehicles_options
 @click.option("--apply", "write", is_flag=True, help="Write every plan that nothing stands against.")
 @click.option("--reboot", is_flag=True, help="With --apply: restart a vehicle whose plan needs it.")
 @click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the procedure.")
 @plan_options
 @at_once_option
 @csv_option
-@data_dir_option
 @json_option
 def calibrate(
     kind: str,
-    urls: tuple[str, ...],
-    ids: tuple[str, ...],
-    wait: float,
     *,
+    whom: Whom,
     write: bool,
     reboot: bool,
     options: tuple[str, ...],
     at_once: int | None,
-    data_dir: Path | None,
     table: Path | None,
     as_json: bool,
     **more: Any,
 ) -> int:
-    """Calibrate every vehicle that is heard on these endpoints; without --apply their plans wait in review."""
+    """Calibrate every vehicle that is heard; without --apply their plans wait in review."""
     if reboot and not write:
         raise click.UsageError("--reboot is a part of writing: give --apply too")
-    from mavcal.service.commands.campaign_run import VehicleWish, run_vehicles
+    from mavcal.service.commands.campaign_run import run_vehicles
+    from mavcal.service.commands.campaign_told import Telling
+    from mavcal.service.commands.headless import Begun
 
     asked, plan = parsed(options), options_of_plan(given(more))
 
-    async def begin(client: AsyncClient, chosen: list[str]) -> JobModel:
-        return await client.start_calibration_campaign(
+    async def begin(client: AsyncClient, chosen: list[str]) -> Begun:
+        made = client.start_calibration_campaign(
             vehicles=chosen, kind=kind, options=asked, plan_options=plan, apply=write, reboot=reboot, at_once=at_once
         )
+        return Begun(await made)
 
-    wish = VehicleWish(urls, ids, wait, table, as_json)
-    return run_vehicles(load_settings(data_dir=data_dir, connect=()), begin, wish)
+    return run_vehicles(whom, begin, Telling(table, as_json))
 
 
 @command.command()
@@ -205,36 +189,24 @@ def gap(
 
 @command.command()
 @click.argument("job")
-@click.option("--connect", "urls", multiple=True, metavar="URL", help="Endpoint of its vehicles; repeated.")
-@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for vehicles, s.")
+@whom_options(campaign=True, chosen=False, optional=True, wait_help="How long to wait for vehicles, s.")
 @executor_option
 @csv_option
-@data_dir_option
 @json_option
-def resume(
-    job: str,
-    urls: tuple[str, ...],
-    wait: float,
-    *,
-    executor: str,
-    data_dir: Path | None,
-    table: Path | None,
-    as_json: bool,
-) -> int:
+def resume(job: str, *, whom: Whom, executor: str, table: Path | None, as_json: bool) -> int:
     """Go on with a campaign that was stopped; what has ended is not done again."""
     from mavcal.service.commands.campaign_archive import is_of_folder, run_archive
-    from mavcal.service.commands.campaign_run import VehicleWish, resumed, run_vehicles
+    from mavcal.service.commands.campaign_run import resumed, run_vehicles
     from mavcal.service.commands.campaign_told import Telling
 
-    settings = load_settings(data_dir=data_dir, connect=())
-    if is_of_folder(settings.data_dir, job):
+    telling = Telling(table, as_json)
+    if whom.url is None and is_of_folder(whom.settings.data_dir, job):
 
         async def begin(found: Archive) -> Job:
             return await found.resume(job)
 
-        return run_archive(settings, executor, begin, Telling(table, as_json))
-    wish: VehicleWish = VehicleWish(urls, (), wait, table, as_json)
-    return run_vehicles(settings, resumed(job), wish)
+        return run_archive(whom.settings, executor, begin, telling)
+    return run_vehicles(whom, resumed(job), telling)
 
 
 @command.command()

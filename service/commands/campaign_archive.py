@@ -51,7 +51,7 @@ async def _run(settings: Settings, given: Workers, begin: Begin, telling: Tellin
     from mavcal.service.campaigns.archive import archive
     from mavcal.service.campaigns.executors import abandon
     from mavcal.service.children import Limits
-    from mavcal.service.commands.headless import stoppable
+    from mavcal.service.commands.stopping import stoppable
 
     limits = settings.limits
     of_fits = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)

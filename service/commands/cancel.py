@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
+from mavcal.service.commands.follow import show_came_of
 from mavcal.service.commands.output import json_option, write_json
 from mavcal.service.commands.place import CommandPlace
-from mavcal.service.commands.remote import remote, service_at, show_came_of
+from mavcal.service.commands.remote import remote, service_at
 
 
 @click.command()

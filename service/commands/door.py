@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
+from mavcal.service.commands.remote import address, key_in, noes
+from mavcal.service.commands.stopping import stoppable
 from mavcal.service.loading import loading
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
+    from mavcal.client.jobs import JobModel
     from mavcal.service.commands.asking import RaisingClient
+    from mavcal.service.commands.whom import Whom
     from mavcal.service.hosting import Hosted
-    from mavcal.service.settings import Settings
+
+T = TypeVar("T")
 
 COMMAND = "command line"
 OPERATOR = "operator"
-"""Who asks, in what is kept of a write."""
+"""Who asks, in what is kept of a write; a service that runs elsewhere keeps the name of the key."""
 ANSWER_S = 600.0
 """How long an answer may take: a preflight that first calibrates takes minutes."""
 TIDY_S = 30.0
-"""How long the vehicle may take to confirm its old message rates."""
+"""How long the vehicle may take to confirm its old message rates, and to be looked at after a write."""
 HURRY_S = 5.0
 """The same for a run that was told to stop."""
+_LOOK_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -32,26 +38,79 @@ class Door:
     """A service, asked by its client."""
 
     client: AsyncClient
-    own: Hosted
+    own: Hosted | None = None
+    """The application in this process; None: the service runs elsewhere."""
+
+    @property
+    def shared(self) -> bool:
+        """Whether others use the service too, and it goes on when the command has ended."""
+        return self.own is None
 
     async def open(self, endpoint: str) -> str:
         """The id of a link of this command. Raises EndpointError, PortBusy."""
+        assert self.own is not None
         return await self.own.open(endpoint)
 
-    async def tidied(self, seconds: float = TIDY_S) -> None:
-        """Give the vehicle time to take its old message rates back; what is missing then, the next run does."""
+    async def tidied(self, seconds: float = TIDY_S, *, written: str | None = None) -> None:
+        """Give the vehicle time to take its old message rates back; what is missing then, the next run does.
+
+        `written` is a job after whose write the vehicle is looked at: a service that runs elsewhere sees to the rates
+        itself, and is waited for until it has looked.
+        """
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                await self.own.tidied()
+                if self.own is not None:
+                    await self.own.tidied()
+                    return
+                while written is not None and _to_be_looked_at(await self.client.get_job(written)):  # noqa: ASYNC110
+                    await asyncio.sleep(_LOOK_S)
+
+
+def _to_be_looked_at(job: JobModel) -> bool:
+    from mavcal.client.enums import JobState
+
+    return job.state == JobState.SUCCEEDED and job.last_write is not None and job.readiness is None
+
+
+def through_door(whom: Whom, act: Callable[[Door], Awaitable[T]], actor: str = COMMAND) -> T | int:
+    """What `act` makes of the open door; the exit code of a run that was told to stop."""
+
+    async def run() -> T | int:
+        with stoppable() as caught:
+            try:
+                async with door(whom, actor) as at:
+                    return await act(at)
+            except asyncio.CancelledError:
+                if not caught:
+                    raise
+                return 128 + caught[0]
+
+    return asyncio.run(run())
 
 
 @asynccontextmanager
-async def door(settings: Settings, endpoints: Iterable[str] = (), actor: str = COMMAND) -> AsyncIterator[Door]:
-    """The application in this process, with these settings and links; nothing of it is left behind."""
+async def door(whom: Whom, actor: str = COMMAND) -> AsyncIterator[Door]:
+    """The service of a ``--url``, which nothing here stops; or the application in this process, which leaves nothing.
+
+    Raises
+    ------
+    AnsweredNo
+        If the service does not answer, or not as it should.
+    DataDirLocked
+        If another process owns the data directory.
+    """
+    if whom.url is not None:
+        url, key = address(whom.url), key_in(whom.key_file)
+        with noes():
+            async with _loaded()(url, key=key, timeout_s=ANSWER_S) as asking:
+                yield Door(asking)
+        return
     with loading():
         from mavcal.service.hosting import hosted
+        from mavcal.service.logs import configure_logging
 
-    async with hosted(settings, actor, endpoints) as own:
+    configure_logging(as_json=whom.settings.log_json)
+    async with hosted(whom.settings, actor, whom.urls) as own:
         client = await asyncio.to_thread(_loaded)
         async with client(own.url, key=own.key, timeout_s=ANSWER_S) as asking:
             yield Door(asking, own)

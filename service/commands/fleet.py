@@ -12,6 +12,8 @@ import click
 from mavcal.service.commands.fleet_source import FleetQuery, opened
 from mavcal.service.commands.jobs import table
 from mavcal.service.commands.output import json_option, write_json
+from mavcal.service.commands.remote import may_be_remote
+from mavcal.service.commands.whom import data_dir_option
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -23,14 +25,7 @@ VERDICTS = ("pass", "warn", "fail", "unknown", "none")
 
 def _where(command: Command) -> Command:
     """Where the fleet is: a data directory, or a running service."""
-    for option in (
-        click.option("--key-file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
-                     help="File with the API key, where the service asks for one."),
-        click.option("--url", default=None, metavar="URL", help="Ask the service there, as http://127.0.0.1:8765."),
-        click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept."),
-    ):  # fmt: skip
-        command = option(command)
-    return command
+    return data_dir_option(may_be_remote(command))
 
 
 @click.group(invoke_without_command=True)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import click
 
 from mavcal.service.commands.config import load_settings
-from mavcal.service.errors import DataDirLocked, LinkDown, UnitUnknown
+from mavcal.service.commands.remote import service_at
+from mavcal.service.errors import DataDirLocked, UnitUnknown
 
 if TYPE_CHECKING:
     from mavcal.service.settings import Settings
@@ -66,18 +67,8 @@ def opened(data_dir: Path | None, url: str | None, key_file: Path | None) -> Ite
         return
     if data_dir is not None:
         raise click.UsageError("give --data-dir or --url, not both")
-    from mavcal.client import ApiProblem, Client, ClientError
-
-    key = None if key_file is None else key_file.read_text(encoding="utf-8").strip()
-    try:
-        with Client(url, key=key) as client:
-            yield RemoteFleet(client)
-    except ApiProblem as error:
-        if error.status == 404:
-            raise UnitUnknown(error.detail) from error
-        raise click.ClickException(error.detail) from error
-    except ClientError as error:
-        raise LinkDown(f"the service at {url} does not answer as it should: {error}") from error
+    with service_at(url, key_file) as client:
+        yield RemoteFleet(client)
 
 
 class LocalFleet:

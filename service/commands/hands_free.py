@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
-from mavcal.service.commands.headless import state_of
+from mavcal.service.commands.headless import Begun, begun_by, put_down, state_of
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
     from mavcal.client.jobs import JobModel
     from mavcal.service.commands.door import Door
+    from mavcal.service.commands.screen import Screen
 
 _LOOK_S = 0.1
 
@@ -26,7 +28,7 @@ class Mended:
     """Whether a sensor was left out, or has to wait for a restart."""
 
 
-async def mended(door: Door, vehicle_id: str, kind: str, *, look: bool) -> Mended:
+async def mended(door: Door, vehicle_id: str, kind: str, screen: Screen, *, look: bool) -> Mended:
     """Run and write one kind of calibration; `look`: look at the vehicle after the write.
 
     Raises
@@ -39,17 +41,22 @@ async def mended(door: Door, vehicle_id: str, kind: str, *, look: bool) -> Mende
     from mavcal.service.jobs.core.states import JobState
 
     client, left = door.client, Late()
-    job = await wait_for_job(client, (await client.start_job(vehicle_id, kind=kind)).id)
-    if state_of(job) is JobState.REVIEW and job.plan is not None:
-        left = late(job.plan.changes)
-        if left.at_once:
-            options = options_of_plan({**job.plan_options, "only": list(left.at_once)})
-            await client.renew_plan(job.id, plan_options=options)
-            job = await client.get_job(job.id)
-    if state_of(job) is JobState.REVIEW and job.plan is not None and not job.plan.blockers and not left.all:
-        await client.apply_plan(job.id, plan_sha256=job.plan.sha256, prove_s=0.0, preflight=look)
-        await wait_for_job(client, job.id)
-    await door.tidied()
+
+    async def begin() -> Begun:
+        return Begun(await client.start_job(vehicle_id, kind=kind))
+
+    async with begun_by(begin(), partial(put_down, door, screen)) as begun:
+        job = await wait_for_job(client, begun.job.id)
+        if state_of(job) is JobState.REVIEW and job.plan is not None:
+            left = late(job.plan.changes)
+            if left.at_once:
+                options = options_of_plan({**job.plan_options, "only": list(left.at_once)})
+                await client.renew_plan(job.id, plan_options=options)
+                job = await client.get_job(job.id)
+        if state_of(job) is JobState.REVIEW and job.plan is not None and not job.plan.blockers and not left.all:
+            await client.apply_plan(job.id, plan_sha256=job.plan.sha256, prove_s=0.0, preflight=look)
+            await wait_for_job(client, job.id)
+    await door.tidied(written=job.id if look else None)
     job = await client.get_job(job.id)  # what the vehicle says after a write is known only now
     text = " ".join(filter(None, ("Nothing was written." if left.all else said(job), left.text)))
     return Mended(job, text, bool(job.left_out or left.keys))

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import signal
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import aclosing, contextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from contextlib import aclosing, asynccontextmanager, suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mavcal.service.commands.door import HURRY_S
+from mavcal.service.commands.output import AnsweredNo
+from mavcal.service.errors import ServiceError
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
     from mavcal.client.jobs import JobModel
     from mavcal.client.models import JobSummary, UnfinishedModel, VehicleModel
     from mavcal.service.commands.door import Door
+    from mavcal.service.commands.keyboard import Answer
     from mavcal.service.commands.screen import Screen
     from mavcal.service.jobs.core.states import JobState
 
@@ -125,6 +128,18 @@ async def follow(
     return await client.get_job(job_id)
 
 
+def answering(client: AsyncClient, job_id: str, screen: Screen) -> Answer:
+    """Takes what is typed to a job; what the job does not take is shown."""
+
+    async def answer(line: str) -> None:
+        try:
+            await client.answer_job(job_id, value=line)
+        except (ServiceError, AnsweredNo) as error:
+            screen.line(f"    {error}")
+
+    return answer
+
+
 def show_event(kind: str, data: Mapping[str, Any], screen: Screen) -> None:
     """One event of a job, if it is one that a person reads."""
     if kind == "prompt" and data:
@@ -133,6 +148,19 @@ def show_event(kind: str, data: Mapping[str, Any], screen: Screen) -> None:
         screen.progress(data)
     elif kind == "warning":
         screen.line(f"    note: {data['text']}")
+
+
+async def left_over(door: Door) -> list[UnfinishedModel]:
+    """What earlier runs have left unfinished; of a service that others use too, only writes that are in doubt now."""
+    from mavcal.client.enums import JobState
+
+    begun = await door.client.list_unfinished()
+    if not door.shared:
+        return begun
+    doubted = await jobs_of(door.client, state=JobState.IN_DOUBT)
+    ids = dict.fromkeys([*(found.job.id for found in begun), *(job.id for job in doubted)])
+    now = [await door.client.get_unfinished(job_id) for job_id in ids]
+    return [found for found in now if found.writing and not found.ended]
 
 
 async def recovered(
@@ -186,42 +214,48 @@ def told_of(found: UnfinishedModel) -> dict[str, Any]:
     return {**about, "parameters": [standing.model_dump(mode="json") for standing in found.standing]}
 
 
-async def put_down(door: Door, job_id: str, screen: Screen) -> None:
+@dataclass(frozen=True)
+class Begun:
+    """A job that a command goes on with."""
+
+    job: JobModel
+    since: float = 0.0
+    """Events up to then belong to what went before, s since 1970 by the clock of the service."""
+    ours: bool = True
+    """Whether this command has started it, and may cancel it."""
+
+
+@asynccontextmanager
+async def begun_by(making: Awaitable[Begun], leave: Callable[[Begun], Awaitable[None]]) -> AsyncIterator[Begun]:
+    """The job that is made; a run that is told to stop leaves it so, also while it is being made."""
+    made = asyncio.ensure_future(making)
+    try:
+        yield await asyncio.shield(made)
+    except asyncio.CancelledError:
+        with suppress(TimeoutError, ServiceError, AnsweredNo):
+            async with asyncio.timeout(HURRY_S):
+                begun = await made
+            await leave(begun)
+        raise
+
+
+async def put_down(door: Door, screen: Screen, begun: Begun) -> None:
     """Leave a job because this process has to stop: cancel what wrote nothing, say what a write leaves behind."""
     from mavcal.service.jobs.core.states import CANCELLABLE, WRITING, JobState
 
+    job_id = begun.job.id
     found = await door.client.get_unfinished(job_id)
     job, state = found.job, state_of(found.job)
-    if state in CANCELLABLE - {JobState.REVIEW}:
+    if begun.ours and state in CANCELLABLE - {JobState.REVIEW}:
         await door.client.cancel_job(job_id)
         screen.line(f"stopped: job {job_id} ({job.kind}) was cancelled, nothing was written", bold=True)
     elif state in WRITING:
         may = f"{', '.join(found.sent)} may hold new values" if found.sent else "nothing was sent yet"
         screen.line(f"stopped while job {job_id} ({job.kind}) is {state.value}: {may}.", bold=True)
-        screen.line("`mavcal recover` finishes it or takes it back, and so does the next calibration.")
+        if door.shared:
+            screen.line(f"The service goes on with it: `mavcal follow {job_id}` shows what comes of it.")
+        else:
+            screen.line("`mavcal recover` finishes it or takes it back, and so does the next calibration.")
     else:
         screen.line(f"stopped: job {job_id} ({job.kind}) is {state.value}", bold=True)
     await door.tidied(HURRY_S)
-
-
-@contextmanager
-def stoppable() -> Iterator[list[int]]:
-    """SIGINT and SIGTERM cancel the present task; the list says which signals came."""
-    loop, task = asyncio.get_running_loop(), asyncio.current_task()
-    caught: list[int] = []
-
-    def stop(number: int) -> None:
-        caught.append(number)
-        if task is not None:
-            task.cancel()
-
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    with suppress(NotImplementedError):  # not on every system: there the interpreter's own handling stays
-        for number in numbers:
-            loop.add_signal_handler(number, stop, number)
-    try:
-        yield caught
-    finally:
-        with suppress(NotImplementedError):
-            for number in numbers:
-                loop.remove_signal_handler(number)

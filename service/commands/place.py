@@ -26,6 +26,7 @@ class CommandPlace:
     data_dir: Path | None = None
     url: str | None = None
     key_file: Path | None = None
+    vehicle: str | None = None
 
     def completed(self, text: str) -> str:
         """`text` with these options added to every command in it that takes them and does not have them."""
@@ -35,13 +36,13 @@ class CommandPlace:
         told = words.split()
         taken = _flags(told)
         if self.url is not None and "--url" in taken:
-            values: dict[str, object] = {"--url": self.url, "--key-file": self.key_file}
+            values: dict[str, object] = {"--url": self.url, "--key-file": self.key_file, "--vehicle": self.vehicle}
         elif self.url is not None:
             values = {}  # what a service keeps is in no data directory of this machine
         else:
             values = {"--connect": self.connect, "--data-dir": self.data_dir}
         if "--all" in told:
-            del values["--connect"]
+            values = {flag: v for flag, v in values.items() if flag not in {"--connect", "--vehicle"}}
         more = [f"{flag} {shlex.quote(str(v))}" for flag, v in values.items() if v is not None and flag in taken]
         return " ".join([words, *(text for text in more if text.split()[0] not in told)])
 
@@ -49,13 +50,13 @@ class CommandPlace:
 NOWHERE = CommandPlace()
 
 
-def place_of(settings: Settings) -> CommandPlace:
-    """The place of a run with these settings; the default data directory needs no naming."""
+def place_of(settings: Settings, connect: str | None = None) -> CommandPlace:
+    """The place of a run with these settings on this endpoint; the default data directory needs no naming."""
     from mavcal.service.settings import default_data_dir
 
     kept = settings.data_dir
     own = None if kept == default_data_dir().absolute() else kept
-    return CommandPlace(settings.connect[0] if settings.connect else None, own)
+    return CommandPlace(connect or (settings.connect[0] if settings.connect else None), own)
 
 
 def _flags(words: Sequence[str]) -> frozenset[str]:

@@ -11,15 +11,15 @@ import click
 
 from mavcal.calib.methods import METHODS
 from mavcal.service.commands.calibrate import parsed
-from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.headless import Begun
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import all_plan_options, given, options_of_plan
 from mavcal.service.commands.reading import readable_file, reading_options, split_reading
 from mavcal.service.commands.review import JobWish, run_job
+from mavcal.service.commands.whom import Whom, whom_options
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
-    from mavcal.client.jobs import JobModel
     from mavcal.client.models import VehicleModel
 
 CHUNK = 1 << 20
@@ -28,7 +28,7 @@ CHUNK = 1 << 20
 @click.command()
 @click.argument("method", type=click.Choice(list(METHODS)))
 @click.argument("file")
-@click.option("--connect", required=True, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
+@whom_options()
 @click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
 @click.option(
     "--require-proof", is_flag=True, help="With --apply: exit code 3 if the streams prove a part of it, 1 if nothing."
@@ -37,20 +37,16 @@ CHUNK = 1 << 20
 @click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the method.")
 @all_plan_options
 @reading_options
-@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
-@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
 def command(
     *,
+    whom: Whom,
     method: str,
     file: str,
-    connect: str,
     write: bool,
     require_proof: bool,
     reboot: bool,
     options: tuple[str, ...],
-    data_dir: Path | None,
-    wait: float,
     as_json: bool,
     **more: Any,
 ) -> int:
@@ -58,24 +54,25 @@ def command(
 
     The log must be of this vehicle: the same sensors and the same board id. With --apply on a terminal the run asks
     about a log without a board id; a script gives --confirm-other-unit. The audit trail keeps who confirmed it. FILE
-    is copied into the data directory. Exit code 1 if there is no plan, or if its write did not succeed; 3 if a sensor
-    is left out, or with --require-proof the streams prove a part of it.
+    is copied to where recordings are kept.
+
+    Exit code 1 if there is no plan, or if its write did not succeed; 3 if a sensor is left out, or with
+    --require-proof the streams prove a part of it.
     """
     if require_proof and not write:
         raise click.UsageError("--require-proof asks for a proof of what was written: give --apply too")
     path, chosen, decided = readable_file(file), parsed(options, words=True), given(more)
     reading, _ = split_reading(more)
-    settings = load_settings(data_dir=data_dir, connect=())
     from mavcal.client.requests import ReadingOptions
 
-    async def begin(client: AsyncClient, vehicle: VehicleModel) -> tuple[JobModel, float]:
+    async def begin(client: AsyncClient, vehicle: VehicleModel) -> Begun:
         kept = await client.upload_recording(_chunks(path), name=path.name, reading=ReadingOptions(**reading))
         planned = client.plan_recording(
             kept.id, method=method, vehicle_id=vehicle.id, options=chosen, plan_options=options_of_plan(decided)
         )
-        return await planned, 0.0
+        return Begun(await planned)
 
-    return run_job(settings, begin, JobWish(connect, write, require_proof, reboot, wait, as_json))
+    return run_job(whom, begin, JobWish(write, require_proof, reboot, as_json))
 
 
 async def _chunks(path: Path) -> AsyncIterator[bytes]:

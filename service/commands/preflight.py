@@ -7,15 +7,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.every import Found, Whom, all_option, connect_option, with_each
+from mavcal.service.commands.every import with_each
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, json_option, write_json
-from mavcal.service.commands.place import NOWHERE, CommandPlace, place_of
-from mavcal.service.errors import ServiceError
+from mavcal.service.commands.place import NOWHERE, CommandPlace
+from mavcal.service.commands.vehicles import Found, Refusal
+from mavcal.service.commands.whom import Whom, whom_options
 
 if TYPE_CHECKING:
     from mavcal.client.models import CheckModel, FixModel, PreflightModel, VehicleModel
@@ -30,23 +30,17 @@ STILL_LOOKING_S = (9.5, 19.0)
 
 
 @click.command()
-@connect_option
-@all_option
+@whom_options(many=True, every=True)
 @click.option("--heading", type=click.FloatRange(0.0, 360.0), default=None, help="True heading of the nose, deg.")
 @click.option("--fix", default=None, metavar="KIND[,KIND]", help="Calibrate this first: gyro, level. Needs --apply.")
 @click.option("--apply", "write", is_flag=True, help="With --fix: write the result to the vehicle.")
-@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
-@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
 def command(
     *,
-    urls: tuple[str, ...],
-    every: bool,
+    whom: Whom,
     heading: float | None,
     fix: str | None,
     write: bool,
-    data_dir: Path | None,
-    wait: float,
     as_json: bool,
 ) -> int:
     """Check vehicles that stand still; nothing is written without --apply.
@@ -56,8 +50,8 @@ def command(
     Exit code 0: every check passes. 1: a check failed, or a vehicle is armed, silent or busy. 3: nothing failed, but
     a check warns or could not be made.
     """
+    from mavcal.service.commands.door import through_door
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.logs import configure_logging
 
     kinds = tuple(kind.strip() for kind in fix.split(",")) if fix else ()
     unknown = sorted(set(kinds) - set(FIXABLE))
@@ -65,23 +59,21 @@ def command(
         raise click.UsageError(f"--fix cannot do {', '.join(unknown)}: only {', '.join(FIXABLE)} need no hands")
     if bool(kinds) != write:
         raise click.UsageError("--fix writes to the vehicle: give --apply too, or neither of them")
-    whom = Whom(urls, every, wait)
-    settings = whom.settings(data_dir)
-    configure_logging(as_json=settings.log_json)
-    screen = Screen(place_of(settings))
-    check = partial(_checked, wish=_Wish(kinds, heading), screen=screen)
-    done = asyncio.run(with_each(settings, whom, check, screen))
+    screen = Screen(whom.place)
+    check = partial(_checked, wish=_Wish(kinds, heading))
+    done = through_door(whom, partial(with_each, whom=whom, act=check, screen=screen))
     if isinstance(done, int):
         return done
     found = [one for _, one in done]
-    alone = len(found) == 1 and not every
-    if alone and isinstance(found[0], ServiceError):
+    alone = len(found) == 1 and not whom.every
+    if alone and isinstance(found[0], Refusal):
         raise found[0]
     if as_json:
         write_json(_document(done, alone=alone))
     else:
         for where, one in done:
-            show(one, "" if alone else where.connect, replace(screen.place, connect=where.connect))
+            only = None if where.vehicle is None else where.vehicle.id
+            show(one, "" if alone else where.connect, replace(whom.place, connect=where.connect, vehicle=only))
     return _exit_code(found)
 
 
@@ -91,12 +83,12 @@ class _Wish:
     heading: float | None
 
 
-Answer = tuple["Found", "PreflightModel | ServiceError"]
+Answer = tuple[Found, "PreflightModel | Refusal"]
 
 
-async def _checked(door: Door, vehicle: VehicleModel, *, wish: _Wish, screen: Screen) -> PreflightModel:
+async def _checked(door: Door, vehicle: VehicleModel, screen: Screen, *, wish: _Wish) -> PreflightModel:
     screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")
-    fixed = await _fixed(door, vehicle, wish.kinds)
+    fixed = await _fixed(door, vehicle, wish.kinds, screen)
     for fix in fixed:
         screen.line(f"    {fix.kind.value}: {fix.state.value}: {fix.text}")
     with _said_meanwhile(screen):
@@ -104,7 +96,7 @@ async def _checked(door: Door, vehicle: VehicleModel, *, wish: _Wish, screen: Sc
     return found.model_copy(update={"fixed": fixed})
 
 
-async def _fixed(door: Door, vehicle: VehicleModel, kinds: Sequence[str]) -> list[FixModel]:
+async def _fixed(door: Door, vehicle: VehicleModel, kinds: Sequence[str], screen: Screen) -> list[FixModel]:
     """What came of each calibration; the first one that does not succeed is the last."""
     from mavcal.client.enums import Fixable, JobState
     from mavcal.client.models import FixModel
@@ -112,7 +104,7 @@ async def _fixed(door: Door, vehicle: VehicleModel, kinds: Sequence[str]) -> lis
 
     done: list[FixModel] = []
     for kind in dict.fromkeys(kinds):
-        came = await mended(door, vehicle.id, kind, look=False)
+        came = await mended(door, vehicle.id, kind, screen, look=False)
         done.append(FixModel(kind=Fixable(kind), job_id=came.job.id, state=came.job.state, text=came.text))
         if came.job.state != JobState.SUCCEEDED:
             break
@@ -132,9 +124,9 @@ def _said_meanwhile(screen: Screen) -> Iterator[None]:
             reminder.cancel()
 
 
-def _exit_code(found: list[PreflightModel | ServiceError]) -> int:
+def _exit_code(found: list[PreflightModel | Refusal]) -> int:
     """That of the worst vehicle."""
-    verdicts = {"fail" if isinstance(one, ServiceError) else one.verdict.value for one in found}
+    verdicts = {"fail" if isinstance(one, Refusal) else one.verdict.value for one in found}
     return EXIT_NO if "fail" in verdicts else EXIT_PART if verdicts - {"pass"} else 0
 
 
@@ -142,7 +134,7 @@ def _document(done: list[Answer], *, alone: bool) -> dict[str, Any]:
     """One report; of several vehicles, all of them by endpoint."""
     told = []
     for where, one in done:
-        if not isinstance(one, ServiceError):
+        if not isinstance(one, Refusal):
             told.append({"connect": where.connect, **one.model_dump()})
         else:
             told.append({**where.document, "error": {"code": one.code, "detail": str(one)}})
@@ -151,14 +143,14 @@ def _document(done: list[Answer], *, alone: bool) -> dict[str, Any]:
     return {name: value for name, value in told[0].items() if name != "connect"}
 
 
-def show(found: PreflightModel | ServiceError, title: str = "", place: CommandPlace = NOWHERE) -> None:
+def show(found: PreflightModel | Refusal, title: str = "", place: CommandPlace = NOWHERE) -> None:
     """The report as a table, with what helps below each check that does not pass.
 
     Commands are named with the options of `place`.
     """
     if title:
         click.secho(title, bold=True)
-    if isinstance(found, ServiceError):
+    if isinstance(found, Refusal):
         click.secho(f"FAIL: {found}", bold=True)
         return
     width = max(len(check.id.value) for check in found.checks)

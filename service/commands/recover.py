@@ -3,79 +3,64 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING
 
 import click
 
-from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
-from mavcal.service.commands.place import place_of
+from mavcal.service.commands.whom import Whom, whom_options
 
 if TYPE_CHECKING:
+    from mavcal.service.commands.door import Door
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.settings import Settings
 
 
 @click.command()
-@click.option("--connect", required=True, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
-@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
-@click.option(
-    "--wait",
-    type=float,
-    default=120.0,
-    show_default=True,
-    help="How long to wait for the vehicle, and for a write in doubt to be resolved, s.",
-)
+@whom_options(wait_s=120.0, wait_help="How long to wait for the vehicle, and for a write in doubt to be resolved, s.")
 @json_option
-def command(connect: str, data_dir: Path | None, wait: float, as_json: bool) -> int:
+def command(*, whom: Whom, as_json: bool) -> int:
     """Finish or take back writes that were interrupted, by the journal of the data directory.
+
+    A running service does that by itself: with --url it is followed until it is done.
 
     Exit code 0: nothing is in doubt on this vehicle. 1: something still is; the parameters are listed.
     """
+    from mavcal.service.commands.door import through_door
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.logs import configure_logging
 
-    settings = load_settings(data_dir=data_dir, connect=())
-    configure_logging(as_json=settings.log_json)
-    screen = Screen(replace(place_of(settings), connect=connect))
-    return asyncio.run(_recover(settings, connect, wait, screen, as_json))
+    return through_door(whom, partial(_recover, whom=whom, screen=Screen(whom.place), as_json=as_json))
 
 
-async def _recover(settings: Settings, connect: str, wait: float, screen: Screen, as_json: bool) -> int:
-    from mavcal.service.commands.headless import stoppable
-
-    with stoppable() as caught:
-        try:
-            return await _recovered(settings, connect, wait, screen, as_json)
-        except asyncio.CancelledError:
-            if not caught:
-                raise
-            screen.line("stopped; what is still in doubt stays so until the next `mavcal recover`", bold=True)
-            return 128 + caught[0]
+async def _recover(at: Door, *, whom: Whom, screen: Screen, as_json: bool) -> int:
+    try:
+        return await _recovered(at, whom, screen, as_json=as_json)
+    except asyncio.CancelledError:
+        goes_on = "the service goes on with what is still in doubt"
+        stays = "what is still in doubt stays so until the next `mavcal recover`"
+        screen.line(f"stopped; {goes_on if at.shared else stays}", bold=True)
+        raise
 
 
-async def _recovered(settings: Settings, connect: str, wait: float, screen: Screen, as_json: bool) -> int:
-    from mavcal.service.commands.door import door
-    from mavcal.service.commands.headless import heard, recovered, told_of
+async def _recovered(at: Door, whom: Whom, screen: Screen, as_json: bool) -> int:
+    from mavcal.service.commands.headless import left_over, recovered, told_of
+    from mavcal.service.commands.vehicles import vehicle_of
     from mavcal.service.errors import VehicleSilent
 
-    async with door(settings, (connect,)) as at:
-        left = await at.client.list_unfinished()
-        try:
-            vehicle = await heard(at, connect, wait, screen)
-        except VehicleSilent:
-            for found in left:
-                for sentence in found.ending:
-                    screen.line(sentence)
-            raise
-        screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")
-        done = await recovered(at, vehicle, left, screen, doubt_s=wait)
-        await at.tidied()
-        ours = {found.job.id for found in done}
-        now = [await at.client.get_unfinished(found.job.id) for found in left if found.job.id not in ours]
-        others = [found for found in now if not found.ended]
+    left = await left_over(at)
+    try:
+        vehicle = await vehicle_of(at, whom, screen)
+    except VehicleSilent:
+        for found in left:
+            for sentence in found.ending:
+                screen.line(sentence)
+        raise
+    screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")
+    done = await recovered(at, vehicle, left, screen, doubt_s=whom.wait_s)
+    await at.tidied()
+    ours = {found.job.id for found in done}
+    now = [await at.client.get_unfinished(found.job.id) for found in left if found.job.id not in ours]
+    others = [found for found in now if not found.ended]
     doubt = [found for found in done if not found.ended]
     for found in others:
         job = found.job

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
 
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json
-from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from mavcal.client.jobs import JobModel, PlanModel, VehicleReadinessModel
     from mavcal.client.models import UnfinishedModel, VehicleModel
     from mavcal.service.commands.door import Door
+    from mavcal.service.commands.headless import Begun
     from mavcal.service.commands.keyboard import Keyboard
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.settings import Settings
+    from mavcal.service.commands.whom import Whom
 
-    Begin = Callable[[AsyncClient, VehicleModel], Awaitable[tuple[JobModel, float]]]
-    """Makes the job, or takes one up; with it the time after which its events are shown. Raises ServiceError."""
+    Begin = Callable[[AsyncClient, VehicleModel], Awaitable[Begun]]
+    """Makes the job, or takes one up. Raises ServiceError."""
 
 PATIENCE_S = 10.0
 """How long a write waits for the vehicle to be writable."""
@@ -33,48 +34,39 @@ YES = frozenset({"yes", "y"})
 class JobWish:
     """What a run of a command is to do with its job."""
 
-    connect: str
-    """Endpoint of the vehicle."""
     write: bool
     require_proof: bool = False
     reboot: bool = False
-    wait_s: float = 30.0
     as_json: bool = False
     revert: bool = False
     """What the job has written is taken back."""
 
 
-def run_job(settings: Settings, begin: Begin, wish: JobWish) -> int:
-    """One job from `begin` to its end; the exit code."""
+def run_job(whom: Whom, begin: Begin, wish: JobWish, job_id: str | None = None) -> int:
+    """One job from `begin` to its end, or the one that is there already; the exit code."""
+    from mavcal.service.commands.door import OPERATOR, through_door
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.logs import configure_logging
 
-    configure_logging(as_json=settings.log_json)
-    screen = Screen(replace(place_of(settings), connect=wish.connect))
-    job = asyncio.run(_job(settings, begin, wish, screen))
+    what = partial(_job, whom=whom, begin=begin, wish=wish, screen=Screen(whom.place), job_id=job_id)
+    job = through_door(whom, what, OPERATOR)
     if isinstance(job, int):
         return job
     return exit_code(job, wish)
 
 
-async def _job(settings: Settings, begin: Begin, wish: JobWish, screen: Screen) -> JobModel | int:
-    """The job as it ended, or the exit code of a run that was told to stop."""
-    from mavcal.service.commands.door import OPERATOR, door
-    from mavcal.service.commands.headless import heard, recovered, stoppable
+async def _job(
+    at: Door, *, whom: Whom, begin: Begin, wish: JobWish, screen: Screen, job_id: str | None = None
+) -> JobModel:
+    """The job as it ended."""
+    from mavcal.service.commands.headless import left_over, recovered
+    from mavcal.service.commands.vehicles import vehicle_of
 
-    with stoppable() as caught:
-        try:
-            async with door(settings, (wish.connect,), OPERATOR) as at:
-                left = await at.client.list_unfinished()
-                vehicle = await heard(at, wish.connect, wish.wait_s, screen)
-                screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")
-                resolved = await recovered(at, vehicle, left, screen)
-                _require_resolved(resolved)
-                return await _Run(at, vehicle, wish, screen).of(begin, resolved)
-        except asyncio.CancelledError:
-            if not caught:
-                raise
-            return 128 + caught[0]
+    left = await left_over(at)
+    vehicle = await vehicle_of(at, whom, screen, job_id)
+    screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")
+    resolved = await recovered(at, vehicle, left, screen)
+    _require_resolved(resolved)
+    return await _Run(at, vehicle, wish, screen, whom.wait_s).of(begin, resolved)
 
 
 def _require_resolved(resolved: Sequence[UnfinishedModel]) -> None:
@@ -86,14 +78,15 @@ def _require_resolved(resolved: Sequence[UnfinishedModel]) -> None:
             raise PhysicalJobRunning("; ".join(found.ending) + ". Nothing new is begun until that is resolved.")
 
 
-async def job_of(client: AsyncClient, job_id: str, endpoint: str, vehicle: VehicleModel) -> JobModel:
+async def job_of(client: AsyncClient, job_id: str, whom: Whom, vehicle: VehicleModel) -> JobModel:
     """The job of that id. Raises OtherVehicle if it is not of the vehicle at this endpoint."""
     from mavcal.service.commands.headless import is_of
     from mavcal.service.errors import OtherVehicle
 
     job = await client.get_job(job_id)
     if not await is_of(client, job, vehicle):
-        raise OtherVehicle(f"job {job_id} belongs to {job.vehicle_id}, but {endpoint} leads to {vehicle.id}")
+        there = whom.url or whom.urls[0]
+        raise OtherVehicle(f"job {job_id} belongs to {job.vehicle_id}, but {there} leads to {vehicle.id}")
     return job
 
 
@@ -105,39 +98,27 @@ class _Run:
     vehicle: VehicleModel
     wish: JobWish
     screen: Screen
+    wait_s: float = 30.0
 
     @property
     def client(self) -> AsyncClient:
         return self.door.client
 
     async def of(self, begin: Begin, resolved: Sequence[UnfinishedModel]) -> JobModel:
-        from mavcal.service.commands.headless import put_down, told_of
+        from mavcal.service.commands.headless import answering, begun_by, put_down, told_of
         from mavcal.service.commands.keyboard import keyboard
 
-        job, since = await begin(self.client, self.vehicle)
-        try:
-            async with keyboard(self._answer(job.id)) as typed:
-                await self._carried(job, since, typed)
-        except asyncio.CancelledError:
-            await put_down(self.door, job.id, self.screen)
-            raise
-        await self.door.tidied()
-        job = await self.client.get_job(job.id)  # what the vehicle says after a write is known only now
+        async with (
+            begun_by(begin(self.client, self.vehicle), partial(put_down, self.door, self.screen)) as begun,
+            keyboard(answering(self.client, begun.job.id, self.screen)) as typed,
+        ):
+            await self._carried(begun.job, begun.since, typed)
+        await self.door.tidied(written=begun.job.id)
+        job = await self.client.get_job(begun.job.id)  # what the vehicle says after a write is known only now
         if self.wish.as_json:
             write_json({**job.model_dump(), "recovered": [told_of(found) for found in resolved]})
         show_end(job, self.screen, written=self.wish.write)
         return job
-
-    def _answer(self, job_id: str) -> Callable[[str], Any]:
-        from mavcal.service.errors import ServiceError
-
-        async def answer(line: str) -> None:
-            try:
-                await self.client.answer_job(job_id, value=line)
-            except ServiceError as error:
-                self.screen.line(f"    {error}")
-
-        return answer
 
     async def _carried(self, job: JobModel, since: float, typed: Keyboard) -> None:
         """Take the job to where nothing goes on with it by itself."""
@@ -153,7 +134,7 @@ class _Run:
             job = await self._confirmed(job, job.plan, typed)
         if not self.wish.write or job.plan is None or job.plan.blockers:
             return
-        await writable(self.client, self.vehicle, self.wish.wait_s)
+        await writable(self.client, self.vehicle, self.wait_s)
         since = (await self.client.get_job(job.id)).updated_at
         await self.client.apply_plan(job.id, plan_sha256=job.plan.sha256, reboot=self.wish.reboot)
         await follow(self.client, job.id, self.screen, since)

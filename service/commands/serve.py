@@ -128,9 +128,11 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 def _load(settings: Settings) -> tuple[FastAPI, Callable[[Settings], AbstractAsyncContextManager[Service]]]:
     """The application and what runs its service: most of a start."""
     with loading():
+        from mavcal.calib.procedures.registry import load_procedures
         from mavcal.service.app import create_app
         from mavcal.service.core import running_service
 
+        load_procedures()
         return create_app(settings), running_service
 
 

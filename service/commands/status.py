@@ -4,39 +4,30 @@ from __future__ import annotations
 
 import asyncio
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.every import Found, Whom, all_option, connect_option, vehicles_of
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
-from mavcal.service.commands.place import place_of
+from mavcal.service.commands.vehicles import Found, vehicles_of
+from mavcal.service.commands.whom import Whom, whom_options
 
 if TYPE_CHECKING:
     from mavcal.service.commands.door import Door
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.settings import Settings
 
 
 @click.command()
-@connect_option
-@all_option
-@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
-@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
+@whom_options(many=True, every=True)
 @json_option
-def command(*, urls: tuple[str, ...], every: bool, data_dir: Path | None, wait: float, as_json: bool) -> int:
+def command(*, whom: Whom, as_json: bool) -> int:
     """Say of each vehicle who it is, whether it may be written to, and what was calibrated last.
 
     Nothing is asked of it but who it is. Exit code 1 if a vehicle was not heard.
     """
     from mavcal.service.commands.screen import Screen
-    from mavcal.service.logs import configure_logging
 
-    whom = Whom(urls, every, wait)
-    settings = whom.settings(data_dir)
-    configure_logging(as_json=settings.log_json)
-    found = asyncio.run(_status(settings, whom, Screen(place_of(settings))))
+    found = asyncio.run(_status(whom, Screen(whom.place)))
     if as_json:
         write_json({"vehicles": found})
     else:
@@ -45,10 +36,10 @@ def command(*, urls: tuple[str, ...], every: bool, data_dir: Path | None, wait: 
     return EXIT_NO if any("error" in one for one in found) else 0
 
 
-async def _status(settings: Settings, whom: Whom, screen: Screen) -> list[dict[str, Any]]:
+async def _status(whom: Whom, screen: Screen) -> list[dict[str, Any]]:
     from mavcal.service.commands.door import door
 
-    async with door(settings, whom.urls) as at:
+    async with door(whom) as at:
         return [await _one(at, found) for found in await vehicles_of(at, whom, screen)]
 
 

@@ -10,17 +10,18 @@ import io
 import json
 import logging
 import re
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import AbstractContextManager, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import structlog
 
-from bench.running import service
+from bench.running import RunningService, service
 from mavcal.service.cli import main
 from mavcal.service.simvehicle import SimulatedVehicle
 
@@ -44,6 +45,8 @@ class Run:
     sim: SimulatedVehicle
     place: tuple[str, ...]
     hidden: dict[str, str]
+    data_dir: str = ""
+    """Where everything is kept, by this process or by the service."""
     steps: list[Step] = field(default_factory=list)
     last: str = ""
     """The job that was told last."""
@@ -65,6 +68,16 @@ class Run:
             }
         )
         return told
+
+    @property
+    def nowhere(self) -> tuple[str, ...]:
+        """The place without a vehicle."""
+        return self.place if "--url" in self.place else ("--data-dir", self.data_dir)
+
+    def first_log(self) -> str:
+        """A copy of what was recorded so far: a service goes on with its file."""
+        tlogs = Path(self.data_dir) / "tlogs"
+        return str(shutil.copy(min(tlogs.glob("*.tlog")), tlogs.parent / "first.tlog"))
 
     def shifted(self, by: float) -> None:
         """Every gyro reads so much more from now on, rad/s, which the next calibration writes and proves."""
@@ -126,20 +139,33 @@ def _vehicle(autopilot: str = "ardupilot", **config: Any) -> Iterator[SimulatedV
 def _beside(autopilot: str = "ardupilot", **config: Any) -> Iterator[Run]:
     """A vehicle, and a data directory of this process."""
     with tempfile.TemporaryDirectory() as folder, _vehicle(autopilot, **config) as sim:
-        yield Run(sim, ("--connect", sim.url, "--data-dir", folder), {sim.url: "<vehicle>", folder: "<dir>"})
+        yield Run(sim, ("--connect", sim.url, "--data-dir", folder), {sim.url: "<vehicle>", folder: "<dir>"}, folder)
 
 
 @contextmanager
-def _served() -> Iterator[tuple[Run, Any]]:
+def _served(autopilot: str = "ardupilot", **config: Any) -> Iterator[tuple[Run, RunningService]]:
     """A vehicle, and a service that runs elsewhere."""
-    with tempfile.TemporaryDirectory() as folder, _vehicle() as sim, service(sim.url, Path(folder) / "data") as found:
-        found.found()
-        yield Run(sim, ("--url", found.url), {sim.url: "<vehicle>", folder: "<dir>", found.url: "<service>"}), found
+    with tempfile.TemporaryDirectory() as folder, _vehicle(autopilot, **config) as sim:
+        data_dir = Path(folder) / "data"
+        with service(sim.url, data_dir) as found:
+            found.found()
+            hidden = {sim.url: "<vehicle>", str(data_dir): "<dir>", folder: "<dir>", found.url: "<service>"}
+            yield Run(sim, ("--url", found.url), hidden, str(data_dir)), found
 
 
-def looked_at() -> list[Step]:
+@contextmanager
+def _through_service(autopilot: str = "ardupilot", **config: Any) -> Iterator[Run]:
+    with _served(autopilot, **config) as (run, _):
+        yield run
+
+
+Opened = Callable[..., AbstractContextManager[Run]]
+WAYS: dict[str, Opened] = {"--connect": _beside, "--url": _through_service}
+
+
+def looked_at(opened: Opened) -> list[Step]:
     """What a vehicle is asked for without a calibration."""
-    with _beside() as run:
+    with opened() as run:
         run("status")
         run("preflight")
         run("recover")
@@ -183,10 +209,11 @@ def silent() -> list[Step]:
         return run.steps
 
 
-def calibrated(autopilot: str = "ardupilot") -> list[Step]:
+def calibrated(opened: Opened) -> list[Step]:
     """A calibration planned, accepted, taken back, made again and restored."""
-    with _beside(autopilot) as run:
+    with opened() as run:
         run("calibrate", "gyro")
+        log = run.first_log()
         run("accept", "JOB")
         run("accept", "JOB")
         run("revert", "JOB")
@@ -197,16 +224,26 @@ def calibrated(autopilot: str = "ardupilot") -> list[Step]:
         run("calibrate", "gyro", "--apply", text=True)
         run("restore", "--apply")
         run("status")
+        run("plan", "gyro-rest", log)
         run("revert", "--all")
-        tlog = min((Path(run.place[3]) / "tlogs").glob("*.tlog"))
-        run("plan", "gyro-rest", str(tlog))
-        run("jobs", place=run.place[2:], text=True)
+        run("jobs", place=run.nowhere, text=True)
         return run.steps
 
 
-def every() -> list[Step]:
+def px4(opened: Opened) -> list[Step]:
+    """Another autopilot, long after its start."""
+    with opened("px4") as run:
+        run.sim.wait(120.0)
+        run("status")
+        run.shifted(0.02)
+        run("calibrate", "gyro", "--apply")
+        run("status")
+        return run.steps
+
+
+def every(opened: Opened) -> list[Step]:
     """What is done of every vehicle."""
-    with _beside() as run:
+    with opened() as run:
         run("preflight", "--fix", "gyro", "--apply")
         run.shifted(0.02)
         run("calibrate", "gyro", "--all", "--apply")
@@ -217,18 +254,17 @@ def every() -> list[Step]:
         return run.steps
 
 
-def campaigns() -> list[Step]:
+def campaigns(opened: Opened) -> list[Step]:
     """One campaign after the other."""
-    with _beside() as run:
+    with opened() as run:
         told = run("campaign", "preflight")
-        kept = run.place[2:]
-        run("campaign", "items", told["id"], place=kept)
+        run("campaign", "items", told["id"], place=("--data-dir", run.data_dir))
         run("campaign", "calibrate", "gyro")
         run("campaign", "calibrate", "gyro", "--apply", "--at-once", "1")
         run("campaign", "calibrate", "gyro", "--option", "colour=1")
         run.shifted(0.02)
         run("campaign", "calibrate", "gyro", "--apply", text=True)
-        run("campaign", "resume", told["id"], place=kept)
+        run("campaign", "resume", told["id"], place=run.nowhere)
         run("campaign", "resume", told["id"])
         run("campaign", "resume", "nojob")
         return run.steps
@@ -258,16 +294,76 @@ def remote() -> list[Step]:
         return run.steps
 
 
-SCENARIOS: dict[str, Callable[[], list[Step]]] = {
-    made.__name__: made for made in (silent, looked_at, calibrated, every, campaigns, remote)
+SCENARIOS: dict[str, Callable[[], list[Step]]] = {made.__name__: made for made in (silent, remote)}
+BOTH_WAYS: dict[str, Callable[[Opened], list[Step]]] = {
+    made.__name__: made for made in (looked_at, calibrated, px4, every, campaigns)
 }
+"""Told in one file for both ways: what differs with ``--url`` stands in a second one, and why in :data:`DIFFERENT`."""
+_OTHERS = "a service is shared: every write of a vehicle may be somebody else's, so that --all is refused there"
+_CODE = "the API has one code for invalid input, the application in the command's process tells the class"
+_WHO = "a service keeps who asked by the name of the key"
+_AT_ONCE = "the vehicle is that of the job, which is asked for first"
+DIFFERENT: dict[str, dict[str, str]] = {
+    "looked_at": {
+        "accept nojob": _AT_ONCE,
+        "revert nojob": _AT_ONCE,
+        "calibrate gyro --option colour=#": _CODE,
+        "calibrate gyro --only mag0": _CODE,
+        "revert --all": _OTHERS,
+        "campaign preflight --vehicle nobody": "the vehicles of a service are told with their system ids",
+    },
+    "calibrated": {
+        "revert --all": _OTHERS,
+        "jobs (text)": "what `revert --all` did not take back",
+    },
+    "px4": {},
+    "every": {"revert --all (text)": _OTHERS},
+    "campaigns": {
+        "campaign calibrate gyro": _WHO,
+        "campaign calibrate gyro --apply --at-once #": _WHO,
+        "campaign calibrate gyro --option colour=#": _CODE,
+        "campaign resume nojob": "without a vehicle the data directory of the command is named in place of the service",
+    },
+}
+"""Commands that say something else with ``--url``, and why."""
+
+
+def differences(by_url: Sequence[Step], by_connect: Sequence[Step]) -> dict[str, Step]:
+    """Those steps through a service that say something else, by their place.
+
+    That the next command is named with its own way is no difference.
+    """
+    pairs = enumerate(zip(by_url, by_connect, strict=True))
+    return {str(n): there for n, (there, here) in pairs if _placed(there) != _placed(here)}
+
+
+def _placed(step: Step) -> str:
+    text = json.dumps(step, ensure_ascii=False, sort_keys=True)
+    return (
+        text.replace(" --connect <vehicle>", " <place>")
+        .replace(" --data-dir <dir>", "")
+        .replace(" --url <service>", " <place>")
+    )
+
+
+def by_url(name: str) -> Path:
+    """The file of what differs with ``--url``."""
+    return FOLDER / f"{name}_by_url.json"
 
 
 def record(names: Sequence[str]) -> None:
     """Write what the commands say now as what they are to say."""
-    for name in names or SCENARIOS:
-        lines = json.dumps(SCENARIOS[name](), indent=1, ensure_ascii=False)
-        (FOLDER / f"{name}.json").write_text(f"{lines}\n", encoding="utf-8")
+    for name in names or [*SCENARIOS, *BOTH_WAYS]:
+        if name in SCENARIOS:
+            _keep(FOLDER / f"{name}.json", SCENARIOS[name]())
+            continue
+        told = {way: BOTH_WAYS[name](opened) for way, opened in WAYS.items()}
+        _keep(FOLDER / f"{name}.json", told["--connect"])
+        _keep(by_url(name), differences(told["--url"], told["--connect"]))
+
+
+def _keep(path: Path, found: Any) -> None:
+    path.write_text(f"{json.dumps(found, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,6 +20,8 @@ from tests.patience import patience, scaled
 from .cli_bench import mavcal
 from .deployed import clean_environment, started
 from .jobs_bench import stored
+from .test_cli_every import free_port
+from .test_cli_recovery import Running
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.timeout(300)
@@ -158,3 +161,69 @@ def test_a_key_lets_in_and_none_does_not(tmp_path: Path) -> None:
         assert mavcal("jobs", *place)[:2] == (0, {"jobs": [], "next": None})
         code, told, _ = mavcal("cancel", "j1", *place)
         assert (code, told["error"]["code"]) == (2, "not-allowed")
+
+
+@pytest.mark.long
+def test_a_command_that_is_stopped_cancels_its_own_job_and_nothing_else(
+    running: RunningService, sim: SimulatedVehicle
+) -> None:
+    theirs = begun(running, "gyro")
+    assert mavcal("follow", theirs, "--url", running.url)[1]["state"] == "review"
+    before = stored(sim)
+    sim.call("speed", value=1.0)
+    command = [sys.executable, "-u", "-m", "mavcal", "calibrate", "gyro", "--apply", "--url", running.url]
+    ours = Running(command, None)
+    ours.until("do not touch it")
+    assert ours.stopped(signal.SIGINT) == 128 + signal.SIGINT
+    assert "was cancelled, nothing was written" in ours.said
+    sim.call("speed", value=20.0)
+    newest, *_ = running.client.list_jobs(order="newest", limit=1)
+    assert (newest.kind, newest.state.value) == ("gyro", "cancelled")
+    assert running.client.get_job(theirs).state.value == "review"
+    assert running.client.get_health() is not None
+    assert stored(sim) == before
+    running.client.cancel_job(theirs)
+
+
+@pytest.mark.long
+def test_a_vehicle_that_another_job_has_is_not_taken_over(running: RunningService) -> None:
+    theirs = begun(running, "accel")
+    for words in (("calibrate", "gyro"), ("preflight",), ("preflight", "--fix", "gyro", "--apply")):
+        code, told, _ = mavcal(*words, "--url", running.url)
+        assert (code, told["error"]["code"]) == (1, "physical-job-running"), told
+    code, told, said = mavcal("recover", "--url", running.url)
+    assert (code, told["recovered"], told["in_doubt"]) == (0, [], []), said
+    assert running.client.get_job(theirs).state.value in {"running", "waiting_for_operator"}
+    running.client.cancel_job(theirs)
+
+
+@pytest.mark.long
+def test_of_several_vehicles_one_is_chosen_or_all_are_listed(tmp_path: Path) -> None:
+    link = f"udpout:127.0.0.1:{free_port()}"
+    config = {"imu_count": 1, "parameters": {"INS_GYR_CAL": 0}}
+    with (
+        SimulatedVehicle("ardupilot", seed=8, speed=4.0, system_id=1, link=link, config=config) as one,
+        SimulatedVehicle("ardupilot", seed=9, speed=4.0, system_id=2, link=link, config=config) as two,
+        service(one.url, tmp_path / "data") as running,
+    ):
+        one.call("still")
+        two.call("still")
+        limit = patience(60.0)
+        while not (len(heard := running.client.list_vehicles()) == 2 and all(v.uid for v in heard)):
+            assert not limit.over, heard
+        place = ("--url", running.url)
+        ids = {vehicle.system: vehicle.id for vehicle in heard}
+        for words in (("status",), ("calibrate", "gyro"), ("recover",)):
+            code, told, _ = mavcal(*words, *place)
+            assert (code, told["error"]["code"]) == (2, "usage")
+            assert all(vehicle_id in told["error"]["detail"] for vehicle_id in ids.values())
+        code, told, _ = mavcal("status", "--all", *place)
+        assert (code, sorted(v["system"] for v in told["vehicles"])) == (0, [1, 2])
+        for name in ("2", ids[2]):
+            code, told, _ = mavcal("status", "--vehicle", name, *place)
+            assert (code, [v["id"] for v in told["vehicles"]]) == (0, [ids[2]])
+        code, told, said = mavcal("calibrate", "gyro", "--vehicle", "2", *place)
+        assert (code, told["vehicle_id"], told["state"]) == (0, ids[2], "review"), said
+        assert f"`mavcal accept {told['id']} --url {running.url}` writes it" in said  # the job says which vehicle
+        code, told, said = mavcal("accept", told["id"], *place)
+        assert (code, told["vehicle_id"], told["state"]) == (0, ids[2], "succeeded"), said

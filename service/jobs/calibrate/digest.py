@@ -26,7 +26,6 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4.parameters import without_row
 from mavcal.calib.firmware.stream.rates import Assembler
 from mavcal.calib.firmware.values import shown
-from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Step
 from mavcal.calib.procedures.registry import create, replay, specification
@@ -232,6 +231,8 @@ def fit_segments(request: JobFitRequest) -> Fitted:
         If a segment is not what it was, or a calibration parameter changed in it.
     UnreadableError, InvalidInputError, FirmwareError
     """
+    from mavcal.calib.logs.tlog import read_tlog  # readers of logs are not loaded before there is something to fit
+
     recording = read_tlog(b"".join(content_of(span) for span in request.spans), system=request.system)
     for entry in calibration_changes(recording):
         before = next(e.value for e in recording.parameters.entries if e.name == entry.name)

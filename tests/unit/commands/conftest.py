@@ -1,12 +1,12 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
 
-from mavcal.service.commands import door, headless
+from mavcal.service.commands import door
 from mavcal.service.jobs.core.model import Job
 from tests.unit.commands.doubles import FakeService, KeptScreen
 
@@ -42,14 +42,3 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         monkeypatch.setattr(door, "door", opened)
 
     return give
-
-
-@pytest.fixture
-def signalled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever cancels a run was a signal: number 15."""
-
-    @contextmanager
-    def stoppable() -> Iterator[list[int]]:
-        yield [15]
-
-    monkeypatch.setattr(headless, "stoppable", stoppable)

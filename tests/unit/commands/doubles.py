@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
+from mavcal.client.enums import Autopilot
 from mavcal.client.jobs import JobModel, PlanModel
 from mavcal.client.models import UnfinishedModel
 from mavcal.client.requests import PlanOptions
@@ -56,8 +57,9 @@ class FakeVehicle:
     id: str = "v1"
     link: str = ""
     refusals: int = 0
-    autopilot: str = "px4"
+    autopilot: Autopilot = Autopilot.PX4
     firmware: str = "1.17.0"
+    system: int = 1
 
     @property
     def links(self) -> list[str]:
@@ -125,11 +127,17 @@ class FakeLink:
     reason: str = ""
     vehicles: list[str] = field(default_factory=list)
 
+    @property
+    def id(self) -> str:
+        """See LinkModel."""
+        return self.url
+
 
 class FakeService:
     """As much of a service as the commands take, on a store in memory: its client, and the door to it."""
 
-    def __init__(self, *jobs: Job) -> None:
+    def __init__(self, *jobs: Job, shared: bool = False) -> None:
+        self.shared = shared
         self.jobs: Any = ScriptedJobs({job.id: job for job in jobs})
         self.links: dict[str, FakeLink] = {}
         self.opened: list[str] = []
@@ -156,7 +164,7 @@ class FakeService:
         self.links.setdefault(url, FakeLink(url))
         return url
 
-    async def tidied(self, _seconds: float = 0.0) -> None:
+    async def tidied(self, _seconds: float = 0.0, *, written: str | None = None) -> None:
         """See Door."""
         self.jobs.ask("tidied")
 

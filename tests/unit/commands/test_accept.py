@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import asynccontextmanager, contextmanager
-from dataclasses import replace
+from contextlib import contextmanager
 
 import click
 import pytest
@@ -12,51 +11,24 @@ from click.testing import CliRunner
 
 from mavcal.client.enums import JobState as ClientState
 from mavcal.service.commands import accept, answer, cancel, follow, revert
-from mavcal.service.commands.review import JobWish
-from mavcal.service.jobs.core.model import Failure, Result
+from mavcal.service.errors import NoVehicle, VehicleUnknown
+from mavcal.service.jobs.core.model import Failure
 from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import FakeVehicle, of_service, plain
-from tests.unit.commands.test_review import BLOCKED, EMPTY, FULL, HALF, PLAN, WROTE
-
-WISH = JobWish("", write=True)
-
-
-class Service:
-    """A client of a service that notes what it is asked; `job` is what it tells."""
-
-    def __init__(self, job, after=None):
-        self.job, self.after = job, after
-        self.asked = []
-
-    async def get_job(self, _job_id):
-        return of_service(self.job)
-
-    async def renew_plan(self, _job_id, *, plan_options):
-        self.asked.append(("plan", plan_options.model_dump(exclude_unset=True)))
-        return of_service(self.job).plan
-
-    async def apply_plan(self, _job_id, *, plan_sha256, reboot):
-        self.asked.append(("apply", plan_sha256, reboot))
-        self.job = self.after
-
-    async def revert_job(self, _job_id):
-        self.asked.append(("revert",))
-        self.job = self.after
+from tests.unit.commands.test_review import BLOCKED, FULL, PLAN, WROTE
 
 
 @pytest.fixture
-def at(monkeypatch):
-    """Puts such a service at every address."""
+def at(make_service, runs):
+    """Puts a service with this job at every address, which others use too; its write comes to `after`."""
 
-    def put(service):
-        @asynccontextmanager
-        async def opened(url, key_file):
-            service.asked.append((url, key_file))
-            yield service
-
-        for module in (accept, revert, follow):
-            monkeypatch.setattr(module, "async_service_at", opened)
-        return service
+    def put(job, after=None, vehicle="v1"):
+        service = make_service(job, shared=True)
+        service.joined("tcp:v:1", vehicle)
+        service.jobs.planned = job
+        service.jobs.steps = [] if after is None else [(after, "state", {})]
+        runs(service)
+        return service.jobs.done
 
     return put
 
@@ -78,71 +50,52 @@ def in_review(plan=PLAN, **more):
 
 def test_the_plan_is_made_again_with_old_and_new_decisions_and_what_was_shown_is_written(at):
     decided = {"plan_options": {"only": ["gyro0"], "mark_calibrated": True}}
-    service = at(Service(in_review(context=decided), ended()))
+    done = at(in_review(context=decided), ended())
     code, _ = invoked(accept.command, "j", "--url", "http://h", "--reboot", "--no-mark-calibrated")
     assert code == 0
-    assert service.asked[1:] == [
-        ("plan", {"only": ["gyro0"], "mark_calibrated": False}),
-        ("apply", PLAN.sha256, True),
+    assert done == [
+        ("plan_again", "j", {"only": ["gyro0"], "mark_calibrated": False}),
+        ("apply", "j", PLAN.sha256, {"reboot": True}),
+        ("tidied",),
     ]
 
 
-@pytest.mark.parametrize(("plan", "code"), [(BLOCKED, 1), (EMPTY, 1)])
-def test_a_plan_that_is_blocked_or_empty_is_not_written(at, plan, code):
-    service = at(Service(in_review(plan)))
-    assert invoked(accept.command, "j", "--url", "http://h")[0] == code
-    assert [what for what, *_ in service.asked[1:]] == ["plan"]
+def test_a_plan_that_is_blocked_is_not_written(at):
+    done = at(in_review(BLOCKED))
+    assert invoked(accept.command, "j", "--url", "http://h")[0] == 1
+    assert [what for what, *_ in done] == ["plan_again", "tidied"]
 
 
 def test_json_is_the_job_as_it_ended(at):
-    at(Service(in_review(), ended()))
+    at(in_review(), ended())
     told = json.loads(invoked(accept.command, "j", "--url", "http://h", "--json")[1])
-    assert (told["id"], told["state"]) == ("j", "succeeded")
+    assert (told["id"], told["state"], told["recovered"]) == ("j", "succeeded", [])
 
 
-@pytest.mark.parametrize(
-    ("job", "require_proof", "good"),
-    [
-        (ended(), True, True),
-        (ended(HALF), False, True),
-        (ended(HALF), True, False),
-        (ended(HALF, EMPTY), True, True),
-        (ended(HALF, None), True, False),
-        (ended(Failure("x", "It moved", "hold it"), state=JobState.FAILED), False, False),
-        (in_review(), False, False),
-    ],
-)
-def test_a_write_of_a_service_is_good_as_one_from_here(job, require_proof, good):
-    assert accept._good(of_service(job), replace(WISH, require_proof=require_proof)) is good
+@pytest.mark.parametrize("command", [accept.command, revert.command])
+def test_the_vehicle_of_a_service_is_that_of_the_job(at, command):
+    at(plain("j", JobState.REVIEW, vehicle_id=None))
+    with pytest.raises(NoVehicle):
+        invoked(command, "j", "--url", "http://h")
+    at(in_review(), vehicle="v9")
+    with pytest.raises(VehicleUnknown, match="no vehicle v1"):
+        invoked(command, "j", "--url", "http://h")
 
 
-@pytest.mark.parametrize("arguments", [(), ("--url", "http://h", "--connect", "tcp:v:1")])
-def test_either_a_vehicle_or_a_service_is_named(arguments):
-    with pytest.raises(click.UsageError, match="give --connect to write from here, or --url"):
-        invoked(accept.command, "j", *arguments)
-
-
-@pytest.mark.parametrize(("state", "code"), [(JobState.REVERTED, 0), (JobState.IN_DOUBT, 1)])
-def test_a_service_takes_a_write_back(at, monkeypatch, state, code):
-    service = at(Service(ended(), plain("j", state, outcome=Result("It is back."))))
-
-    async def rested(client, job_id, _screen, since):
-        assert since == 0.0
-        return await client.get_job(job_id)
-
-    monkeypatch.setattr(revert, "followed", rested)
-    assert invoked(revert.command, "j", "--url", "http://h")[0] == code
-    assert service.asked[1:] == [("revert",)]
+def test_a_service_takes_a_write_back(at):
+    done = at(ended())
+    assert invoked(revert.command, "j", "--url", "http://h")[0] == 0
+    assert done == [("revert", "j"), ("tidied",)]
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((), "name the JOB, or give --all"),
+        ((), "give --connect URL"),
         (("j", "--all"), "name the JOB, or give --all"),
-        (("--all", "--url", "http://h"), "not of a --url"),
-        (("j",), "give --connect to write from here"),
-        (("j", "--connect", "a", "--connect", "b"), "give one --connect URL"),
+        (("--all", "--url", "http://h"), "what others wrote"),
+        (("j",), "give --connect URL of a vehicle, or --url URL"),
+        (("j", "--connect", "a", "--connect", "b"), "one vehicle at a time"),
     ],
 )
 def test_what_is_taken_back_is_said_exactly(arguments, said):
@@ -159,7 +112,7 @@ def at_rest(monkeypatch):
 
 
 @pytest.mark.usefixtures("at_rest")
-async def test_with_all_every_write_of_this_vehicle_is_taken_back_the_newest_first(make_service):
+async def test_with_all_every_write_of_this_vehicle_is_taken_back_the_newest_first(make_service, screen):
     wrote = {"last_write": WROTE, "outcome": FULL}
     service = make_service(
         plain("old", JobState.SUCCEEDED, **{**wrote, "updated_at": 1.0}),
@@ -170,21 +123,21 @@ async def test_with_all_every_write_of_this_vehicle_is_taken_back_the_newest_fir
         plain("gone", JobState.REVERTED, **{**wrote, "updated_at": 7.0}),
     )
     service.joined("tcp:v:1", "v1", "v2")
-    acted = await revert._all_writes(service, service.vehicles["v1"], 1.0)
+    acted = await revert._all_writes(service, service.vehicles["v1"], screen, wait=1.0)
     assert service.jobs.done == [("revert", "newest"), ("revert", "middle"), ("revert", "old")]
     assert acted.good
     assert acted.text.startswith("job newest (gyro) is reverted: It is written. job middle (gyro) is reverted")
     assert [told["state"] for told in acted.document["jobs"]] == ["reverted"] * 3
 
 
-async def test_a_vehicle_to_which_nothing_was_written_is_no_failure(make_service):
+async def test_a_vehicle_to_which_nothing_was_written_is_no_failure(make_service, screen):
     service = make_service()
-    acted = await revert._all_writes(service, FakeVehicle(), 1.0)
+    acted = await revert._all_writes(service, FakeVehicle(), screen, wait=1.0)
     assert (acted.good, acted.document, service.jobs.done) == (True, {"jobs": []}, [])
 
 
 @pytest.mark.usefixtures("at_rest")
-async def test_an_older_write_waits_for_a_newer_one_that_is_not_taken_back(make_service, monkeypatch):
+async def test_an_older_write_waits_for_a_newer_one_that_is_not_taken_back(make_service, screen, monkeypatch):
     wrote = {"last_write": WROTE, "outcome": FULL}
     service = make_service(
         plain("old", JobState.SUCCEEDED, **{**wrote, "updated_at": 1.0}),
@@ -197,15 +150,19 @@ async def test_an_older_write_waits_for_a_newer_one_that_is_not_taken_back(make_
         return of_service(plain(job_id, JobState.IN_DOUBT, outcome=failure))
 
     monkeypatch.setattr("mavcal.service.commands.hands_free.wait_for_job", stuck)
-    acted = await revert._all_writes(service, service.vehicles["v1"], 1.0)
+    acted = await revert._all_writes(service, service.vehicles["v1"], screen, wait=1.0)
     assert service.jobs.done == [("revert", "new")]
     assert not acted.good
     assert acted.text.endswith("job old (gyro) was not tried")
 
 
 @pytest.mark.parametrize(("job", "code"), [(ended(), 0), (in_review(BLOCKED), 1), (ended(state=JobState.REVERTED), 1)])
-def test_following_ends_as_the_job_does(at, job, code):
-    at(Service(job))
+def test_following_ends_as_the_job_does(monkeypatch, job, code):
+    async def followed(_client, job_id, _screen):
+        assert job_id == "j"
+        return of_service(job)
+
+    monkeypatch.setattr(follow, "followed", followed)
     assert invoked(follow.command, "j", "--url", "http://h")[0] == code
     told = json.loads(invoked(follow.command, "j", "--url", "http://h", "--json")[1])
     assert told["state"] == job.state.value

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from mavcal.client.requests import PlanOptions
+from mavcal.service.commands.headless import Begun
 from mavcal.service.commands.review import JobWish
 from mavcal.service.errors import OtherVehicle
 from mavcal.service.jobs.core.states import JobState
@@ -32,8 +33,8 @@ def handed(monkeypatch, tmp_path):
         if result.exception is not None:
             raise result.exception
         assert result.return_value == 7
-        [(settings, begin, wish)] = caught
-        assert (settings.connect, settings.data_dir) == ((), tmp_path)
+        [(whom, begin, wish, *_)] = caught
+        assert (whom.urls, whom.settings.connect, whom.settings.data_dir) == ((URL,), (), tmp_path)
         return begin, wish
 
     return run
@@ -63,10 +64,10 @@ def client(asked):
 async def test_a_calibration_is_submitted_with_its_options(handed, client, asked):
     arguments = ("--option", "uncertainty=0.5", "--only", "gyro1", "--apply", "--require-proof", "--wait", "5")
     begin, wish = handed("calibrate", "gyro", *arguments)
-    assert await begin(client, FakeVehicle()) == ("job", 0.0)
+    assert await begin(client, FakeVehicle()) == Begun("job")
     how = {"kind": "gyro", "options": {"uncertainty": 0.5}, "plan_options": PlanOptions(only=["gyro1"])}
     assert asked == [("start_job", "v1", how)]
-    assert wish == JobWish(URL, write=True, require_proof=True, wait_s=5.0)
+    assert wish == JobWish(write=True, require_proof=True)
 
 
 async def test_a_restore_is_of_all_sensors_or_of_those_that_are_named(handed, client, asked):
@@ -74,7 +75,7 @@ async def test_a_restore_is_of_all_sensors_or_of_those_that_are_named(handed, cl
         begin, wish = handed("restore", *arguments)
         await begin(client, FakeVehicle())
     assert [how["only"] for _, _, how in asked] == [None, ["gyro0", "accel1"], None]
-    assert wish == JobWish(URL, write=True, reboot=True, as_json=True)
+    assert wish == JobWish(write=True, reboot=True, as_json=True)
 
 
 async def test_a_log_is_kept_and_its_fit_adopted(handed, client, asked, tmp_path):
@@ -88,7 +89,7 @@ async def test_a_log_is_kept_and_its_fit_adopted(handed, client, asked, tmp_path
     assert b"".join([chunk async for chunk in chunks]) == b"t,accel_x\n"
     how = {"method": "gyro-rest", "vehicle_id": "v1", "options": {"model": "ring"}}
     assert adopted == ("plan_recording", "upload", {**how, "plan_options": PlanOptions(confirm_other_unit=True)})
-    assert wish == JobWish(URL, write=False)
+    assert wish == JobWish(write=False)
 
 
 def test_a_proof_is_of_what_was_written(handed, tmp_path):
@@ -105,18 +106,18 @@ async def test_a_plan_that_waits_is_made_again_with_its_decisions_and_the_new_on
     service.joined(URL, "v1")
     service.jobs.planned = waiting
     begin, wish = handed("accept", "j", "--no-adjust-level", "--reboot")
-    assert await begin(service, service.vehicles["v1"]) == (of_service(waiting), 0.0)
+    assert await begin(service, service.vehicles["v1"]) == Begun(of_service(waiting), ours=False)
     assert service.jobs.done == [("plan_again", "j", {"only": ["gyro0"], "adjust_level": False})]
-    assert wish == JobWish(URL, write=True, reboot=True)
+    assert wish == JobWish(write=True, reboot=True)
 
 
 async def test_a_write_is_taken_back_once_the_vehicle_may_be_written_to(handed, make_service):
     service = make_service(plain("j", JobState.SUCCEEDED))
     service.joined(URL, "v1")
     begin, wish = handed("revert", "j", "--wait", "0")
-    job, since = await begin(service, service.vehicles["v1"])
-    assert (job.state, since) == (JobState.REVERTED, 0.0)
-    assert wish == JobWish(URL, write=True, wait_s=0.0, revert=True)
+    begun = await begin(service, service.vehicles["v1"])
+    assert (begun.job.state, begun.ours) == (JobState.REVERTED, False)
+    assert wish == JobWish(write=True, revert=True)
 
 
 @pytest.mark.parametrize("name", ["accept", "revert"])

@@ -8,8 +8,9 @@ from click.testing import CliRunner
 
 from mavcal.service.commands import campaign_archive, campaign_run
 from mavcal.service.commands.campaign import command
-from mavcal.service.commands.campaign_run import VehicleWish
 from mavcal.service.commands.campaign_told import Telling
+from mavcal.service.commands.headless import Begun
+from mavcal.service.commands.whom import Whom
 
 URL = "tcp:v:1"
 
@@ -26,9 +27,10 @@ def handed(monkeypatch, tmp_path):
         if result.exception is not None:
             raise result.exception
         assert result.return_value == 7
-        settings, *rest = caught.pop()
+        where, *rest = caught.pop()
+        settings = getattr(where, "settings", where)
         assert (settings.data_dir, settings.connect) == (tmp_path, ())  # its own links are not opened
-        return rest
+        return [where, *rest] if isinstance(where, Whom) else rest
 
     return run
 
@@ -48,17 +50,19 @@ class Noting:
 
 
 async def test_every_vehicle_that_is_heard_is_checked(handed):
-    begin, wish = handed("preflight", "--connect", URL, "--connect", "tcp:w:1", "--vehicle", "v1", "--at-once", "3")
-    assert wish == VehicleWish((URL, "tcp:w:1"), ("v1",), 30.0)
+    whom, begin, telling = handed(
+        "preflight", "--connect", URL, "--connect", "tcp:w:1", "--vehicle", "v1", "--at-once", "3"
+    )
+    assert (whom.urls, whom.ids, whom.every, telling) == ((URL, "tcp:w:1"), ("v1",), False, Telling())
     client = Noting()
-    assert await begin(client, ["v1", "tcp:w:1"]) == "job"
+    assert await begin(client, ["v1", "tcp:w:1"]) == Begun("job")
     assert client.asked == [("start_preflight_campaign", {"vehicles": ["v1", "tcp:w:1"], "at_once": 3})]
 
 
 async def test_a_calibration_has_its_options(handed):
     arguments = ("--option", "uncertainty=0.5", "--only", "gyro0", "--apply", "--reboot", "--csv", "a.csv", "--json")
-    begin, wish = handed("calibrate", "gyro", "--connect", URL, *arguments)
-    assert (str(wish.table), wish.as_json) == ("a.csv", True)
+    _, begin, telling = handed("calibrate", "gyro", "--connect", URL, *arguments)
+    assert (str(telling.table), telling.as_json) == ("a.csv", True)
     client = Noting()
     await begin(client, ["v1"])
     [(name, how)] = client.asked
@@ -109,5 +113,5 @@ async def test_a_campaign_is_resumed_where_it_was_begun(handed, monkeypatch, of_
         await begin(found)
         assert (executor, found.asked) == ("threads:3", [("resume", "c", {})])
     else:
-        _, wish = handed("resume", "c", "--connect", URL, "--wait", "5")
-        assert wish == VehicleWish((URL,), (), 5.0)
+        whom, _, _ = handed("resume", "c", "--connect", URL, "--wait", "5")
+        assert (whom.urls, whom.wait_s) == ((URL,), 5.0)

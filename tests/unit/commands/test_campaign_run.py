@@ -10,7 +10,10 @@ from mavcal.service.api.views import item_model
 from mavcal.service.campaigns.campaigns import CAMPAIGN
 from mavcal.service.campaigns.items import Item, ItemOutcome
 from mavcal.service.commands import campaign_run
-from mavcal.service.commands.campaign_run import VehicleWish, resumed
+from mavcal.service.commands.campaign_run import resumed
+from mavcal.service.commands.campaign_told import Telling
+from mavcal.service.commands.headless import Begun
+from mavcal.service.commands.whom import Whom
 from mavcal.service.errors import EndpointError, JobUnknown
 from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import of_service, plain
@@ -25,7 +28,7 @@ def quick(monkeypatch):
 
 
 async def heard(service, screen, *urls, ids=()):
-    return await campaign_run._heard(service, VehicleWish(urls, ids, 0.0), screen)
+    return await campaign_run._heard(service, Whom(urls, ids=ids, wait_s=0.0), screen)
 
 
 async def test_every_vehicle_of_the_links_is_gone_through_and_no_other(make_service, screen):
@@ -106,7 +109,7 @@ def item_of(item, job=None):
 async def test_a_stopped_campaign_is_resumed_and_a_running_one_followed(make_service, job, asked):
     service = make_service(job)
     noted = noting(service)
-    assert (await resumed("c")(service, [])).id == "c"
+    assert (await resumed("c")(service, [])).job.id == "c"
     assert noted == asked
 
 
@@ -115,7 +118,7 @@ async def test_a_campaign_that_there_is_not_is_an_error(make_service):
         await resumed("c")(make_service(), [])
 
 
-async def test_a_stopped_campaign_takes_its_captures_with_it_and_nothing_else(make_service):
+async def test_a_stopped_campaign_takes_its_captures_with_it_and_nothing_else(make_service, screen):
     capture, review, write, ended = (
         plain(name, state)
         for name, state in [
@@ -128,21 +131,30 @@ async def test_a_stopped_campaign_takes_its_captures_with_it_and_nothing_else(ma
     service = make_service(capture, review, write, ended, plain("foreign", JobState.RUNNING))
     going_on = [(Item(n, "v1", job_id=job.id), job) for n, job in enumerate((capture, review, write, ended), 1)]
     noted = noting(service, *going_on, (Item(9, "v9"),))
-    await campaign_run._put_down(service, "c")
+    service.jobs.jobs["c"] = plain("c", JobState.RUNNING, kind=CAMPAIGN)
+    await campaign_run._put_down(service, screen, Begun(await service.get_job("c")))
     assert noted == [("interrupt", "c")]
-    assert service.jobs.done == [("cancel", "capture")]
+    assert service.jobs.done == [("cancel", "capture"), ("tidied",)]
+
+
+async def test_a_campaign_that_a_shared_service_goes_on_with_is_left_alone(make_service, screen):
+    service = make_service(plain("c", JobState.RUNNING, kind=CAMPAIGN), shared=True)
+    noted = noting(service)
+    begun = await resumed("c")(service, [])
+    await campaign_run._put_down(service, screen, begun)
+    assert (noted, screen.lines) == ([], ["stopped: the service goes on with campaign c"])
 
 
 @pytest.fixture
-def run(make_service, screen, runs):
+def run(make_service, screen):
     """Runs a campaign over one vehicle; `begin` makes it."""
 
     async def of(begin):
         service = make_service()
         service.joined(A, "v1")
         service.noted = noting(service, (Item(1, "v1", outcome=ItemOutcome.DONE),))
-        runs(service)
-        return service, await campaign_run._run(None, lambda *given: begin(service, *given), VehicleWish((A,)), screen)
+        how = {"whom": Whom((A,)), "begin": lambda *given: begin(service, *given), "telling": Telling()}
+        return service, await campaign_run._run(service, **how, screen=screen)
 
     return of
 
@@ -151,7 +163,7 @@ def begun(state):
     async def begin(service, _client, chosen):
         assert chosen == ["v1"]
         service.jobs.jobs["c"] = plain("c", state, kind=CAMPAIGN)
-        return await service.get_job("c")
+        return Begun(await service.get_job("c"))
 
     return begin
 
@@ -166,17 +178,17 @@ async def stopped(_jobs, _screen):
     raise asyncio.CancelledError
 
 
-@pytest.mark.usefixtures("signalled")
-async def test_a_campaign_that_a_signal_stops_can_be_resumed(run, screen, monkeypatch):
+async def test_a_campaign_that_is_stopped_can_be_resumed(run, screen, monkeypatch):
     monkeypatch.setattr(campaign_run, "followed", stopped)
-    service, code = await run(begun(JobState.RUNNING))
-    assert code == 128 + 15
+    made = []
+
+    async def begin(service, *given):
+        made.append(service)
+        return await begun(JobState.RUNNING)(service, *given)
+
+    with pytest.raises(asyncio.CancelledError):
+        await run(begin)
+    [service] = made
     assert service.noted == [("interrupt", "c")]
     assert screen.lines[-1] == "stopped: `mavcal campaign resume c` goes on with it"
     assert ("tidied",) in service.jobs.done
-
-
-async def test_a_campaign_that_something_else_cancels_raises(run, monkeypatch):
-    monkeypatch.setattr(campaign_run, "followed", stopped)
-    with pytest.raises(asyncio.CancelledError):
-        await run(begun(JobState.RUNNING))

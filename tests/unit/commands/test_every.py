@@ -1,15 +1,17 @@
 from __future__ import annotations
 
-import asyncio
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import click
 import pytest
 
-from mavcal.service.commands import every
-from mavcal.service.commands.every import Acted, Found, Whom, one_of, run_every, vehicles_of, with_each
+from mavcal.client import Unreachable
+from mavcal.service.commands import door, vehicles
+from mavcal.service.commands.every import Acted, run_every, with_each
+from mavcal.service.commands.output import AnsweredNo
+from mavcal.service.commands.vehicles import Found, vehicles_of
+from mavcal.service.commands.whom import Whom
 from mavcal.service.errors import VehicleArmed, VehicleSilent
 from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import FakeVehicle, plain
@@ -20,7 +22,7 @@ A, B = "udpin:0.0.0.0:14550", "tcp:b:5760"
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """Links are not listened to for further vehicles."""
-    monkeypatch.setattr(every, "LISTEN_S", 0.0)
+    monkeypatch.setattr(vehicles, "LISTEN_S", 0.0)
 
 
 def found(result):
@@ -72,93 +74,52 @@ async def test_a_silent_link_is_told_and_the_others_count(make_service, screen):
     assert heard.document == {"connect": B, "vehicle_id": "v1"}
 
 
-def test_without_all_an_endpoint_is_needed():
-    with pytest.raises(click.UsageError, match="--connect URL, or --all"):
-        Whom((), every=False, wait_s=1.0).settings(None)
-
-
-@pytest.mark.parametrize(("urls", "kept"), [((), ("tcp:kept:1",)), ((A,), ())])
-def test_the_endpoints_of_the_settings_count_where_none_is_given(monkeypatch, tmp_path, urls, kept):
-    monkeypatch.setenv("MAVCAL_CONNECT", '["tcp:kept:1"]')
-    settings = Whom(urls, every=True, wait_s=1.0).settings(tmp_path)
-    assert (settings.connect, settings.data_dir) == (kept, tmp_path)
-
-
-def test_one_endpoint_and_no_other_number():
-    assert one_of([A]) == A
-    for urls in ([], [A, B]):
-        with pytest.raises(click.UsageError):
-            one_of(urls)
-
-
-async def test_each_vehicle_is_acted_on_after_its_earlier_jobs_were_ended(make_service, screen, runs):
+async def test_each_vehicle_is_acted_on_after_its_earlier_jobs_were_ended(make_service, screen):
     service = make_service(plain("old", JobState.RUNNING))
     service.joined(A, "v1")
     service.joined(B, "v2")
-    runs(service)
 
-    async def act(_service, vehicle):
+    async def act(_service, vehicle, _screen):
         assert service.jobs.done == [("cancel", "old")]
         if vehicle.id == "v2":
             raise VehicleArmed("it is armed")
         return vehicle.id
 
-    (_, first), (where, second) = await with_each(None, Whom((A, B), every=False, wait_s=1.0), act, screen)
+    (_, first), (where, second) = await with_each(service, whom=Whom((A, B), wait_s=1.0), act=act, screen=screen)
     assert (first, where.connect) == ("v1", B)
     assert isinstance(second, VehicleArmed)
 
 
-async def test_nothing_is_done_where_no_vehicle_is(make_service, screen, runs):
+async def test_nothing_is_done_where_no_vehicle_is(make_service, screen):
     service = make_service()
     service.joined(A)
-    runs(service)
 
-    async def act(_service, _vehicle):
+    async def act(_service, _vehicle, _screen):
         raise AssertionError
 
-    [(_, came)] = await with_each(None, Whom((A,), every=False, wait_s=0.0), act, screen)
+    [(_, came)] = await with_each(service, whom=Whom((A,), wait_s=0.0), act=act, screen=screen)
     assert isinstance(came, VehicleSilent)
 
 
-@pytest.fixture
-def cancelled(make_service, screen, runs):
-    """A run over one vehicle that is cancelled in the middle."""
+async def test_a_service_that_goes_away_is_told_for_each_vehicle(make_service, screen):
     service = make_service()
     service.joined(A, "v1")
-    runs(service)
 
-    async def act(_service, _vehicle):
-        raise asyncio.CancelledError
+    async def act(_service, _vehicle, _screen):
+        raise Unreachable("refused")
 
-    return lambda: with_each(None, Whom((A,), every=False, wait_s=1.0), act, screen)
-
-
-async def test_a_run_that_is_cancelled_by_no_signal_raises(cancelled):
-    with pytest.raises(asyncio.CancelledError):
-        await cancelled()
-
-
-@pytest.mark.usefixtures("signalled")
-async def test_a_run_that_a_signal_ended_has_its_exit_code(cancelled):
-    assert await cancelled() == 128 + 15
+    [(_, came)] = await with_each(service, whom=Whom((A,)), act=act, screen=screen)
+    assert isinstance(came, AnsweredNo)
+    assert came.code == "unreachable"
 
 
 @pytest.fixture
-def tells(monkeypatch):
+def tells(monkeypatch, tmp_path):
     """Runs the command with these outcomes; the exit code."""
 
     def run(*came, as_json=False):
-        async def each(*_):
-            return came[0] if isinstance(came[0], int) else list(came)
-
-        monkeypatch.setattr(every, "with_each", each)
-        monkeypatch.setattr("mavcal.service.logs.configure_logging", lambda **_: None)
-        return run_every(
-            SimpleNamespace(log_json=False, connect=(), data_dir=Path("/d")),
-            Whom((A,), every=True, wait_s=1.0),
-            None,
-            as_json=as_json,
-        )
+        monkeypatch.setattr(door, "through_door", lambda *_: came[0] if isinstance(came[0], int) else list(came))
+        return run_every(Whom((A,), every=True, data_dir=tmp_path), None, as_json=as_json)
 
     return run
 

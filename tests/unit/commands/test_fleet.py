@@ -13,7 +13,8 @@ from mavcal.client import ApiProblem, Client, Unreachable
 from mavcal.service.commands import fleet, fleet_source
 from mavcal.service.commands.fleet import command, show
 from mavcal.service.commands.fleet_source import FleetQuery, LocalFleet, RemoteFleet, opened
-from mavcal.service.errors import DataDirLocked, LinkDown, UnitUnknown
+from mavcal.service.commands.output import AnsweredNo
+from mavcal.service.errors import DataDirLocked, UnitUnknown
 from mavcal.service.settings import Settings
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import UnitRow
@@ -240,9 +241,9 @@ def test_what_was_not_asked_for_is_not_asked_of_a_service():
 @pytest.mark.parametrize(
     ("error", "raised", "said"),
     [
-        (ApiProblem(404, {"detail": "there is no unit x"}), UnitUnknown, "there is no unit x"),
+        (ApiProblem(404, {"detail": "there is no unit x"}), AnsweredNo, "there is no unit x"),
         (ApiProblem(403, {"detail": "you may not"}), click.ClickException, "you may not"),
-        (Unreachable("refused"), LinkDown, "http://h does not answer as it should: refused"),
+        (Unreachable("refused"), AnsweredNo, "refused; is `mavcal serve` running"),
     ],
 )
 def test_what_a_service_refuses_is_an_error_of_ours(error, raised, said):

@@ -19,7 +19,7 @@ WRITTEN = Result("It is written.")
 
 
 @pytest.fixture
-def calibrate(make_service):
+def calibrate(make_service, screen):
     """Calibrates a gyro whose plan is this; what was asked of the service, and what came of it."""
 
     async def run(planned, written=WRITTEN, **more):
@@ -35,7 +35,7 @@ def calibrate(make_service):
             service.jobs.jobs[job_id] = plain("j", JobState.SUCCEEDED, outcome=written, **more)
 
         service.start_job, service.apply_plan = start_job, apply_plan
-        return service.jobs.done, await mended(service, "v1", "gyro", look=True)
+        return service.jobs.done, await mended(service, "v1", "gyro", screen, look=True)
 
     return run
 

@@ -6,10 +6,13 @@ import pytest
 
 from mavcal.service.commands import headless
 from mavcal.service.commands.headless import (
+    Begun,
+    begun_by,
     follow,
     heard,
     is_of,
     jobs_of,
+    left_over,
     put_down,
     recovered,
     show_event,
@@ -218,14 +221,14 @@ async def test_a_recovered_job_is_told_with_its_parameters(make_service):
 @pytest.mark.parametrize("state", [JobState.QUEUED, JobState.WAITING_FOR_OPERATOR, JobState.FITTING])
 async def test_a_stopped_run_cancels_what_has_written_nothing(make_service, screen, state):
     service = make_service(plain("j", state))
-    await put_down(service, "j", screen)
+    await put_down(service, screen, Begun(await service.get_job("j")))
     assert service.jobs.done == [("cancel", "j"), ("tidied",)]
     assert screen.lines == ["stopped: job j (gyro) was cancelled, nothing was written"]
 
 
 async def test_a_stopped_run_leaves_a_plan_in_review(make_service, screen):
     service = make_service(plain("j", JobState.REVIEW))
-    await put_down(service, "j", screen)
+    await put_down(service, screen, Begun(await service.get_job("j")))
     assert service.jobs.done == [("tidied",)]
     assert screen.lines == ["stopped: job j (gyro) is review"]
 
@@ -235,7 +238,54 @@ async def test_a_stopped_run_says_what_a_write_leaves_behind(make_service, scree
     service = make_service(plain("j", JobState.VERIFYING))
     if wrote:
         sent(service, "j")
-    await put_down(service, "j", screen)
+    await put_down(service, screen, Begun(await service.get_job("j")))
     assert service.jobs.done == [("tidied",)]
     assert screen.lines[0].startswith(f"stopped while job j (gyro) is verifying: {said}")
     assert screen.lines[1].startswith("`mavcal recover` finishes it")
+
+
+async def test_a_shared_service_goes_on_with_a_write(make_service, screen):
+    service = make_service(plain("j", JobState.VERIFYING), shared=True)
+    await put_down(service, screen, Begun(await service.get_job("j")))
+    assert screen.lines[1] == "The service goes on with it: `mavcal follow j` shows what comes of it."
+
+
+async def test_a_job_that_somebody_else_has_begun_is_never_cancelled(make_service, screen):
+    service = make_service(plain("j", JobState.RUNNING), shared=True)
+    await put_down(service, screen, Begun(await service.get_job("j"), ours=False))
+    assert service.jobs.done == [("tidied",)]
+    assert screen.lines == ["stopped: job j (gyro) is running"]
+
+
+async def test_of_a_shared_service_only_writes_that_are_in_doubt_now_are_left(make_service):
+    service = make_service(
+        *(plain(state.value, state) for state in (JobState.RUNNING, JobState.VERIFYING, JobState.REVERTED)), shared=True
+    )
+    begun = await service.list_unfinished()
+    assert [found.job.id for found in begun] == ["running", "verifying"]
+    service.jobs.jobs["doubt"] = plain("doubt", JobState.IN_DOUBT)  # of the run that goes on
+    assert [found.job.id for found in await left_over(service)] == ["verifying", "doubt"]
+
+
+async def test_a_run_that_is_stopped_while_its_job_is_made_leaves_none(make_service):
+    service, left, made = make_service(plain("j", JobState.QUEUED)), [], asyncio.Event()
+
+    async def begin():
+        await made.wait()
+        return Begun(await service.get_job("j"))
+
+    async def leave(begun):
+        left.append(begun.job.id)
+
+    async def run():
+        async with begun_by(begin(), leave):
+            raise AssertionError
+
+    running = asyncio.ensure_future(run())
+    await asyncio.sleep(0)
+    running.cancel()
+    await asyncio.sleep(0)
+    made.set()
+    with pytest.raises(asyncio.CancelledError):
+        await running
+    assert left == ["j"]

@@ -11,6 +11,7 @@ from mavcal.service.commands.place import NOWHERE, CommandPlace, place_of
 from mavcal.service.settings import default_data_dir
 
 HERE = CommandPlace("tcp:v:1", Path("/d d"))
+CHOSEN = CommandPlace(url="http://h:1", vehicle="7")
 THERE = CommandPlace(url="http://h:1", key_file=Path("/k"))
 
 
@@ -25,7 +26,10 @@ THERE = CommandPlace(url="http://h:1", key_file=Path("/k"))
         (HERE, "no command", "no command"),
         (HERE, "`mavcal revert --all`", "`mavcal revert --all --data-dir '/d d'`"),
         (THERE, "`mavcal accept j`", "`mavcal accept j --url http://h:1 --key-file /k`"),
-        (THERE, "`mavcal restore --apply`", "`mavcal restore --apply`"),  # it asks no service
+        (THERE, "`mavcal fit --help`", "`mavcal fit --help`"),  # it asks no service
+        (CHOSEN, "`mavcal restore --apply`", "`mavcal restore --apply --url http://h:1 --vehicle 7`"),
+        (CHOSEN, "`mavcal accept j`", "`mavcal accept j --url http://h:1`"),  # a job says which vehicle
+        (CHOSEN, "`mavcal status --all`", "`mavcal status --all --url http://h:1`"),
         (NOWHERE, "`mavcal recover`", "`mavcal recover`"),
     ],
 )

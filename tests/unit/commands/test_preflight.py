@@ -8,10 +8,10 @@ import pytest
 from click.testing import CliRunner
 
 from mavcal.client.models import PreflightModel
-from mavcal.service.commands import preflight
-from mavcal.service.commands.every import Found
+from mavcal.service.commands import door, preflight
 from mavcal.service.commands.hands_free import Mended
 from mavcal.service.commands.preflight import command, show
+from mavcal.service.commands.vehicles import Found
 from mavcal.service.errors import VehicleArmed
 from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import FakeVehicle, of_service, plain
@@ -38,13 +38,12 @@ def run(monkeypatch):
     """Runs the command where these came of the vehicles."""
 
     def with_outcomes(*came, arguments=("--connect", A)):
-        async def each(*_):
+        def each(*_):
             if isinstance(came[0], int):
                 return came[0]
             return [(Found(url, FakeVehicle(f"v{n}")), one) for n, (url, one) in enumerate(zip((A, B), came))]  # noqa: B905
 
-        monkeypatch.setattr(preflight, "with_each", each)
-        monkeypatch.setattr("mavcal.service.logs.configure_logging", lambda **_: None)
+        monkeypatch.setattr(door, "through_door", each)
         result = CliRunner().invoke(command, arguments, standalone_mode=False)
         if result.exception is not None:
             raise result.exception
@@ -138,7 +137,7 @@ def test_what_helps_stands_below_its_check_and_names_are_aligned(capsys):
 async def test_what_is_to_be_fixed_is_fixed_before_the_check(monkeypatch, make_service, screen, state, kinds):
     asked = []
 
-    async def mended(_door, vehicle_id, kind, *, look):
+    async def mended(_door, vehicle_id, kind, _screen, *, look):
         asked.append((kind, vehicle_id, look))
         return Mended(of_service(plain("j", JobState(state))), "It is.", in_part=False)
 
@@ -150,7 +149,7 @@ async def test_what_is_to_be_fixed_is_fixed_before_the_check(monkeypatch, make_s
     service = make_service()
     service.run_preflight = checked
     wish = preflight._Wish(("gyro", "level", "gyro"), 90.0)
-    found = await preflight._checked(service, FakeVehicle(), wish=wish, screen=screen)
+    found = await preflight._checked(service, FakeVehicle(), screen, wish=wish)
     assert [fix.kind.value for fix in found.fixed] == kinds
     assert asked == [*((kind, "v1", False) for kind in kinds), ("preflight", "v1", 90.0)]
     assert screen.lines == ["px4 1.17.0 as v1", *(f"    {kind}: {state}: It is." for kind in kinds)]

@@ -12,8 +12,11 @@ from mavcal.client import ApiProblem, UnexpectedAnswer, Unreachable
 from mavcal.client.enums import JobState as ClientState
 from mavcal.client.events import StateData, StateEvent
 from mavcal.service.commands import keyboard, remote
+from mavcal.service.commands.follow import came_well, followed, show_came_of
+from mavcal.service.commands.headless import rests
 from mavcal.service.commands.output import AnsweredNo
-from mavcal.service.commands.remote import came_well, followed, one_of, rests, service_at, show_came_of
+from mavcal.service.commands.remote import service_at
+from mavcal.service.errors import AnswerRefused
 from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import ENDED, JobState
 from tests.unit.api.samples import PLAN
@@ -45,8 +48,8 @@ def test_what_is_no_address_is_wrong_use(url):
 def test_the_key_is_the_one_word_of_its_file(tmp_path):
     file = tmp_path / "key"
     file.write_text(" secret \n")
-    assert remote._key_in(file) == "secret"
-    assert remote._key_in(None) is None
+    assert remote.key_in(file) == "secret"
+    assert remote.key_in(None) is None
 
 
 @pytest.mark.parametrize("content", [b"", b"two words", b"one\ntwo\n", "schl\u00fcssel".encode()])
@@ -54,12 +57,12 @@ def test_a_file_that_holds_no_key_is_wrong_use(tmp_path, content):
     file = tmp_path / "key"
     file.write_bytes(content)
     with pytest.raises(click.UsageError, match="--key-file"):
-        remote._key_in(file)
+        remote.key_in(file)
 
 
 def test_a_file_that_is_gone_is_wrong_use(tmp_path):
     with pytest.raises(click.UsageError, match="cannot be read"):
-        remote._key_in(tmp_path / "gone")
+        remote.key_in(tmp_path / "gone")
 
 
 @pytest.mark.parametrize(
@@ -135,14 +138,6 @@ def test_where_a_job_stands_is_one_line(screen, job, said):
     assert screen.lines == [said]
 
 
-@pytest.mark.parametrize(("connect", "url"), [(None, None), ("tcp:v:1", "http://h")])
-def test_a_write_is_from_here_or_by_a_service(connect, url):
-    with pytest.raises(click.UsageError):
-        one_of(connect, url)
-    one_of("tcp:v:1", None)
-    one_of(None, "http://h")
-
-
 class Service:
     """A client whose service tells of a job: `jobs` one after the other, whenever it is asked for."""
 
@@ -187,18 +182,6 @@ async def test_a_job_is_followed_until_it_rests(screen):
     assert screen.lines == ["  > Turn it.", "    fitting", "    succeeded"]
 
 
-async def test_what_happened_before_is_not_shown_and_does_not_end_it(screen):
-    events = [
-        event(1.0, "prompt", text="old"),
-        state_event(2.0, "review"),
-        event(2.5, "prompt", text="Wait."),
-        state_event(3.0, "succeeded"),
-    ]
-    client = Service(RUNNING, RUNNING, SUCCEEDED, events=events)
-    await followed(client, "j", screen, since=2.0)
-    assert [line.split()[-1] for line in screen.lines] == ["Wait.", "succeeded"]
-
-
 async def test_a_typed_line_answers_the_job_and_a_refusal_is_shown(screen, monkeypatch):
     taken = []
 
@@ -206,7 +189,7 @@ async def test_a_typed_line_answers_the_job_and_a_refusal_is_shown(screen, monke
         async def answer_job(self, job_id, *, value):
             taken.append((job_id, value))
             if value == "seven":
-                raise problem(409)
+                raise AnswerRefused("It is so.")
 
     @asynccontextmanager
     async def typing(answer):

@@ -4,17 +4,17 @@ import asyncio
 import json
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from mavcal.calib.firmware.options import to_confirm
 from mavcal.calib.firmware.plan import Change, LeftOut, Loss, ParameterKind, WritePlan
 from mavcal.calib.recording import Sensor
-from mavcal.service.commands import keyboard, review
+from mavcal.service.commands import door, keyboard, review
+from mavcal.service.commands.headless import Begun, answering
 from mavcal.service.commands.keyboard import Keyboard
 from mavcal.service.commands.review import JobWish, exit_code, good, run_job, show_end, show_plan, taken_back, writable
+from mavcal.service.commands.whom import Whom
 from mavcal.service.errors import AnswerRefused, PhysicalJobRunning
 from mavcal.service.jobs.core.model import Attempt, Failure, Result, WriteResult
 from mavcal.service.jobs.core.proof import ProofLevel, Unproved
@@ -22,7 +22,7 @@ from mavcal.service.jobs.core.states import JobState
 from tests.unit.api.samples import FINGERPRINT
 from tests.unit.commands.doubles import FakeVehicle, of_service, plain
 
-SETTINGS = SimpleNamespace(connect=(), log_json=False, data_dir=Path("/d"))
+WHOM = Whom(("tcp:v:1",))
 CHANGE = Change("CAL_GYRO0_XOFF", None, 0.25, ParameterKind.REAL32, "offset", sd=0.0125, unit="rad/s")
 PLAN = WritePlan(FINGERPRINT, "0" * 64, (CHANGE,))
 EMPTY = WritePlan(FINGERPRINT, "0" * 64, ())
@@ -35,7 +35,7 @@ FULL, HALF = Result("It is written.", ProofLevel.FULL), Result("It is written.",
 
 
 def wished(write, **more):
-    return JobWish("tcp:v:1", write, **more)
+    return JobWish(write, **more)
 
 
 def review_of(plan, **more):
@@ -194,7 +194,7 @@ def run(make_service, screen, monkeypatch):
         vehicle = service.vehicles["v1"]
 
         async def begin(_client, _vehicle):
-            return of_service(job), 0.0
+            return Begun(of_service(job))
 
         ended = await review._Run(service, vehicle, wish, screen).of(begin, ())
         return ended, service.jobs.done[:-1]  # the last thing is always to wait for the old rates
@@ -271,7 +271,7 @@ async def test_nobody_is_asked_to_confirm_what_is_not_to_be_written(run, monkeyp
 
 async def test_a_line_answers_the_job_and_a_refusal_is_shown(make_service, screen):
     service = make_service()
-    answer = review._Run(service, FakeVehicle(), wished(write=False), screen)._answer("j")
+    answer = answering(service, "j", screen)
     await answer("finish")
     service.jobs.refusal = AnswerRefused("type a number")
     await answer("finish")
@@ -316,51 +316,23 @@ async def test_nothing_new_begins_while_an_earlier_job_is_in_doubt(make_service)
     ],
 )
 def test_the_exit_code_is_that_of_what_was_asked_for(monkeypatch, came, wish, code):
-    async def ended(*_):
-        return came if isinstance(came, int) else of_service(came)
-
-    monkeypatch.setattr(review, "_job", ended)
-    monkeypatch.setattr("mavcal.service.logs.configure_logging", lambda **_: None)
-    assert run_job(SETTINGS, None, wish) == code
+    monkeypatch.setattr(door, "through_door", lambda *_: came if isinstance(came, int) else of_service(came))
+    assert run_job(WHOM, None, wish) == code
 
 
-async def test_a_job_begins_once_the_vehicle_is_heard_and_nothing_is_in_doubt(make_service, screen, runs, monkeypatch):
+async def test_a_job_begins_once_the_vehicle_is_heard_and_nothing_is_in_doubt(make_service, screen, monkeypatch):
     Typist(monkeypatch)
     service = make_service(plain("old", JobState.QUEUED))
     service.joined("tcp:v:1", "v1")
-    runs(service)
 
     async def begin(_service, vehicle):
         assert (vehicle.id, service.jobs.done) == ("v1", [("cancel", "old")])
         service.jobs.jobs["j"] = review_of(PLAN)
-        return await service.get_job("j"), 0.0
+        return Begun(await service.get_job("j"))
 
-    job = await review._job(SETTINGS, begin, wished(write=False), screen)
+    job = await review._job(service, whom=WHOM, begin=begin, wish=wished(write=False), screen=screen)
     assert (job.id, job.state) == ("j", JobState.REVIEW)
     assert screen.lines[0] == "px4 1.17.0 as v1"
-
-
-@pytest.fixture
-def cancelled(make_service, screen, runs):
-    """A run that is cancelled before its job has begun."""
-    service = make_service()
-    service.joined("tcp:v:1", "v1")
-    runs(service)
-
-    async def begin(_service, _vehicle):
-        raise asyncio.CancelledError
-
-    return lambda: review._job(SETTINGS, begin, wished(write=False), screen)
-
-
-async def test_a_run_that_is_cancelled_by_no_signal_raises(cancelled):
-    with pytest.raises(asyncio.CancelledError):
-        await cancelled()
-
-
-@pytest.mark.usefixtures("signalled")
-async def test_a_run_that_a_signal_ended_has_its_exit_code(cancelled):
-    assert await cancelled() == 128 + 15
 
 
 async def test_a_job_that_waits_in_review_without_a_plan_is_left(run, monkeypatch):

@@ -1,8 +1,7 @@
 from __future__ import annotations
 
+import asyncio
 import json
-from contextlib import asynccontextmanager
-from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -10,7 +9,8 @@ from click.testing import CliRunner
 from mavcal.client.models import VehicleModel
 from mavcal.service.api.views import vehicle_model
 from mavcal.service.commands import recover, status
-from mavcal.service.commands.every import Found
+from mavcal.service.commands.vehicles import Found
+from mavcal.service.commands.whom import Whom
 from mavcal.service.errors import VehicleSilent
 from mavcal.service.jobs.core.model import Result
 from mavcal.service.jobs.core.states import JobState
@@ -74,51 +74,47 @@ def test_a_vehicle_that_is_silent_makes_the_exit_code(monkeypatch, tmp_path, fou
     assert json.loads(result.stdout) == {"vehicles": found}
 
 
-SETTINGS = SimpleNamespace(connect=(), log_json=False)
-
-
-async def test_what_was_left_is_brought_to_an_end_and_what_is_of_others_named(make_service, screen, runs, capsys):
+async def test_what_was_left_is_brought_to_an_end_and_what_is_of_others_named(make_service, screen, capsys):
     service = make_service(plain("a", JobState.QUEUED), plain("b", JobState.IN_DOUBT, vehicle_id="v2"))
     service.joined(URL, "v1", "v2")
-    runs(service)
-    assert await recover._recovered(SETTINGS, URL, 1.0, screen, as_json=True) == 0
+    assert await recover._recovered(service, Whom((URL,), wait_s=1.0), screen, as_json=True) == 0
     assert service.jobs.done == [("cancel", "a"), ("tidied",)]
     assert screen.lines[-1] == "job b (gyro) of v2 is in_doubt"
     assert '"of_other_vehicles": [{"id": "b"' in capsys.readouterr().out
 
 
-async def test_what_stays_in_doubt_makes_the_exit_code(make_service, screen, runs):
+async def test_what_stays_in_doubt_makes_the_exit_code(make_service, screen):
     service = make_service(plain("a", JobState.IN_DOUBT))
     service.joined(URL, "v1")
-    runs(service)
-    assert await recover._recovered(SETTINGS, URL, 0.0, screen, as_json=False) == 1
+    assert await recover._recovered(service, Whom((URL,), wait_s=0.0), screen, as_json=False) == 1
     assert "nothing is in doubt on this vehicle" not in screen.lines
 
 
-async def test_where_nothing_was_left_it_is_said(make_service, screen, runs):
+async def test_where_nothing_was_left_it_is_said(make_service, screen):
     service = make_service()
     service.joined(URL, "v1")
-    runs(service)
-    assert await recover._recovered(SETTINGS, URL, 1.0, screen, as_json=False) == 0
+    assert await recover._recovered(service, Whom((URL,), wait_s=1.0), screen, as_json=False) == 0
     assert screen.lines[-1] == "nothing is in doubt on this vehicle"
 
 
-async def test_a_vehicle_that_is_silent_leaves_what_is_in_doubt_named(make_service, screen, runs):
+async def test_a_vehicle_that_is_silent_leaves_what_is_in_doubt_named(make_service, screen):
     service = make_service(plain("a", JobState.IN_DOUBT))
     service.joined(URL)
-    runs(service)
     with pytest.raises(VehicleSilent):
-        await recover._recovered(SETTINGS, URL, 0.0, screen, as_json=False)
+        await recover._recovered(service, Whom((URL,), wait_s=0.0), screen, as_json=False)
     assert screen.lines == ["job a (gyro) is in doubt"]
 
 
-@pytest.mark.usefixtures("signalled")
-async def test_a_recovery_that_a_signal_ends_says_what_stays(screen, monkeypatch):
-    @asynccontextmanager
-    async def cancelled(*_):
-        raise status.asyncio.CancelledError
-        yield
-
-    monkeypatch.setattr("mavcal.service.commands.door.door", cancelled)
-    assert await recover._recover(SETTINGS, URL, 1.0, screen, as_json=False) == 128 + 15
-    assert screen.lines == ["stopped; what is still in doubt stays so until the next `mavcal recover`"]
+@pytest.mark.parametrize(
+    ("shared", "said"), [(False, "until the next `mavcal recover`"), (True, "the service goes on")]
+)
+async def test_a_recovery_that_is_stopped_says_what_stays(make_service, screen, shared, said):
+    service = make_service(shared=shared)
+    waiting = asyncio.ensure_future(recover._recover(service, whom=Whom((URL,)), screen=screen, as_json=False))
+    await asyncio.sleep(0)
+    waiting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+    [line] = screen.lines
+    assert line.startswith("stopped; ")
+    assert said in line
