@@ -68,6 +68,7 @@ class Side:
         found = (self.fit.trusted + loosest)[np.ix_(~self.own, ~self.own)]
         apart = {"delay": STAMPS_S} | {f"torque_{a}": TRIMS * abs(self.fit.value(f"gain_{a}")) for a in AXES}
         apart |= {f"damping_{a}": DAMPED * abs(self.fit.value(f"damping_{a}")) for a in AXES}
+        apart = {name: sd for name, sd in apart.items() if sd > 0.0}
         rows = [int(np.count_nonzero(~self.own[: place[name]])) for name in apart]
         # (A^-1 + D)^-1 where D has a few parameters only (Woodbury)
         across = found[:, rows]

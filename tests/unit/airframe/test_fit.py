@@ -200,7 +200,7 @@ def test_a_parameter_at_its_end_leaves_the_others_at_their_best(name: str, beyon
     one = airframe(flew(3, **{name: beyond}), kind=KIND, volts=None)
     likelihood = FlightLikelihood(one, one.flight.usable, torque=True)
     still = {n: 0.0 for n in one.layout.names if n.startswith(("weak_", "pulse_", "load", "fall", PREFIX))}
-    free, held = (fitted(likelihood, one.layout.start(0.5, G), {**still, **also}) for also in ({}, {name: end}))
+    free, held = (fitted(likelihood, one.layout.start(0.5, G), {**still, **also}, 40) for also in ({}, {name: end}))
     assert free.value(name) == pytest.approx(end)
     best = likelihood.loglik(held.theta, held.spectra)
     assert likelihood.loglik(free.theta, held.spectra) == pytest.approx(best, abs=0.1)
