@@ -6,6 +6,7 @@ learned, not declared. The result is a :class:`FlightFit`, the log-likelihood ab
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -178,7 +179,7 @@ class FlightLikelihood:
         self.airframe, self.usable = airframe, usable
         flight = airframe.flight
         n = len(flight.t)
-        hz = np.arange(n) * flight.fs / (2.0 * n)
+        hz = np.asarray(np.arange(n) * flight.fs / (2.0 * n), dtype=np.float64)
         self.torque, self._hz = torque, hz
         turns, lifts = excited(flight)
         self.turns, self.lifts = usable & turns, usable & lifts
@@ -248,18 +249,11 @@ class FlightLikelihood:
         for one in REFERENCES:
             views = [k for k, v in enumerate(self._views) if v.column in one.columns]
             size = sum(float((measured[k] ** 2).sum()) for k, v in enumerate(self._views) if v.column in one.whole)
-            left = sum(self._answerable(residual[k], self._hz[self._views[k].picked], one.below_hz) for k in views)
+            left = math.fsum(_answerable(residual[k], self._hz[self._views[k].picked], one.below_hz) for k in views)
             if size > 0.0:
                 error = one.right_to**2 * size + one.answered**2 * left
                 total += sum(columns[k] @ columns[k].T for k in views) / max(error, 1e-12)
         return total
-
-    @staticmethod
-    def _answerable(residual: Array, hz: Array, below_hz: float) -> float:
-        """Energy of a residual below that frequency beyond the sensor's noise, which no controller answers there."""
-        power, slow = residual**2, hz < below_hz
-        noise = 0.0 if slow.all() else float(power[~slow][-(np.count_nonzero(~slow) // 2) :].mean())
-        return max(float(power[slow].sum()) - noise * np.count_nonzero(slow), 0.0)
 
     def spectra(self, theta: Array) -> tuple[Array, ...]:
         """The noise that is left at a point."""
@@ -305,6 +299,13 @@ class FlightLikelihood:
             for out, found in zip(columns, self.bins(change), strict=True):
                 out.append(found)
         return [np.array(c) for c in columns]
+
+
+def _answerable(residual: Array, hz: Array, below_hz: float) -> float:
+    """Energy of a residual below that frequency beyond the sensor's noise, which no controller answers there."""
+    power, slow = residual**2, hz < below_hz
+    noise = 0.0 if slow.all() else float(power[~slow][-(np.count_nonzero(~slow) // 2) :].mean())
+    return max(float(power[slow].sum()) - noise * np.count_nonzero(slow), 0.0)
 
 
 def fitted(
