@@ -122,6 +122,13 @@ def needed_log(recording: Recording) -> str:
     return PROFILE_BITS if recording.identity.autopilot == "px4" else LOG_BITS
 
 
+def dropped(recording: Recording) -> float:
+    """Part of the samples of the fastest accelerometer that its log lost; 0 without one."""
+    found = [c.t for c in (*recording.channels, *recording.dynamics) if c.sensor == Sensor.ACCEL and len(c.t) > 1]
+    whole = [1.0 + float(t[-1] - t[0]) / float(np.median(np.diff(t))) for t in found]
+    return max((1.0 - len(t) / n for t, n in zip(found, whole, strict=True) if n == max(whole)), default=0.0)
+
+
 def flown(
     recording: Recording, geometry: Geometry, commands: MotorCommands, *, from_ground: bool = False
 ) -> FlownFlight | Unflown:

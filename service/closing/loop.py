@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from mavcal.calib.airframe.flown import dropped
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording
 from mavcal.service.closing.command import FRAME, PARAMETERS, SimulatorCommand
@@ -30,6 +31,9 @@ CONNECT = f"tcp:127.0.0.1:{PORT}"
 HEARTBEAT_S = 60.0
 """Wall seconds for a simulator to start. Chosen, not measured: Gazebo needs some 20."""
 _TELL_EVERY_S = 0.5
+_MOST_DROPPED = 0.1
+"""Part of its samples that a simulator's log may lack. Measured: of a flight that lacked a half, a sixth was judged."""
+_SLOWEST = 1.0
 _LOG_QUIET_S, _LOG_MOST_S = 0.7, 30.0
 """Wall seconds without growth after which a log is whole, and the most that is waited. Chosen, not measured: the logger
 of ArduPilot writes many times a second."""
@@ -104,6 +108,7 @@ class Closing:
             "start": {"parameters": dict(plan.start.parameters), "frame": dict(plan.start.frame)},
         }
         self._folder = WorkFolder(plan.work, identity)
+        self._speedup = plan.speedup
         self._number = 0
         self._last_told = 0.0
 
@@ -132,6 +137,9 @@ class Closing:
         log = self._folder.flown(self._number, settings)
         if log is None:
             log = self._fly(settings)
+            while self._hurried(log):
+                self._speedup = max(0.5 * self._speedup, _SLOWEST)
+                log = self._fly(settings)
             self._folder.keep_flown(self._number, settings, log)
         folder = self._folder.round_folder(self._number)
         sim = read_log(log)
@@ -143,15 +151,21 @@ class Closing:
         self._folder.keep(result, as_json(report))
         return result
 
+    def _hurried(self, log: Path) -> bool:
+        """Whether the simulator ran too fast for its logger, and can be flown more slowly."""
+        slower = self._plan.command.has("speedup") and self._speedup > _SLOWEST
+        return slower and dropped(read_log(log)) > _MOST_DROPPED
+
     def _fly(self, settings: SimSettings) -> Path:
         """Start the simulator, fly the mission, end the simulator; the log that it left."""
         plan, folder = self._plan, self._folder.begin_round(self._number)
         settings.write(folder / PARAMETERS, folder / FRAME)
         port = free_port()
         endpoint = parse_endpoint(plan.connect.replace(PORT, str(port)))
-        arguments = plan.command.arguments(port=port, speedup=plan.speedup, here=plan.here)
+        arguments = plan.command.arguments(port=port, speedup=self._speedup, here=plan.here)
         self._last_told = 0.0
-        self._tell("starting the simulator", 0.0, None)
+        slower = "" if self._speedup == plan.speedup else f" at {self._speedup:g} times real time"
+        self._tell(f"starting the simulator{slower}", 0.0, None)
         with Simulator(arguments, folder) as simulator:
             try:
                 with VehicleLink(endpoint) as link:

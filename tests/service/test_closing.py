@@ -172,6 +172,42 @@ def test_a_wrong_command_is_refused_before_anything_is_started(real: Recording, 
     assert not (tmp_path / "work").exists()
 
 
+HURRIED = """
+import signal, subprocess, sys
+from pymavlink.DFReader import DFReader_binary
+signal.signal(signal.SIGTERM, lambda *_: None)
+log, speedup, *command = sys.argv[1:]
+subprocess.run(command)
+if float(speedup) > 2.0:
+    reader, kept, seen = DFReader_binary(log), [], 0
+    while (message := reader.recv_msg()) is not None:
+        seen += message.get_type() == "IMU"
+        if message.get_type() != "IMU" or seen // 400 % 2:
+            kept.append(message.get_msgbuf())
+    open(log, "wb").write(b"".join(kept))
+"""
+"""A simulator that logs every other second only where it is to run at more than twice real time."""
+
+
+def test_a_simulator_that_drops_its_log_flies_again_at_half_the_speed(real: Recording, tmp_path: Path) -> None:
+    script = tmp_path / "hurried.py"
+    script.write_text(HURRIED)
+    command = f"{PYTHON} {script} {{log}} {{speedup}} {FLYING.replace('{speedup}', '0')}"
+    told: list[str] = []
+    closing = Closing(
+        plan(real, tmp_path / "work", command, speedup=8.0, rounds=0), compare, lambda _n, doing, *_: told.append(doing)
+    )
+    result = closing.run()
+    assert hover(logs.read(tmp_path / "work" / "round-0" / "log.bin")) > 0.0
+    assert [doing for doing in told if doing.startswith("starting")] == [
+        "starting the simulator",
+        "starting the simulator at 4 times real time",
+        "starting the simulator at 2 times real time",
+    ]
+    assert len(result.rounds) == 1
+    assert nobody_left()
+
+
 @pytest.mark.long
 def test_the_loop_flies_the_mission_of_the_log(tmp_path: Path) -> None:
     """A log's own mission, moved to the simulator's home in every round, and only resumed as what it was."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.airframe.commands import commands_of
-from mavcal.calib.airframe.flown import LOG_BITS, PROFILE_BITS, FlownFlight, Unflown, flown, needed_log
+from mavcal.calib.airframe.flown import LOG_BITS, PROFILE_BITS, FlownFlight, Unflown, dropped, flown, needed_log
 from mavcal.calib.recording import Channel, Event, Identity, Recording, Sensor, Stage
 from tests.unit.airframe.made import G, frame, recording
 
@@ -210,3 +210,14 @@ def test_a_quaternion_that_changes_its_sign_turns_nothing() -> None:
     )  # fmt: skip
     found = judged(flipped)
     np.testing.assert_allclose(np.abs(found.q), np.tile([1.0, 0.0, 0.0, 0.0], (len(found.t), 1)), atol=1e-12)
+
+
+def test_samples_that_a_log_lost_are_counted() -> None:
+    one = recording()
+    assert dropped(one) == pytest.approx(0.0, abs=1e-3)
+    accel = next(c for c in (*one.channels, *one.dynamics) if c.sensor == Sensor.ACCEL)
+    kept = np.arange(len(accel.t)) // 100 % 4 > 0
+    lossy = replace(accel, t=accel.t[kept], values=accel.values[kept])
+    found = dropped(replace(one, channels=(lossy,), dynamics=()))
+    assert found == pytest.approx(0.25, abs=0.02)
+    assert dropped(replace(one, channels=(), dynamics=())) == 0.0
