@@ -77,7 +77,7 @@ ODDS: Final = 0.05
 about one."""
 
 
-BODY_DRAG: Final = ("c2_x", "c2_y")
+BODY_DRAG: Final[tuple[str, ...]] = ("c2_x", "c2_y")
 STEPS: Final = 50.0
 """Moments at which a load may be dropped in a flight of two minutes: all are tried. Source: one in two seconds."""
 IDS: Final = frozenset(
