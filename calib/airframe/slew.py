@@ -27,8 +27,8 @@ _LOST: Final = 3
 def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tuple[Side, float] | None:
     """The real flight's side with the rate limit that suits it best, and the limit, 1/s; None: none is reached.
 
-    Limits are compared at the simulator's own airframe: a fit without a limit has lost it already, and one with a wrong
-    limit makes up for it. `effects` may stand beside it.
+    Limits are compared at the simulator's own airframe in the real flight's wind: a fit without a limit has lost it
+    already, and one with a wrong limit makes up for it. `effects` may stand beside it.
     """
     likelihood = side.likelihood
     told = likelihood.airframe.flight.commands
@@ -36,7 +36,8 @@ def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tupl
     tried = [r for r in _RATES if r < fastest]
     if not tried or not likelihood.torque:
         return None
-    theta = np.where(sim.own, side.fit.theta, sim.fit.theta)
+    of_day = np.array([name.startswith("wind_") for name in side.fit.layout.names])
+    theta = np.where(sim.own | of_day, side.fit.theta, sim.fit.theta)
     theta[len(theta) - len(likelihood.airframe.free) :] = 0.0
     free, found = likelihood.loglik(theta, side.fit.spectra), {}
     for rate in tried:

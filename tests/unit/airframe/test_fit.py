@@ -184,10 +184,14 @@ def test_what_the_real_flight_has_beside_the_simulated_one_is_found(
 
 
 @pytest.mark.long
-def test_a_limit_on_the_rate_of_a_command_is_found(simulated: Side) -> None:
-    limited = with_limit(side(flew(1, slew=2.2)), simulated, limits(simulated))
+@pytest.mark.parametrize("wind", [1.0, 7.0])
+def test_a_limit_on_the_rate_of_a_command_is_found_in_any_wind(simulated: Side, wind: float) -> None:
+    real = side(flew(1, slew=2.2, wind_north=wind))
+    limited = with_limit(real, simulated, limits(simulated))
     assert limited is not None
     assert limited[1] == pytest.approx(2.2, rel=0.1)
+    told = search(PairEvidence(real, simulated, limits(simulated), limited[0]))
+    assert "motor_slew" in told.best.model
 
 
 @pytest.mark.long
