@@ -36,10 +36,11 @@ async def answering(settings: Settings, service: Service) -> AsyncIterator[str]:
     try:
         yield f"http://{settings.host}:{server.sockets[0].getsockname()[1]}"
     finally:
-        app.state.ending.set()
         server.close()
         for connection in tuple(state.connections):
             connection.transport.abort()
+        await asyncio.sleep(0)  # connections know that they are lost before their requests end: no error of the server
+        app.state.ending.set()
         left = tuple(state.tasks)
         for task in left:
             task.cancel()
