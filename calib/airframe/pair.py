@@ -36,7 +36,7 @@ TRIMS: Final = 5e-4
 """To what part of a full differential command a trim repeats itself. Measured: in 20 pairs of flights of other physics
 without an effect, in other winds, trims of roll and pitch differ by 7e-4 beyond their errors; this is each flight's."""
 DAMPED: Final = 0.03
-"""To what part of itself damping is right. Measured: 4 % between the ratios of drag and damping of one flight (d13)."""
+"""Relative error of the model's damping. Measured: in one flight the ratios of drag and damping differ by 4 % (d13)."""
 _LOOSEST: Final = 1e-4
 """Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
 

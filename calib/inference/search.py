@@ -20,7 +20,7 @@ KEPT_NATS = 12.0
 _MOST_REFINED = 12
 """Times that the data are expanded about a new best point. Measured: two are the rule, ten the slowest case seen."""
 _STILL = 0.25
-"""Change of every block between two expansions, in its standard errors, from which on the best point stands.
+"""The search ends when no block changes by more than this between two expansions, in its standard errors.
 Measured: stopped at the first model that came twice, a drag of 0.07 +- 0.05 was told as 0.32 +- 0.04."""
 _MOST_BLOCKS = 8
 """Most blocks of one model. Source: mixtures have two to four (AIRFRAME 6); twice as many leave room."""

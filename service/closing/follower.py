@@ -169,7 +169,7 @@ class Follower:
                 self._begun()
 
     def _begun(self) -> None:
-        """What the present item means for the vehicle: it may disarm where it lands."""
+        """Name the present item as what is being done; a vehicle may disarm only in a landing."""
         if self._current > 0:
             item = self._items[self._current - 1]
             self._vehicle.doing = f"flying {item.name}"

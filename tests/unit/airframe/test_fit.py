@@ -128,6 +128,7 @@ def test_gravity_at_rest_bounds_the_accelerometer(scale: float, name: str, mean:
     likelihood = FlightLikelihood(airframe(one, kind=KIND), one.usable, torque=False)
     assert likelihood.prior(name)[0] == pytest.approx(mean, abs=1e-9)
     unseen = FlightLikelihood(airframe(flew(0), kind=KIND), one.usable, torque=False)
+    assert likelihood.prior("bias_z") == (pytest.approx(G * (1.0 - scale), abs=1e-9), rest.sd)
     assert unseen.prior("bias_z")[1] > 3.0 * rest.sd
     assert unseen.prior("k") == prior_of("k")
 
@@ -197,6 +198,13 @@ def test_a_limit_on_the_rate_of_a_command_is_found_in_any_wind(simulated: Side, 
 @pytest.mark.long
 def test_no_limit_is_found_where_there_is_none(simulated: Side) -> None:
     assert with_limit(side(flew(1)), simulated, limits(simulated)) is None
+
+
+def test_the_models_own_error_is_in_both_flights(simulated: Side) -> None:
+    """Without effects it does not matter which flight is the real one."""
+    other = side(flew(1))
+    one, two = (PairEvidence(*pair, ()).posterior(frozenset()) for pair in ((other, simulated), (simulated, other)))
+    assert one.log_evidence == pytest.approx(two.log_evidence, abs=0.1)
 
 
 @pytest.mark.parametrize(("name", "beyond", "end"), [("spin_up", 1.5, 1.0), ("expo", 1.35, 1.2), ("cg_x", 0.8, 0.5)])

@@ -22,6 +22,7 @@ from mavcal.calib.gap_report.airframe_words import (
     sized,
 )
 from mavcal.calib.gap_report.words import effect_phrase, sim_patch, verdict_sentence
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.export.making import effect, report
 from tests.unit.gap_report.flown import (
     CENTRE,
@@ -141,6 +142,11 @@ def test_what_belongs_to_the_day_says_that_it_is_not_exported(id_):
     said = effect_phrase(found(id_))
     assert said.startswith(SAID[id_])
     assert said.endswith("a finding about the day, not exported") is (DOMAINS[id_] is Domain.ENVIRONMENT)
+
+
+def test_an_effect_of_a_sensor_names_its_units():
+    shaken = replace(flown("motor_weak"), id="gyro_vibration", sensor=Sensor.GYRO, instances=(1, 2))
+    assert phrase(shaken) == "gyro vibration, unit 1, 2"
 
 
 @pytest.mark.parametrize("id_", DOMAINS)

@@ -166,6 +166,20 @@ def test_data_are_expanded_again_about_what_was_found() -> None:
     assert len(asked) <= 4
 
 
+def test_the_search_goes_on_until_what_it_tells_stands() -> None:
+    """Each expansion comes half-way nearer to where the best point of curved data is."""
+    made = drawn(BLOCKS, TRUTHS[1], 0)
+
+    class Curved(Columns):
+        def refined(self, model: Model) -> Evidence:
+            return Curved(self.blocks, self.columns, 0.5 * (self.y + made.y))
+
+    answer = search(Curved(made.blocks, made.columns, 3.0 * made.y))
+    for name in answer.best.model:
+        (found, spread), (there, _) = answer.best.posterior.of(name), made.posterior(answer.best.model).of(name)
+        assert (np.abs(found - there) < 0.6 * np.sqrt(np.diag(spread))).all()
+
+
 def test_probabilities_come_true_as_often_as_they_say() -> None:
     """300 problems drawn from the prior itself: of blocks with a probability of p, a part p is there."""
     rng = np.random.default_rng(2)
