@@ -102,7 +102,7 @@ def airframe_alone(real: Recording, *, frame: str | None = None) -> AirframePart
     if isinstance(one, NoAirframe):
         return one
     torque = min(one.flight.command_hz, one.flight.inertial_hz) >= TORQUE_HZ
-    volts = float(np.median(one.flight.voltage)) if np.isfinite(one.flight.voltage).all() else None
+    volts = float(np.median(one.flight.voltage)) if one.flight.has_voltage else None
     side, _ = _best_kind(one, volts, torque=torque)
     if reason := unusable(side.likelihood):
         return NoAirframe(reason, "a flight within the motors' limits")
@@ -167,7 +167,7 @@ def _diagnosed(
     real: _Flight, sim: _Flight, without: frozenset[str], ended: Callable[[], bool]
 ) -> AirframeAnswer | NoAirframe:
     torque = all(min(f.flight.command_hz, f.flight.inertial_hz) >= TORQUE_HZ for f in (real, sim))
-    known = bool(np.isfinite(sim.flight.voltage).all() and np.isfinite(real.flight.voltage).all())
+    known = sim.flight.has_voltage and real.flight.has_voltage
     volts = float(np.median(sim.flight.voltage)) if known else None
     theirs, kind = _best_kind(sim, volts, torque=torque)
     likelihood = _likelihood(real, kind, volts, torque=torque)
@@ -284,7 +284,9 @@ def _beside_thrust(
     if thrust is None:
         return ()
     gone = {m.id for m in untestable}
-    sags = "battery_sag" in gone and side.likelihood.airframe.voltage_span >= SAG_SPAN
+    airframe = side.likelihood.airframe
+    unseen = airframe.full_voltage is None
+    sags = "battery_sag" in gone and (unseen or max(airframe.voltage_span, airframe.voltage_off) >= SAG_SPAN)
     air = densities(real.air, sim.air, sim.parameters)
     thin = isinstance(air, Densities) and air.alike is not None and air.explains(thrust.value, thrust.sd)
     return (*(("battery_sag",) if sags else ()), *((DENSITY,) if thin else ()))

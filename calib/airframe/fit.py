@@ -72,7 +72,7 @@ class Reference:
 
     A change of the parameters is one standard deviation of the model's own error where it moves `columns` by `right_to`
     of the size of `whole`, or by `answered` of what the model leaves open there below `below_hz`: the controller's
-    answer to it may hide in the parameters.
+    answer to it may hide in the parameters. `rows` are those of the :class:`_View` s that are meant.
     """
 
     columns: tuple[int, ...]
@@ -80,18 +80,22 @@ class Reference:
     right_to: float
     answered: float
     below_hz: float
+    rows: tuple[int, ...] = (0, 1, 2)
 
 
 REFERENCES: Final = (
     Reference((0, 1), (0, 1, 2), 0.002, 0.2, 2.0),
-    Reference((2,), (0, 1, 2), 0.002, 0.36, 2.0),
+    Reference((2,), (0, 1, 2), 0.002, 0.48, SLOW_HZ, rows=(0,)),
+    Reference((2,), (0, 1, 2), 0.002, 0.36, 2.0, rows=(1,)),
     Reference((3,), (3,), 0.006, 0.15, 50.0),
     Reference((4,), (4,), 0.006, 0.15, 50.0),
     Reference((5,), (5,), 0.009, 0.1, 50.0),
 )
-"""Force across and along the axis; roll, pitch and yaw. Measured: gains of one simulator's flights spread by 0.3 %, and
-amplitudes of effects in 60 development nulls of other physics in turbulence by 0.4 to 1.1 of their standard errors.
-Gusts are answered below 2 Hz, where velocity and attitude loops close; noise of turns up to 50 Hz by the rate loop."""
+"""Force across the axis; along it, below `SLOW_HZ` in the whole flight and above it in climbs; roll, pitch and yaw.
+Errors of the estimator's climb rate are slow: they say nothing against climbs, which tell thrust from its curve.
+Measured: gains of one simulator's flights spread by 0.3 %, and amplitudes of effects in 60 development nulls of other
+physics in turbulence by 0.4 to 1.1 of their standard errors. Gusts are answered below 2 Hz, where velocity and attitude
+loops close; noise of turns up to 50 Hz by the rate loop."""
 SAG_SPAN: Final = 0.03
 """Part of the voltage over which it must change so that thrust can tell of it. Source: half of the 6 % that a name asks
 for (AIRFRAME 5.8)."""
@@ -247,7 +251,7 @@ class FlightLikelihood:
         measured = self.bins(self._measured)
         total = np.zeros((len(columns[0]), len(columns[0])))
         for one in REFERENCES:
-            views = [k for k, v in enumerate(self._views) if v.column in one.columns]
+            views = [k for k, v in enumerate(self._views) if v.column in one.columns and v.rows in one.rows]
             size = sum(float((measured[k] ** 2).sum()) for k, v in enumerate(self._views) if v.column in one.whole)
             left = math.fsum(_answerable(residual[k], self._hz[self._views[k].picked], one.below_hz) for k in views)
             if size > 0.0:

@@ -100,6 +100,11 @@ class FlownFlight:
         return float(1.0 / (self.t[1] - self.t[0]))
 
     @property
+    def has_voltage(self) -> bool:
+        """Whether the battery's voltage was logged."""
+        return bool(np.isfinite(self.voltage).all())
+
+    @property
     def gravity(self) -> float:
         """m/s2."""
         return STANDARD_GRAVITY

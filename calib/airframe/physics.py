@@ -156,7 +156,7 @@ class Airframe:
         self._dt = 1.0 / flight.fs
         self._x, self._y, self._spin = arms(flight.geometry.motors)
         self._lever = max(np.abs(self._x).max(), np.abs(self._y).max())
-        known = full_voltage is not None and bool(np.isfinite(flight.voltage).all())
+        known = full_voltage is not None and flight.has_voltage
         self._log_v = np.log(np.maximum(flight.voltage, 1.0) / full_voltage) if known else np.zeros(len(flight.t))
         self.body_from_local = _body_from_local(flight.q)
 
@@ -215,6 +215,11 @@ class Airframe:
     def voltage_span(self) -> float:
         """By how much the voltage changes in flight, 5th to 95th percentile, in parts; 0 where it is not known."""
         return float(np.expm1(np.ptp(np.percentile(self._log_v, (5.0, 95.0)))))
+
+    @property
+    def voltage_off(self) -> float:
+        """By how much the voltage is off `full_voltage`, in parts; 0 where either is not known."""
+        return float(np.expm1(abs(np.median(self._log_v))))
 
     def predicted(self, theta: Array) -> tuple[Array, Array]:
         """Force and torque (N, 3) as the filtered sensors would show them."""

@@ -52,7 +52,11 @@ def _missing(real: FlightLikelihood, sim: FlightLikelihood) -> Iterator[Missing]
     yield from _by_rates(pair)
     for which, one in pair.items():
         yield from _by_motion(which, one)
-    if real.airframe.voltage_span < _SAG_SPAN:
+    silent = [which for which, one in pair.items() if not one.airframe.flight.has_voltage]
+    if silent:
+        log = LOG_BITS if pair[silent[0]].airframe.flight.ardupilot else PROFILE_BITS
+        yield Missing("battery_sag", f"the {silent[0]} recording has no voltage of the battery", log)
+    elif real.airframe.voltage_span < _SAG_SPAN:
         span = 100.0 * real.airframe.voltage_span
         need = "a flight that empties the battery by 6 % in voltage"
         yield Missing("battery_sag", f"the voltage changes by {span:.1f} %", need)

@@ -16,6 +16,8 @@ from scipy.stats import chi2
 from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.airframe.diagnose import LIKELY
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundValue, NoAirframe
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.schema import (
     EffectEstimate,
     EffectEvidence,
@@ -55,17 +57,21 @@ def joined(
     sim
         The simulator's, whose units may differ from each other as much.
     """
-    if isinstance(answer, NoAirframe):
-        gone = NotTestable("airframe", answer.reason, answer.need)
-        return replace(report, not_testable=(*report.not_testable, gone))
     shared = not_borne_out(report, real)
     same = () if sim is None else tuple(e for e in as_simulated(report, real, sim) if e not in shared)
     sensors = tuple(e for e in report.effects if e not in shared and e not in same)
+    said = (*report.warnings, *map(_as_simulated, same))
+    if isinstance(answer, NoAirframe):
+        gone = NotTestable("airframe", answer.reason, answer.need)
+        report = replace(report, not_testable=(*report.not_testable, gone))
+        return _of_sensors(report, sensors, (*said, *map(_of_the_flight, shared)))
+    doubtful = tuple(e for e in sensors if e.evidence.probability < LIKELY and _moves(e))
+    sensors = tuple(e for e in sensors if e not in doubtful)
     shaken = any(e.id == "accel_vibration" for e in sensors)
     found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_jumps(answer, real))
     effects = _with_shares((*found, *sensors))
     unknown = _unknown(report, answer, sensors)
-    warnings = (*report.warnings, *(_withdrawn(e) for e in shared), *map(_as_simulated, same), *answer.warnings)
+    warnings = (*said, *map(_withdrawn, shared), *map(_doubtful, doubtful))
     return replace(
         report,
         verdict=_verdict(report, effects, unknown, answer),
@@ -75,8 +81,25 @@ def joined(
         shrink=_shrink(report, answer),
         not_testable=(*report.not_testable, *(NotTestable(m.id, m.reason, m.need) for m in _once(answer))),
         multiple_testing=replace(report.multiple_testing, m=report.multiple_testing.m + answer.tested),
-        warnings=warnings,
+        warnings=(*warnings, *answer.warnings),
         airframe=answer.part,
+    )
+
+
+def _of_sensors(report: GapReport, sensors: tuple[EffectEstimate, ...], warnings: tuple[str, ...]) -> GapReport:
+    """The report of a flight whose airframe cannot be judged, with the effects that are a sensor's for certain."""
+    if len(sensors) == len(report.effects):
+        return replace(report, warnings=warnings)
+    unknown = _without_flight(report, sensors)
+    named = GapVerdict.PARTLY_EXPLAINED if unknown.flag else report.verdict
+    alone = GapVerdict.UNKNOWN if unknown.flag else GapVerdict.NOT_TESTABLE
+    return replace(
+        report,
+        verdict=named if sensors else alone,
+        effects=_with_shares(sensors),
+        where=_where(report, sensors),
+        unknown=unknown,
+        warnings=warnings,
     )
 
 
@@ -155,9 +178,14 @@ def _with_shares(effects: tuple[EffectEstimate, ...]) -> tuple[EffectEstimate, .
 
 
 def _unknown(report: GapReport, answer: AirframeAnswer, sensors: tuple[EffectEstimate, ...]) -> Unknown:
-    """The unnamed part of the flight; that of an inertial sensor only beside a named effect of that sensor."""
+    """The unnamed part of the flight, else that of the sensors."""
     if answer.unknown and answer.nameless >= LIKELY:
         return Unknown(flag=True, share=answer.unknown_share, shape=answer.unknown)
+    return _without_flight(report, sensors)
+
+
+def _without_flight(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> Unknown:
+    """The sensors' unknown part, unless it is of an inertial sensor that no effect is left of."""
     left = report.unknown
     right = _INERTIAL - {str(e.sensor) for e in sensors}
     passing = left.shape == NOT_LASTING and {w.channel.split(".")[0] for w in report.where} <= right
@@ -170,8 +198,25 @@ def _withdrawn(effect: EffectEstimate) -> str:
     return f"{effect.id} is not a sensor's: the units feel it alike, and not at rest; it counts as airframe or air"
 
 
+def _of_the_flight(effect: EffectEstimate) -> str:
+    return f"{effect.id} is not named: the units feel it alike, and not at rest; the airframe may do it, untested"
+
+
 def _as_simulated(effect: EffectEstimate) -> str:
     return f"{effect.id} is no gap: the simulator's units differ from each other by as much"
+
+
+def _moves(effect: EffectEstimate) -> bool:
+    """Whether an effect goes with the flight, whose forces no sensor's model knows; a temperature goes by itself."""
+    known = by_id().get(effect.id)
+    return known is None or Trait.THERMAL not in known.traits
+
+
+def _doubtful(effect: EffectEstimate) -> str:
+    units = ", ".join(map(str, effect.instances))
+    fix = next((f"; to decide: {r.fix}" for r in effect.confusable_with if r.fix), "")
+    chance = effect.evidence.probability
+    return f"{effect.id} of unit {units} is likely ({chance:.2f}) and not named, for which {LIKELY:g} is asked{fix}"
 
 
 def _where(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> tuple:  # type: ignore[type-arg]

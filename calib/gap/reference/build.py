@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.problem import FaultyInstances, GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.best_reference import BestReferences, best_references, refusals
-from mavcal.calib.gap.reference.channels import SAME_RATE, corrected, not_undone, offset_changed, sensors_of
+from mavcal.calib.gap.reference.channels import SAME_RATE, as_slow_as, corrected, not_undone, offset_changed, sensors_of
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
 from mavcal.calib.gap.reference.expected_noise import (
     age_noise_of,
@@ -130,7 +130,7 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     single = informative(single, pairs)
     if not single and not pairs and not useless:
         raise InvalidInputError(_NO_OVERLAP) if ideal is not None else IncomparableError(_NO_REFERENCE, need=_NEED)
-    judged = () if chosen is None else tuple((n, nominal_traces(n, its)) for n, its in chosen.nominal)
+    judged = () if chosen is None else tuple((n, nominal_traces(as_slow_as(n, real), its)) for n, its in chosen.nominal)
     return PreparedProblem(real, sim, companions, tuple(channels), chosen, single, pairs, judged, worse)
 
 

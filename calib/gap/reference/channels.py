@@ -33,6 +33,9 @@ difference is movement. Chosen, not measured: a twentieth of a step of usual mov
 TELLING_CURRENT = 0.5
 """Standard deviation of the current, A, above which the field of the motors is told from an offset. Chosen, not
 measured: 0.05 uT/A then show 0.025 uT, a twentieth of a sensor's noise."""
+FASTER = 1.5
+"""Times the rate of another unit, above which a unit is looked at when that has samples. Chosen, not measured: between
+one rate and twice the rate."""
 _BEFORE_S, _AFTER_S = 0.5, 0.2
 """Seconds around a change of an offset: the autopilot says it late, and means over a moment have both. Chosen, not
 measured: a log states a parameter within tenths of a second."""
@@ -167,6 +170,29 @@ def comparable_channels(real: Recording, sensor: Sensor) -> dict[int, Channel]:
             sources.setdefault(_source_and_stage(channel), {}).setdefault(channel.instance, channel)
     found = [{i: c for i, c in group.items() if _same_times(c, group[min(group)])} for group in sources.values()]
     return max(found, key=lambda group: (len(group), sum(len(c) for c in group.values())), default={})
+
+
+def as_slow_as(companion: Recording, real: Recording) -> Recording:
+    """`companion` with every unit's samples picked at the rate of the same unit of `real`, where that is lower.
+
+    A logger that writes every tenth sample folds fast movement and noise to low frequencies. What a companion says
+    of such a unit has to be folded alike.
+    """
+    rates = {(s, i): rate_of(c) for s in TRIADS for i, c in comparable_channels(real, s).items()}
+    return companion.with_channels(_picked(c, rates.get((c.sensor, c.instance))) for c in companion.channels)
+
+
+def _picked(channel: Channel, rate: float | None) -> Channel:
+    """The samples nearest to a grid of `rate` Hz; all if the channel is not faster, or `rate` is not known."""
+    if rate is None or len(channel) < 4 or rate_of(channel) < FASTER * rate:
+        return channel
+    grid = np.arange(channel.t[0], channel.t[-1], 1.0 / rate)
+    return channel.take(np.unique(np.clip(np.searchsorted(channel.t, grid), 0, len(channel) - 1)))
+
+
+def rate_of(channel: Channel) -> float:
+    """Samples a second, by the median of its steps."""
+    return 1.0 / max(float(np.median(np.diff(channel.t))), 1e-9)
 
 
 def with_common_channels(real: Recording, other: Recording) -> tuple[Recording, Recording]:

@@ -27,6 +27,11 @@ SHORTEST_S = 5.0
 """Seconds of samples beside a reference, for any statement. Chosen, not measured: a few movements of a vehicle."""
 FEWEST = 48
 """Samples beside a reference, for any statement. Chosen, not measured: five seconds of a compass at 10 Hz."""
+_HOLE = 3.0
+"""Times the usual step between samples from which on a step is a hole. Chosen, not measured: two samples are lost."""
+_PIECE_S, _COVERED = 1.0, 0.5
+"""Mean length of pieces, s, and share of the time that they cover, below both of which a recording is in shreds.
+Chosen, not measured: movements last a second; poses that are held, with pauses between them, last longer."""
 MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}
 """Rms about the mean above which an ideal sensor moves, m/s2, rad/s and uT. Chosen, not measured: 3 % of gravity and of
 a field of 50 uT, and 1.7 deg/s."""
@@ -108,7 +113,8 @@ def refusal_of(trace: Trace) -> Refusal | None:
         return trace.sensor.value, reason, f"at least {SHORTEST_S:.0f} s, better a minute"
     measured, ideal = trace.measured[rows], trace.ideal[rows]
     return (
-        _impossible_reading(trace, name, measured, ideal)
+        _shredded(trace, name)
+        or _impossible_reading(trace, name, measured, ideal)
         or _uncorrelated(trace, name)
         or (_wrong_field(name, measured, ideal) if trace.sensor == Sensor.MAG else None)
         or _constant_axis(trace, name, measured, ideal)
@@ -116,6 +122,19 @@ def refusal_of(trace: Trace) -> Refusal | None:
         or _in_another_frame(trace, name, measured, ideal)
         or _worse_reference(trace, name, measured, ideal)
     )
+
+
+def _shredded(trace: Trace, name: str) -> Refusal | None:
+    """More holes than samples: between the pieces neither movement nor filters are known."""
+    t = trace.t[trace.observed]
+    step = np.diff(t)
+    pieces = 1 + int((step > _HOLE * np.median(step)).sum())
+    covered = min(len(t) / trace.fs / float(t[-1] - t[0]), 1.0)
+    length = len(t) / trace.fs / pieces
+    if length > _PIECE_S or covered > _COVERED:
+        return None
+    reason = f"{name} is in {pieces} pieces of {length:.2f} s, which cover {100.0 * covered:.0f} % of its time"
+    return trace.sensor.value, reason, "a log without holes: fewer messages, or a faster card"
 
 
 def _impossible_reading(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:

@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 """Gravity in north-east-down, m/s2. Source: standard gravity, which both firmwares use (FLIGHT_CONTROLLERS)."""
 
+_LEAST = 16
+"""Samples from which on a pose is one. Chosen, not measured: a cubic through four of them has some to spare."""
+
 
 @dataclass(frozen=True)
 class Cutoffs:
@@ -71,7 +74,7 @@ def rotation(q: Array) -> Rotation:
 
 
 def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTrajectory | None:
-    """The reference pose of `recording`: ``ref_q_*``, or a table's own; None without an attitude.
+    """The reference pose of `recording`: ``ref_q_*``, or a table's own; None without an attitude, or one of holes only.
 
     `highest`: upper limits of the cut-offs; None: none.
     """
@@ -85,6 +88,9 @@ def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTraject
         _check_convention(smooth, gyro, _readings_at(recording, Sensor.ACCEL, smooth.t))
         if (cutoff := _lower(bandwidth(smooth.t, rate, matched_to(gyro, rate)), highest.rotation)) is not None:
             smooth, q, rate = _attitude_and_rate(attitude, cutoff)
+    known = _known(attitude, smooth)
+    if known.sum() < _LEAST:
+        return None
     acceleration, cutoff_hz = _acceleration(recording, smooth.t, q, highest.translation)
     return PoseTrajectory(
         t=smooth.t,
@@ -94,7 +100,7 @@ def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTraject
         place=true_place(recording),
         cutoffs=Cutoffs(smooth.cutoff_hz, cutoff_hz),
         att_sigma_deg=float(np.degrees(2.0 * np.sqrt((smooth.noise**2).sum()))),
-        known=_known(attitude, smooth),
+        known=known,
     )
 
 
@@ -188,7 +194,7 @@ def _acceleration(recording: Recording, t: Array, q: Array, highest: float | Non
 
     The cut-off is the highest frequency at which it still agrees with the accelerometer.
     """
-    found: dict[Sensor, Channel] = {c.sensor: c for c in recording.reference if len(c) >= 16}
+    found: dict[Sensor, Channel] = {c.sensor: c for c in recording.reference if len(c) >= _LEAST}
     turn = rotation(q)
     force = _readings_at(recording, Sensor.ACCEL, t)
     for sensor in (Sensor.VELOCITY, Sensor.PLACE):

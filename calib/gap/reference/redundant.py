@@ -22,7 +22,7 @@ from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.problem import FaultyInstances, Trace
-from mavcal.calib.gap.reference.channels import SAME_RATE, SAME_SAMPLE, TRIADS, comparable_channels
+from mavcal.calib.gap.reference.channels import FASTER, SAME_RATE, SAME_SAMPLE, TRIADS, comparable_channels, rate_of
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.simulator import denoised, error_sd
@@ -33,9 +33,6 @@ Array = NDArray[np.float64]
 _SMOOTH_S = 2.0
 """Seconds over which a residual is averaged, for its slow part. Chosen, not measured: vibration and noise average
 out."""
-_FASTER = 1.5
-"""Times the rate of the other, above which a unit is looked at when that has samples. Chosen, not measured: between one
-rate and twice the rate."""
 _EDGE_S = 0.5
 """Seconds from the ends of a trajectory, where the filters of the units reach beyond it. Chosen, not measured: filters
 of a vehicle settle within as long."""
@@ -60,7 +57,7 @@ def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...])
 def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Recording) -> Trace:
     reading = Signal.of(base)
     assert reading is not None
-    if _rate(channel) > _FASTER * _rate(base) and (faster := Signal.of(channel)) is not None:
+    if rate_of(channel) > FASTER * rate_of(base) and (faster := Signal.of(channel)) is not None:
         # The movement between the samples of a slow unit is unknown.
         within = base.between(float(channel.t[0]), float(channel.t[-1]))
         channel = dataclasses.replace(channel, t=within.t, values=faster.at(within.t), zero_bin=None)
@@ -83,10 +80,6 @@ def _with_movement_as_ideal(trace: Trace, channel: Channel, base: Channel, real:
         return trace
     measured = movement.ideal + trace.residual
     return dataclasses.replace(trace, ideal=movement.ideal, measured=measured, ideal_sd=error_sd(found.noise))
-
-
-def _rate(channel: Channel) -> float:
-    return 1.0 / max(float(np.median(np.diff(channel.t))), 1e-9)
 
 
 def _contradicted_rows(sensor: Sensor, ideal: Ideal, t: Array) -> NDArray[np.bool_]:

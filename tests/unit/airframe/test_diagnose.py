@@ -105,6 +105,17 @@ def test_a_weak_motor_is_named_with_its_number_and_thrust(tmp_path: Path, simula
     assert answer.heldout.after < 0.1 * answer.heldout.before
 
 
+@pytest.mark.long
+def test_thrust_may_be_the_batterys_where_no_voltage_was_logged(tmp_path: Path, simulated: Recording) -> None:
+    real = flight(tmp_path / "x.bin", {"hoverThrOut": 0.39 / 0.9}, other=True)
+    real = replace(real, dynamics=tuple(c for c in real.dynamics if c.sensor is not Sensor.VOLTAGE))
+    answer = diagnosed(real, simulated)
+    (found,) = (f for f in answer.found if f.id == "thrust_scale")
+    assert "battery_sag" in {r.id for r in found.rivals}
+    (gone,) = (m for m in answer.missing if m.id == "battery_sag")
+    assert gone.reason == "the real recording has no voltage of the battery"
+
+
 CASES: dict[str, tuple[Mapping[str, Any], Mapping[str, float], str, Mapping[str, float]]] = {
     "thrust": ({"hoverThrOut": 0.39 / 0.9}, {}, "thrust_scale", {"s": -0.1}),
     "curve": ({"propExpo": 0.5}, {}, "thrust_expo", {"expo": -0.15}),

@@ -14,6 +14,7 @@ from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundRival,
 from mavcal.calib.airframe.testable import Missing
 from mavcal.calib.gap.joined import joined
 from mavcal.calib.gap.schema import (
+    EffectEstimate,
     GapReport,
     GapVerdict,
     LocatedGap,
@@ -92,6 +93,31 @@ def test_without_an_airframe_the_report_of_the_sensors_stays_and_says_why() -> N
         "airframe", "no commands of the motors are logged", "LOG_BITMASK with bit 17",
     )  # fmt: skip
     assert (after.verdict, after.effects, after.airframe) == (before.verdict, before.effects, None)
+
+
+def test_without_an_airframe_what_every_unit_feels_is_no_sensors() -> None:
+    air = noise(1, 0.3)
+    real = units(REST + air + noise(2, 0.02), REST + air + noise(3, 0.02))
+    gone = NoAirframe("only 2 % of the flight can be judged", "LOG_BITMASK with bit 17")
+    after = joined(of_noise(air), gone, real)
+    assert (after.verdict, after.effects, after.airframe) == (GapVerdict.NOT_TESTABLE, (), None)
+    assert [w.channel for w in after.where] == ["mag.x"]
+    (said,) = after.warnings
+    assert said.startswith("accel_noise is not named: the units feel it alike")
+    own = units(REST + air, REST + noise(3, 0.02))
+    assert [e.id for e in joined(of_noise(air), gone, own).effects] == ["accel_noise"]
+
+
+def test_a_sensors_effect_beside_a_flight_needs_the_probability_of_an_airframes() -> None:
+    def likely(id_: str) -> EffectEstimate:
+        made = effect(id_, (1, 2))
+        return replace(made, evidence=replace(made.evidence, probability=0.58))
+
+    before = report(likely("mag_low_pass"), likely("mag_temp_poly"), effect("mag_hard_iron"))
+    after = joined(before, answer(thrust()), BARE)
+    # a temperature goes with no movement
+    assert [e.id for e in after.effects] == ["thrust_scale", "mag_temp_poly", "mag_hard_iron"]
+    assert after.warnings == ("mag_low_pass of unit 1, 2 is likely (0.58) and not named, for which 0.9 is asked",)
 
 
 def test_an_airframes_effect_explains_a_gap_that_no_sensor_has() -> None:

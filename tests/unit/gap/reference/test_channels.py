@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcal.calib.gap.reference.channels import with_common_channels
+from mavcal.calib.gap.reference.channels import as_slow_as, with_common_channels
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 T = np.arange(100) / 100.0
@@ -34,3 +34,19 @@ def test_an_instance_keeps_what_nothing_else_shows_of_it():
     assert sources(real) == {"IMU", "GYR"}
     real, sim = with_common_channels(Recording(tuple(FAST)), Recording(tuple(FILTERED)))
     assert (sources(real), sources(sim)) == ({"GYR"}, {"IMU"})
+
+
+def timed(instance, rate, seconds=10.0):
+    t = np.arange(0.0, seconds, 1.0 / rate)
+    return Channel(
+        Sensor.GYRO, instance, t, np.sin(40.0 * t)[:, None].repeat(3, axis=1), "rad/s", Stage.FILTERED, "IMU"
+    )
+
+
+def test_a_companions_unit_is_picked_at_the_rate_of_the_real_one():
+    real, sim = Recording((timed(0, 400.0), timed(1, 40.0))), Recording((timed(0, 400.0), timed(1, 400.0)))
+    fast, slow = as_slow_as(sim, real).channels
+    assert len(fast) == len(sim.channels[0])
+    assert 390 < len(slow) < 410
+    assert np.isin(slow.t, sim.channels[1].t).all()  # samples, as a logger writes them, and no means
+    assert [len(c) for c in as_slow_as(real, sim).channels] == [len(c) for c in real.channels]

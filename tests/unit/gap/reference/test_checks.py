@@ -38,6 +38,20 @@ def test_another_frame_is_named(sensor, turn, words):
     assert refused[1] in problem.warnings
 
 
+def test_a_recording_in_shreds_is_refused_and_poses_with_pauses_are_not():
+    def cut(period, kept):
+        made = flown()
+        return made.with_channels(
+            c.take((c.t - c.t[0]) % period < kept) if c.sensor is Sensor.GYRO else c for c in made.channels
+        )
+
+    (refused,) = build(cut(0.8, 0.2)).not_testable
+    assert refused[0] == "gyro"
+    assert "pieces of 0.2" in refused[1]
+    assert "cover 26 % of its time" in refused[1]
+    assert build(cut(8.0, 3.0)).not_testable == ()
+
+
 @pytest.mark.parametrize(
     ("sensor", "factor", "words"),
     [

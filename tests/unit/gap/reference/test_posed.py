@@ -64,6 +64,15 @@ def test_a_noisy_pose_is_used_below_the_frequency_where_it_is_noise():
     assert np.abs(noisy.rate - ideal[Sensor.GYRO])[50:-50].std() < 0.02
 
 
+def test_a_pose_of_holes_only_is_none():
+    noisy = posed(jitter=2e-3)
+    assert pose_of(noisy) is not None
+    attitude = noisy.channels[-1]
+    kept = np.arange(len(attitude)) % int(0.8 * RATE) < int(0.2 * RATE)
+    shreds = Recording((*noisy.channels[:-1], attitude.take(kept)))
+    assert pose_of(shreds, pose_of(noisy).cutoffs) is None
+
+
 def test_rate_of_a_steady_turn():
     t = np.linspace(0.0, 1.0, 101)
     q = np.column_stack([np.cos(t), np.zeros(101), np.zeros(101), np.sin(t)])
