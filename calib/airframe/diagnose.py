@@ -36,6 +36,8 @@ from mavcal.calib.recording import Recording
 
 Array = NDArray[np.float64]
 
+_FULL: Final = 99.0
+"""Percentile of a flight's voltage that is a full battery's. Chosen, not measured: it is so before take-off."""
 LIKELY: Final = 0.9
 """Probability from which an effect is reported. Chosen, not measured: a name makes its owner replace a part,
 a warning only another flight."""
@@ -102,7 +104,7 @@ def airframe_alone(real: Recording, *, frame: str | None = None) -> AirframePart
     if isinstance(one, NoAirframe):
         return one
     torque = min(one.flight.command_hz, one.flight.inertial_hz) >= TORQUE_HZ
-    volts = float(np.median(one.flight.voltage)) if one.flight.has_voltage else None
+    volts = _full(one) if one.flight.has_voltage else None
     side, _ = _best_kind(one, volts, torque=torque)
     if reason := unusable(side.likelihood):
         return NoAirframe(reason, "a flight within the motors' limits")
@@ -163,12 +165,17 @@ def _likelihood(one: _Flight, kind: Kind, volts: float | None, *, torque: bool) 
     return FlightLikelihood(airframe, one.flight.usable, torque=torque)
 
 
+def _full(one: _Flight) -> float:
+    """Voltage of a full battery, V: there, thrust is stated, so that a battery that sags is no weaker thrust."""
+    return float(np.percentile(one.flight.voltage, _FULL))
+
+
 def _diagnosed(
     real: _Flight, sim: _Flight, without: frozenset[str], ended: Callable[[], bool]
 ) -> AirframeAnswer | NoAirframe:
     torque = all(min(f.flight.command_hz, f.flight.inertial_hz) >= TORQUE_HZ for f in (real, sim))
     known = sim.flight.has_voltage and real.flight.has_voltage
-    volts = float(np.median(sim.flight.voltage)) if known else None
+    volts = _full(sim) if known else None
     theirs, kind = _best_kind(sim, volts, torque=torque)
     likelihood = _likelihood(real, kind, volts, torque=torque)
     theta = by_itself(likelihood)

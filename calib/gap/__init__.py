@@ -15,7 +15,9 @@ from typing import Any
 from mavcal.calib.airframe.answer import AirframePart
 from mavcal.calib.airframe.diagnose import airframe_alone, airframe_gap
 from mavcal.calib.airframe.effects import IDS as AIRFRAME_IDS
+from mavcal.calib.airframe.found import AirframeAnswer
 from mavcal.calib.errors import IncomparableError, InvalidInputError
+from mavcal.calib.gap.cleaned import without_matrix_errors
 from mavcal.calib.gap.companion.baselines import problem_of
 from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
@@ -104,8 +106,11 @@ def run(
         report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace)
     except IncomparableError as error:
         report = untestable(error.reason, error.need, digests)
-    if flown is not None:
-        report = joined(report, flown, real, sim)
+    if flown is not None and sim is not None:
+        sensors, report = report, joined(report, flown, real, sim)
+        if isinstance(flown, AirframeAnswer) and (right := without_matrix_errors(real, report)) is not None:
+            flown = airframe_gap(right, sim, without=without, frame=frame, ended=pace.ends)
+            report = joined(sensors, flown, real, sim)
     elif sim is None and _is_flight(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
         report = dataclasses.replace(report, airframe=alone)
     base, vehicle = simulator_of(real, sim), real.parameters.final()

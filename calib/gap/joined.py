@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
 from scipy.stats import chi2
 
 from mavcal.calib.airframe.answer import Domain
@@ -65,7 +66,7 @@ def joined(
         gone = NotTestable("airframe", answer.reason, answer.need)
         report = replace(report, not_testable=(*report.not_testable, gone))
         return _of_sensors(report, sensors, (*said, *map(_of_the_flight, shared)))
-    doubtful = tuple(e for e in sensors if e.evidence.probability < LIKELY and _moves(e))
+    doubtful = tuple(e for e in sensors if e.evidence.probability < LIKELY and _moves(e) and not _stands_out(e, report))
     sensors = tuple(e for e in sensors if e not in doubtful)
     shaken = any(e.id == "accel_vibration" for e in sensors)
     found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_jumps(answer, real))
@@ -210,6 +211,15 @@ def _moves(effect: EffectEstimate) -> bool:
     """Whether an effect goes with the flight, whose forces no sensor's model knows; a temperature goes by itself."""
     known = by_id().get(effect.id)
     return known is None or Trait.THERMAL not in known.traits
+
+
+def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
+    """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is."""
+    for one in report.series:
+        part = next((p for name, p in one.parts.items() if name.startswith(effect.id)), None)
+        if part is not None and one.sensor == effect.sensor and set(one.instances) & set(effect.instances):
+            return bool(np.nanmean(part**2) > np.nanmean((one.residual - one.modelled) ** 2))
+    return False
 
 
 def _doubtful(effect: EffectEstimate) -> str:

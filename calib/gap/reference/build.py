@@ -13,7 +13,7 @@ from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.problem import FaultyInstances, GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.best_reference import BestReferences, best_references, refusals
 from mavcal.calib.gap.reference.channels import SAME_RATE, as_slow_as, corrected, not_undone, offset_changed, sensors_of
-from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
+from mavcal.calib.gap.reference.checks import Checked, Refusal, check_vehicles, checked, in_shreds
 from mavcal.calib.gap.reference.expected_noise import (
     age_noise_of,
     age_of,
@@ -88,7 +88,8 @@ class PreparedProblem:
     """Every sensor beside its reference, before noise is learned.
 
     `single` and `pairs` are the traces of the real recording against the reference and against each other; `judged`
-    those of each of the `companions`, in order, empty if none has a reference.
+    those of each of the `companions`, in order, empty if none has a reference. `refused` are sensors of the recording
+    that cannot be compared with anything.
     """
 
     real: Recording
@@ -100,6 +101,7 @@ class PreparedProblem:
     pairs: tuple[Trace, ...]
     judged: tuple[tuple[Recording, Checked], ...]
     worse: dict[Sensor, FaultyInstances]
+    refused: tuple[Refusal, ...] = ()
 
     def problem(
         self,
@@ -116,7 +118,10 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     given, real = real, corrected(real)
     sim = None if sim is None else real if sim is given else corrected(sim)
     check_vehicles(real, companions)
+    real, shreds = _without_shreds(real)
     channels = sensors_of(real)
+    if shreds and not channels:
+        raise IncomparableError(shreds[0][1], need=shreds[0][2])
     if not channels:
         raise IncomparableError(
             "the recording has no accelerometer, gyroscope or magnetometer", need="a log of the sensors' own samples"
@@ -131,7 +136,15 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     if not single and not pairs and not useless:
         raise InvalidInputError(_NO_OVERLAP) if ideal is not None else IncomparableError(_NO_REFERENCE, need=_NEED)
     judged = () if chosen is None else tuple((n, nominal_traces(as_slow_as(n, real), its)) for n, its in chosen.nominal)
-    return PreparedProblem(real, sim, companions, tuple(channels), chosen, single, pairs, judged, worse)
+    return PreparedProblem(real, sim, companions, tuple(channels), chosen, single, pairs, judged, worse, shreds)
+
+
+def _without_shreds(real: Recording) -> tuple[Recording, tuple[Refusal, ...]]:
+    """The recording without channels in shreds, and why these are refused."""
+    found = {c.key: why for c in sensors_of(real) if (why := in_shreds(c)) is not None}
+    if not found:
+        return real, ()
+    return real.with_channels(c for c in real.channels if c.key not in found), tuple(found.values())
 
 
 def _with_learned_noise(
@@ -170,12 +183,12 @@ def _with_learned_noise(
         *not_undone(list(channels), real),
         *offset_changed(list(channels), real),
         *(() if chosen is None else chosen.ideal.warnings),
-        *(reason for _, reason, _ in sound.refused),
+        *(reason for _, reason, _ in (*made.refused, *sound.refused)),
         *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),
     )
     duration = max((float(t.t[-1] - t.t[0]) for t in single + pairs), default=_span(channels))
     single_nominal = tuple(t for t in companion_traces if t.against is None)
-    refused = (*(refusals(info, (c.sensor for c in channels)) if useless else ()), *sound.refused)
+    refused = (*(refusals(info, (c.sensor for c in channels)) if useless else ()), *made.refused, *sound.refused)
     alone = info.kind is ReferenceKind.ESTIMATOR and not made.companions
     return GapProblem(
         *(traces, info, duration),

@@ -19,7 +19,7 @@ from mavcal.calib.gap.reference.align import (
     uncorrelated_axes,
 )
 from mavcal.calib.logs.tables import NO_TIME
-from mavcal.calib.recording import Recording, Sensor
+from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 
@@ -103,6 +103,25 @@ def checked(traces: tuple[Trace, ...]) -> Checked:
     return Checked(tuple(accepted), tuple(dict.fromkeys(refused)))
 
 
+def in_shreds(channel: Channel) -> Refusal | None:
+    """Why a channel with more holes than samples is refused: between its pieces neither movement nor filters are known.
+
+    None if it has fewer.
+    """
+    t = np.unique(channel.t)
+    if len(t) < FEWEST:
+        return None
+    step = np.diff(t)
+    usual = float(np.median(step))
+    pieces = 1 + int((step > _HOLE * usual).sum())
+    length, covered = len(t) * usual / pieces, len(t) * usual / float(t[-1] - t[0])
+    if length > _PIECE_S or covered > _COVERED:
+        return None
+    name = f"{channel.sensor.value} of instance {channel.instance + 1}"
+    reason = f"{name} is in {pieces} pieces of {length:.2f} s, which cover {100.0 * covered:.0f} % of its time"
+    return channel.sensor.value, reason, "a log without holes: fewer messages, or a faster card"
+
+
 def refusal_of(trace: Trace) -> Refusal | None:
     """Why `trace` cannot be diagnosed; None if it can."""
     name = f"{trace.sensor.value} of instance {trace.instances[0] + 1}"
@@ -113,8 +132,7 @@ def refusal_of(trace: Trace) -> Refusal | None:
         return trace.sensor.value, reason, f"at least {SHORTEST_S:.0f} s, better a minute"
     measured, ideal = trace.measured[rows], trace.ideal[rows]
     return (
-        _shredded(trace, name)
-        or _impossible_reading(trace, name, measured, ideal)
+        _impossible_reading(trace, name, measured, ideal)
         or _uncorrelated(trace, name)
         or (_wrong_field(name, measured, ideal) if trace.sensor == Sensor.MAG else None)
         or _constant_axis(trace, name, measured, ideal)
@@ -122,19 +140,6 @@ def refusal_of(trace: Trace) -> Refusal | None:
         or _in_another_frame(trace, name, measured, ideal)
         or _worse_reference(trace, name, measured, ideal)
     )
-
-
-def _shredded(trace: Trace, name: str) -> Refusal | None:
-    """More holes than samples: between the pieces neither movement nor filters are known."""
-    t = trace.t[trace.observed]
-    step = np.diff(t)
-    pieces = 1 + int((step > _HOLE * np.median(step)).sum())
-    covered = min(len(t) / trace.fs / float(t[-1] - t[0]), 1.0)
-    length = len(t) / trace.fs / pieces
-    if length > _PIECE_S or covered > _COVERED:
-        return None
-    reason = f"{name} is in {pieces} pieces of {length:.2f} s, which cover {100.0 * covered:.0f} % of its time"
-    return trace.sensor.value, reason, "a log without holes: fewer messages, or a faster card"
 
 
 def _impossible_reading(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import EffectParameter
 from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.vibration import mean_speed
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
 from mavcal.calib.gap.model.noise_fit import AxisFit, NoiseEstimate, densities_of, extra_rows, without_term
 from mavcal.calib.gap.model.normal_equations import solved
@@ -132,13 +133,26 @@ _FURTHEST = 1.0
 def frequency_sd(model: Model, term: NoiseTerm) -> float:
     """Standard error of the shape of a noise term; infinite if no value within an octave is excluded.
 
-    Amplitudes are fitted again at every frequency.
+    Infinite as well for a line at an end of the frequencies that were tried: power that rises to half of the sampling
+    rate is no line there. Amplitudes are fitted again at every frequency.
     """
+    if _at_an_end(model, term):
+        return math.inf
     bare = without_term(model, term)
     fits = noise_fits(bare, term.hypothesis.effect.sensor)
     best = _deviance(bare, fits, term, term.theta)
     sides = [_sd_on_side(bare, fits, term, best, sign) for sign in (-1.0, 1.0)]
     return max(sides)
+
+
+def _at_an_end(model: Model, term: NoiseTerm) -> bool:
+    shape = term.hypothesis.effect.shape
+    assert shape is not None
+    if shape.screen is None:  # values that were given, and no range
+        return False
+    traces = [t for view in model.setting.views if term.hypothesis.touches(view) for t in view.traces.values()]
+    grids = [shape.grid(trace) for trace in traces if mean_speed(trace) == 0.0]
+    return any(len(g) > 1 and not g[0] < term.theta < g[-1] for g in grids)
 
 
 def _sd_on_side(bare: Model, fits: tuple[AxisFit, ...], term: NoiseTerm, best: float, sign: float) -> float:

@@ -120,6 +120,17 @@ def test_a_sensors_effect_beside_a_flight_needs_the_probability_of_an_airframes(
     assert after.warnings == ("mag_low_pass of unit 1, 2 is likely (0.58) and not named, for which 0.9 is asked",)
 
 
+def test_a_large_effect_of_a_sensor_is_named_though_its_unit_is_in_doubt() -> None:
+    scale = effect("gyro_scale", (1,))
+    scale = replace(scale, evidence=replace(scale.evidence, probability=0.5))
+    left = noise(1, 0.01)
+    for size, named in ((0.1, ["thrust_scale", "gyro_scale"]), (0.001, ["thrust_scale"])):
+        part = size * np.sin(T)[:, None].repeat(3, axis=1)
+        series = SeriesFit(Sensor.GYRO, (1, 2), T, left + part, part, np.ones(3), "rad/s", {"gyro_scale": part})
+        after = joined(replace(report(scale), series=(series,)), answer(thrust()), BARE)
+        assert [e.id for e in after.effects] == named
+
+
 def test_an_airframes_effect_explains_a_gap_that_no_sensor_has() -> None:
     after = joined(report(), answer(thrust(), wind()), BARE)
     assert after.verdict is GapVerdict.EXPLAINED
