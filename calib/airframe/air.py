@@ -54,9 +54,14 @@ class Turbulence:
     shared: float | None
 
     @property
+    def louder(self) -> bool:
+        """Whether the real flight's open force is the louder one, and more than the model leaves open in calm air."""
+        return self.real > max(self.sim, _FLOOR)
+
+    @property
     def of_air(self) -> bool:
-        """Whether the real flight's air is the louder one, as far as units can tell."""
-        return self.real > max(_LOUDER * self.sim, _FLOOR) and (self.shared is None or self.shared > _SHARED)
+        """Whether the real flight's air is the louder one by far, as far as units can tell."""
+        return self.louder and self.real > _LOUDER * self.sim and (self.shared is None or self.shared > _SHARED)
 
 
 def turbulence(flight: FlownFlight, open_force: Array, sim_flight: FlownFlight, sim_open_force: Array) -> Turbulence:

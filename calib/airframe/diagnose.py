@@ -254,7 +254,7 @@ def _answer(
     found = with_rivals(found, _beside_thrust(found, real, sim, side, untestable))
     parted = held_out(answer, evidence, found) if held else Parted((), None)
     loud = turbulence(real.flight, side.fit.residual[:, :3], sim.flight, evidence.sim.fit.residual[:, :3])
-    unknown, share, chance = _unnamed(answer, found)
+    unknown, share, chance = _unnamed(answer, found, gusty=loud.of_air)
     theta, _ = evidence.parameters(answer.best.model, answer.best.posterior)
     layout = side.fit.layout
     part = AirframePart(
@@ -299,9 +299,9 @@ def _beside_thrust(
     return (*(("battery_sag",) if sags else ()), *((DENSITY,) if thin else ()))
 
 
-def _unnamed(answer: Answer, found: Sequence[FoundEffect]) -> tuple[str, float, float]:
+def _unnamed(answer: Answer, found: Sequence[FoundEffect], *, gusty: bool) -> tuple[str, float, float]:
     """What has no name, its share of the evidence, and how probable it is."""
-    of_air = {g.id for g in GROUPS if g.of_air}
+    of_air = {g.id for g in GROUPS if g.of_air or (gusty and g.of_gusts)}
     if any(f.id == GROUND for f in found):
         of_air.add("height_force")  # the same force, seen from above
     texts = {g.id: g.text for g in GROUPS}

@@ -29,19 +29,21 @@ _FORCE, _TORQUE = 0, 3
 class Group:
     """One nameless effect: what a report says of it, and whether the day makes it rather than the vehicle.
 
-    `own` groups are columns over time, which mean nothing in another flight.
+    `of_air`: always; `of_gusts`: in rougher air than the simulator's, since gusts turn a vehicle too. `own` groups are
+    columns over time, which mean nothing in another flight.
     """
 
     id: str
     text: str
     own: bool = False
     of_air: bool = False
+    of_gusts: bool = False
 
 
 GROUPS: Final[tuple[Group, ...]] = (
     Group("slow_force_world", "a force that changes slowly in world axes", own=True, of_air=True),
     Group("slow_force_body", "a force that changes slowly in body axes", own=True),
-    Group("slow_torque", "a torque that changes slowly", own=True),
+    Group("slow_torque", "a torque that changes slowly", own=True, of_gusts=True),
     Group("command_force", "thrust that follows earlier commands"),
     Group("command_torque", "torque that follows earlier commands"),
     Group("speed_force", "a force by speed and its direction"),

@@ -18,7 +18,8 @@ from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.airframe.diagnose import LIKELY
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundValue, NoAirframe
 from mavcal.calib.gap.effects import by_id
-from mavcal.calib.gap.effects.traits import Trait
+from mavcal.calib.gap.effects.base import NoiseEffect
+from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.schema import (
     EffectEstimate,
     EffectEvidence,
@@ -58,7 +59,7 @@ def joined(
     sim
         The simulator's, whose units may differ from each other as much.
     """
-    shared = not_borne_out(report, real)
+    shared = not_borne_out(report, real, sim)
     same = () if sim is None else tuple(e for e in as_simulated(report, real, sim) if e not in shared)
     sensors = tuple(e for e in report.effects if e not in shared and e not in same)
     said = (*report.warnings, *map(_as_simulated, same))
@@ -147,8 +148,8 @@ def _parameter(value: FoundValue) -> ParameterEstimate:
 def _turbulence(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> Iterator[EffectEstimate]:
     """Gusts; a vehicle that shakes every unit leaves as much force open, and is not asked."""
     loud = answer.turbulence
-    noisy = any(e.sensor == Sensor.ACCEL for e in shared)
-    if loud is not None and (loud.of_air or noisy):
+    noisy = any(e.sensor == Sensor.ACCEL and isinstance(by_id().get(e.id), NoiseEffect) for e in shared)
+    if loud is not None and (loud.of_air or (noisy and loud.louder)):
         sigma = math.sqrt(max(loud.real**2 - loud.sim**2, 0.0))
         value = FoundValue("sigma", sigma, 0.1 * sigma, "m/s2", relative=False, real=loud.real, sim=loud.sim)
         chance = 1.0 if loud.shared is not None else 0.9
@@ -208,9 +209,12 @@ def _as_simulated(effect: EffectEstimate) -> str:
 
 
 def _moves(effect: EffectEstimate) -> bool:
-    """Whether an effect goes with the flight, whose forces no sensor's model knows; a temperature goes by itself."""
+    """Whether an effect goes with the flight, whose forces no sensor's model knows.
+
+    A temperature goes by itself, and a bias is compared with that of the simulator's units.
+    """
     known = by_id().get(effect.id)
-    return known is None or Trait.THERMAL not in known.traits
+    return known is None or not (Trait.THERMAL in known.traits or known.term is SensorTerm.BIAS)
 
 
 def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:

@@ -15,6 +15,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
+from mavcal.calib.gap.export.state import matrix_of, vector
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, GapReport, SeriesFit
 from mavcal.calib.recording import Channel, Recording, Sensor
 
@@ -36,13 +37,50 @@ _SAME_TIME_S: Final = 0.003
 """s between samples of two units that count as one moment. Source: one loop at 400 Hz."""
 _REST: Final = 0.03
 """m/s2 by which the norm at rest may differ from gravity. Source: local gravity."""
+_RUN: Final = 0.05
+"""Output of a motor, 0..1, from which on it runs. Chosen, not measured: below what speed controllers idle at."""
+_BEFORE_S, _LONGEST_S, _FEWEST = 0.5, 30.0, 20
+"""Seconds before a start in which somebody touches the vehicle, seconds of rest, and samples of it at least. Chosen,
+not measured."""
 
 
-def not_borne_out(report: GapReport, real: Recording) -> tuple[EffectEstimate, ...]:
-    """Effects of inertial sensors that every unit shows alike, and only in flight."""
+def not_borne_out(report: GapReport, real: Recording, sim: Recording | None = None) -> tuple[EffectEstimate, ...]:
+    """Effects of inertial sensors that every unit shows alike, and only in flight, or that rest refutes."""
     return tuple(
-        effect for effect in report.effects if effect.sensor in _INERTIAL and not _borne_out(effect, report, real)
+        effect
+        for effect in report.effects
+        if effect.sensor in _INERTIAL and (_refuted(effect, real, sim) or not _borne_out(effect, report, real))
     )
+
+
+def _refuted(effect: EffectEstimate, real: Recording, sim: Recording | None) -> bool:
+    """Whether gravity at rest, beyond what the simulator reads, is not what an accelerometer with the effect reads."""
+    known = by_id().get(effect.id)
+    if effect.sensor != Sensor.ACCEL or known is None or known.term not in _AT_REST:
+        return False
+    matrix = np.eye(3) + matrix_of(effect) if known.term is SensorTerm.SCALE else np.eye(3)
+    for instance in (i - FIRST for i in effect.instances):
+        reads = _at_rest(real, instance)
+        if reads is None:
+            continue
+        ideal = reads * (STANDARD_GRAVITY / float(np.linalg.norm(reads)))
+        told = float(np.linalg.norm(matrix @ ideal + vector(effect, "bias"))) - STANDARD_GRAVITY
+        simulated = None if sim is None else _at_rest(sim, instance)
+        right = STANDARD_GRAVITY if simulated is None else float(np.linalg.norm(simulated))
+        if abs(float(np.linalg.norm(reads)) - right - told) > max(_REST, _FOLLOWS * abs(told)):
+            return True
+    return False
+
+
+def _at_rest(recording: Recording, instance: int) -> Array | None:
+    """Median reading (3,) of an accelerometer before the vehicle arms, or its motors run, for the first time."""
+    begins = [e.t for e in recording.events if e.kind == "armed"]
+    begins += [float(c.t[r.argmax()]) for c in recording.find(Sensor.MOTOR) if (r := c.values.max(axis=1) > _RUN).any()]
+    if instance not in recording.instances(Sensor.ACCEL) or not begins:
+        return None
+    accel = recording.channel(Sensor.ACCEL, instance)
+    still = accel.values[(accel.t < min(begins) - _BEFORE_S) & (accel.t > min(begins) - _LONGEST_S)]
+    return np.asarray(np.median(still, axis=0)) if len(still) >= _FEWEST else None
 
 
 def _borne_out(effect: EffectEstimate, report: GapReport, real: Recording) -> bool:
@@ -62,7 +100,7 @@ def _borne_out(effect: EffectEstimate, report: GapReport, real: Recording) -> bo
     else:
         apart = not (len(own) > 1 and _of_a_part(known)) and not _gravity_only(series[0])
     if sensor == Sensor.ACCEL and known is not None and known.term in _AT_REST and not (others and apart):
-        return any(_off_at_rest(units[i], real) for i in own)
+        return any(_off_at_rest(i, real) for i in own)
     return apart
 
 
@@ -152,12 +190,7 @@ def _follows(own: Channel, other: Channel, series: SeriesFit, id_: str) -> bool:
     return size == 0.0 or float(x @ y) / size > max(_FOLLOWS, _SEEN * error)
 
 
-def _off_at_rest(channel: Channel, real: Recording) -> bool:
-    """Whether gravity reads wrong before the vehicle arms for the first time; True where nothing says so."""
-    armed = next((e.t for e in real.events if e.kind == "armed"), None)
-    if armed is None:
-        return True
-    still = channel.values[(channel.t < armed - 0.5) & (channel.t > armed - 30.0)]
-    if len(still) < 20:
-        return True
-    return bool(abs(float(np.linalg.norm(np.median(still, axis=0))) - STANDARD_GRAVITY) > _REST)
+def _off_at_rest(instance: int, real: Recording) -> bool:
+    """Whether gravity reads wrong at rest; True where nothing says so."""
+    reads = _at_rest(real, instance)
+    return reads is None or bool(abs(float(np.linalg.norm(reads)) - STANDARD_GRAVITY) > _REST)

@@ -198,6 +198,13 @@ def test_noise_that_both_units_feel_becomes_turbulence() -> None:
     assert any("accel_noise" in warning for warning in after.warnings)
 
 
+def test_air_that_is_no_louder_than_the_simulators_is_no_turbulence() -> None:
+    air = noise(1, 0.3)
+    real = units(REST + air + noise(2, 0.02), REST + air + noise(3, 0.02))
+    for loud in (Turbulence(0.15, 0.15, 0.99), Turbulence(0.004, 0.001, 0.99)):
+        assert joined(of_noise(air), answer(turbulence=loud), real).effects == ()
+
+
 def test_noise_of_one_unit_stays_a_sensors() -> None:
     own = noise(1, 0.3)
     real = units(REST + own, REST + noise(3, 0.02))

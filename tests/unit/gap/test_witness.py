@@ -102,7 +102,7 @@ def test_an_effect_too_small_to_be_seen_in_the_units_difference_is_not_that_unit
 def test_a_steady_offset_is_compared_by_its_mean() -> None:
     offset = np.tile([0.3, -0.2, 0.1], (len(T), 1))
     felt = offset * FLYING[:, None]
-    one = effect("accel_bias")
+    one = effect("accel_bias", bias=(0.3, -0.2, 0.1))
     apart = recording(REST + offset + noise(1, 0.05), REST + noise(2, 0.05))
     alike = recording(REST + felt + noise(1, 0.05), REST + felt + noise(2, 0.05))
     assert not_borne_out(told(one, offset, offset), apart) == ()
@@ -112,7 +112,7 @@ def test_a_steady_offset_is_compared_by_its_mean() -> None:
 def test_units_that_both_read_wrong_at_rest_are_wrong() -> None:
     part = 0.03 * (REST + swing())
     real = recording(1.03 * (REST + swing()) + noise(1, 0.01), 1.03 * (REST + swing()) + noise(2, 0.01))
-    assert not_borne_out(told(effect("accel_scale", (1, 2)), part, part), real) == ()
+    assert not_borne_out(told(effect("accel_scale", (1, 2), scale=(0.03, 0.03, 0.03)), part, part), real) == ()
 
 
 @pytest.mark.parametrize(("scale", "borne_out"), [(1.03, True), (1.0, False)])
@@ -121,8 +121,21 @@ def test_of_one_unit_alone_rest_decides(scale: float, borne_out: bool) -> None:
     part = 0.03 * (REST + swing())
     still = np.where(FLYING[:, None], 1.03, scale)
     real = recording((REST + swing()) * still + noise(1, 0.01))
-    one = effect("accel_scale")
+    one = effect("accel_scale", scale=(0.03, 0.03, 0.03))
     assert not_borne_out(told(one, part, part), real) == (() if borne_out else (one,))
+
+
+@pytest.mark.parametrize("off", [0.0, 0.3])
+def test_gravity_at_rest_refutes_a_scale_that_the_units_difference_follows(off: float) -> None:
+    """Beside what the simulator reads at rest, which may be wrong as well."""
+    part = 0.05 * (REST + swing()) * FLYING[:, None]
+    real = recording(REST + swing() + noise(1, 0.01), REST + swing() + part + noise(2, 0.01))
+    wrong = real.with_channels(
+        replace(c, values=c.values * (1.0 + off / 9.80665)) if c.instance == 1 else c for c in real.channels
+    )
+    one = effect("accel_scale", (2,), scale=(0.05, 0.05, 0.05))
+    assert not_borne_out(told(one, part, part), wrong, wrong) == (one,)
+    assert not_borne_out(told(one, part, part), wrong) == ((one,) if off == 0.0 else ())
 
 
 def test_without_rest_one_unit_is_believed() -> None:
