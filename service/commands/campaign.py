@@ -13,6 +13,7 @@ from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import given, options_of_plan, plan_options
 from mavcal.service.commands.reading import reading_options, split_reading
+from mavcal.service.commands.remote import may_be_remote
 from mavcal.service.commands.whom import Whom, data_dir_option, whom_options
 
 if TYPE_CHECKING:
@@ -216,9 +217,25 @@ def resume(job: str, *, whom: Whom, executor: str, table: Path | None, as_json: 
 )
 @csv_option
 @data_dir_option
+@may_be_remote
 @json_option
-def items(job: str, outcomes: tuple[str, ...], *, table: Path | None, data_dir: Path | None, as_json: bool) -> int:
-    """List the items of a campaign. The service may go on meanwhile."""
-    from mavcal.service.commands.campaign_told import show_items
+def items(
+    job: str,
+    outcomes: tuple[str, ...],
+    *,
+    table: Path | None,
+    data_dir: Path | None,
+    url: str | None,
+    key_file: Path | None,
+    as_json: bool,
+) -> int:
+    """List the items of a campaign.
 
-    return show_items(load_settings(data_dir=data_dir).data_dir, job, outcomes, table, as_json=as_json)
+    Without --url the data directory is read; a service may go on with it meanwhile.
+    """
+    from mavcal.service.commands.campaign_items import show_items
+    from mavcal.service.commands.campaign_told import Telling
+
+    whom = Whom(url=url, key_file=key_file, data_dir=data_dir)
+    whom.require_sense(needed="", alone=False, of_links=True)
+    return show_items(whom, job, outcomes, Telling(table, as_json))

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mavcal.service.commands.campaign_items import OF_HTTP, items_of
 from mavcal.service.commands.campaign_told import Seen, Telling, followed, tell, write_table
 from mavcal.service.commands.headless import Begun, begun_by
 from mavcal.service.errors import VehicleSilent
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
-    from mavcal.client.models import ItemModel
     from mavcal.service.commands.door import Door
     from mavcal.service.commands.screen import Screen
     from mavcal.service.commands.whom import Whom
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 GATHER_S = 3.0
 """After the first vehicle of a link, others on it get so long to be heard: heartbeats come once a second."""
-PAGE = 1000
-"""Items of a page, at most."""
 
 
 def run_vehicles(whom: Whom, begin: Begin, telling: Telling) -> int:
@@ -69,19 +67,11 @@ async def _seen(client: AsyncClient, job_id: str) -> Seen:
 
 
 async def _told(client: AsyncClient, seen: Seen, telling: Telling, screen: Screen) -> int:
-    items = await _items(client, seen.id)
+    items = await items_of(client, seen.id)
     if telling.table is not None:
         write_table(telling.table, await client.export_items(seen.id, "csv"), len(items))
-    left_away = {"job_state", "preflight", "fits", "documents"}
-    told = [item.model_dump(mode="json", exclude=left_away) for item in items]
+    told = [item.model_dump(mode="json", exclude=OF_HTTP) for item in items]
     return tell(seen, told, telling, screen)
-
-
-async def _items(client: AsyncClient, job_id: str) -> list[ItemModel]:
-    found: list[ItemModel] = []
-    while page := await client.list_items(job_id, after=found[-1].number if found else None, limit=PAGE):
-        found += page
-    return found
 
 
 async def _heard(door: Door, whom: Whom, screen: Screen) -> list[str]:
@@ -123,7 +113,7 @@ async def _put_down(door: Door, screen: Screen, begun: Begun) -> None:
         screen.line(f"stopped: the service goes on with campaign {job_id}", bold=True)
         return
     await door.client.interrupt_campaign(job_id)
-    for item in await _items(door.client, job_id):
+    for item in await items_of(door.client, job_id):
         state = None if item.job_state is None else JobState(item.job_state.value)
         if item.job_id is not None and state in CANCELLABLE - {JobState.REVIEW}:
             await door.client.cancel_job(item.job_id)

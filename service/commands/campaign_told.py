@@ -78,31 +78,6 @@ def exit_code(options: Mapping[str, Any], outcomes: Iterable[str]) -> int:
     return 0 if not left else EXIT_PART if left == {"warned"} else EXIT_NO
 
 
-def show_items(data_dir: Path, job_id: str, outcomes: Sequence[str], table: Path | None, *, as_json: bool) -> int:
-    """The items of a campaign of a data directory, whoever runs it; results are in the JSON."""
-    from mavcal.service.campaigns.campaigns import CAMPAIGN
-    from mavcal.service.campaigns.items import item_from_row
-    from mavcal.service.campaigns.outcome import head, lines
-    from mavcal.service.commands.jobs import table as aligned
-    from mavcal.service.errors import JobUnknown
-    from mavcal.service.jobs.core.codec import to_json
-    from mavcal.service.store.sqlite import items_of, jobs_of
-
-    if not any(row.id == job_id and row.kind == CAMPAIGN for row in jobs_of(data_dir)):
-        raise JobUnknown(f"there is no campaign {job_id} in this data directory")
-    found = [item_from_row(row) for row in items_of(data_dir, job_id, outcomes or None)]
-    if table is not None:
-        write_table(table, head() + lines(found), len(found))
-    if as_json:
-        write_json({"id": job_id, "items": [to_json(item) for item in found]})
-        return 0
-    names = ("item", "outcome", "job", "of", "text")
-    cells = [(str(i.number), i.outcome.value, i.job_id or "", i.name or i.subject, i.text) for i in found]
-    for line in aligned([names, *cells]):
-        click.echo(line)
-    return 0
-
-
 def write_table(path: Path, text: str, count: int) -> None:
     """Write the outcome of so many items as CSV."""
     try:

@@ -258,7 +258,10 @@ def campaigns(opened: Opened) -> list[Step]:
     """One campaign after the other."""
     with opened() as run:
         told = run("campaign", "preflight")
-        run("campaign", "items", told["id"], place=("--data-dir", run.data_dir))
+        run("campaign", "items", told["id"], place=run.nowhere)
+        run("campaign", "items", told["id"], "--outcome", "refused", place=run.nowhere, text=True)
+        run("campaign", "items", told["id"], "--outcome", "done", place=run.nowhere)
+        run("campaign", "items", "nojob", place=run.nowhere)
         run("campaign", "calibrate", "gyro")
         run("campaign", "calibrate", "gyro", "--apply", "--at-once", "1")
         run("campaign", "calibrate", "gyro", "--option", "colour=1")
@@ -319,6 +322,8 @@ DIFFERENT: dict[str, dict[str, str]] = {
     "px4": {},
     "every": {"revert --all (text)": _OTHERS},
     "campaigns": {
+        "campaign items <id>": "HTTP tells neither how often an item was begun nor what the fleet keeps of a preflight",
+        "campaign items nojob": "a service has many kinds of jobs, and this is none of them",
         "campaign calibrate gyro": _WHO,
         "campaign calibrate gyro --apply --at-once #": _WHO,
         "campaign calibrate gyro --option colour=#": _CODE,

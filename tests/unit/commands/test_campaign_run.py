@@ -9,7 +9,7 @@ from mavcal.client.models import ItemModel
 from mavcal.service.api.views import item_model
 from mavcal.service.campaigns.campaigns import CAMPAIGN
 from mavcal.service.campaigns.items import Item, ItemOutcome
-from mavcal.service.commands import campaign_run
+from mavcal.service.commands import campaign_items, campaign_run
 from mavcal.service.commands.campaign_run import resumed
 from mavcal.service.commands.campaign_told import Telling
 from mavcal.service.commands.headless import Begun
@@ -85,8 +85,8 @@ def noting(service, *items):
     async def interrupt(job_id):
         asked.append(("interrupt", job_id))
 
-    async def listed(_job_id, *, after, limit):
-        assert limit == campaign_run.PAGE
+    async def listed(_job_id, *, outcome, after, limit):
+        assert (outcome, limit) == (None, campaign_items.PAGE)
         return [] if after else [item_of(*item) for item in items]
 
     service.resume_campaign, service.interrupt_campaign, service.list_items = resume, interrupt, listed

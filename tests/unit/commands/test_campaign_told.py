@@ -7,17 +7,12 @@ import click
 import pytest
 
 from mavcal.calib.procedures.protocol import Progress
-from mavcal.service.campaigns.campaigns import CAMPAIGN
-from mavcal.service.campaigns.items import Item, ItemOutcome, row_from_item
+from mavcal.service.campaigns.items import Item, ItemOutcome
 from mavcal.service.commands import campaign_told
-from mavcal.service.commands.campaign_archive import is_of_folder
-from mavcal.service.commands.campaign_told import Seen, Telling, followed, show_items, tell, write_table
-from mavcal.service.errors import JobUnknown
+from mavcal.service.commands.campaign_told import Seen, Telling, followed, tell, write_table
 from mavcal.service.jobs.core.codec import to_json
 from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.store import SqliteStore
-from mavcal.service.store.rows import JobRow
 
 DONE = Item(1, "v1", "boat", ItemOutcome.DONE, "pass", "It may fly.", result={"preflight": {"x": 1}}, starts=2)
 WARNED = Item(2, "v2", "", ItemOutcome.WARNED, "warn", "The compass is old.", job_id="j7")
@@ -34,10 +29,6 @@ def campaign(state=JobState.SUCCEEDED, *, options=None, outcome=SOME_DONE, progr
 def documents(*items):
     """Items as they are told."""
     return [{n: value for n, value in to_json(item).items() if n not in {"result", "starts"}} for item in items]
-
-
-def rows(*items):
-    return [row_from_item("c", item) for item in items]
 
 
 async def test_a_campaign_is_looked_at_until_it_goes_on_no_more(screen, monkeypatch):
@@ -128,44 +119,3 @@ def test_the_table_is_written_and_counted(tmp_path, capsys):
 def test_a_table_that_cannot_be_written_is_said(tmp_path):
     with pytest.raises(click.ClickException, match="cannot be written: No such file"):
         write_table(tmp_path / "none" / "out.csv", "", 0)
-
-
-@pytest.fixture
-def folder(tmp_path):
-    store = SqliteStore(tmp_path)
-    of_folder, of_vehicles = {"folder": "/logs"}, {"task": "preflight"}
-    for name, kind, options in (("c", CAMPAIGN, of_vehicles), ("f", CAMPAIGN, of_folder), ("j", "gyro", of_folder)):
-        store.save_job(JobRow(name, None, kind, "succeeded", 1.0, 2.0, {"options": options}))
-    store.save_job(JobRow("damaged", None, CAMPAIGN, "succeeded", 1.0, 2.0, {}))
-    store.add_items(rows(DONE, WARNED, FAILED))
-    store.close()
-    return tmp_path
-
-
-def test_items_are_listed_with_all_that_they_hold(folder, capsys):
-    assert show_items(folder, "c", (), None, as_json=False) == 0
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert [line[:2] for line in lines] == [["item", "outcome"], ["1", "done"], ["2", "warned"], ["3", "failed"]]
-    assert lines[1][2:] == ["boat", "It", "may", "fly."]
-    assert lines[2][2:4] == ["j7", "v2"]
-    assert show_items(folder, "c", (), None, as_json=True) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["items"][0]["result"] == {"preflight": {"x": 1}}
-
-
-def test_items_are_chosen_by_outcome_for_the_table_as_well(folder, capsys):
-    show_items(folder, "c", ("warned", "failed"), folder / "out.csv", as_json=True)
-    assert [item["number"] for item in json.loads(capsys.readouterr().out)["items"]] == [2, 3]
-    assert len((folder / "out.csv").read_text().splitlines()) == 3
-
-
-@pytest.mark.parametrize("name", ["gone", "j"])
-def test_what_is_no_campaign_has_no_items(folder, name):
-    with pytest.raises(JobUnknown, match=name):
-        show_items(folder, name, (), None, as_json=False)
-    with pytest.raises(JobUnknown, match=name):
-        is_of_folder(folder, name)
-
-
-def test_a_campaign_through_files_is_told_from_one_of_vehicles(folder):
-    assert [is_of_folder(folder, name) for name in ("c", "f", "damaged")] == [False, True, False]
