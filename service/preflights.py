@@ -407,8 +407,8 @@ def _snapshot(
     complete: bool,
     asked: bool,
 ) -> Snapshot:
-    told = stated_device_ids(history, heard.parameters)
-    found = collect(heard.frames, identity, heard.parameters, asked=asked, complete=complete, told=told)
+    stated = stated_device_ids(history, heard.parameters)
+    found = collect(heard.frames, identity, heard.parameters, asked=asked, complete=complete, stated=stated)
     return Snapshot(
         found.recording,
         identity,

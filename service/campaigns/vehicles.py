@@ -183,7 +183,7 @@ def of_job(job: Job, reason: str = "") -> ItemEnd:
     """How an item ends whose job stands so; `reason` says why its plan was not written."""
     outcome = _of_state(job.state)
     code = job.outcome.code if isinstance(job.outcome, Failure) else job.state.value
-    return ItemEnd(outcome, _told(job, reason), code, job.id)
+    return ItemEnd(outcome, _outcome_text(job, reason), code, job.id)
 
 
 def _of_state(state: JobState) -> ItemOutcome:
@@ -196,7 +196,7 @@ def _of_state(state: JobState) -> ItemOutcome:
     return ItemOutcome.IN_DOUBT if state in WRITING else ItemOutcome.REFUSED
 
 
-def _told(job: Job, reason: str) -> str:
+def _outcome_text(job: Job, reason: str) -> str:
     if isinstance(job.outcome, Failure):
         cause = job.outcome.cause[:1].upper() + job.outcome.cause[1:]
         return " ".join(filter(None, (reason, cause, job.outcome.remedy)))

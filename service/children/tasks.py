@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavcal.calib.methods import MODULES
-from mavcal.service.told import ToldProgress, line_of
+from mavcal.service.progress_line import ProgressLine, format_line
 
 if TYPE_CHECKING:
     from mavcal.calib.gap import GapProgress
@@ -143,6 +143,6 @@ def _seldom(tell: Tell) -> Callable[[GapProgress], None]:
         if now - told.get(standing.stage, -math.inf) < _EVERY_S:
             return
         told[standing.stage] = now
-        tell(line_of(ToldProgress(standing.text, standing.share, standing.left_s)))
+        tell(format_line(ProgressLine(standing.text, standing.share, standing.left_s)))
 
     return show

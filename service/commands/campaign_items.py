@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.campaign_told import Telling, write_table
+from mavcal.service.commands.campaign_output import OutputOptions, write_table
 from mavcal.service.commands.output import write_json
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Listing:
     csv: str = ""
 
 
-def show_items(whom: Whom, job_id: str, outcomes: Sequence[str], telling: Telling) -> int:
+def show_items(whom: Whom, job_id: str, outcomes: Sequence[str], output: OutputOptions) -> int:
     """List the items of a campaign with all that they hold; the exit code.
 
     Raises
@@ -47,13 +47,13 @@ def show_items(whom: Whom, job_id: str, outcomes: Sequence[str], telling: Tellin
     from mavcal.service.commands.door import Door, through_door
 
     if whom.url is None:
-        return _show(job_id, _of_directory(whom.settings.data_dir, job_id, outcomes), telling)
+        return _show(job_id, _of_directory(whom.settings.data_dir, job_id, outcomes), output)
 
     async def ask(at: Door) -> Listing:
-        return await _of_service(at.client, job_id, outcomes, table=telling.table is not None)
+        return await _of_service(at.client, job_id, outcomes, table=output.table is not None)
 
     found = through_door(whom, ask)
-    return found if isinstance(found, int) else _show(job_id, found, telling)
+    return found if isinstance(found, int) else _show(job_id, found, output)
 
 
 async def items_of(client: AsyncClient, job_id: str, outcomes: Sequence[str] = ()) -> list[ItemModel]:
@@ -110,12 +110,12 @@ def _document(item: ItemModel) -> dict[str, Any]:
     return {**item.model_dump(mode="json", exclude=OF_HTTP), "result": result or None}
 
 
-def _show(job_id: str, found: Listing, telling: Telling) -> int:
+def _show(job_id: str, found: Listing, output: OutputOptions) -> int:
     from mavcal.service.commands.jobs import table
 
-    if telling.table is not None:
-        write_table(telling.table, found.csv, len(found.items))
-    if telling.as_json:
+    if output.table is not None:
+        write_table(output.table, found.csv, len(found.items))
+    if output.as_json:
         write_json({"id": job_id, "items": found.items})
         return 0
     cells = [

@@ -26,7 +26,7 @@ OPERATOR = "operator"
 """Who asks, in what is kept of a write; a service that runs elsewhere keeps the name of the key."""
 ANSWER_S = 600.0
 """How long an answer may take: a preflight that first calibrates takes minutes."""
-TIDY_S = 30.0
+CLEANUP_S = 30.0
 """How long the vehicle may take to confirm its old message rates, and to be looked at after a write."""
 HURRY_S = 5.0
 """The same for a run that was told to stop."""
@@ -51,7 +51,7 @@ class Door:
         assert self.own is not None
         return await self.own.open(endpoint)
 
-    async def tidied(self, seconds: float = TIDY_S, *, written: str | None = None) -> None:
+    async def wait_for_cleanup(self, seconds: float = CLEANUP_S, *, written: str | None = None) -> None:
         """Give the vehicle time to take its old message rates back; what is missing then, the next run does.
 
         `written` is a job after whose write the vehicle is looked at: a service that runs elsewhere sees to the rates
@@ -60,7 +60,7 @@ class Door:
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 if self.own is not None:
-                    await self.own.tidied()
+                    await self.own.wait_for_cleanup()
                     return
                 while written is not None and _to_be_looked_at(await self.client.get_job(written)):  # noqa: ASYNC110
                     await asyncio.sleep(_LOOK_S)

@@ -45,7 +45,7 @@ def run_every(whom: Whom, act: Act[Acted], *, as_json: bool) -> int:
     came = through_door(whom, partial(with_each, whom=whom, act=act, screen=Screen(whom.place)))
     if isinstance(came, int):
         return came
-    done = [(found, _told(one)) for found, one in came]
+    done = [(found, _as_acted(one)) for found, one in came]
     if as_json:
         write_json({"vehicles": [{**found.document, **acted.document} for found, acted in done]})
     else:
@@ -82,7 +82,7 @@ async def with_each(door: Door, *, whom: Whom, act: Act[T], screen: Screen) -> l
     return list(zip(found, [task.result() for task in tasks], strict=True))
 
 
-def _told(came: Acted | Refusal) -> Acted:
+def _as_acted(came: Acted | Refusal) -> Acted:
     if isinstance(came, Acted):
         return came
     return Acted(good=False, text=str(came), document={"error": {"code": came.code, "detail": str(came)}})

@@ -208,7 +208,7 @@ async def jobs_of(client: AsyncClient, **wanted: Any) -> list[JobSummary]:
     return found
 
 
-def told_of(found: UnfinishedModel) -> dict[str, Any]:
+def recovery_document(found: UnfinishedModel) -> dict[str, Any]:
     """A job that was recovered, or could not be, as JSON."""
     about = found.job.model_dump(mode="json", include={"id", "kind", "vehicle_id", "state", "outcome"})
     return {**about, "parameters": [standing.model_dump(mode="json") for standing in found.standing]}
@@ -239,7 +239,7 @@ async def begun_by(making: Awaitable[Begun], leave: Callable[[Begun], Awaitable[
         raise
 
 
-async def put_down(door: Door, screen: Screen, begun: Begun) -> None:
+async def leave_job(door: Door, screen: Screen, begun: Begun) -> None:
     """Leave a job because this process has to stop: cancel what wrote nothing, say what a write leaves behind."""
     from mavcal.service.jobs.core.states import CANCELLABLE, WRITING, JobState
 
@@ -258,4 +258,4 @@ async def put_down(door: Door, screen: Screen, begun: Begun) -> None:
             screen.line("`mavcal recover` finishes it or takes it back, and so does the next calibration.")
     else:
         screen.line(f"stopped: job {job_id} ({job.kind}) is {state.value}", bold=True)
-    await door.tidied(HURRY_S)
+    await door.wait_for_cleanup(HURRY_S)

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from mavcal.service.commands.place import NOWHERE, CommandPlace
+from mavcal.service.commands.place import NO_OPTIONS, CommandPlace
 
 BAR = 28
 SAY_EVERY_S = 10.0
@@ -24,7 +24,7 @@ class Screen:
     """
 
     def __init__(
-        self, place: CommandPlace = NOWHERE, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic
+        self, place: CommandPlace = NO_OPTIONS, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.place = place
         self._quiet, self._clock = quiet, clock

@@ -16,8 +16,8 @@ from typing import Any
 from mavcal.service.errors import LeaseLost
 from mavcal.service.store.database import Row, Session
 from mavcal.service.store.migrate import migrations
-from mavcal.service.store.plumbing import Fence
 from mavcal.service.store.postgres import PostgresDatabase
+from mavcal.service.store.sqlrows import Fence
 
 EVERY_INSTANCE = "instance:"
 

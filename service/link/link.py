@@ -17,7 +17,7 @@ from mavcal.service.errors import EndpointError, LinkDown
 from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
 from mavcal.service.link.local import FileTransport, SerialTransport, SimTransport
 from mavcal.service.link.loss import SequenceCounter
-from mavcal.service.link.reader import Looked, Mark, Outgoing, Reader, Report, StateChange
+from mavcal.service.link.reader import Barrier, Mark, Outgoing, Reader, Report, StateChange
 from mavcal.service.link.recorder import TlogRecorder
 from mavcal.service.link.tcp import TcpServerTransport, TcpTransport
 from mavcal.service.link.transports import Transport
@@ -373,8 +373,8 @@ class Link:
                 self._change_state(batch)
             elif isinstance(batch, Mark):
                 loop.call_soon(batch.reached, batch.position)
-            elif isinstance(batch, Looked):
-                loop.call_soon(batch.told)
+            elif isinstance(batch, Barrier):
+                loop.call_soon(batch.reached)
             else:
                 self._announce(batch)
         self._handing += 1

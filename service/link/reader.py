@@ -67,13 +67,13 @@ class _Offer(NamedTuple):
     target: tuple[int, int]
 
 
-class Looked(NamedTuple):
+class Barrier(NamedTuple):
     """What had arrived when this was asked for lies before it in the order of the batches."""
 
-    told: Callable[[], None]
+    reached: Callable[[], None]
 
 
-Report = Batch | LinkEvent | StateChange | Mark | Looked
+Report = Batch | LinkEvent | StateChange | Mark | Barrier
 
 
 class Reader(threading.Thread):
@@ -154,9 +154,9 @@ class Reader(threading.Thread):
         self._next_recorder = recorder
         self._wake()
 
-    def look(self, told: Callable[[], None]) -> None:
-        """Ask for a :class:`Looked` behind everything that has arrived by now."""
-        self._asked.append(told)
+    def look(self, reached: Callable[[], None]) -> None:
+        """Ask for a :class:`Barrier` behind everything that has arrived by now."""
+        self._asked.append(reached)
         self._wake()
 
     def stop(self) -> None:
@@ -295,7 +295,7 @@ class Reader(threading.Thread):
     def _post_looked(self, count: int) -> None:
         """Answer those who had asked before the last input was read."""
         for _ in range(count):
-            self._post(Looked(self._asked.popleft()))
+            self._post(Barrier(self._asked.popleft()))
 
     # --- receiving --------------------------------------------------------------------------------------------------
 

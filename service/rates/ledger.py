@@ -120,7 +120,7 @@ class RateLedger:
         task = work if isinstance(work, asyncio.Task) else asyncio.create_task(work, name=f"rates of {user} {owner}")
         self._returns[user] = _Return(owner, task, intervals or {})
         if user is RateUser.JOB:
-            task.add_done_callback(partial(_told, owner))
+            task.add_done_callback(partial(_log_failure, owner))
         return task
 
     def returning(self, user: RateUser) -> bool:
@@ -215,6 +215,6 @@ class RateLedgers:
             return vehicle_id
 
 
-def _told(owner: str, ended: asyncio.Task[Any]) -> None:
+def _log_failure(owner: str, ended: asyncio.Task[Any]) -> None:
     if not ended.cancelled() and ended.exception() is not None:
         log.warning("message rates not returned", job=owner, reason=str(ended.exception()))

@@ -9,17 +9,6 @@ from typing import Any
 
 from mavcal.service.errors import StoreError
 from mavcal.service.store.database import Session
-from mavcal.service.store.plumbing import (
-    EVENT,
-    JOB,
-    SEGMENT,
-    SqlRows,
-    dump,
-    event_row,
-    job_row,
-    marks,
-    segment_row,
-)
 from mavcal.service.store.rows import (
     EventRow,
     JobDocument,
@@ -30,6 +19,17 @@ from mavcal.service.store.rows import (
     SegmentRow,
     SnapshotPurpose,
     SnapshotRow,
+)
+from mavcal.service.store.sqlrows import (
+    EVENT,
+    JOB,
+    SEGMENT,
+    SqlRows,
+    dump,
+    event_row,
+    job_row,
+    marks,
+    segment_row,
 )
 
 _JOBS_AT_ONCE = 100

@@ -452,8 +452,8 @@ class Vehicle:
         with suppress(LinkDown):
             link.send(self._command_message(command_id, *params), (self.system, self.component))
 
-    def give_way(self) -> str:
-        """Another unit has taken this address: nothing is sent on behalf of this one any more. Says so."""
+    def mark_replaced(self) -> str:
+        """Another unit has taken this address: nothing is sent on behalf of this one any more. Returns why."""
         self._replaced = (
             f"Another unit ({self.successor}) answers to system id {self.system} now; "
             f"{self.identity.uid2} was not heard for {self._yield_s:g} s."

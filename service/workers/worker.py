@@ -96,11 +96,13 @@ class Worker:
         """What came of it; None: nobody waits for it any more."""
         loop = asyncio.get_running_loop()
 
-        def told(text: str) -> None:
+        def report(text: str) -> None:
             loop.run_in_executor(None, partial(self._orders.tell, order.id, self.name, text))
 
         body = moved(order.body["order"], None, self._settings.uploads)
-        running = asyncio.create_task(self._children.run(order.task, body, Limits(**order.body["limits"]), told=told))
+        running = asyncio.create_task(
+            self._children.run(order.task, body, Limits(**order.body["limits"]), progress=report)
+        )
         try:
             while not running.done():
                 await asyncio.wait({running}, timeout=WATCH_S)

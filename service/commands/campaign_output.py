@@ -21,8 +21,8 @@ _MOST_SHOWN = 20
 
 
 @dataclass(frozen=True)
-class Telling:
-    """How the outcome is wanted."""
+class OutputOptions:
+    """How the outcome is printed."""
 
     table: Path | None = None
     """File of the CSV; None: none."""
@@ -30,7 +30,7 @@ class Telling:
 
 
 @dataclass(frozen=True)
-class Seen:
+class CampaignSnapshot:
     """A campaign as it is at an instant, as JSON."""
 
     id: str
@@ -40,22 +40,24 @@ class Seen:
     progress: Mapping[str, Any] | None = None
 
 
-async def followed(look: Callable[[], Awaitable[Seen]], screen: Screen) -> Seen:
+async def followed(look: Callable[[], Awaitable[CampaignSnapshot]], screen: Screen) -> CampaignSnapshot:
     """The campaign once it goes on no more; meanwhile `screen` shows how far it is."""
     from mavcal.service.jobs.core.states import ENDED
 
-    while (seen := await look()).state not in ENDED:
-        if seen.progress is not None:
-            screen.progress(seen.progress)
+    while (snapshot := await look()).state not in ENDED:
+        if snapshot.progress is not None:
+            screen.progress(snapshot.progress)
         await asyncio.sleep(_LOOK_S)
-    return seen
+    return snapshot
 
 
-def tell(seen: Seen, items: Sequence[Mapping[str, Any]], telling: Telling, screen: Screen) -> int:
+def print_campaign(
+    snapshot: CampaignSnapshot, items: Sequence[Mapping[str, Any]], output: OutputOptions, screen: Screen
+) -> int:
     """Show a campaign that has ended, and its exit code."""
     outcomes = [item["outcome"] for item in items]
-    if telling.as_json:
-        about = {name: getattr(seen, name) for name in ("id", "state", "options", "outcome")}
+    if output.as_json:
+        about = {name: getattr(snapshot, name) for name in ("id", "state", "options", "outcome")}
         write_json({**about, "counts": Counter(outcomes), "items": items})
     else:
         open_still = [item for item in items if item["outcome"] != "done"]
@@ -63,12 +65,12 @@ def tell(seen: Seen, items: Sequence[Mapping[str, Any]], telling: Telling, scree
             screen.line(f"    {item['outcome']:10}{item['name'] or item['subject']}: {item['text']}")
         if len(open_still) > _MOST_SHOWN:
             more = len(open_still) - _MOST_SHOWN
-            screen.line(f"    {more} more are not done: `mavcal campaign items {seen.id}` lists them")
-    outcome = seen.outcome or {"kind": "result", "text": ""}
+            screen.line(f"    {more} more are not done: `mavcal campaign items {snapshot.id}` lists them")
+    outcome = snapshot.outcome or {"kind": "result", "text": ""}
     failed = outcome["kind"] != "result"
     said = f"{outcome['cause']} {outcome['remedy']}" if failed else outcome["text"]
-    screen.line(f"{seen.state}: {said}", bold=True)
-    return EXIT_NO if failed else exit_code(seen.options, outcomes)
+    screen.line(f"{snapshot.state}: {said}", bold=True)
+    return EXIT_NO if failed else exit_code(snapshot.options, outcomes)
 
 
 def exit_code(options: Mapping[str, Any], outcomes: Iterable[str]) -> int:

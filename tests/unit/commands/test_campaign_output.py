@@ -8,8 +8,14 @@ import pytest
 
 from mavcal.calib.procedures.protocol import Progress
 from mavcal.service.campaigns.items import Item, ItemOutcome
-from mavcal.service.commands import campaign_told
-from mavcal.service.commands.campaign_told import Seen, Telling, followed, tell, write_table
+from mavcal.service.commands import campaign_output
+from mavcal.service.commands.campaign_output import (
+    CampaignSnapshot,
+    OutputOptions,
+    followed,
+    print_campaign,
+    write_table,
+)
 from mavcal.service.jobs.core.codec import to_json
 from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import JobState
@@ -23,7 +29,7 @@ SOME_DONE = Result("2 of 3 are done.")
 
 
 def campaign(state=JobState.SUCCEEDED, *, options=None, outcome=SOME_DONE, progress=None):
-    return Seen("c", state.value, options or {}, to_json(outcome), progress)
+    return CampaignSnapshot("c", state.value, options or {}, to_json(outcome), progress)
 
 
 def documents(*items):
@@ -37,7 +43,7 @@ async def test_a_campaign_is_looked_at_until_it_goes_on_no_more(screen, monkeypa
     async def sleep(seconds):
         looks.append(seconds)
 
-    monkeypatch.setattr(campaign_told.asyncio, "sleep", sleep)
+    monkeypatch.setattr(campaign_output.asyncio, "sleep", sleep)
     running = campaign(JobState.RUNNING, outcome=None)
     half = replace(running, progress=to_json(Progress(1.0, 2.0, "items", "checking")))
     states = [running, half, half, campaign()]
@@ -50,7 +56,7 @@ async def test_a_campaign_is_looked_at_until_it_goes_on_no_more(screen, monkeypa
 
 
 def test_what_is_not_done_has_a_line(screen):
-    assert tell(campaign(), documents(DONE, WARNED, FAILED), Telling(), screen) == 1
+    assert print_campaign(campaign(), documents(DONE, WARNED, FAILED), OutputOptions(), screen) == 1
     assert [" ".join(line.split()) for line in screen.lines] == [
         "warned v2: The compass is old.",
         "failed v3: It broke.",
@@ -59,7 +65,7 @@ def test_what_is_not_done_has_a_line(screen):
 
 
 def test_an_item_is_called_as_a_person_calls_it(screen):
-    tell(campaign(), documents(replace(FAILED, name="tug")), Telling(), screen)
+    print_campaign(campaign(), documents(replace(FAILED, name="tug")), OutputOptions(), screen)
     assert "tug:" in screen.lines[0]
     assert FAILED.text in screen.lines[0]
     assert FAILED.subject not in screen.lines[0]
@@ -68,7 +74,7 @@ def test_an_item_is_called_as_a_person_calls_it(screen):
 @pytest.mark.parametrize(("count", "more"), [(20, []), (23, ["3 more"])])
 def test_a_long_list_is_cut_and_says_where_the_rest_is(screen, count, more):
     many = [replace(FAILED, number=k, subject=f"v{k}") for k in range(1, count + 1)]
-    tell(campaign(), documents(*many), Telling(), screen)
+    print_campaign(campaign(), documents(*many), OutputOptions(), screen)
     *cut, end = screen.lines[20:]
     assert [" ".join(line.split()[:2]) for line in cut] == more
     assert all("campaign items" in line for line in cut)
@@ -86,22 +92,24 @@ def test_a_long_list_is_cut_and_says_where_the_rest_is(screen, count, more):
     ],
 )
 def test_the_exit_code_is_that_of_the_items(screen, items, options, code):
-    assert tell(campaign(options=options), documents(*items), Telling(), screen) == code
+    assert print_campaign(campaign(options=options), documents(*items), OutputOptions(), screen) == code
 
 
 def test_a_campaign_that_failed_is_no_success_whatever_its_items_are(screen):
     failed = campaign(JobState.FAILED, outcome=Failure("x", "The disk is full", "free some space"))
-    assert tell(failed, documents(DONE), Telling(), screen) == 1
+    assert print_campaign(failed, documents(DONE), OutputOptions(), screen) == 1
     assert screen.lines == ["failed: The disk is full. Free some space."]
 
 
 def test_a_campaign_without_an_outcome_says_its_state(screen):
-    tell(campaign(JobState.CANCELLED, outcome=None), documents(DONE), Telling(), screen)
+    print_campaign(campaign(JobState.CANCELLED, outcome=None), documents(DONE), OutputOptions(), screen)
     assert screen.lines == ["cancelled: "]
 
 
 def test_json_counts_the_items(screen, capsys):
-    tell(campaign(options={"task": "preflight"}), documents(DONE, WARNED), Telling(as_json=True), screen)
+    print_campaign(
+        campaign(options={"task": "preflight"}), documents(DONE, WARNED), OutputOptions(as_json=True), screen
+    )
     told = json.loads(capsys.readouterr().out)
     assert (told["id"], told["state"], told["options"]) == ("c", "succeeded", {"task": "preflight"})
     assert told["counts"] == {"done": 1, "warned": 1}
