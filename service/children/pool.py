@@ -38,11 +38,11 @@ _STDERR_TOLD = 4000
 
 
 class Runs(Protocol):
-    """Whoever runs tasks of :mod:`service.children.tasks` within limits."""
+    """Interface of what runs tasks of :mod:`service.children.tasks` within limits."""
 
     @property
     def most(self) -> int:
-        """How many of a campaign are asked for at a time."""
+        """The most items of a campaign that run at a time."""
         ...
 
     async def run(
@@ -183,7 +183,7 @@ class Children:
         fork_server.stdin.write(json.dumps(line).encode() + b"\n")
 
     async def _listen(self, fork_server: asyncio.subprocess.Process) -> None:
-        """Pass on what the fork server says; when it ends, so have its children."""
+        """Dispatch the messages of the fork server; its end is the end of every child."""
         assert fork_server.stdout is not None
         while line := await fork_server.stdout.readline():
             said = json.loads(line)
@@ -208,7 +208,7 @@ class Children:
         self._running.clear()
 
     def _written(self, folder: Path, order: Mapping[str, Any]) -> None:
-        """Lay an order down; in the one thread of files."""
+        """Write an order to its file, in the thread for files."""
         if not self._swept:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder.mkdir(parents=True, mode=0o700)
@@ -221,7 +221,7 @@ class Children:
 
 
 def _result_of(folder: Path, ended: Json, limits: Limits) -> Json:
-    """What the child left, as data."""
+    """The result that the child wrote, as data."""
     if ended["status"] != 0:
         complaints = (folder / "stderr").read_bytes()[-_STDERR_TOLD:] if (folder / "stderr").exists() else b""
         log.warning("child ended", status=ended["status"], cpu_s=ended["cpu_s"], peak_bytes=ended["peak_bytes"],

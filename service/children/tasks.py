@@ -1,4 +1,4 @@
-"""What children do: a task takes its order and a way to tell its progress, and returns what JSON can carry.
+"""The tasks of children: each takes its order and a callback for progress, and returns JSON values.
 
 A task is named ``module:function``; only names in the service's own code are ever run.
 """
@@ -45,7 +45,7 @@ _EVERY_S = 0.5
 
 
 def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
-    """What is in the recording ``{path, reading}``."""
+    """The contents of the recording ``{path, reading}``."""
     from mavcal.calib import logs
     from mavcal.calib.methods.overview import overview
     from mavcal.calib.report import to_json
@@ -111,7 +111,7 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
         limit = wall
 
     def elapsed() -> float:
-        """Processor time; by the clock where that runs out earlier."""
+        """Processor time used, s; the same share of the time by the clock where that is more."""
         by_clock = (time.monotonic() - asked) * (limit / wall) if math.isfinite(wall) else 0.0
         return max(time.process_time() - spent, by_clock)
 

@@ -31,7 +31,7 @@ class OutputOptions:
 
 @dataclass(frozen=True)
 class CampaignSnapshot:
-    """A campaign as it is at an instant, as JSON."""
+    """State of a campaign at one instant, as JSON."""
 
     id: str
     state: str
@@ -41,7 +41,7 @@ class CampaignSnapshot:
 
 
 async def followed(look: Callable[[], Awaitable[CampaignSnapshot]], screen: Screen) -> CampaignSnapshot:
-    """The campaign once it goes on no more; meanwhile `screen` shows how far it is."""
+    """Wait until the campaign stops, with its progress on `screen`; its last snapshot."""
     from mavcal.service.jobs.core.states import ENDED
 
     while (snapshot := await look()).state not in ENDED:
@@ -54,7 +54,7 @@ async def followed(look: Callable[[], Awaitable[CampaignSnapshot]], screen: Scre
 def print_campaign(
     snapshot: CampaignSnapshot, items: Sequence[Mapping[str, Any]], output: OutputOptions, screen: Screen
 ) -> int:
-    """Show a campaign that has ended, and its exit code."""
+    """Print a campaign that has ended; its exit code."""
     outcomes = [item["outcome"] for item in items]
     if output.as_json:
         about = {name: getattr(snapshot, name) for name in ("id", "state", "options", "outcome")}

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Acted:
-    """What came of one vehicle: whether it is what was asked for, a line for a person, and the same as JSON."""
+    """Outcome for one vehicle: whether it is good, a line of text, and the same as JSON."""
 
     good: bool
     text: str
@@ -58,7 +58,7 @@ def run_every(whom: Whom, act: Act[Acted], *, as_json: bool) -> int:
 
 
 async def with_each(door: Door, *, whom: Whom, act: Act[T], screen: Screen) -> list[tuple[Found, T | Refusal]]:
-    """What came of every vehicle, side by side, or why nothing did.
+    """Act on every vehicle concurrently: the outcome of each, or why nothing was done.
 
     What an earlier run has left on a vehicle is finished first.
     """

@@ -20,7 +20,7 @@ _LOOK_S = 0.1
 
 @dataclass(frozen=True)
 class Mended:
-    """What came of one calibration."""
+    """Outcome of one calibration."""
 
     job: JobModel
     text: str

@@ -77,7 +77,7 @@ async def _tell_wait(client: AsyncClient, link_id: str, url: str, wait: float, s
 
 
 def state_of(job: JobSummary | JobModel) -> JobState:
-    """Where a job is, to be compared with the sets of ``service.jobs.core.states``."""
+    """The state of a job as a member of ``service.jobs.core.states``."""
     from mavcal.service.jobs.core.states import JobState
 
     return JobState(job.state.value)
@@ -227,7 +227,7 @@ class Begun:
 
 @asynccontextmanager
 async def begun_by(making: Awaitable[Begun], leave: Callable[[Begun], Awaitable[None]]) -> AsyncIterator[Begun]:
-    """The job that is made; a run that is told to stop leaves it so, also while it is being made."""
+    """Await the new job for the block; on cancellation, even while it is being created, `leave` handles it."""
     made = asyncio.ensure_future(making)
     try:
         yield await asyncio.shield(made)
@@ -240,7 +240,7 @@ async def begun_by(making: Awaitable[Begun], leave: Callable[[Begun], Awaitable[
 
 
 async def leave_job(door: Door, screen: Screen, begun: Begun) -> None:
-    """Leave a job because this process has to stop: cancel what wrote nothing, say what a write leaves behind."""
+    """Leave a job because this process stops: cancel it if it wrote nothing, else print what it leaves behind."""
     from mavcal.service.jobs.core.states import CANCELLABLE, WRITING, JobState
 
     job_id = begun.job.id

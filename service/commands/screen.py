@@ -35,7 +35,7 @@ class Screen:
         self._asked = ""
 
     def line(self, text: str = "", *, bold: bool = False) -> None:
-        """A line that stays."""
+        """Print a line that stays."""
         if self._quiet:
             return
         self._close()

@@ -34,7 +34,7 @@ class Owed(Protocol):
     """Keeps message intervals (us by message: -1 off, 0 the vehicle's default) as they were before a change."""
 
     def intervals(self) -> Mapping[int, int]:
-        """What is owed to the vehicle."""
+        """The intervals that are owed to the vehicle."""
         ...
 
     async def owe(self, before: Mapping[int, int]) -> None:
@@ -58,7 +58,7 @@ async def request_rates(
 
 
 async def return_rates(vehicle: JobVehicle, owed: Owed) -> None:
-    """Put back what is owed. Raises VehicleError, LinkError; everything is owed still then."""
+    """Restore the intervals that are owed. Raises VehicleError, LinkError; all of them are still owed then."""
     intervals = owed.intervals()
     if intervals:
         await vehicle.set_intervals(intervals)
@@ -77,7 +77,7 @@ class LiveWatch:
 
 @dataclass(frozen=True)
 class _Return:
-    """A return of rates that is under way: its owner and what is owed."""
+    """A return of rates in progress: its owner, its task and the intervals owed."""
 
     owner: str
     task: asyncio.Task[Any]

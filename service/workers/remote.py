@@ -53,7 +53,7 @@ class RemoteChildren:
         await self._app.open_async()
 
     async def stop(self) -> None:
-        """Disconnect; what is computed for us ends when it is not asked for any more."""
+        """Disconnect; workers stop our computations once they are no longer wanted."""
         await self._app.close_async()
         self._orders.close()
 
