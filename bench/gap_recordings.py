@@ -161,21 +161,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("data", type=Path, help="folder of the recordings")
     parser.add_argument("--answers", type=Path, help="keep every answer, a JSON line each, for bench.same")
     parser.add_argument("--nested", action=argparse.BooleanOptionalAction, default=True)
-    return asyncio.run(_told_rows(parser.parse_args(argv)))
+    return asyncio.run(_print_rows(parser.parse_args(argv)))
 
 
-async def _told_rows(given: argparse.Namespace) -> int:
+async def _print_rows(given: argparse.Namespace) -> int:
     wrong = False
     async for row in run(given.data, nested=given.nested):
         wrong = wrong or row["exact"] is False
-        print(_told(row), flush=True)
+        print(_row_text(row), flush=True)
         if given.answers is not None:
             with given.answers.open("a", encoding="utf-8") as kept:
                 kept.write(json.dumps(row) + "\n")
     return int(wrong)
 
 
-def _told(row: Mapping[str, Any]) -> str:
+def _row_text(row: Mapping[str, Any]) -> str:
     said = ", ".join(f"{name}{instances}" for name, instances in row["effects"].items()) or "nothing"
     more = " + unknown" if row["unknown"] else ""
     return f"{row['case']}: {row['known']}\n    {row['error'] or row['verdict']}: {said}{more}"

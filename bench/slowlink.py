@@ -115,7 +115,7 @@ async def timed(wire: Wire, autopilot: str, *, speed: float = 1.0, further: int 
             heard: list[EventRow] = []
             listening = asyncio.create_task(_listen(service, heard))
             job = await _carried(service)
-            await asyncio.wait_for(service.jobs.tidied(), GIVE_UP_S)
+            await asyncio.wait_for(service.jobs.wait_for_cleanup(), GIVE_UP_S)
             listening.cancel()
             return _measured(service, job, heard, wire, autopilot, began)
 

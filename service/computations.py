@@ -13,7 +13,7 @@ from mavcal.calib.methods import METHODS
 from mavcal.calib.report import from_json
 from mavcal.service.children import DIAGNOSE, FIT, Limits, Runs
 from mavcal.service.errors import UploadError
-from mavcal.service.jobs.uploads.computations import Diagnosis, Told
+from mavcal.service.jobs.uploads.computations import Diagnosis, ProgressCallback
 from mavcal.service.recordings import Recordings, without_path
 from mavcal.service.store.rows import JobDocument, RecordingRow
 
@@ -56,16 +56,16 @@ class UploadComputations:
             raise InvalidInputError(f"there is no method {method!r}; there are {', '.join(METHODS)}")
 
     async def fit(
-        self, recording: str, method: str, options: Mapping[str, Any], *, told: Told | None = None
+        self, recording: str, method: str, options: Mapping[str, Any], *, progress: ProgressCallback | None = None
     ) -> tuple[FitResult, ...]:
         """One fit a sensor; errors as in the protocol."""
-        return (await self._fit(recording, method, options, origin=False, told=told))[0]
+        return (await self._fit(recording, method, options, origin=False, progress=progress))[0]
 
     async def fit_of_vehicle(
         self, recording: str, method: str, options: Mapping[str, Any]
     ) -> tuple[tuple[FitResult, ...], Origin]:
         """The same fits, and whose sensors they are of. Raises FirmwareError if the recording does not say."""
-        fits, origin = await self._fit(recording, method, options, origin=True, told=None)
+        fits, origin = await self._fit(recording, method, options, origin=True, progress=None)
         if origin is None:
             raise FirmwareError("the recording does not say which vehicle its sensors belong to")
         return fits, origin
@@ -77,7 +77,7 @@ class UploadComputations:
         nominal: Sequence[str],
         *,
         limit_s: float | None = None,
-        told: Told | None = None,
+        progress: ProgressCallback | None = None,
     ) -> Diagnosis:
         """The sim-to-real gap of an upload; errors as in the protocol."""
         uploads = [self._recordings.get(i) for i in (real, *(() if sim is None else (sim,)), *nominal)]
@@ -92,7 +92,7 @@ class UploadComputations:
             **({} if limit_s is None else {"limit_s": min(limit_s, _IN_TIME * self._of_gaps.wall_s)}),
         }
         try:
-            done = await self._children.run(DIAGNOSE, order, self._of_gaps, told=told)
+            done = await self._children.run(DIAGNOSE, order, self._of_gaps, progress=progress)
         except CalibError as error:
             raise type(error)(_with_names(str(error), uploads)) from error
         report = json.dumps(done["report"], allow_nan=False).encode()
@@ -103,7 +103,13 @@ class UploadComputations:
         return Diagnosis(str(done["summary"]), documents)
 
     async def _fit(
-        self, recording: str, method: str, options: Mapping[str, Any], *, origin: bool, told: Told | None
+        self,
+        recording: str,
+        method: str,
+        options: Mapping[str, Any],
+        *,
+        origin: bool,
+        progress: ProgressCallback | None,
     ) -> tuple[tuple[FitResult, ...], Origin | None]:
         self.check(recording, method)
         row = self._recordings.get(recording)
@@ -115,7 +121,7 @@ class UploadComputations:
             "vehicle": _vehicle(row),
         }
         try:
-            done = await self._children.run(FIT, order, self._of_fits, told=told)
+            done = await self._children.run(FIT, order, self._of_fits, progress=progress)
         except CalibError as error:
             raise type(error)(_with_names(str(error), [row])) from error
         whose = done["origin"]

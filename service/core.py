@@ -19,8 +19,8 @@ from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
 from mavcal.service.fleet.ahead import TrendsAhead
 from mavcal.service.fleet.book import FleetBook
-from mavcal.service.freed import give_back_for_ever
 from mavcal.service.hand import SimulatedHands
+from mavcal.service.heap import trim_for_ever
 from mavcal.service.jobs.core.codec import CODE as UNREADABLE
 from mavcal.service.jobs.core.crashpoints import CrashPoint, no_crash
 from mavcal.service.jobs.core.model import Failure
@@ -184,7 +184,7 @@ async def running_service(
         retention = _retention(store, settings, jobs, links)
         rotation = Rotation(links.all, settings.retention, retention.sweep_now.set)
         ahead = TrendsAhead(store, lambda: fleet.measured)
-        for work in (retention.run(), rotation.run(), give_back_for_ever(), ahead.run(), hands.run()):
+        for work in (retention.run(), rotation.run(), trim_for_ever(), ahead.run(), hands.run()):
             started.push_async_callback(_cancelled, asyncio.create_task(work))
         parts = (store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing, live, hands)
         yield Service(settings, *parts, left=left)

@@ -55,10 +55,10 @@ async def fixed(engine: JobEngine, vehicle_id: str, kinds: Sequence[Fixable], *,
             accept = Accept(job.plan.sha256, prove_s=0.0, actor=actor)
             await engine.apply(job.id, accept)
             job = await wait_for_job(engine, job.id)
-        done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_told(job, left), left.text)))))
+        done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_result_text(job, left), left.text)))))
         if job.state != JobState.SUCCEEDED:
             break
-    await engine.tidied()
+    await engine.wait_for_cleanup()
     return tuple(done)
 
 
@@ -129,7 +129,7 @@ async def wait_for_job(engine: JobEngine, job_id: str) -> Job:
     return engine.get(job_id)
 
 
-def _told(job: Job, left: Late) -> str:
+def _result_text(job: Job, left: Late) -> str:
     if left.all:
         return "Nothing was written."
     if isinstance(job.outcome, Failure):

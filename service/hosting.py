@@ -28,9 +28,9 @@ class Hosted:
         """The id of a link that is not remembered. Raises EndpointError, PortBusy."""
         return (await self.service.links.open(endpoint, remember=False, trusted=True)).id
 
-    async def tidied(self) -> None:
+    async def wait_for_cleanup(self) -> None:
         """Wait until nothing is owed to a vehicle: its old message rates, and a look at it after a write."""
-        await self.service.jobs.tidied()
+        await self.service.jobs.wait_for_cleanup()
 
 
 @asynccontextmanager

@@ -38,7 +38,7 @@ class Waiting:
         return transport in self._timers
 
     def ends(self, transport: asyncio.Transport) -> None:
-        """The head is there, or the connection has gone."""
+        """Stop waiting for a head: it has arrived, or the connection is closed."""
         timer = self._timers.pop(transport, None)
         if timer is not None:
             timer.cancel()
@@ -49,7 +49,7 @@ class Waiting:
 
 
 def _protocol(waiting: Waiting, most: int) -> type[HttpToolsProtocol]:
-    """`most` is the size of the largest head, bytes."""
+    """The protocol class of connections whose request head has at most `most` bytes."""
 
     class Protocol(HttpToolsProtocol):
         _head = 0

@@ -29,11 +29,11 @@ class LinkOwnership(Protocol):
     """Which links are ours to open."""
 
     async def claim(self, link_id: str) -> None:
-        """Make it ours. Raises LinkElsewhere."""
+        """Acquire the link. Raises LinkElsewhere."""
         ...
 
     async def release(self, link_id: str) -> None:
-        """Leave it to others."""
+        """Release the link to other instances."""
         ...
 
 
@@ -41,10 +41,10 @@ class EveryLink:
     """One process owns every link."""
 
     async def claim(self, link_id: str) -> None:
-        """Nothing: it is ours."""
+        """Do nothing: every link is ours."""
 
     async def release(self, link_id: str) -> None:
-        """Nothing: there is nobody else."""
+        """Do nothing: there is no other instance."""
 
 
 class LinkRegistry:

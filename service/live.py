@@ -91,14 +91,14 @@ def _digested(
 
 
 class _Losses:
-    """What was lost of a vehicle's messages lately, by their sequence numbers."""
+    """Recent loss of a vehicle's messages, by their sequence numbers."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle, self._way = vehicle, vehicle.way
         self._counted: deque[tuple[int, int]] = deque(maxlen=round(LOSS_S / BATCH_S))
 
     def share(self) -> float | None:
-        """Called once a batch."""
+        """The recent loss; called once a batch."""
         vehicle = self._vehicle.unit
         if vehicle.way != self._way:
             self._way = vehicle.way

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def loading() -> Iterator[None]:
-    """No garbage is looked for inside, and none among what was loaded afterwards; what begins enabled ends so.
+    """Pause the garbage collector inside the block and exempt what was loaded from later collections.
 
     A service loads 125 000 objects; 1 400 are garbage.
     """

@@ -110,7 +110,7 @@ class Preflight:
 
 @dataclass
 class _Heard:
-    """What came while the vehicle was looked at."""
+    """Frames and parameters received during a preflight."""
 
     frames: list[Frame] = field(default_factory=list)
     parameters: dict[str, Value] = field(default_factory=dict)
@@ -121,7 +121,7 @@ class _Heard:
         self.frames += frames
 
     def hear(self, reading: ParameterReading) -> None:
-        """NaN equals nothing, and says nothing of a change."""
+        """Store a reading, and note a changed value; NaN equals nothing, and shows no change."""
         before = self.parameters.get(reading.name, reading.value)
         if before == before and before != reading.value:
             self.rewritten.append(reading.name)
@@ -129,7 +129,7 @@ class _Heard:
 
 
 class Preflights:
-    """Looks at vehicles, each by one at a time."""
+    """Runs preflights, one at a time on each vehicle."""
 
     def __init__(
         self,
@@ -153,7 +153,7 @@ class Preflights:
             raise PreflightRunning
 
     def holds(self, vehicle_id: str) -> bool:
-        """Whether this vehicle is looked at."""
+        """Whether a preflight of this vehicle is under way."""
         return vehicle_id in self._running or vehicle_id in self._looks
 
     async def run(
@@ -227,7 +227,7 @@ class Preflights:
 
     @contextmanager
     def claimed(self, vehicle_id: str) -> Iterator[None]:
-        """Meanwhile nobody else may begin anything with this vehicle. Raises PreflightRunning."""
+        """Block other preflights and jobs of this vehicle inside the block. Raises PreflightRunning."""
         self.require_idle(vehicle_id)
         self._running.add(vehicle_id)
         try:
@@ -407,8 +407,8 @@ def _snapshot(
     complete: bool,
     asked: bool,
 ) -> Snapshot:
-    told = stated_device_ids(history, heard.parameters)
-    found = collect(heard.frames, identity, heard.parameters, asked=asked, complete=complete, told=told)
+    stated = stated_device_ids(history, heard.parameters)
+    found = collect(heard.frames, identity, heard.parameters, asked=asked, complete=complete, stated=stated)
     return Snapshot(
         found.recording,
         identity,

@@ -38,7 +38,7 @@ class Recordings:
         self._writers = ThreadPoolExecutor(2, thread_name_prefix="upload")
 
     def close(self) -> None:
-        """Give the threads back."""
+        """Shut the thread pool down."""
         self._writers.shutdown(wait=False, cancel_futures=True)
 
     def all(self) -> tuple[RecordingRow, ...]:

@@ -45,7 +45,7 @@ class Retention:
     """Set when there is more to forget than usual: the next sweep comes at once."""
 
     async def run(self) -> None:
-        """Sweep now and then, for ever."""
+        """Delete what is due at intervals, until cancelled."""
         while True:
             try:
                 await self.sweep()
@@ -57,7 +57,7 @@ class Retention:
                     await self.sweep_now.wait()
 
     async def sweep(self) -> None:
-        """Forget what is due."""
+        """Delete what is due."""
         needed, held = set(self.needed()), set(self.open_files())
         await self.store.do(lambda: self._forget_rows())
         items = await asyncio.to_thread(self._items, needed, held)
@@ -78,7 +78,7 @@ class Retention:
         return [*uploads, *filter(None, map(_log, logs))]
 
     def _forget(self, item: Removable) -> None:
-        """The row first: a file without a row is waste, a row without its file is a lie."""
+        """Delete the row before its file: a crash between them then leaves no row without a file."""
         if item.upload is not None:
             self.store.delete_recording(item.upload)
         elif item.path.resolve() in {path.resolve() for path in self.store.segment_paths()}:

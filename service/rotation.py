@@ -32,7 +32,7 @@ class Rotation:
     clock: Callable[[], float] = time.monotonic
 
     async def run(self) -> None:
-        """Look now and then, for ever."""
+        """Check the links at intervals, until cancelled."""
         while True:
             await asyncio.sleep(PERIOD_S)
             self.look()
@@ -52,7 +52,7 @@ class Rotation:
                 self.rotated()
 
     def _due(self, link: Link) -> bool:
-        """An empty file is kept, however old: another one would be as empty."""
+        """Whether the file is large or old enough to be closed; an empty one never is."""
         held = link.tlog
         old = self.clock() - held.begun_at >= self.settings.tlog_hours * HOUR_S
         return held.position > 0 and (old or held.position >= self.settings.tlog_bytes)

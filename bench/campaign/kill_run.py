@@ -242,7 +242,7 @@ class _KillRun:
         asked = None
         deadline = time.monotonic() + REVIEWED_S
         while time.monotonic() < deadline:
-            job = _told(client, self._job_id)
+            job = _document(client, self._job_id)
             if job["state"] == "review":
                 operator.rest()
                 vehicle.wait(4.0)
@@ -301,7 +301,7 @@ class _KillRun:
     def _ended(self, client: Client, timeout_s: float) -> Json:
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
-            job = _told(client, self._job_id)
+            job = _document(client, self._job_id)
             if job["state"] in ENDED:
                 return job
             time.sleep(POLL_S)
@@ -322,7 +322,7 @@ def _found(client: Client) -> str:
     raise TimeoutError("the service did not find the simulated vehicle")
 
 
-def _told(client: Client, job_id: str) -> Json:
+def _document(client: Client, job_id: str) -> Json:
     """The job as JSON, which is what a run is judged by."""
     return client.get_job(job_id).model_dump(mode="json")
 

@@ -107,9 +107,9 @@ class Px4:
             (PREFLIGHT_CALIBRATION, (0, 0, 0, 0, 4), "CAL_ACC0_ID"),
             (FIXED_MAG_CAL_YAW, (0, 0, HOME[0], HOME[1]), "CAL_MAG0_ID"),
         ):
-            self.beside.wait(partial(self._told, command, values, name), 60.0, f"{name} stays 0")
+            self.beside.wait(partial(self._id_stored, command, values, name), 60.0, f"{name} stays 0")
 
-    def _told(self, command: int, values: Sequence[float], name: str) -> bool:
+    def _id_stored(self, command: int, values: Sequence[float], name: str) -> bool:
         if self.read(name):
             return True
         self.beside.command(command, *values)

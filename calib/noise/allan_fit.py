@@ -251,7 +251,7 @@ def _native(unit: str, rate: float, tables: list[AllanTable], fits: list[AllanFi
     def each(numbers: Any) -> list[Any]:
         return [None if fit is None else numbers(table, fit) for table, fit in zip(tables, fits, strict=True)]
 
-    def told(k: int) -> list[float | None]:
+    def values(k: int) -> list[float | None]:
         return [float(f.values[k]) if f is not None and np.isfinite(f.sd[k]) else None for f in fits]
 
     return {
@@ -259,7 +259,7 @@ def _native(unit: str, rate: float, tables: list[AllanTable], fits: list[AllanFi
         "adev": [table.adev.tolist() for table in tables],
         "adev_relative_sd": each(lambda _, fit: fit.relative_sd.tolist()),
         "model_adev": each(lambda _, fit: fit.model.tolist()),
-        **{term: told(k) for k, term in enumerate(TERMS)},
+        **{term: values(k) for k, term in enumerate(TERMS)},
         "sd": {
             t: each(lambda _, f, k=k: float(f.sd[k]) if np.isfinite(f.sd[k]) else None) for k, t in enumerate(TERMS)
         },

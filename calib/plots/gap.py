@@ -71,7 +71,7 @@ def _over_time(series: PlottedSeries) -> Chart:
     t = series.t[every] - series.t[0]
     before, after = factor * series.residual[:, axis], factor * (series.residual - series.modelled)[:, axis]
     chart = Chart(
-        f"{series.sensor} {'+'.join(map(str, series.instances))} {'xyz'[axis]}: {_told(series)}",
+        f"{series.sensor} {'+'.join(map(str, series.instances))} {'xyz'[axis]}: {_effect_names(series)}",
         "time, s", f"real less ideal, {unit}", limits_of(t), limits_of(before[every], after[every]), WIDTH, ROW_HEIGHT,
     )  # fmt: skip
     for values, colour, when in ((before, BEFORE, "before"), (after, AFTER, "with the effects")):
@@ -81,7 +81,7 @@ def _over_time(series: PlottedSeries) -> Chart:
     return chart
 
 
-def _told(series: PlottedSeries) -> str:
+def _effect_names(series: PlottedSeries) -> str:
     """The effects, as many as there is room for."""
     names = list(series.parts) or ["no effect"]
     for count in range(len(names), 1, -1):

@@ -152,13 +152,13 @@ def collect(
     *,
     asked: bool,
     complete: bool = True,
-    told: Mapping[tuple[Sensor, int], int] = NO_DEVICE_IDS,
+    stated: Mapping[tuple[Sensor, int], int] = NO_DEVICE_IDS,
 ) -> Collected:
     """Read `frames` of one vehicle, in their order.
 
     `asked`: it took the request to run its checks. `complete`: every parameter was read, so that one that is not there
     is one that the vehicle does not have. A compass whose correction is not known for certain is left out.
-    `told`: PX4's device ids by streamed instance, as :func:`calib.preflight.snapshot.stated_device_ids` finds them.
+    `stated`: PX4's device ids by streamed instance, as :func:`calib.preflight.snapshot.stated_device_ids` finds them.
     """
     assembler = Assembler(identity, parameters)
     recording = assembler.feed([(None, frame) for frame in frames])
@@ -177,7 +177,7 @@ def collect(
         ill = frozenset(sensor for sensor, bits in _HEALTH.items() if there & bits & ~health)
         view = dataclasses.replace(view, present=bool(there & PREARM), ready=ready, ill=ill)
     current = None if status is None else int(status.current_battery) >= 0
-    made = [(c, _corrected(c, identity, parameters, told, complete=complete)) for c in recording.channels]
+    made = [(c, _corrected(c, identity, parameters, stated, complete=complete)) for c in recording.channels]
     return Collected(
         recording.with_channels(c for _, c in made if c is not None),
         shaking,
@@ -200,7 +200,7 @@ def _corrected(
     channel: Channel,
     identity: Identity,
     parameters: Mapping[str, Value],
-    told: Mapping[tuple[Sensor, int], int],
+    stated: Mapping[tuple[Sensor, int], int],
     *,
     complete: bool,
 ) -> Channel | None:
@@ -211,7 +211,7 @@ def _corrected(
     if channel.stage != Stage.RAW or channel.sensor != Sensor.MAG:
         return channel
     try:
-        slot = px4_slot(parameters, Sensor.MAG, channel.instance, told)
+        slot = px4_slot(parameters, Sensor.MAG, channel.instance, stated)
         place = px4_instance(parameters, Sensor.MAG, slot)
         model = calibration_in_force(identity.autopilot, parameters, Sensor.MAG, place)
         row = calibration_names(identity.autopilot, parameters, Sensor.MAG, place)

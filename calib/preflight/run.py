@@ -50,7 +50,7 @@ _TYPICAL_FIELD = 50.0
 def preflight(snapshot: Snapshot) -> Report:
     """Every check. Whoever reads the report acts on its causes: consequences are not failures of their self_report."""
     autopilot, parameters = snapshot.identity.autopilot or "", snapshot.parameters
-    installed, turning = announced(autopilot, parameters, snapshot.told), movement(snapshot.recording)
+    installed, turning = announced(autopilot, parameters, snapshot.stated), movement(snapshot.recording)
     there = census(snapshot, installed, turning)
     gyros, accels, compasses = (_means(snapshot, there, kind) for kind in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG))
     place, field = _place(snapshot.recording), _field(snapshot)

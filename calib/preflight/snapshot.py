@@ -26,7 +26,7 @@ class VerifiedCalibration:
     """At which the accelerometers were calibrated, degC by instance."""
     uid: str | None = None
     """Unique id of the autopilot; None: not known."""
-    told: Mapping[tuple[Sensor, int], int] = field(default_factory=dict)
+    stated: Mapping[tuple[Sensor, int], int] = field(default_factory=dict)
     """PX4: device ids that somebody stated, by streamed instance: no stream says them."""
 
 
@@ -35,7 +35,7 @@ def stated_device_ids(
 ) -> dict[tuple[Sensor, int], int]:
     """The device ids that were stated last, as far as a row of a PX4 with `parameters` holds them."""
     held = {(sensor, device) for (sensor, _), device in px4_sensor_ids(parameters).items()}
-    found = {key: device for entry in history for key, device in entry.told.items()}
+    found = {key: device for entry in history for key, device in entry.stated.items()}
     return {key: device for key, device in found.items() if (key[0], device) in held}
 
 
@@ -103,6 +103,6 @@ class Snapshot:
     """Sensors that were heard, and whose calibration in force is not known."""
 
     @property
-    def told(self) -> dict[tuple[Sensor, int], int]:
+    def stated(self) -> dict[tuple[Sensor, int], int]:
         """See :func:`stated_device_ids`."""
         return stated_device_ids(self.history, self.parameters)

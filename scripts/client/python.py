@@ -216,7 +216,7 @@ def _method(operation: Operation) -> list[str]:
     named = [*(p for p in named if p.required), *(p for p in named if not p.required)]
     star = ["*"] if named else []
     arguments = ", ".join(["self", *places, *star, *(_argument(p) for p in named)])
-    told = _told(operation)
+    told = _answer_type(operation)
     if operation.stream:
         told = f"AsyncIterator[{told}]"
     lines = [f"    {'def' if operation.stream else 'async def'} {operation.name}({arguments}) -> {told}:"]
@@ -257,7 +257,7 @@ def _argument(parameter: Parameter) -> str:
     return f"{parameter.name}: {kind}{'' if 'None' in kind else ' | None'} = None"
 
 
-def _told(operation: Operation) -> str:
+def _answer_type(operation: Operation) -> str:
     if operation.answer is None:
         return "None"
     return "str" if operation.plain else _shape(operation.answer)

@@ -58,7 +58,7 @@ def files_of(folder: Path, pattern: str) -> list[str]:
 
 @dataclass(frozen=True)
 class FolderFits:
-    """A method on each file. Options: `folder`, `reading`, `method`, `options`."""
+    """Fits each file by one method. Options: `folder`, `reading`, `method`, `options`."""
 
     workers: Workers
     limits: Limits
@@ -81,7 +81,7 @@ class FolderFits:
 
 @dataclass(frozen=True)
 class FolderGaps:
-    """A diagnosis of each file. Options: `folder`, `reading`, `sim`, `nominal`."""
+    """Diagnoses the gap of each file. Options: `folder`, `reading`, `sim`, `nominal`."""
 
     workers: Workers
     limits: Limits
@@ -189,7 +189,7 @@ def _whole(path: Path) -> str:
 
 
 async def _never_written(_handle: JobHandle, _reason: str) -> None:
-    """A campaign writes to no vehicle: there is nothing to recover."""
+    """Do nothing: a campaign of files writes to no vehicle, so that nothing has to be recovered."""
 
 
 async def _on(given: Workers, task: str, order: Json, limits: Limits) -> Json:

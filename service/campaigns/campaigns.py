@@ -80,21 +80,21 @@ class QueuePlace:
         self._waits = False
 
     async def wait_for_person(self) -> None:
-        """Let the next item begin, if not too many wait already."""
+        """Give the place to the next item while a person is awaited, unless too many wait already."""
         if not self._waits and not self._waiting.locked():
             await self._waiting.acquire()
             self.leave()
             self._held, self._waits = [self._waiting], True
 
     def leave(self) -> None:
-        """Give every place back."""
+        """Release the places in every queue."""
         while self._held:
             self._held.pop().release()
 
 
 @dataclass(frozen=True)
 class ItemTurn:
-    """The turn of one item, as its work gets it."""
+    """One item with what its work needs to process it."""
 
     campaign: Job
     item: Item
@@ -104,7 +104,7 @@ class ItemTurn:
 
     @property
     def options(self) -> Mapping[str, Any]:
-        """Those of the campaign."""
+        """Options of the campaign."""
         return self.campaign.options
 
 
@@ -122,7 +122,7 @@ class ItemWork(Protocol):
         ...
 
     async def run(self, turn: ItemTurn) -> ItemEnd:
-        """Do it. Raises ServiceError or CalibError, which end the item alone."""
+        """Process the item. A ServiceError or CalibError ends this item alone."""
         ...
 
     async def cancelled(self, turn: ItemTurn) -> str:
@@ -225,7 +225,7 @@ class Campaigns:
         self._tasks.spawn(handle, partial(self._run, handle))
 
     async def _run(self, handle: JobHandle) -> None:
-        """Go through what has not ended; the job ends succeeded, whatever became of its items."""
+        """Process the items that have not ended; the job then succeeds, whatever their outcomes."""
         run = _Run(handle, self._clock, Counter(await handle.store.do(partial(handle.store.item_counts, handle.id))))
         try:
             await self._run_or_interrupt(handle, run)
@@ -311,7 +311,7 @@ def uploads_of_campaign(job: Job, store: JobStore) -> set[str]:
 
 @dataclass
 class _Run:
-    """How far one run of a campaign is."""
+    """Progress of one run of a campaign."""
 
     handle: JobHandle
     clock: Callable[[], float]
@@ -324,7 +324,7 @@ class _Run:
             self.counts.pop(outcome.value, None)
 
     def count(self, outcome: ItemOutcome) -> None:
-        """One item more has ended; that is announced."""
+        """Count an item that has ended, and announce it."""
         self.counts[outcome.value] += 1
         self.ended += 1
         done = self.counts.total()

@@ -72,7 +72,7 @@ def _until_done(executor: Executor, count: int) -> Iterator[Workers]:
 
 
 def abandon() -> None:
-    """End what is under way on this machine: nobody waits for it any more."""
+    """Stop the computations on this machine, whose results nobody awaits any more."""
     worker.stop()
     for process in multiprocessing.active_children():
         process.terminate()

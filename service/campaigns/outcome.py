@@ -30,7 +30,7 @@ def _cells(item: Item) -> tuple[str, ...]:
 
 
 def _seconds(item: Item) -> str:
-    """How long its work took; where a worker measured that, without the wait for the worker."""
+    """Duration of the work; as the worker measured it, if it did, without the wait for the worker."""
     measured = (item.result or {}).get("seconds")
     if measured is None and item.began_at is not None and item.ended_at is not None:
         measured = item.ended_at - item.began_at
@@ -38,7 +38,7 @@ def _seconds(item: Item) -> str:
 
 
 def _inert(text: str) -> str:
-    """Names come from whoever uploads: none is a formula in somebody's spreadsheet."""
+    """Escape a text that a spreadsheet would run as a formula: names come from whoever uploads."""
     return f"'{text}" if text.startswith(_FORMULA) else text
 
 

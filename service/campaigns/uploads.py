@@ -24,7 +24,7 @@ _CANCELLED = "The campaign was cancelled; the computation was ended."
 
 @dataclass
 class UploadFits:
-    """A method on each upload. Options: `method`, `options`."""
+    """Fits each upload by one method. Options: `method`, `options`."""
 
     computations: Computations
     lane: asyncio.Semaphore
@@ -62,7 +62,7 @@ class UploadGaps:
 
 
 async def _patiently(compute: Callable[[], Awaitable[T]]) -> T:
-    """Nobody waits for an item: where the children are busy it waits too."""
+    """Retry while the children are busy: no client waits for an item."""
     while True:
         try:
             return await compute()

@@ -44,7 +44,7 @@ class Patience:
     clock: Callable[[], float] = time.monotonic
 
     async def back(self, vehicle_id: str, *, writable: bool = False) -> None:
-        """Return as soon as the vehicle is heard, or may be written to, or has been waited for in vain."""
+        """Wait until the vehicle is heard and may be written to, or until the time is over."""
         deadline = self.clock() + self.return_s
         while self.clock() < deadline:
             with suppress(VehicleUnknown):
@@ -76,7 +76,7 @@ class PreflightWork:
 
 
 def of_preflight(found: Preflight) -> ItemEnd:
-    """How an item ends with this report."""
+    """The outcome of an item with this report."""
     verdict = found.report.verdict
     outcome = _OUTCOMES.get(verdict, ItemOutcome.WARNED)
     return ItemEnd(outcome, found.report.summary, verdict.value, result={"preflight": to_json(found)})
@@ -180,10 +180,10 @@ def _begun_by(turn: ItemTurn) -> dict[str, Any]:
 
 
 def of_job(job: Job, reason: str = "") -> ItemEnd:
-    """How an item ends whose job stands so; `reason` says why its plan was not written."""
+    """The outcome of an item with this job; `reason` says why its plan was not written."""
     outcome = _of_state(job.state)
     code = job.outcome.code if isinstance(job.outcome, Failure) else job.state.value
-    return ItemEnd(outcome, _told(job, reason), code, job.id)
+    return ItemEnd(outcome, _outcome_text(job, reason), code, job.id)
 
 
 def _of_state(state: JobState) -> ItemOutcome:
@@ -196,7 +196,7 @@ def _of_state(state: JobState) -> ItemOutcome:
     return ItemOutcome.IN_DOUBT if state in WRITING else ItemOutcome.REFUSED
 
 
-def _told(job: Job, reason: str) -> str:
+def _outcome_text(job: Job, reason: str) -> str:
     if isinstance(job.outcome, Failure):
         cause = job.outcome.cause[:1].upper() + job.outcome.cause[1:]
         return " ".join(filter(None, (reason, cause, job.outcome.remedy)))

@@ -140,7 +140,7 @@ class ForkServer:
 
 
 def _child(order: Json, fork_server: int, progress: int) -> NoReturn:
-    """One task in this process, which was just forked; never returns."""
+    """Run one task in this freshly forked process; never returns."""
     code = DEFECT
     try:
         os.setsid()
@@ -195,7 +195,7 @@ def _work(task: str, folder: Path, progress: int) -> int:
 
 
 def _kill(pid: int) -> None:
-    """The child's whole group; its own id where it has not made one yet."""
+    """Kill the process group of the child, or the child alone before it has a group."""
     for end in (os.killpg, os.kill):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             end(pid, signal.SIGKILL)

@@ -33,7 +33,7 @@ class Limits:
 
 
 def confine(limits: Limits) -> None:
-    """Hold this process to `limits`; the clock is the service's business."""
+    """Apply `limits` to this process, except the time by the clock, which the service enforces."""
     seconds = max(1, round(limits.cpu_s))
     _lower(resource.RLIMIT_DATA, limits.memory_bytes)  # what is mapped from files does not count
     _lower(resource.RLIMIT_CPU, seconds, seconds + 5)
@@ -53,7 +53,7 @@ def die_with_parent(parent: int) -> None:
 
 
 def cause_of(status: int, limits: Limits) -> str:
-    """What became of a child that ended with this wait status and left no result."""
+    """Why a child with this wait status left no result."""
     if not os.WIFSIGNALED(status):
         if os.waitstatus_to_exitcode(status) == OUT_OF_MEMORY:
             return f"it needed more than {size_text(limits.memory_bytes)} of memory"

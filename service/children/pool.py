@@ -26,7 +26,7 @@ from mavcal.service.errors import ChildEnded, ChildrenBusy
 log = structlog.get_logger(__name__)
 
 Json = dict[str, Any]
-Told = Callable[[str], None]
+ProgressCallback = Callable[[str], None]
 
 MOST_WAITING = 32
 """Orders that may be waiting or running at a time."""
@@ -38,14 +38,16 @@ _STDERR_TOLD = 4000
 
 
 class Runs(Protocol):
-    """Whoever runs tasks of :mod:`service.children.tasks` within limits."""
+    """Interface of what runs tasks of :mod:`service.children.tasks` within limits."""
 
     @property
     def most(self) -> int:
-        """How many of a campaign are asked for at a time."""
+        """The most items of a campaign that run at a time."""
         ...
 
-    async def run(self, task: str, order: Mapping[str, Any], limits: Limits, *, told: Told | None = None) -> Json:
+    async def run(
+        self, task: str, order: Mapping[str, Any], limits: Limits, *, progress: ProgressCallback | None = None
+    ) -> Json:
         """See :meth:`Children.run`."""
         ...
 
@@ -53,7 +55,7 @@ class Runs(Protocol):
 @dataclass
 class _Running:
     ended: asyncio.Future[Json]
-    told: Told | None
+    progress: ProgressCallback | None
 
 
 class Children:
@@ -89,8 +91,10 @@ class Children:
         """The process that starts children; None while there is none."""
         return None if self._fork_server is None else self._fork_server.pid
 
-    async def run(self, task: str, order: Mapping[str, Any], limits: Limits, *, told: Told | None = None) -> Json:
-        """The result of one task; `told` hears its progress. When this is cancelled the child is killed.
+    async def run(
+        self, task: str, order: Mapping[str, Any], limits: Limits, *, progress: ProgressCallback | None = None
+    ) -> Json:
+        """The result of one task; `progress` hears each step. When this is cancelled the child is killed.
 
         Raises
         ------
@@ -108,7 +112,7 @@ class Children:
         self._asked += 1
         try:
             async with self._slots:
-                return await self._one(task, order, limits, told)
+                return await self._one(task, order, limits, progress)
         finally:
             self._asked -= 1
 
@@ -130,11 +134,13 @@ class Children:
         self._files.shutdown(wait=True)
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    async def _one(self, task: str, order: Mapping[str, Any], limits: Limits, told: Told | None) -> Json:
+    async def _one(
+        self, task: str, order: Mapping[str, Any], limits: Limits, progress: ProgressCallback | None
+    ) -> Json:
         name = secrets.token_hex(8)
         folder = self._folder / name
         await self._off_loop(self._written, folder, order)
-        running = _Running(asyncio.get_running_loop().create_future(), told)
+        running = _Running(asyncio.get_running_loop().create_future(), progress)
         try:
             await self._send({"start": name, "task": task, "folder": str(folder), "limits": asdict(limits)}, running)
             try:
@@ -177,7 +183,7 @@ class Children:
         fork_server.stdin.write(json.dumps(line).encode() + b"\n")
 
     async def _listen(self, fork_server: asyncio.subprocess.Process) -> None:
-        """Pass on what the fork server says; when it ends, so have its children."""
+        """Dispatch the messages of the fork server; its end is the end of every child."""
         assert fork_server.stdout is not None
         while line := await fork_server.stdout.readline():
             said = json.loads(line)
@@ -185,8 +191,8 @@ class Children:
             if running is None:
                 continue
             if "progress" in said:
-                if running.told is not None:
-                    running.told(said["progress"])
+                if running.progress is not None:
+                    running.progress(said["progress"])
                 continue
             del self._running[said["id"]]
             if not running.ended.done():
@@ -202,7 +208,7 @@ class Children:
         self._running.clear()
 
     def _written(self, folder: Path, order: Mapping[str, Any]) -> None:
-        """Lay an order down; in the one thread of files."""
+        """Write an order to its file, in the thread for files."""
         if not self._swept:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder.mkdir(parents=True, mode=0o700)
@@ -215,7 +221,7 @@ class Children:
 
 
 def _result_of(folder: Path, ended: Json, limits: Limits) -> Json:
-    """What the child left, as data."""
+    """The result that the child wrote, as data."""
     if ended["status"] != 0:
         complaints = (folder / "stderr").read_bytes()[-_STDERR_TOLD:] if (folder / "stderr").exists() else b""
         log.warning("child ended", status=ended["status"], cpu_s=ended["cpu_s"], peak_bytes=ended["peak_bytes"],

@@ -1,4 +1,4 @@
-"""What children do: a task takes its order and a way to tell its progress, and returns what JSON can carry.
+"""The tasks of children: each takes its order and a callback for progress, and returns JSON values.
 
 A task is named ``module:function``; only names in the service's own code are ever run.
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavcal.calib.methods import MODULES
-from mavcal.service.told import ToldProgress, line_of
+from mavcal.service.progress_line import ProgressLine, format_line
 
 if TYPE_CHECKING:
     from mavcal.calib.gap import GapProgress
@@ -45,7 +45,7 @@ _EVERY_S = 0.5
 
 
 def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
-    """What is in the recording ``{path, reading}``."""
+    """The contents of the recording ``{path, reading}``."""
     from mavcal.calib import logs
     from mavcal.calib.methods.overview import overview
     from mavcal.calib.report import to_json
@@ -111,7 +111,7 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
         limit = wall
 
     def elapsed() -> float:
-        """Processor time; by the clock where that runs out earlier."""
+        """Processor time used, s; the same share of the time by the clock where that is more."""
         by_clock = (time.monotonic() - asked) * (limit / wall) if math.isfinite(wall) else 0.0
         return max(time.process_time() - spent, by_clock)
 
@@ -143,6 +143,6 @@ def _seldom(tell: Tell) -> Callable[[GapProgress], None]:
         if now - told.get(standing.stage, -math.inf) < _EVERY_S:
             return
         told[standing.stage] = now
-        tell(line_of(ToldProgress(standing.text, standing.share, standing.left_s)))
+        tell(format_line(ProgressLine(standing.text, standing.share, standing.left_s)))
 
     return show

@@ -13,6 +13,7 @@ from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import given, options_of_plan, plan_options
 from mavcal.service.commands.reading import reading_options, split_reading
+from mavcal.service.commands.remote import may_be_remote
 from mavcal.service.commands.whom import Whom, data_dir_option, whom_options
 
 if TYPE_CHECKING:
@@ -60,14 +61,14 @@ def command() -> None:
 @json_option
 def preflight(*, whom: Whom, at_once: int | None, table: Path | None, as_json: bool) -> int:
     """Check every vehicle that is heard on these endpoints, or by the service; nothing is written."""
+    from mavcal.service.commands.campaign_output import OutputOptions
     from mavcal.service.commands.campaign_run import run_vehicles
-    from mavcal.service.commands.campaign_told import Telling
     from mavcal.service.commands.headless import Begun
 
     async def begin(client: AsyncClient, chosen: list[str]) -> Begun:
         return Begun(await client.start_preflight_campaign(vehicles=chosen, at_once=at_once))
 
-    return run_vehicles(whom, begin, Telling(table, as_json))
+    return run_vehicles(whom, begin, OutputOptions(table, as_json))
 
 
 @command.command()
@@ -95,8 +96,8 @@ def calibrate(
     """Calibrate every vehicle that is heard; without --apply their plans wait in review."""
     if reboot and not write:
         raise click.UsageError("--reboot is a part of writing: give --apply too")
+    from mavcal.service.commands.campaign_output import OutputOptions
     from mavcal.service.commands.campaign_run import run_vehicles
-    from mavcal.service.commands.campaign_told import Telling
     from mavcal.service.commands.headless import Begun
 
     asked, plan = parsed(options), options_of_plan(given(more))
@@ -107,7 +108,7 @@ def calibrate(
         )
         return Begun(await made)
 
-    return run_vehicles(whom, begin, Telling(table, as_json))
+    return run_vehicles(whom, begin, OutputOptions(table, as_json))
 
 
 @command.command()
@@ -136,14 +137,14 @@ def fit(
 ) -> int:
     """Run one METHOD of `mavcal fit` on every log below FOLDER. Each is read in a child process with limits."""
     from mavcal.service.commands.campaign_archive import run_archive
-    from mavcal.service.commands.campaign_told import Telling
+    from mavcal.service.commands.campaign_output import OutputOptions
 
     chosen, reading = parsed(options, words=True), split_reading(more)[0]
 
     async def begin(found: Archive) -> Job:
         return await found.fit(folder, pattern, method, chosen, reading=reading, at_once=at_once)
 
-    return run_archive(load_settings(data_dir=data_dir, connect=()), executor, begin, Telling(table, as_json))
+    return run_archive(load_settings(data_dir=data_dir, connect=()), executor, begin, OutputOptions(table, as_json))
 
 
 @command.command()
@@ -174,7 +175,7 @@ def gap(
 ) -> int:
     """Diagnose the sim-to-real gap of every log below FOLDER. Exit code 1 also if one could not be tested."""
     from mavcal.service.commands.campaign_archive import run_archive
-    from mavcal.service.commands.campaign_told import Telling
+    from mavcal.service.commands.campaign_output import OutputOptions
     from mavcal.service.commands.reading import readable_file
 
     for path in (*(() if sim is None else (sim,)), *nominal):
@@ -184,7 +185,7 @@ def gap(
     async def begin(found: Archive) -> Job:
         return await found.gap(folder, pattern, sim, nominal, reading=reading, at_once=at_once)
 
-    return run_archive(load_settings(data_dir=data_dir, connect=()), executor, begin, Telling(table, as_json))
+    return run_archive(load_settings(data_dir=data_dir, connect=()), executor, begin, OutputOptions(table, as_json))
 
 
 @command.command()
@@ -196,17 +197,17 @@ def gap(
 def resume(job: str, *, whom: Whom, executor: str, table: Path | None, as_json: bool) -> int:
     """Go on with a campaign that was stopped; what has ended is not done again."""
     from mavcal.service.commands.campaign_archive import is_of_folder, run_archive
+    from mavcal.service.commands.campaign_output import OutputOptions
     from mavcal.service.commands.campaign_run import resumed, run_vehicles
-    from mavcal.service.commands.campaign_told import Telling
 
-    telling = Telling(table, as_json)
+    output = OutputOptions(table, as_json)
     if whom.url is None and is_of_folder(whom.settings.data_dir, job):
 
         async def begin(found: Archive) -> Job:
             return await found.resume(job)
 
-        return run_archive(whom.settings, executor, begin, telling)
-    return run_vehicles(whom, resumed(job), telling)
+        return run_archive(whom.settings, executor, begin, output)
+    return run_vehicles(whom, resumed(job), output)
 
 
 @command.command()
@@ -216,9 +217,25 @@ def resume(job: str, *, whom: Whom, executor: str, table: Path | None, as_json: 
 )
 @csv_option
 @data_dir_option
+@may_be_remote
 @json_option
-def items(job: str, outcomes: tuple[str, ...], *, table: Path | None, data_dir: Path | None, as_json: bool) -> int:
-    """List the items of a campaign. The service may go on meanwhile."""
-    from mavcal.service.commands.campaign_told import show_items
+def items(
+    job: str,
+    outcomes: tuple[str, ...],
+    *,
+    table: Path | None,
+    data_dir: Path | None,
+    url: str | None,
+    key_file: Path | None,
+    as_json: bool,
+) -> int:
+    """List the items of a campaign.
 
-    return show_items(load_settings(data_dir=data_dir).data_dir, job, outcomes, table, as_json=as_json)
+    Without --url the data directory is read; a service may go on with it meanwhile.
+    """
+    from mavcal.service.commands.campaign_items import show_items
+    from mavcal.service.commands.campaign_output import OutputOptions
+
+    whom = Whom(url=url, key_file=key_file, data_dir=data_dir)
+    whom.require_sense(needed="", alone=False, of_links=True)
+    return show_items(whom, job, outcomes, OutputOptions(table, as_json))

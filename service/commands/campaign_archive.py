@@ -7,7 +7,13 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mavcal.service.commands.campaign_told import Seen, Telling, followed, tell, write_table
+from mavcal.service.commands.campaign_output import (
+    CampaignSnapshot,
+    OutputOptions,
+    followed,
+    print_campaign,
+    write_table,
+)
 from mavcal.service.commands.place import place_of
 
 if TYPE_CHECKING:
@@ -23,7 +29,7 @@ if TYPE_CHECKING:
 _ALL = 1_000_000
 
 
-def run_archive(settings: Settings, executor: str, begin: Begin, telling: Telling) -> int:
+def run_archive(settings: Settings, executor: str, begin: Begin, output: OutputOptions) -> int:
     """One campaign from `begin` to its end; the exit code."""
     from mavcal.service.campaigns.executors import workers
     from mavcal.service.commands.screen import Screen
@@ -31,7 +37,7 @@ def run_archive(settings: Settings, executor: str, begin: Begin, telling: Tellin
 
     configure_logging(as_json=settings.log_json)
     with workers(executor) as given:
-        return asyncio.run(_run(settings, given, begin, telling, Screen(place_of(settings))))
+        return asyncio.run(_run(settings, given, begin, output, Screen(place_of(settings))))
 
 
 def is_of_folder(data_dir: Path, job_id: str) -> bool:
@@ -47,7 +53,7 @@ def is_of_folder(data_dir: Path, job_id: str) -> bool:
     raise JobUnknown(f"there is no campaign {job_id} in this data directory")
 
 
-async def _run(settings: Settings, given: Workers, begin: Begin, telling: Telling, screen: Screen) -> int:
+async def _run(settings: Settings, given: Workers, begin: Begin, output: OutputOptions, screen: Screen) -> int:
     from mavcal.service.campaigns.archive import archive
     from mavcal.service.campaigns.executors import abandon
     from mavcal.service.children import Limits
@@ -62,11 +68,11 @@ async def _run(settings: Settings, given: Workers, begin: Begin, telling: Tellin
                 job = await begin(found)
                 screen.line(f"campaign {job.id}")
                 try:
-                    seen = await followed(lambda: _seen(found, job.id), screen)
+                    snapshot = await followed(lambda: _snapshot(found, job.id), screen)
                 except asyncio.CancelledError:
                     screen.line(f"stopped: `mavcal campaign resume {job.id}` goes on with it", bold=True)
                     raise
-                return await _told(found, seen, telling, screen)
+                return await _print_outcome(found, snapshot, output, screen)
         except asyncio.CancelledError:
             if not caught:
                 raise
@@ -74,21 +80,21 @@ async def _run(settings: Settings, given: Workers, begin: Begin, telling: Tellin
             return 128 + caught[0]
 
 
-async def _seen(found: Archive, job_id: str) -> Seen:
+async def _snapshot(found: Archive, job_id: str) -> CampaignSnapshot:
     from mavcal.service.jobs.core.codec import to_json
 
     job = found.book.handle(job_id).job
-    return Seen(job.id, job.state.value, dict(job.options), to_json(job.outcome), to_json(job.progress))
+    return CampaignSnapshot(job.id, job.state.value, dict(job.options), to_json(job.outcome), to_json(job.progress))
 
 
-async def _told(found: Archive, seen: Seen, telling: Telling, screen: Screen) -> int:
+async def _print_outcome(found: Archive, snapshot: CampaignSnapshot, output: OutputOptions, screen: Screen) -> int:
     from mavcal.service.campaigns.items import item_from_row
     from mavcal.service.campaigns.outcome import head, lines
     from mavcal.service.jobs.core.codec import to_json
 
-    rows = await found.store.do(lambda: found.store.items(seen.id, limit=_ALL))
+    rows = await found.store.do(lambda: found.store.items(snapshot.id, limit=_ALL))
     items = [item_from_row(row) for row in rows]
-    if telling.table is not None:
-        write_table(telling.table, head() + lines(items), len(items))
+    if output.table is not None:
+        write_table(output.table, head() + lines(items), len(items))
     told = [{n: value for n, value in to_json(item).items() if n not in {"result", "starts"}} for item in items]
-    return tell(seen, told, telling, screen)
+    return print_campaign(snapshot, told, output, screen)

@@ -10,13 +10,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcal.service.commands.campaign_told import Seen, Telling, followed, tell, write_table
+from mavcal.service.commands.campaign_items import OF_HTTP, items_of
+from mavcal.service.commands.campaign_output import (
+    CampaignSnapshot,
+    OutputOptions,
+    followed,
+    print_campaign,
+    write_table,
+)
 from mavcal.service.commands.headless import Begun, begun_by
 from mavcal.service.errors import VehicleSilent
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
-    from mavcal.client.models import ItemModel
     from mavcal.service.commands.door import Door
     from mavcal.service.commands.screen import Screen
     from mavcal.service.commands.whom import Whom
@@ -26,16 +32,14 @@ if TYPE_CHECKING:
 
 GATHER_S = 3.0
 """After the first vehicle of a link, others on it get so long to be heard: heartbeats come once a second."""
-PAGE = 1000
-"""Items of a page, at most."""
 
 
-def run_vehicles(whom: Whom, begin: Begin, telling: Telling) -> int:
+def run_vehicles(whom: Whom, begin: Begin, output: OutputOptions) -> int:
     """One campaign from `begin` to its end; the exit code."""
     from mavcal.service.commands.door import through_door
     from mavcal.service.commands.screen import Screen
 
-    return through_door(whom, partial(_run, whom=whom, begin=begin, telling=telling, screen=Screen(whom.place)))
+    return through_door(whom, partial(_run, whom=whom, begin=begin, output=output, screen=Screen(whom.place)))
 
 
 def resumed(job_id: str) -> Begin:
@@ -53,35 +57,27 @@ def resumed(job_id: str) -> Begin:
     return begin
 
 
-async def _run(at: Door, *, whom: Whom, begin: Begin, telling: Telling, screen: Screen) -> int:
+async def _run(at: Door, *, whom: Whom, begin: Begin, output: OutputOptions, screen: Screen) -> int:
     chosen = await _heard(at, whom, screen)
-    async with begun_by(begin(at.client, chosen), partial(_put_down, at, screen)) as begun:
+    async with begun_by(begin(at.client, chosen), partial(_leave_campaign, at, screen)) as begun:
         screen.line(f"campaign {begun.job.id}")
-        seen = await followed(lambda: _seen(at.client, begun.job.id), screen)
-    await at.tidied()
-    return await _told(at.client, seen, telling, screen)
+        snapshot = await followed(lambda: _snapshot(at.client, begun.job.id), screen)
+    await at.wait_for_cleanup()
+    return await _print_outcome(at.client, snapshot, output, screen)
 
 
-async def _seen(client: AsyncClient, job_id: str) -> Seen:
+async def _snapshot(client: AsyncClient, job_id: str) -> CampaignSnapshot:
     job = await client.get_job(job_id)
     told = job.model_dump(mode="json", include={"outcome", "progress"})
-    return Seen(job.id, job.state.value, job.options, told["outcome"], told["progress"])
+    return CampaignSnapshot(job.id, job.state.value, job.options, told["outcome"], told["progress"])
 
 
-async def _told(client: AsyncClient, seen: Seen, telling: Telling, screen: Screen) -> int:
-    items = await _items(client, seen.id)
-    if telling.table is not None:
-        write_table(telling.table, await client.export_items(seen.id, "csv"), len(items))
-    left_away = {"job_state", "preflight", "fits", "documents"}
-    told = [item.model_dump(mode="json", exclude=left_away) for item in items]
-    return tell(seen, told, telling, screen)
-
-
-async def _items(client: AsyncClient, job_id: str) -> list[ItemModel]:
-    found: list[ItemModel] = []
-    while page := await client.list_items(job_id, after=found[-1].number if found else None, limit=PAGE):
-        found += page
-    return found
+async def _print_outcome(client: AsyncClient, snapshot: CampaignSnapshot, output: OutputOptions, screen: Screen) -> int:
+    items = await items_of(client, snapshot.id)
+    if output.table is not None:
+        write_table(output.table, await client.export_items(snapshot.id, "csv"), len(items))
+    told = [item.model_dump(mode="json", exclude=OF_HTTP) for item in items]
+    return print_campaign(snapshot, told, output, screen)
 
 
 async def _heard(door: Door, whom: Whom, screen: Screen) -> list[str]:
@@ -110,7 +106,7 @@ async def _heard(door: Door, whom: Whom, screen: Screen) -> list[str]:
     return list(whom.ids) or [*known, *silent]
 
 
-async def _put_down(door: Door, screen: Screen, begun: Begun) -> None:
+async def _leave_campaign(door: Door, screen: Screen, begun: Begun) -> None:
     """Leave a campaign because this process has to stop; captures end with it, writes are finished later.
 
     One that a service that others use went on with before is left alone.
@@ -123,9 +119,9 @@ async def _put_down(door: Door, screen: Screen, begun: Begun) -> None:
         screen.line(f"stopped: the service goes on with campaign {job_id}", bold=True)
         return
     await door.client.interrupt_campaign(job_id)
-    for item in await _items(door.client, job_id):
+    for item in await items_of(door.client, job_id):
         state = None if item.job_state is None else JobState(item.job_state.value)
         if item.job_id is not None and state in CANCELLABLE - {JobState.REVIEW}:
             await door.client.cancel_job(item.job_id)
     screen.line(f"stopped: `mavcal campaign resume {job_id}` goes on with it", bold=True)
-    await door.tidied(HURRY_S)
+    await door.wait_for_cleanup(HURRY_S)

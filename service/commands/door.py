@@ -1,4 +1,4 @@
-"""The one way of live commands to a service: to one that runs elsewhere, or to the application in this process."""
+"""Connects live commands to a service: one that runs elsewhere, or the application in this process."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OPERATOR = "operator"
 """Who asks, in what is kept of a write; a service that runs elsewhere keeps the name of the key."""
 ANSWER_S = 600.0
 """How long an answer may take: a preflight that first calibrates takes minutes."""
-TIDY_S = 30.0
+CLEANUP_S = 30.0
 """How long the vehicle may take to confirm its old message rates, and to be looked at after a write."""
 HURRY_S = 5.0
 """The same for a run that was told to stop."""
@@ -35,7 +35,7 @@ _LOOK_S = 0.1
 
 @dataclass(frozen=True)
 class Door:
-    """A service, asked by its client."""
+    """A service and the client to it."""
 
     client: AsyncClient
     own: Hosted | None = None
@@ -51,8 +51,8 @@ class Door:
         assert self.own is not None
         return await self.own.open(endpoint)
 
-    async def tidied(self, seconds: float = TIDY_S, *, written: str | None = None) -> None:
-        """Give the vehicle time to take its old message rates back; what is missing then, the next run does.
+    async def wait_for_cleanup(self, seconds: float = CLEANUP_S, *, written: str | None = None) -> None:
+        """Wait until the old message rates are back, for a limited time; the next run returns what is left.
 
         `written` is a job after whose write the vehicle is looked at: a service that runs elsewhere sees to the rates
         itself, and is waited for until it has looked.
@@ -60,7 +60,7 @@ class Door:
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 if self.own is not None:
-                    await self.own.tidied()
+                    await self.own.wait_for_cleanup()
                     return
                 while written is not None and _to_be_looked_at(await self.client.get_job(written)):  # noqa: ASYNC110
                     await asyncio.sleep(_LOOK_S)
@@ -73,7 +73,7 @@ def _to_be_looked_at(job: JobModel) -> bool:
 
 
 def through_door(whom: Whom, act: Callable[[Door], Awaitable[T]], actor: str = COMMAND) -> T | int:
-    """What `act` makes of the open door; the exit code of a run that was told to stop."""
+    """Run `act` on the open door: its result, or the exit code if a signal stopped the run."""
 
     async def run() -> T | int:
         with stoppable() as caught:

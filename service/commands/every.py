@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Acted:
-    """What came of one vehicle: whether it is what was asked for, a line for a person, and the same as JSON."""
+    """Outcome for one vehicle: whether it is good, a line of text, and the same as JSON."""
 
     good: bool
     text: str
@@ -45,7 +45,7 @@ def run_every(whom: Whom, act: Act[Acted], *, as_json: bool) -> int:
     came = through_door(whom, partial(with_each, whom=whom, act=act, screen=Screen(whom.place)))
     if isinstance(came, int):
         return came
-    done = [(found, _told(one)) for found, one in came]
+    done = [(found, _as_acted(one)) for found, one in came]
     if as_json:
         write_json({"vehicles": [{**found.document, **acted.document} for found, acted in done]})
     else:
@@ -58,7 +58,7 @@ def run_every(whom: Whom, act: Act[Acted], *, as_json: bool) -> int:
 
 
 async def with_each(door: Door, *, whom: Whom, act: Act[T], screen: Screen) -> list[tuple[Found, T | Refusal]]:
-    """What came of every vehicle, side by side, or why nothing did.
+    """Act on every vehicle concurrently: the outcome of each, or why nothing was done.
 
     What an earlier run has left on a vehicle is finished first.
     """
@@ -82,7 +82,7 @@ async def with_each(door: Door, *, whom: Whom, act: Act[T], screen: Screen) -> l
     return list(zip(found, [task.result() for task in tasks], strict=True))
 
 
-def _told(came: Acted | Refusal) -> Acted:
+def _as_acted(came: Acted | Refusal) -> Acted:
     if isinstance(came, Acted):
         return came
     return Acted(good=False, text=str(came), document={"error": {"code": came.code, "detail": str(came)}})

@@ -164,7 +164,7 @@ def _show(report: GapReport, verified: Verified | None) -> None:
     from mavcal.calib.airframe.answer import Domain
     from mavcal.calib.gap_report.airframe_words import effects_of
     from mavcal.calib.gap_report.words import closed_sentence, not_compared, regime, verdict_sentence
-    from mavcal.service.commands.gap_told import flight_lines
+    from mavcal.service.commands.gap_output import flight_lines
 
     click.echo(f"{report.verdict.value}: {verdict_sentence(report, listed=False)}")
     if missing := not_compared(report):
@@ -197,7 +197,7 @@ def _show_effects(report: GapReport) -> None:
     """Those of airframe and air with a heading each; those of sensors too where they are not alone."""
     from mavcal.calib.airframe.answer import Domain
     from mavcal.calib.gap_report.airframe_words import groups
-    from mavcal.service.commands.gap_told import effect_lines
+    from mavcal.service.commands.gap_output import effect_lines
 
     grouped = report.airframe is not None or any(effect.domain is not Domain.SENSOR for effect in report.effects)
     for heading, effects in groups(report):
@@ -222,7 +222,7 @@ def _show_effect(effect: Any, indent: str) -> None:
 
 def _show_verified(verified: Verified) -> None:
     from mavcal.calib.gap_report.words import NATS, number
-    from mavcal.service.commands.gap_told import remainder_lines
+    from mavcal.service.commands.gap_output import remainder_lines
 
     low, high = verified.remaining.ci95
     click.echo(

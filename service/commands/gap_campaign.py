@@ -112,7 +112,7 @@ async def one(diagnosing: Diagnoser, case: Case | AirCase, folder: Path, *, nest
 
 
 def answers(lines: Iterable[str]) -> list[CaseAnswer]:
-    """What was recorded, a JSON object a line."""
+    """The recorded answers, one JSON object a line."""
     found = []
     for line in lines:
         row = json.loads(line)

@@ -41,7 +41,7 @@ class Line:
         self.clear()
 
     def write(self, text: str) -> None:
-        """In the place of what was written before."""
+        """Overwrite the line."""
         if text == self._last:
             return
         if self._stream.isatty():
@@ -53,7 +53,7 @@ class Line:
         self._last = text
 
     def clear(self) -> None:
-        """Make room for what stays."""
+        """Erase the line, before output that stays."""
         self.write("")
 
 
@@ -61,7 +61,7 @@ class Gauge(Line):
     """Writes to a terminal how far a diagnosis is; writes nothing where there is none."""
 
     def show(self, standing: GapProgress) -> None:
-        """In the place of what was shown before."""
+        """Show how far the diagnosis is."""
         self.write(sentence(standing))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from mavcal.service.commands.headless import Begun, begun_by, put_down, state_of
+from mavcal.service.commands.headless import Begun, begun_by, leave_job, state_of
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
@@ -20,7 +20,7 @@ _LOOK_S = 0.1
 
 @dataclass(frozen=True)
 class Mended:
-    """What came of one calibration."""
+    """Outcome of one calibration."""
 
     job: JobModel
     text: str
@@ -45,7 +45,7 @@ async def mended(door: Door, vehicle_id: str, kind: str, screen: Screen, *, look
     async def begin() -> Begun:
         return Begun(await client.start_job(vehicle_id, kind=kind))
 
-    async with begun_by(begin(), partial(put_down, door, screen)) as begun:
+    async with begun_by(begin(), partial(leave_job, door, screen)) as begun:
         job = await wait_for_job(client, begun.job.id)
         if state_of(job) is JobState.REVIEW and job.plan is not None:
             left = late(job.plan.changes)
@@ -56,7 +56,7 @@ async def mended(door: Door, vehicle_id: str, kind: str, screen: Screen, *, look
         if state_of(job) is JobState.REVIEW and job.plan is not None and not job.plan.blockers and not left.all:
             await client.apply_plan(job.id, plan_sha256=job.plan.sha256, prove_s=0.0, preflight=look)
             await wait_for_job(client, job.id)
-    await door.tidied(written=job.id if look else None)
+    await door.wait_for_cleanup(written=job.id if look else None)
     job = await client.get_job(job.id)  # what the vehicle says after a write is known only now
     text = " ".join(filter(None, ("Nothing was written." if left.all else said(job), left.text)))
     return Mended(job, text, bool(job.left_out or left.keys))

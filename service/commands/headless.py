@@ -77,7 +77,7 @@ async def _tell_wait(client: AsyncClient, link_id: str, url: str, wait: float, s
 
 
 def state_of(job: JobSummary | JobModel) -> JobState:
-    """Where a job is, to be compared with the sets of ``service.jobs.core.states``."""
+    """The state of a job as a member of ``service.jobs.core.states``."""
     from mavcal.service.jobs.core.states import JobState
 
     return JobState(job.state.value)
@@ -208,7 +208,7 @@ async def jobs_of(client: AsyncClient, **wanted: Any) -> list[JobSummary]:
     return found
 
 
-def told_of(found: UnfinishedModel) -> dict[str, Any]:
+def recovery_document(found: UnfinishedModel) -> dict[str, Any]:
     """A job that was recovered, or could not be, as JSON."""
     about = found.job.model_dump(mode="json", include={"id", "kind", "vehicle_id", "state", "outcome"})
     return {**about, "parameters": [standing.model_dump(mode="json") for standing in found.standing]}
@@ -227,7 +227,7 @@ class Begun:
 
 @asynccontextmanager
 async def begun_by(making: Awaitable[Begun], leave: Callable[[Begun], Awaitable[None]]) -> AsyncIterator[Begun]:
-    """The job that is made; a run that is told to stop leaves it so, also while it is being made."""
+    """Await the new job for the block; on cancellation, even while it is being created, `leave` handles it."""
     made = asyncio.ensure_future(making)
     try:
         yield await asyncio.shield(made)
@@ -239,8 +239,8 @@ async def begun_by(making: Awaitable[Begun], leave: Callable[[Begun], Awaitable[
         raise
 
 
-async def put_down(door: Door, screen: Screen, begun: Begun) -> None:
-    """Leave a job because this process has to stop: cancel what wrote nothing, say what a write leaves behind."""
+async def leave_job(door: Door, screen: Screen, begun: Begun) -> None:
+    """Leave a job because this process stops: cancel it if it wrote nothing, else print what it leaves behind."""
     from mavcal.service.jobs.core.states import CANCELLABLE, WRITING, JobState
 
     job_id = begun.job.id
@@ -258,4 +258,4 @@ async def put_down(door: Door, screen: Screen, begun: Begun) -> None:
             screen.line("`mavcal recover` finishes it or takes it back, and so does the next calibration.")
     else:
         screen.line(f"stopped: job {job_id} ({job.kind}) is {state.value}", bold=True)
-    await door.tidied(HURRY_S)
+    await door.wait_for_cleanup(HURRY_S)

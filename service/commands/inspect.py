@@ -50,9 +50,9 @@ def command(
     if as_json:
         write_json(document)
         return
-    from mavcal.service.commands.inspect_told import told
+    from mavcal.service.commands.inspect_output import inspection_lines
 
-    for line in told(document, whole=whole):
+    for line in inspection_lines(document, whole=whole):
         click.echo(line)
 
 

@@ -108,10 +108,10 @@ def _of_store(settings: Settings, wish: _Wish) -> tuple[list[dict[str, Any]], bo
 
     rows = [r for r in jobs_of(settings)[::-1] if wish.kind in {None, r.kind} and wish.state in {None, r.state}]
     page, more = page_of(rows, wish.after, wish.limit)
-    return [_told(row) for row in page], more
+    return [_document(row) for row in page], more
 
 
-def _told(row: JobRow) -> dict[str, Any]:
+def _document(row: JobRow) -> dict[str, Any]:
     """As over HTTP. A row whose body is damaged says what its columns say."""
     from mavcal.calib.errors import CalibError
     from mavcal.service.api.views import job_summary

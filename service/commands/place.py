@@ -47,7 +47,7 @@ class CommandPlace:
         return " ".join([words, *(text for text in more if text.split()[0] not in told)])
 
 
-NOWHERE = CommandPlace()
+NO_OPTIONS = CommandPlace()
 
 
 def place_of(settings: Settings, connect: str | None = None) -> CommandPlace:

@@ -13,7 +13,7 @@ import click
 
 from mavcal.service.commands.every import with_each
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, json_option, write_json
-from mavcal.service.commands.place import NOWHERE, CommandPlace
+from mavcal.service.commands.place import NO_OPTIONS, CommandPlace
 from mavcal.service.commands.vehicles import Found, Refusal
 from mavcal.service.commands.whom import Whom, whom_options
 
@@ -143,7 +143,7 @@ def _document(done: list[Answer], *, alone: bool) -> dict[str, Any]:
     return {name: value for name, value in told[0].items() if name != "connect"}
 
 
-def show(found: PreflightModel | Refusal, title: str = "", place: CommandPlace = NOWHERE) -> None:
+def show(found: PreflightModel | Refusal, title: str = "", place: CommandPlace = NO_OPTIONS) -> None:
     """The report as a table, with what helps below each check that does not pass.
 
     Commands are named with the options of `place`.

@@ -43,7 +43,7 @@ async def _recover(at: Door, *, whom: Whom, screen: Screen, as_json: bool) -> in
 
 
 async def _recovered(at: Door, whom: Whom, screen: Screen, as_json: bool) -> int:
-    from mavcal.service.commands.headless import left_over, recovered, told_of
+    from mavcal.service.commands.headless import left_over, recovered, recovery_document
     from mavcal.service.commands.vehicles import vehicle_of
     from mavcal.service.errors import VehicleSilent
 
@@ -57,7 +57,7 @@ async def _recovered(at: Door, whom: Whom, screen: Screen, as_json: bool) -> int
         raise
     screen.line(f"{vehicle.autopilot} {vehicle.firmware} as {vehicle.id}")
     done = await recovered(at, vehicle, left, screen, doubt_s=whom.wait_s)
-    await at.tidied()
+    await at.wait_for_cleanup()
     ours = {found.job.id for found in done}
     now = [await at.client.get_unfinished(found.job.id) for found in left if found.job.id not in ours]
     others = [found for found in now if not found.ended]
@@ -67,7 +67,9 @@ async def _recovered(at: Door, whom: Whom, screen: Screen, as_json: bool) -> int
         screen.line(f"job {job.id} ({job.kind}) of {job.vehicle_id} is {job.state.value}")
     if as_json:
         named = {"recovered": done, "in_doubt": doubt, "of_other_vehicles": others}
-        write_json({"vehicle_id": vehicle.id, **{key: [told_of(f) for f in some] for key, some in named.items()}})
+        write_json(
+            {"vehicle_id": vehicle.id, **{key: [recovery_document(f) for f in some] for key, some in named.items()}}
+        )
     if not done:
         screen.line("nothing is in doubt on this vehicle", bold=True)
     return EXIT_NO if doubt else 0

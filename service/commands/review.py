@@ -105,18 +105,18 @@ class _Run:
         return self.door.client
 
     async def of(self, begin: Begin, resolved: Sequence[UnfinishedModel]) -> JobModel:
-        from mavcal.service.commands.headless import answering, begun_by, put_down, told_of
+        from mavcal.service.commands.headless import answering, begun_by, leave_job, recovery_document
         from mavcal.service.commands.keyboard import keyboard
 
         async with (
-            begun_by(begin(self.client, self.vehicle), partial(put_down, self.door, self.screen)) as begun,
+            begun_by(begin(self.client, self.vehicle), partial(leave_job, self.door, self.screen)) as begun,
             keyboard(answering(self.client, begun.job.id, self.screen)) as typed,
         ):
             await self._carried(begun.job, begun.since, typed)
-        await self.door.tidied(written=begun.job.id)
+        await self.door.wait_for_cleanup(written=begun.job.id)
         job = await self.client.get_job(begun.job.id)  # what the vehicle says after a write is known only now
         if self.wish.as_json:
-            write_json({**job.model_dump(), "recovered": [told_of(found) for found in resolved]})
+            write_json({**job.model_dump(), "recovered": [recovery_document(found) for found in resolved]})
         show_end(job, self.screen, written=self.wish.write)
         return job
 

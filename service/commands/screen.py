@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from mavcal.service.commands.place import NOWHERE, CommandPlace
+from mavcal.service.commands.place import NO_OPTIONS, CommandPlace
 
 BAR = 28
 SAY_EVERY_S = 10.0
@@ -24,7 +24,7 @@ class Screen:
     """
 
     def __init__(
-        self, place: CommandPlace = NOWHERE, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic
+        self, place: CommandPlace = NO_OPTIONS, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.place = place
         self._quiet, self._clock = quiet, clock
@@ -35,7 +35,7 @@ class Screen:
         self._asked = ""
 
     def line(self, text: str = "", *, bold: bool = False) -> None:
-        """A line that stays."""
+        """Print a line that stays."""
         if self._quiet:
             return
         self._close()

@@ -71,7 +71,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
         from mavcal.service.doorway import Doorway
         from mavcal.service.exposure import check_exposure
-        from mavcal.service.freed import share_heaps
+        from mavcal.service.heap import share_heaps
         from mavcal.service.http import server_config
         from mavcal.service.logs import configure_logging
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def stoppable() -> Iterator[list[int]]:
-    """SIGINT and SIGTERM cancel the present task; the list says which signals came."""
+    """Cancel the current task on SIGINT and SIGTERM; the list holds the signals that came."""
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     caught: list[int] = []
 

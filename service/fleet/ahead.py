@@ -25,7 +25,7 @@ class TrendsAhead:
     _done: int = 0
 
     async def run(self) -> None:
-        """Look now and then, for ever."""
+        """Compute what is missing at intervals, until cancelled."""
         await asyncio.sleep(START_S)
         while True:
             if (measured := self.measured()) != self._done and await self.compute():

@@ -40,7 +40,7 @@ class FleetBook:
         self._forget = vehicles.subscribe(self._heard)
 
     def close(self) -> None:
-        """Hear of no more vehicles."""
+        """Unsubscribe from vehicles."""
         self._forget()
 
     def _heard(self, event: VehicleEvent) -> None:
@@ -55,7 +55,7 @@ class FleetBook:
     # --- jobs and preflights
 
     async def take_up(self, jobs: Iterable[Job]) -> None:
-        """Take what ended while nobody looked: at a start, also the first one with a fleet."""
+        """Record the jobs that ended while no service ran; called at every start."""
         known = await self._store.do(self._store.fleet_sources)
         for job in jobs:
             if (job.state == JobState.SUCCEEDED) != (job.id in known):

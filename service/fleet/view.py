@@ -32,7 +32,7 @@ class FleetOrder(StrEnum):
 
 @dataclass(frozen=True)
 class Presence:
-    """A vehicle on a link now."""
+    """A vehicle that is on a link now."""
 
     vehicle_id: str
     autopilot: str
@@ -97,7 +97,7 @@ class Choice:
     """Whether a sensor is unlike others of its type."""
 
     def takes(self, row: FleetUnit) -> bool:
-        """Whether the row is wanted."""
+        """Whether the row matches."""
         said = "none" if row.verdict is None else row.verdict.value
         return (
             (not self.verdict or said in self.verdict)

@@ -29,12 +29,12 @@ class Follower:
         self._news = asyncio.Event()
 
     def news(self) -> None:
-        """There is an event to be read; from any thread."""
+        """Notify that there is an event to read; callable from any thread."""
         with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._news.set)
 
     async def run(self, book: JobBook) -> None:
-        """Tell the book of every event, for ever."""
+        """Publish every event to the book, until cancelled."""
         while True:
             self._news.clear()
             try:

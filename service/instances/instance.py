@@ -20,7 +20,7 @@ from mavcal.service.vehicle import VehicleRegistry
 
 
 class Instance:
-    """Holds leases from its making to its closing.
+    """One instance, which holds leases until it is closed.
 
     Raises
     ------
@@ -43,7 +43,7 @@ class Instance:
     async def taking_part(
         self, engine: JobEngine, links: LinkRegistry, vehicles: VehicleRegistry
     ) -> AsyncIterator[None]:
-        """Meanwhile links and vehicles are taken over, and the events of others are told."""
+        """Take over links and vehicles, and follow events of other instances, inside the block."""
         membership = Membership(self._leases, self._store, engine, links, vehicles, named=self._settings.connect)
         await membership.round()
         tasks = [asyncio.create_task(membership.run()), asyncio.create_task(self._follower.run(engine.book))]

@@ -16,8 +16,8 @@ from typing import Any
 from mavcal.service.errors import LeaseLost
 from mavcal.service.store.database import Row, Session
 from mavcal.service.store.migrate import migrations
-from mavcal.service.store.plumbing import Fence
 from mavcal.service.store.postgres import PostgresDatabase
+from mavcal.service.store.sqlrows import Fence
 
 EVERY_INSTANCE = "instance:"
 
@@ -35,7 +35,7 @@ class Owner:
 
 
 def clock() -> float:
-    """Seconds that go on while the machine sleeps."""
+    """Monotonic seconds that also count while the machine is suspended."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
@@ -79,7 +79,7 @@ class Leases:
         return bool(rows)
 
     def renew(self) -> set[str]:
-        """Keep all that is ours; the subjects that were lost, which are ours no more."""
+        """Renew every lease; returns the subjects whose lease was lost."""
         held = dict(self._held)
         began = clock()
         rows = self._run(
@@ -113,7 +113,7 @@ class Leases:
         return clock() < until
 
     def owners(self) -> dict[str, Owner]:
-        """Who owns what by now, ourselves included."""
+        """The present owner of every subject, this instance included."""
         with self._database.errors():
             rows = self._database.read("SELECT subject, owner, name, url FROM leases WHERE expires > clock_timestamp()")
         return {subject: Owner(owner, name, url) for subject, owner, name, url in rows}

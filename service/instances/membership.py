@@ -32,7 +32,7 @@ Taker = Callable[[str], bool]
 
 
 class Membership:
-    """The rounds of one instance.
+    """Renews and takes over leases of one instance, round by round.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class Membership:
             self._wake.set()
 
     def _free(self, owners: Mapping[str, Owner], subject: str) -> bool:
-        """Whether a subject may be had: it is neither ours already nor another's."""
+        """Whether a subject can be leased: it is neither held here nor owned by another instance."""
         owner = owners.get(subject)
         return subject not in self._leases.mine("") and (owner is None or owner.id == self._leases.owner.id)
 
@@ -113,7 +113,7 @@ class Membership:
             self._engine.give_up(lambda job: job_subject(job) == subject)
 
     def _leave_vehicles_that_went(self) -> None:
-        """A vehicle that we do not hear for a whole lease is left to whoever hears it."""
+        """Release vehicles that were not heard here for a whole lease, for instances that hear them."""
         heard = {vehicle_subject(vehicle.id) for vehicle in self._vehicles.all()}
         for subject in self._leases.mine("vehicle:"):
             missed = self._missed[subject] = 0 if subject in heard else self._missed.get(subject, 0) + 1

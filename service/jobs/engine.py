@@ -166,7 +166,7 @@ class JobEngine:
         if self._owns_pool:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
-    async def tidied(self) -> None:
+    async def wait_for_cleanup(self) -> None:
         """Wait until jobs that are over have put the vehicle's message rates back."""
         await self._rates.all_returned()
 

@@ -29,7 +29,7 @@ class JournalOwed:
     handle: JobHandle
 
     def intervals(self) -> Mapping[int, int]:
-        """What is owed."""
+        """The intervals that are owed."""
         return self.handle.write_record().intervals
 
     async def owe(self, before: Mapping[int, int]) -> None:
@@ -37,7 +37,7 @@ class JournalOwed:
         await self.handle.record(JournalStep.STREAMS, intervals={str(k): v for k, v in before.items()})
 
     async def returned(self) -> None:
-        """Owe nothing any more."""
+        """Note that every interval was returned."""
         await self.handle.record_anyway(JournalStep.STREAMS_RESTORED)
 
 
@@ -93,7 +93,7 @@ class JobRates:
         return {task for ledger in self._ledgers.all() for task in ledger.tasks}
 
     def begin_return(self, handle: JobHandle) -> None:
-        """Return what this job owes, if anything."""
+        """Return the rates that this job owes, if any."""
         if handle.write_record().intervals:
             ledger = self._ledgers.of(require_vehicle(handle.job))
             ledger.begin_return(RateUser.JOB, self._return(handle), owner=handle.id)

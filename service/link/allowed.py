@@ -36,7 +36,7 @@ class Allowed:
         self._folders = tuple(folders)
 
     def endpoint(self, endpoint: Endpoint) -> Endpoint:
-        """The endpoint as it may be opened, files by their real paths.
+        """The endpoint that may be opened, with symbolic links in file paths resolved.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class Allowed:
 
 
 def _address(text: str) -> IpAddress | None:
-    """The address; an IPv4 address in the form of IPv6 as what it is."""
+    """The parsed address; an IPv4-mapped IPv6 address as plain IPv4."""
     try:
         address = ipaddress.ip_address(text)
     except ValueError:

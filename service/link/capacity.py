@@ -39,7 +39,7 @@ _BITS_PER_BYTE = 10  # a start bit and a stop bit go with every eight
 
 @dataclass(frozen=True)
 class Arrivals:
-    """What came of streams while they were watched, from the first sample on.
+    """Rates, loss and delay of streams while they were watched, from the first sample on.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def nominal_capacity(endpoint: Endpoint) -> float | None:
 
 
 def unlimited(endpoint: Endpoint) -> bool:
-    """Whether the link carries whatever is asked for: our own simulated vehicle is on this machine.
+    """Whether the link has no limit worth measuring, as to a simulated vehicle on this machine.
 
     What comes late of it, or not at all, wants for processor time, and fewer streams would be no remedy.
     """
@@ -127,7 +127,7 @@ def unlimited(endpoint: Endpoint) -> bool:
 
 
 def bytes_needed(rates_hz: Mapping[int, float], sizes: Mapping[int, int]) -> float:
-    """Bytes per second of these streams."""
+    """Bytes per second that these streams take at these rates."""
     return sum(rate * sizes[message_id] for message_id, rate in rates_hz.items())
 
 
@@ -184,7 +184,7 @@ def lowered(requested_hz: Mapping[int, float], capacity_bytes_per_s: float | Non
 
 
 def helped(before_hz: Mapping[int, float], before: Arrivals, after_hz: Mapping[int, float], after: Arrivals) -> bool:
-    """Whether asking for less has relieved the link: else something other than the samples is the matter with it.
+    """Whether lower rates have relieved the link; if not, the samples are not what congests it.
 
     A link that loses as much of less is bad, not slow. A vehicle that sends as small a share of less is slow itself.
     One that carries more of less than it was said to carry at all was measured wrongly.
@@ -200,7 +200,7 @@ def helped(before_hz: Mapping[int, float], before: Arrivals, after_hz: Mapping[i
 
 
 def samples(rates_hz: Mapping[int, float], refused: Collection[int] = ()) -> tuple[int, ...]:
-    """Those streams that are watched for samples: fast ones that were not refused."""
+    """The streams that are measured: fast ones that the vehicle did not refuse."""
     return tuple(key for key, rate in rates_hz.items() if rate > SLOW_HZ and key not in refused)
 
 

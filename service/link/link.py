@@ -17,7 +17,7 @@ from mavcal.service.errors import EndpointError, LinkDown
 from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
 from mavcal.service.link.local import FileTransport, SerialTransport, SimTransport
 from mavcal.service.link.loss import SequenceCounter
-from mavcal.service.link.reader import Looked, Mark, Outgoing, Reader, Report, StateChange
+from mavcal.service.link.reader import Barrier, Mark, Outgoing, Reader, Report, StateChange
 from mavcal.service.link.recorder import TlogRecorder
 from mavcal.service.link.tcp import TcpServerTransport, TcpTransport
 from mavcal.service.link.transports import Transport
@@ -46,7 +46,7 @@ _MERGED_S = 0.2
 
 
 def transport_of(endpoint: Endpoint) -> Transport:
-    """What carries the bytes of an endpoint, not yet open. Raises EndpointError for an impossible option."""
+    """The transport of an endpoint, not yet open. Raises EndpointError for an impossible option."""
     host_port = (endpoint.host, endpoint.port)
     match endpoint.kind:
         case EndpointKind.UDPIN:
@@ -304,7 +304,7 @@ class Link:
 
     @contextmanager
     def unbroken(self) -> Iterator[None]:
-        """Meanwhile the recording goes on in the file in which it is now."""
+        """Keep the recording in its present file inside the block."""
         self._unbroken += 1
         try:
             yield
@@ -336,7 +336,7 @@ class Link:
 
     @property
     def crc_errors(self) -> int:
-        """Damaged frames on this link, of whomever."""
+        """Frames with a wrong checksum on this link, from any sender."""
         return self._reader.crc_errors if self._reader else 0
 
     @property
@@ -352,7 +352,7 @@ class Link:
         return None
 
     def statistics(self, system: int, component: int) -> LinkStatistics:
-        """What came from one sender; all zero if nothing did."""
+        """Statistics of one sender; all zero if nothing was received from it."""
         counter = self._reader.counters.get((system, component)) if self._reader else None
         return (counter or SequenceCounter()).statistics(self.crc_errors, time.monotonic())
 
@@ -373,8 +373,8 @@ class Link:
                 self._change_state(batch)
             elif isinstance(batch, Mark):
                 loop.call_soon(batch.reached, batch.position)
-            elif isinstance(batch, Looked):
-                loop.call_soon(batch.told)
+            elif isinstance(batch, Barrier):
+                loop.call_soon(batch.reached)
             else:
                 self._announce(batch)
         self._handing += 1
@@ -386,7 +386,7 @@ class Link:
         self._handed_until = max(self._handed_until, until)
 
     def _hand_batch(self, key: object, batch: Batch) -> None:
-        """In a call of its own for each subscriber: one that fails takes nothing from the others."""
+        """Call one subscriber; each has its own callback in the loop, so that an exception in one spares the others."""
         subscriber = self._batch_subscribers.get(key)
         if subscriber is not None:
             subscriber[0](batch)
@@ -413,7 +413,7 @@ class Link:
         self._announce(LinkEvent(LinkEventKind.STATE, f"Link {self.id} is {change.state}: {change.reason}"))
 
     def _beat(self) -> None:
-        """Once a second, from the loop that does the work: a service that hangs falls silent."""
+        """Send a heartbeat once a second from the event loop, so that a service that hangs falls silent."""
         if self._reader is None:
             return
         self._heartbeat = asyncio.get_running_loop().call_later(HEARTBEAT_S, self._beat)

@@ -146,7 +146,7 @@ class FileTransport(Transport):
         return [Chunk(b"".join(raws), (self._endpoint.path, 0))] if raws else []
 
     def send(self, data: bytes, peer: Address | None) -> None:
-        """Nobody listens."""
+        """Discard the bytes: a recording takes no input."""
 
     def close(self) -> None:
         """Forget the records."""

@@ -51,7 +51,7 @@ class SequenceCounter:
         self._dropped = self._sent = self._bytes = self._received_then = 0
 
     def see(self, sequence: int, now: float, size: int, dropped: int = 0, share: float = 1.0) -> None:
-        """Take note of a frame.
+        """Count a frame.
 
         Parameters
         ----------

@@ -54,7 +54,7 @@ class PeerTable:
         return _moved(key, previous, address, interleaved=interleaved)
 
     def own_ids(self, address: Address, now: float) -> LinkEvent | None:
-        """Our own ids were heard in a frame that we did not send."""
+        """Report that a frame that we did not send carries our own ids."""
         if now - self._own_warned_at < INTERLEAVE_S:
             return None
         self._own_warned_at = now

@@ -55,7 +55,7 @@ class StateChange(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """A place in the order of the batches: the frames handed on behind it are those recorded from `position` on."""
+    """A marker between two batches: the frames delivered after it are recorded from byte `position` on."""
 
     reached: Callable[[int], None]
     position: int
@@ -67,13 +67,13 @@ class _Offer(NamedTuple):
     target: tuple[int, int]
 
 
-class Looked(NamedTuple):
-    """What had arrived when this was asked for lies before it in the order of the batches."""
+class Barrier(NamedTuple):
+    """A marker between two batches: all input that had arrived when it was requested is delivered before it."""
 
-    told: Callable[[], None]
+    reached: Callable[[], None]
 
 
-Report = Batch | LinkEvent | StateChange | Mark | Looked
+Report = Batch | LinkEvent | StateChange | Mark | Barrier
 
 
 class Reader(threading.Thread):
@@ -142,11 +142,11 @@ class Reader(threading.Thread):
         self._wake()
 
     def offer(self, signing: SigningConfig, target: tuple[int, int]) -> None:
-        """Have this key in force from the first frame on that the target signs with it."""
+        """Begin to use this key with the first frame that the target signs with it."""
         self._offered = _Offer(signing, SignatureState(signing.key, signing.timestamp), target)
 
     def withdraw(self) -> None:
-        """Offer no key any more."""
+        """Withdraw the key that was offered."""
         self._offered = None
 
     def go_on_in(self, recorder: TlogRecorder) -> None:
@@ -154,9 +154,9 @@ class Reader(threading.Thread):
         self._next_recorder = recorder
         self._wake()
 
-    def look(self, told: Callable[[], None]) -> None:
-        """Ask for a :class:`Looked` behind everything that has arrived by now."""
-        self._asked.append(told)
+    def look(self, reached: Callable[[], None]) -> None:
+        """Ask for a :class:`Barrier` behind everything that has arrived by now."""
+        self._asked.append(reached)
         self._wake()
 
     def stop(self) -> None:
@@ -295,7 +295,7 @@ class Reader(threading.Thread):
     def _post_looked(self, count: int) -> None:
         """Answer those who had asked before the last input was read."""
         for _ in range(count):
-            self._post(Looked(self._asked.popleft()))
+            self._post(Barrier(self._asked.popleft()))
 
     # --- receiving --------------------------------------------------------------------------------------------------
 
@@ -316,7 +316,7 @@ class Reader(threading.Thread):
         return parser.feed(chunk.data)
 
     def _finish_streams(self, now: float) -> None:
-        """A stream rests: what waits for the end of a torn frame has waited long enough."""
+        """Flush the parsers of idle streams: a torn frame holds back no frames behind it any longer."""
         for peer, parser in self._stream_parsers.items():
             if parser.pending:
                 frames = parser.finish()
@@ -328,7 +328,7 @@ class Reader(threading.Thread):
         self._stream_parsers.clear()
 
     def _accept(self, frames: list[tuple[Frame, Chunk]], now: float) -> None:
-        """Believe, count, route, record and choose, at a few microseconds a frame."""
+        """Authenticate, count, route, record and filter a frame, in a few microseconds."""
         wanted, stamp = self.wanted, self._recorder.stamp()
         kept: list[Frame] = []
         records: list[bytes] = []
@@ -480,5 +480,5 @@ class Reader(threading.Thread):
 
 
 def _cut(chunks: list[Chunk]) -> bool:
-    """Whether more may have arrived than was read at once."""
+    """Whether the last read was cut off by its limit, so that more input may wait."""
     return len(chunks) >= DRAIN or any(len(chunk.data) >= _FULL_BYTES for chunk in chunks)

@@ -66,7 +66,7 @@ class TlogRecorder:
         )
 
     def _cut_back(self) -> None:
-        """Leave no torn record behind."""
+        """Truncate the file after its last whole record."""
         try:
             os.ftruncate(self._file, self.position)
         except OSError:

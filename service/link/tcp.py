@@ -96,7 +96,7 @@ class TcpTransport(Transport):
             self._stream.send(data)
 
     def default_peer(self) -> Address | None:
-        """The one that is connected."""
+        """The peer that is connected."""
         return self._stream.peer if self._stream else None
 
     def close(self) -> None:

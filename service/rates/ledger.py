@@ -34,7 +34,7 @@ class Owed(Protocol):
     """Keeps message intervals (us by message: -1 off, 0 the vehicle's default) as they were before a change."""
 
     def intervals(self) -> Mapping[int, int]:
-        """What is owed to the vehicle."""
+        """The intervals that are owed to the vehicle."""
         ...
 
     async def owe(self, before: Mapping[int, int]) -> None:
@@ -58,7 +58,7 @@ async def request_rates(
 
 
 async def return_rates(vehicle: JobVehicle, owed: Owed) -> None:
-    """Put back what is owed. Raises VehicleError, LinkError; everything is owed still then."""
+    """Restore the intervals that are owed. Raises VehicleError, LinkError; all of them are still owed then."""
     intervals = owed.intervals()
     if intervals:
         await vehicle.set_intervals(intervals)
@@ -77,7 +77,7 @@ class LiveWatch:
 
 @dataclass(frozen=True)
 class _Return:
-    """A return of rates that is under way: its owner and what is owed."""
+    """A return of rates in progress: its owner, its task and the intervals owed."""
 
     owner: str
     task: asyncio.Task[Any]
@@ -120,7 +120,7 @@ class RateLedger:
         task = work if isinstance(work, asyncio.Task) else asyncio.create_task(work, name=f"rates of {user} {owner}")
         self._returns[user] = _Return(owner, task, intervals or {})
         if user is RateUser.JOB:
-            task.add_done_callback(partial(_told, owner))
+            task.add_done_callback(partial(_log_failure, owner))
         return task
 
     def returning(self, user: RateUser) -> bool:
@@ -215,6 +215,6 @@ class RateLedgers:
             return vehicle_id
 
 
-def _told(owner: str, ended: asyncio.Task[Any]) -> None:
+def _log_failure(owner: str, ended: asyncio.Task[Any]) -> None:
     if not ended.cancelled() and ended.exception() is not None:
         log.warning("message rates not returned", job=owner, reason=str(ended.exception()))

@@ -61,7 +61,7 @@ class LiveStatus:
 
 @dataclass(frozen=True)
 class LiveTimes:
-    """Times of watching, s of the wall clock."""
+    """Timeouts of watching, s of the wall clock."""
 
     lapse_s: float = 10.0
     """A watch whose stream takes nothing for so long is over: its client was killed, or its connection hangs."""
@@ -358,7 +358,7 @@ class Attendant:
             self._text = f"The link is slow: fewer samples come than {rate:g} a second." if slow else ""
 
     async def _return(self) -> None:
-        """Raises VehicleError, LinkError, DiskFull if it is not certain that everything is as before."""
+        """Return the rates. Raises VehicleError, LinkError, DiskFull unless every interval is confirmed."""
         async with self._busy:
             self._requested_hz = 0.0
             vehicle = self._vehicle()

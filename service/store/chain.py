@@ -21,7 +21,7 @@ def link(previous: str, row: AuditRow) -> str:
 
 @dataclass(frozen=True)
 class ChainCheck:
-    """What a check of the whole trail found. Cut off at its end it is noticed by `rows`, `head` or `newest_id`."""
+    """Result of a check of the whole trail; `rows`, `head` and `newest_id` show whether its end was cut off."""
 
     rows: int
     head: str
@@ -31,7 +31,7 @@ class ChainCheck:
 
     @property
     def intact(self) -> bool:
-        """Whether every row fits."""
+        """Whether every digest matches its row."""
         return self.broken_at is None
 
 

@@ -30,7 +30,7 @@ class Database(Session, Protocol):
     """Statement that tells the id of the newest row that the audit trail was ever given; 0: none."""
 
     def alone(self) -> AbstractContextManager[Any]:
-        """Holds the writing connection for one thread."""
+        """Lock the writing connection to the calling thread."""
         ...
 
     def begin(self, *, durable: bool) -> None:
@@ -38,7 +38,7 @@ class Database(Session, Protocol):
         ...
 
     def commit(self) -> None:
-        """End the transaction; if it is durable it would now survive a loss of power."""
+        """Commit the transaction; a durable one now survives a loss of power."""
         ...
 
     def rollback(self) -> None:
@@ -46,11 +46,11 @@ class Database(Session, Protocol):
         ...
 
     def in_order(self) -> None:
-        """Until the end of this transaction nobody else takes a number of an order that all writers share."""
+        """Lock the sequence that all writers share until the end of this transaction."""
         ...
 
     def read(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
-        """Rows as they were committed last, without waiting for the writer."""
+        """The rows last committed, read without waiting for the writer."""
         ...
 
     def snapshot(self) -> AbstractContextManager[Session]:

@@ -51,7 +51,7 @@ RECORDED = ("tlogs/*.tlog", "recordings/*")
 
 
 def require_database(data_dir: Path, *, empty: bool) -> None:
-    """Refuse to begin with an empty database where there was another one: its jobs may have been writing.
+    """Refuse an empty database in a directory that had another one, whose jobs may have been writing.
 
     Raises
     ------

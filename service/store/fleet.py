@@ -6,8 +6,8 @@ import json
 from collections.abc import Callable, Collection
 
 from mavcal.service.store.database import Row, Session
-from mavcal.service.store.plumbing import SqlRows, dump, object_of
 from mavcal.service.store.rows import FleetRows, PreflightRow, SensorRow, UnitRow
+from mavcal.service.store.sqlrows import SqlRows, dump, object_of
 
 Read = Callable[[str, Row], list[Row]]
 

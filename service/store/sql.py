@@ -8,10 +8,10 @@ from pathlib import Path
 from mavcal.service.store import chain
 from mavcal.service.store.database import Database, Session
 from mavcal.service.store.fleet import FleetTables
-from mavcal.service.store.plumbing import AUDIT, RECORDING, audit_row, dump, marks, recording_row
 from mavcal.service.store.rows import AuditRow, Json, LinkRow, RecordingRow
 from mavcal.service.store.sqlitems import SqlItems
 from mavcal.service.store.sqljobs import SqlJobs
+from mavcal.service.store.sqlrows import AUDIT, RECORDING, audit_row, dump, marks, recording_row
 
 ENDED = ("succeeded", "reverted", "failed", "cancelled", "interrupted")
 """States of jobs in which nothing goes on by itself; as in :mod:`service.jobs.core.states`, which a test compares."""

@@ -19,10 +19,10 @@ from mavcal.service.store.database import Row
 from mavcal.service.store.datadir import DataDirLock, require_database
 from mavcal.service.store.fleet import read_fleet
 from mavcal.service.store.migrate import migrate, migrations
-from mavcal.service.store.plumbing import JOB, job_row
 from mavcal.service.store.rows import FleetRows, ItemRow, JobRow
 from mavcal.service.store.sql import SqlStore, checked
 from mavcal.service.store.sqlitems import item_row, select_items
+from mavcal.service.store.sqlrows import JOB, job_row
 
 DATABASE = "mavcal.sqlite3"
 

@@ -10,8 +10,8 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from mavcal.service.store.database import Row
-from mavcal.service.store.plumbing import SqlRows, dump, object_of
 from mavcal.service.store.rows import ItemRow
+from mavcal.service.store.sqlrows import SqlRows, dump, object_of
 
 _ITEM = "job_id, number, subject, outcome, body"
 

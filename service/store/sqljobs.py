@@ -9,17 +9,6 @@ from typing import Any
 
 from mavcal.service.errors import StoreError
 from mavcal.service.store.database import Session
-from mavcal.service.store.plumbing import (
-    EVENT,
-    JOB,
-    SEGMENT,
-    SqlRows,
-    dump,
-    event_row,
-    job_row,
-    marks,
-    segment_row,
-)
 from mavcal.service.store.rows import (
     EventRow,
     JobDocument,
@@ -30,6 +19,17 @@ from mavcal.service.store.rows import (
     SegmentRow,
     SnapshotPurpose,
     SnapshotRow,
+)
+from mavcal.service.store.sqlrows import (
+    EVENT,
+    JOB,
+    SEGMENT,
+    SqlRows,
+    dump,
+    event_row,
+    job_row,
+    marks,
+    segment_row,
 )
 
 _JOBS_AT_ONCE = 100
@@ -141,7 +141,7 @@ class SqlJobs(SqlRows):
         return tuple(JournalRow(r[0], r[1], r[2], r[3], json.loads(r[4])) for r in rows)
 
     def add_snapshot(self, job_id: str, at: float, purpose: SnapshotPurpose, sha256: str, body: Json) -> SnapshotRow:
-        """Keep parameters as they were read."""
+        """Store a snapshot of parameters."""
         row = self._run(
             "INSERT INTO snapshots (job_id, at, purpose, sha256, body) VALUES (?, ?, ?, ?, ?) RETURNING id",
             (job_id, at, purpose.value, sha256, dump(body)),
@@ -170,7 +170,7 @@ class SqlJobs(SqlRows):
         return json.loads(rows[0][0]) if rows else None
 
     def open_segment(self, job_id: str, purpose: SegmentPurpose, path: Path, start_byte: int) -> SegmentRow:
-        """Begin a segment."""
+        """Insert an open segment."""
         row = self._run(
             f"INSERT INTO segments (job_id, purpose, path, start_byte) VALUES (?, ?, ?, ?) RETURNING {SEGMENT}",
             (job_id, purpose.value, str(path), start_byte),

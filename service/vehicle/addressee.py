@@ -25,12 +25,12 @@ class Addressee(Protocol):
 
     @property
     def own(self) -> OwnIdentity:
-        """The ids that it is spoken to with, and answers."""
+        """Our own ids in the messages to it, to which it answers."""
         ...
 
     @property
     def waits(self) -> Waits:
-        """What is waited for of it."""
+        """The answers that are awaited from it."""
         ...
 
     @property

@@ -74,7 +74,7 @@ class Meter:
 
 
 class Watch:
-    """What comes of some messages, from the first of them on."""
+    """Counts the arrivals of some messages, from the first one on."""
 
     def __init__(self, vehicle: Vehicle, message_ids: Collection[int]) -> None:
         self.meters = {message_id: Meter() for message_id in message_ids}
@@ -96,7 +96,7 @@ class Watch:
             self.meters[frame.message_id].see(frame, batch.received_at)
 
     def arrivals(self, began: float) -> Arrivals:
-        """All of it; `began` is when the watch did, s of the wall clock."""
+        """The counts so far; `began` is the start of the watch, s of the wall clock."""
         now, after = self._vehicle.clock(), self._statistics()
         since, before = self._began or (began, after)
         elapsed = now - since

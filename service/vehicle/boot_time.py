@@ -23,7 +23,7 @@ _FAR_S = 5.0
 
 
 def _offsets(field: str) -> dict[int, int]:
-    """Where this field is in the payload of each message that has it."""
+    """Byte offset of this field in the payload of each message that has it."""
     offsets = {}
     for message_id, cls in dialect.mavlink_map.items():
         names = cls.ordered_fieldnames
@@ -92,7 +92,7 @@ class BootClock:
         return restarted
 
     def forget(self) -> None:
-        """The next stamp is the first one again: nothing was heard for so long that it need not be the same boot."""
+        """Take the next stamp as the first one: after so long a silence the vehicle may have restarted."""
         self.latest, self._backwards = None, 0
         self._stamps.clear()
 

@@ -19,7 +19,7 @@ _MAG_RUNNING = {
 
 
 class CalibrationSign(StrEnum):
-    """What gave the calibration away; its values are the messages."""
+    """The message that shows the calibration; the values are the names of messages."""
 
     HEARTBEAT = "HEARTBEAT"
     TEXT = "STATUSTEXT"

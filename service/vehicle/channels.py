@@ -72,11 +72,11 @@ class Channels:
         return next(channel for channel in self._all if channel.link is link)
 
     def join(self, channel: LinkChannel) -> None:
-        """One more way to the vehicle."""
+        """Add a link to the vehicle."""
         self._all.append(channel)
 
     def leave(self, link: Link) -> None:
-        """Without this link, which is not the only one. Where it was in use the best of the others is from now on."""
+        """Remove a link that is not the only one; if it was in use, the best of the others takes over."""
         gone = self.of(link)
         self._all.remove(gone)
         if gone is self.in_use:
@@ -84,7 +84,7 @@ class Channels:
 
     @property
     def alive(self) -> tuple[LinkChannel, ...]:
-        """Those over which the vehicle is heard."""
+        """The links over which the vehicle is heard now."""
         now = self._clock()
         return tuple(channel for channel in self._all if not channel.silent(now))
 
@@ -116,7 +116,7 @@ class Channels:
 
     @staticmethod
     def _best(channels: list[LinkChannel]) -> LinkChannel:
-        """The one that carries most, of equals the first."""
+        """The link of highest capacity; among equals the first."""
         return max(channels, key=_carries)
 
     async def caught_up(self) -> None:
@@ -147,6 +147,6 @@ class Channels:
 
 
 def _carries(channel: LinkChannel) -> float:
-    """Bytes per second that are known beforehand; a link without such a limit carries most."""
+    """Nominal capacity of a link in bytes per second; infinite where no limit is known."""
     known = nominal_capacity(channel.link.endpoint)
     return math.inf if known is None else known

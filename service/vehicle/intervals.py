@@ -68,8 +68,8 @@ async def get_intervals(vehicle: Vehicle, message_ids: Iterable[int]) -> dict[in
     together = _Together(vehicle, wanted)
     await together.ask()
     if vehicle.way == way:  # else nobody knows which link these are of
-        _note(vehicle, way, together.told)
-    return {message_id: together.told.get(message_id, DEFAULT_INTERVAL) for message_id in wanted}
+        _note(vehicle, way, together.answered)
+    return {message_id: together.answered.get(message_id, DEFAULT_INTERVAL) for message_id in wanted}
 
 
 async def set_intervals(vehicle: Vehicle, intervals_us: Mapping[int, float]) -> dict[int, int | None]:
@@ -82,7 +82,7 @@ async def set_intervals(vehicle: Vehicle, intervals_us: Mapping[int, float]) -> 
     if len(together.left) > 1:
         await together.ask()
     return {
-        message_id: commands.ACCEPTED if message_id in together.told else await _set(vehicle, message_id, interval)
+        message_id: commands.ACCEPTED if message_id in together.answered else await _set(vehicle, message_id, interval)
         for message_id, interval in intervals_us.items()
     }
 
@@ -94,8 +94,8 @@ class _Together:
         self, vehicle: Vehicle, wanted: Iterable[int], intervals_us: Mapping[int, float] | None = None
     ) -> None:
         self.left = list(wanted)
-        self.told: dict[int, int] = {}
-        """What was told; where intervals are set, only what was told as it was asked for."""
+        self.answered: dict[int, int] = {}
+        """What was answered; where intervals are set, only what was answered as it was asked for."""
         self._vehicle = vehicle
         self._intervals_us = intervals_us
         self._different: Counter[int] = Counter()
@@ -155,7 +155,7 @@ class _Together:
     def _take(self, message_id: int, interval_us: int) -> None:
         wanted = None if self._intervals_us is None else self._intervals_us[message_id]
         if wanted is None or _as_asked(wanted, interval_us):
-            self.told[message_id] = interval_us
+            self.answered[message_id] = interval_us
             self.left.remove(message_id)
             return
         self._different[message_id] += 1

@@ -273,7 +273,7 @@ async def read_values(
     names: Iterable[str],
     *,
     absent: bool = False,
-    told: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> dict[str, ParameterReading]:
     """Fresh values of `names`, a few requests at a time.
 
@@ -283,7 +283,7 @@ async def read_values(
         Whom to ask for what.
     absent
         Whether a name that the vehicle does not have is left out; otherwise it is an error.
-    told
+    progress
         Called with how many were answered so far.
 
     Raises
@@ -301,8 +301,8 @@ async def read_values(
                 if not absent:
                     raise
                 found[name] = None
-        if told is not None:
-            told(len(found))
+        if progress is not None:
+            progress(len(found))
 
     wanted = tuple(dict.fromkeys(names))
     try:

@@ -51,11 +51,11 @@ class Pace:
         return min(max(self._mean + _SPREADS * self._spread, least), MOST_S)
 
     def trip(self, *, answered: bool) -> None:
-        """A question to which there is an answer was answered in time, or not."""
+        """Count whether a question that has an answer was answered in time."""
         self._trips.append(answered)
 
     def silences(self) -> int:
-        """So many silences prove absence: loss explains them all less often than once in 200 times.
+        """How many unanswered questions prove absence: loss alone explains that many less than once in 200 times.
 
         Nothing but the questions so far tells the share lost: any was equally likely before them. The chance of
         k losses in a row is then the product of (lost + 1 + i) / (asked + 2 + i) for i below k.

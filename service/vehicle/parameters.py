@@ -106,7 +106,7 @@ class Holder(Addressee, Protocol):
 
 
 class _Other:
-    """The parameter that was asked for behind was answered."""
+    """The answer to the parameter that was requested after the one awaited."""
 
 
 class Parameters(Mapping[str, Parameter]):
@@ -173,7 +173,7 @@ class Parameters(Mapping[str, Parameter]):
         return Parameter(heard.name, heard.value, heard.kind, heard.index, heard.bits, now)
 
     def forget(self) -> None:
-        """Nothing is known any more: the vehicle has restarted."""
+        """Forget every value, since the vehicle has restarted."""
         self._known.clear()
         self.count = self.hash = None
 

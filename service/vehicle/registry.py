@@ -206,7 +206,7 @@ class VehicleRegistry:
     def _replace(self, gone: Vehicle) -> Vehicle:
         """Another unit has the address of one that is gone: it gets its own state, parameters and jobs."""
         self._stop_identifying(gone)
-        self._announce(gone, VehicleEventKind.REPLACED, gone.give_way())
+        self._announce(gone, VehicleEventKind.REPLACED, gone.mark_replaced())
         return self._add(gone.link, gone.system, gone.component, gone.heartbeat)
 
     def _part(self, unit: Vehicle, link: Link, why: str) -> Vehicle:

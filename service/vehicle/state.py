@@ -83,7 +83,7 @@ class VehicleState:
         return self.last_heartbeat is None or now - self.last_heartbeat > SILENT_S
 
     def evidence(self, now: float) -> tuple[str, ...]:
-        """What this state rests on, in sentences."""
+        """The observations behind this state, in sentences."""
         lines = []
         if self.last_heartbeat is None:
             lines.append("no HEARTBEAT heard yet")

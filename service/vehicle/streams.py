@@ -79,7 +79,7 @@ class StreamRate:
 
     @property
     def delivered(self) -> bool:
-        """True if anything comes."""
+        """Whether any message of it arrives."""
         return self.wall_hz > 0
 
 
@@ -181,7 +181,7 @@ async def request_streams(
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Rates that the link carries, what came of them, and what it carries where that is less than was asked for."""
+    """Rates that fit the link, the arrivals at these rates, and its capacity where that limits them."""
 
     rates: Mapping[int, float]
     seen: Arrivals
@@ -293,7 +293,7 @@ def _smaller(one: float | None, other: float | None) -> float | None:
 
 
 class _Request:
-    """What was asked of a vehicle so far, and how it was before."""
+    """The rates requested from a vehicle so far, and its intervals of before."""
 
     def __init__(self, vehicle: Vehicle, requested_hz: dict[int, float], before: dict[int, int]) -> None:
         self.vehicle = vehicle
@@ -328,7 +328,7 @@ class _Request:
         return samples(rates_hz, refused)
 
     def report(self, own: Mapping[int, float], wall: Mapping[int, float], capacity: float | None) -> StreamReport:
-        """All of it."""
+        """The report of everything requested so far."""
         rates = {
             key: StreamRate(key, rate, self._results.get(key), own.get(key, 0.0), wall.get(key, 0.0))
             for key, rate in self._requested.items()

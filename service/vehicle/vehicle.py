@@ -290,7 +290,7 @@ class Vehicle:
             self._tell(VehicleEventKind.IDENTIFIED, said)
 
     def _contradicted(self, uid2: str, channel: LinkChannel, now: float) -> None:
-        """Another unit answers at our address on this link."""
+        """Handle an answer of another unit at our address on this link."""
         gone = self.clock() - channel.stated_at >= self._yield_s
         if channel is not self.channels.in_use or (gone and len(self.channels) > 1):
             channel.stranger = uid2
@@ -313,7 +313,7 @@ class Vehicle:
         self._tell(VehicleEventKind.LINKS, f"It is heard over {', '.join(link.id for link in self.links)}.")
 
     def decide_again(self) -> None:
-        """Which unit this is is open once more."""
+        """Reopen the question which unit this is."""
         self.settled, self.found_at = False, self.clock()
 
     def leave(self, link: Link, why: str) -> None:
@@ -356,7 +356,7 @@ class Vehicle:
 
     @property
     def conflicts(self) -> tuple[str, ...]:
-        """Doubts about who is being talked to, in sentences."""
+        """Reasons to doubt which unit answers, in sentences."""
         return tuple(text for text in (self._replaced, *self._doubts(), self.undecided) if text)
 
     @property
@@ -452,8 +452,8 @@ class Vehicle:
         with suppress(LinkDown):
             link.send(self._command_message(command_id, *params), (self.system, self.component))
 
-    def give_way(self) -> str:
-        """Another unit has taken this address: nothing is sent on behalf of this one any more. Says so."""
+    def mark_replaced(self) -> str:
+        """Another unit has taken this address: nothing is sent on behalf of this one any more. Returns why."""
         self._replaced = (
             f"Another unit ({self.successor}) answers to system id {self.system} now; "
             f"{self.identity.uid2} was not heard for {self._yield_s:g} s."

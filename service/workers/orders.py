@@ -55,7 +55,7 @@ class Orders:
         )
 
     def look(self, order_id: str) -> HowFar:
-        """How far it is; it is wanted still."""
+        """The progress of a computation; also notes that it is still wanted."""
         rows = self._run(
             "UPDATE computations SET wanted = clock_timestamp() + make_interval(secs => ?) WHERE id = ? "
             "RETURNING said, result",
@@ -67,7 +67,7 @@ class Orders:
         return HowFar(rows[0][0], None if rows[0][1] is None else json.loads(rows[0][1]))
 
     def forget(self, order_id: str) -> None:
-        """Nobody waits for it any more; what computes it ends."""
+        """Withdraw a computation; the worker that runs it stops."""
         self._run("DELETE FROM computations WHERE id = ?", (order_id,))
 
     # --- who computes
@@ -82,7 +82,7 @@ class Orders:
         return Computation(rows[0][0], rows[0][1], json.loads(rows[0][2]), int(rows[0][3])) if rows else None
 
     def tell(self, order_id: str, worker: str, said: str) -> None:
-        """Say how far it is."""
+        """Store the progress of a computation."""
         self._run(
             "UPDATE computations SET said = ? WHERE id = ? AND worker = ?", (said, order_id, worker), durable=False
         )
@@ -99,7 +99,7 @@ class Orders:
         self._run("UPDATE computations SET result = ? WHERE id = ? AND worker = ?", (text, order_id, worker))
 
     def sweep(self, older_s: float) -> None:
-        """Forget what nobody has waited for in so long."""
+        """Delete computations that nobody has waited for in so long."""
         sql = "DELETE FROM computations WHERE wanted < clock_timestamp() - make_interval(secs => ?)"
         self._run(sql, (older_s,), durable=False)
 

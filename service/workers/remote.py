@@ -13,7 +13,7 @@ from typing import Any
 import structlog
 
 from mavcal.service.children.limits import Limits
-from mavcal.service.children.pool import Told, refusal
+from mavcal.service.children.pool import ProgressCallback, refusal
 from mavcal.service.errors import ChildEnded, StoreError
 from mavcal.service.workers.orders import Orders
 from mavcal.service.workers.paths import moved
@@ -53,11 +53,13 @@ class RemoteChildren:
         await self._app.open_async()
 
     async def stop(self) -> None:
-        """Disconnect; what is computed for us ends when it is not asked for any more."""
+        """Disconnect; workers stop our computations once they are no longer wanted."""
         await self._app.close_async()
         self._orders.close()
 
-    async def run(self, task: str, order: Mapping[str, Any], limits: Limits, *, told: Told | None = None) -> Json:
+    async def run(
+        self, task: str, order: Mapping[str, Any], limits: Limits, *, progress: ProgressCallback | None = None
+    ) -> Json:
         """The result of one task; when this is cancelled the computation is ended. Errors are those of Children."""
         order_id = secrets.token_hex(8)
         body = {"order": moved(dict(order), self._uploads, None), "limits": asdict(limits)}
@@ -67,11 +69,11 @@ class RemoteChildren:
             lock = lock_of(order_id, order.get("vehicle"))
             configured = self._app.configure_task(TASK, queue=QUEUE, lock=lock)
             queued = await configured.defer_async(computation=order_id)
-            return _done(await self._ended(order_id, told))
+            return _done(await self._ended(order_id, progress))
         finally:
             await asyncio.shield(self._forget(order_id, queued))
 
-    async def _ended(self, order_id: str, told: Told | None) -> Json:
+    async def _ended(self, order_id: str, progress: ProgressCallback | None) -> Json:
         said = None
         while True:
             try:
@@ -79,8 +81,8 @@ class RemoteChildren:
             except StoreError as error:  # the database is away: the order is there when it comes back
                 log.warning("a computation was not looked for", reason=str(error))
             else:
-                if now.said is not None and now.said != said and told is not None:
-                    told(now.said)
+                if now.said is not None and now.said != said and progress is not None:
+                    progress(now.said)
                 said = now.said
                 if now.result is not None:
                     return now.result

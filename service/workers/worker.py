@@ -81,7 +81,7 @@ class Worker:
             )
 
     async def compute(self, computation: str) -> None:
-        """One task of the queue."""
+        """Run one task of the queue."""
         order = await asyncio.to_thread(self._orders.take, computation, self.name)
         if order is None:
             return
@@ -93,14 +93,16 @@ class Worker:
             await asyncio.to_thread(self._orders.finish, order.id, self.name, result)
 
     async def _result(self, order: Computation) -> Json | None:
-        """What came of it; None: nobody waits for it any more."""
+        """The result of a computation; None: nobody waits for it any more."""
         loop = asyncio.get_running_loop()
 
-        def told(text: str) -> None:
+        def report(text: str) -> None:
             loop.run_in_executor(None, partial(self._orders.tell, order.id, self.name, text))
 
         body = moved(order.body["order"], None, self._settings.uploads)
-        running = asyncio.create_task(self._children.run(order.task, body, Limits(**order.body["limits"]), told=told))
+        running = asyncio.create_task(
+            self._children.run(order.task, body, Limits(**order.body["limits"]), progress=report)
+        )
         try:
             while not running.done():
                 await asyncio.wait({running}, timeout=WATCH_S)

@@ -70,7 +70,7 @@ class Run:
         return told
 
     @property
-    def nowhere(self) -> tuple[str, ...]:
+    def without_vehicle(self) -> tuple[str, ...]:
         """The place without a vehicle."""
         return self.place if "--url" in self.place else ("--data-dir", self.data_dir)
 
@@ -226,7 +226,7 @@ def calibrated(opened: Opened) -> list[Step]:
         run("status")
         run("plan", "gyro-rest", log)
         run("revert", "--all")
-        run("jobs", place=run.nowhere, text=True)
+        run("jobs", place=run.without_vehicle, text=True)
         return run.steps
 
 
@@ -258,13 +258,16 @@ def campaigns(opened: Opened) -> list[Step]:
     """One campaign after the other."""
     with opened() as run:
         told = run("campaign", "preflight")
-        run("campaign", "items", told["id"], place=("--data-dir", run.data_dir))
+        run("campaign", "items", told["id"], place=run.without_vehicle)
+        run("campaign", "items", told["id"], "--outcome", "refused", place=run.without_vehicle, text=True)
+        run("campaign", "items", told["id"], "--outcome", "done", place=run.without_vehicle)
+        run("campaign", "items", "nojob", place=run.without_vehicle)
         run("campaign", "calibrate", "gyro")
         run("campaign", "calibrate", "gyro", "--apply", "--at-once", "1")
         run("campaign", "calibrate", "gyro", "--option", "colour=1")
         run.shifted(0.02)
         run("campaign", "calibrate", "gyro", "--apply", text=True)
-        run("campaign", "resume", told["id"], place=run.nowhere)
+        run("campaign", "resume", told["id"], place=run.without_vehicle)
         run("campaign", "resume", told["id"])
         run("campaign", "resume", "nojob")
         return run.steps
@@ -319,6 +322,8 @@ DIFFERENT: dict[str, dict[str, str]] = {
     "px4": {},
     "every": {"revert --all (text)": _OTHERS},
     "campaigns": {
+        "campaign items <id>": "HTTP tells neither how often an item was begun nor what the fleet keeps of a preflight",
+        "campaign items nojob": "a service has many kinds of jobs, and this is none of them",
         "campaign calibrate gyro": _WHO,
         "campaign calibrate gyro --apply --at-once #": _WHO,
         "campaign calibrate gyro --option colour=#": _CODE,

@@ -78,7 +78,7 @@ async def test_a_task_gets_its_order_and_its_result_comes_back_as_data(tmp_path)
     told: list[str] = []
     async with children(tmp_path) as c:
         order = {"path": "ä\ud800", "number": 0.1, "list": [1, None]}
-        first = await c.run(f"{TASKS}:echo", order, PLENTY, told=told.append)
+        first = await c.run(f"{TASKS}:echo", order, PLENTY, progress=told.append)
         second = await c.run(f"{TASKS}:echo", {}, PLENTY)
         assert first["order"] == order
         assert first["pid"] != second["pid"]

@@ -44,7 +44,7 @@ async def test_a_calibration_that_was_reset_is_put_back(autopilot: str, tmp_path
             await life.engine.apply(job.id, Accept(job.plan.sha256, prove_s=0.0, reboot=True), look=True)
             job = await life.until(job.id, *ENDS)
             assert job.state == JobState.SUCCEEDED, job.outcome
-            await life.engine.tidied()
+            await life.engine.wait_for_cleanup()
             found = readiness_of(life.engine.get(job.id))
             assert found is not None
             assert (found.verdict, found.text) == (Verdict.PASS, "All 16 checks pass: this vehicle would arm now."), (

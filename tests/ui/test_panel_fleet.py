@@ -124,6 +124,6 @@ def test_the_title_names_page_and_state_and_focus_never_falls_to_the_body(browse
     desk.page.keyboard.press("Enter")
     desk.sees("Looking", inside="main")
     assert desk.page.evaluate(inside)
-    desk.sees("Looked at for", 60, inside="main")
+    desk.sees("Barrier at for", 60, inside="main")
     assert desk.page.evaluate(inside)
     desk.close()

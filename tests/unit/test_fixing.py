@@ -57,8 +57,8 @@ class Engine:
         outcome = Result("It is written.") if self.writes is JobState.SUCCEEDED else failure
         self.jobs[job_id] = replace(self.jobs[job_id], state=self.writes, outcome=outcome)
 
-    async def tidied(self) -> None:
-        self.done.append(("tidied",))
+    async def wait_for_cleanup(self) -> None:
+        self.done.append(("wait_for_cleanup",))
 
 
 def job(state: JobState = JobState.REVIEW, **more: Any) -> Job:
@@ -83,7 +83,7 @@ async def test_a_plan_is_written_for_whom_asked_and_no_movement_is_waited_for() 
         "It is written.",
     )
     accept = Accept(plan(FIRST).sha256, prove_s=0.0, actor="me")
-    assert engine.done == [("submit", "v1", "gyro"), ("apply", "gyro", accept), ("tidied",)]
+    assert engine.done == [("submit", "v1", "gyro"), ("apply", "gyro", accept), ("wait_for_cleanup",)]
 
 
 async def test_each_kind_is_done_once_and_the_first_that_fails_is_the_last() -> None:
@@ -94,7 +94,7 @@ async def test_each_kind_is_done_once_and_the_first_that_fails_is_the_last() -> 
     engine = Engine({"gyro": failed, "level": good})
     [only] = await fix(engine, "gyro", "level")
     assert (only.state, only.text) == (JobState.FAILED, "It moved. Hold it still.")
-    assert names(engine) == ["submit", "tidied"]
+    assert names(engine) == ["submit", "wait_for_cleanup"]
 
 
 async def test_a_write_that_goes_wrong_is_told() -> None:
@@ -124,7 +124,7 @@ async def test_a_sensor_whose_change_acts_after_a_restart_alone_is_left_out_and_
 async def test_where_every_change_needs_a_restart_nothing_is_written() -> None:
     engine = Engine({"gyro": job(plan=plan(replace(FIRST, needs_reboot=True), LATE))})
     [done] = await fix(engine, "gyro")
-    assert names(engine) == ["submit", "tidied"]
+    assert names(engine) == ["submit", "wait_for_cleanup"]
     assert done.text == (
         "Nothing was written. gyro0, gyro1 stay as they are: their change would act only after a restart."
     )
@@ -133,7 +133,7 @@ async def test_where_every_change_needs_a_restart_nothing_is_written() -> None:
 async def test_a_plan_without_a_restart_is_not_made_again() -> None:
     engine = Engine({"gyro": job(plan=plan(FIRST, SECOND))})
     await fix(engine, "gyro")
-    assert names(engine) == ["submit", "apply", "tidied"]
+    assert names(engine) == ["submit", "apply", "wait_for_cleanup"]
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ class Runs:
         self.answers: dict[str, Any] = {INSPECT: {"channels": [], **IDENTITY}, **answers}
         self.asked: list[tuple[str, dict[str, Any], Limits]] = []
 
-    async def run(self, task: str, order: dict[str, Any], limits: Limits, told: Any = None) -> Any:
+    async def run(self, task: str, order: dict[str, Any], limits: Limits, progress: Any = None) -> Any:
         """See service.children.Children."""
         self.asked.append((task, order, limits))
         answer = self.answers[task]

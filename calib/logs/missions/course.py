@@ -20,6 +20,7 @@ from mavcal.calib.logs.missions.items import (
     LoggedMission,
     MissionItem,
     NavCommand,
+    OtherCommand,
 )
 
 METRES_PER_DEGREE: Final = 111_318.845
@@ -144,9 +145,10 @@ class _Course:
         """The seconds of one item; the vehicle is where it ends then."""
         first, second, third, _ = item.parameters
         if not item.flies:
-            if item.command == _CHANGE_SPEED and first in (0.0, 1.0) and second > 0.0:
+            if item.command == OtherCommand.DO_CHANGE_SPEED and first in (0.0, 1.0) and second > 0.0:
                 self._speed = second
-            return {_CONDITION_DELAY: first, _CONDITION_YAW: _TURN_S}.get(item.command, 0.0)
+            waiting: dict[int, float] = {OtherCommand.CONDITION_DELAY: first, OtherCommand.CONDITION_YAW: _TURN_S}
+            return waiting.get(item.command, 0.0)
         if item.command == NavCommand.DELAY:
             return first + _EDGE_S
         if item.command == NavCommand.RETURN_TO_LAUNCH:
@@ -172,6 +174,3 @@ class _Course:
         height, self._height = max(self._height, 0.0), 0.0
         last = min(height, _LAST_M)
         return last / _TOUCH + (height - last) / _SINK + _EDGE_S
-
-
-_CONDITION_DELAY, _CONDITION_YAW, _CHANGE_SPEED = 112, 115, 178

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
 from mavcal.calib.errors import InvalidInputError
 
 INSTEAD: Final = "Fly the standard mission: --mission standard."
@@ -16,11 +18,11 @@ INSTEAD: Final = "Fly the standard mission: --mission standard."
 class Frame(IntEnum):
     """What an altitude counts from (MAV_FRAME)."""
 
-    GLOBAL = 0  # sea level
-    MISSION = 2  # no place
-    RELATIVE = 3  # home
-    GLOBAL_INT = 5
-    RELATIVE_INT = 6
+    GLOBAL = dialect.MAV_FRAME_GLOBAL  # sea level
+    MISSION = dialect.MAV_FRAME_MISSION  # no place
+    RELATIVE = dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT  # home
+    GLOBAL_INT = dialect.MAV_FRAME_GLOBAL_INT
+    RELATIVE_INT = dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 
 
 ABSOLUTE: Final = (Frame.GLOBAL, Frame.GLOBAL_INT)
@@ -29,14 +31,14 @@ ABSOLUTE: Final = (Frame.GLOBAL, Frame.GLOBAL_INT)
 class NavCommand(IntEnum):
     """Commands of a mission that move a multicopter (MAV_CMD_NAV)."""
 
-    WAYPOINT = 16
-    LOITER_TURNS = 18
-    LOITER_TIME = 19
-    RETURN_TO_LAUNCH = 20
-    LAND = 21
-    TAKEOFF = 22
-    SPLINE_WAYPOINT = 82
-    DELAY = 93
+    WAYPOINT = dialect.MAV_CMD_NAV_WAYPOINT
+    LOITER_TURNS = dialect.MAV_CMD_NAV_LOITER_TURNS
+    LOITER_TIME = dialect.MAV_CMD_NAV_LOITER_TIME
+    RETURN_TO_LAUNCH = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH
+    LAND = dialect.MAV_CMD_NAV_LAND
+    TAKEOFF = dialect.MAV_CMD_NAV_TAKEOFF
+    SPLINE_WAYPOINT = dialect.MAV_CMD_NAV_SPLINE_WAYPOINT
+    DELAY = dialect.MAV_CMD_NAV_DELAY
 
 
 LANDINGS: Final = (NavCommand.RETURN_TO_LAUNCH, NavCommand.LAND)
@@ -46,20 +48,34 @@ PLACED: Final = (
 )  # fmt: skip
 """Those that may have a place."""
 
-PASSED_ON: Final[Mapping[int, str]] = {
-    112: "CONDITION_DELAY", 114: "CONDITION_DISTANCE", 115: "CONDITION_YAW", 178: "DO_CHANGE_SPEED",
-    189: "DO_LAND_START", 195: "DO_SET_ROI_LOCATION", 197: "DO_SET_ROI_NONE", 201: "DO_SET_ROI",
-    203: "DO_DIGICAM_CONTROL", 205: "DO_MOUNT_CONTROL", 206: "DO_SET_CAM_TRIGG_DIST",
-}  # fmt: skip
-"""Commands without a flight of their own that are passed on as they are."""
-REGARDED: Final = (195, 201)
+
+class OtherCommand(IntEnum):
+    """Commands without a flight of their own that are passed on as they are (MAV_CMD)."""
+
+    CONDITION_DELAY = dialect.MAV_CMD_CONDITION_DELAY
+    CONDITION_DISTANCE = dialect.MAV_CMD_CONDITION_DISTANCE
+    CONDITION_YAW = dialect.MAV_CMD_CONDITION_YAW
+    DO_CHANGE_SPEED = dialect.MAV_CMD_DO_CHANGE_SPEED
+    DO_LAND_START = dialect.MAV_CMD_DO_LAND_START
+    DO_SET_ROI_LOCATION = dialect.MAV_CMD_DO_SET_ROI_LOCATION
+    DO_SET_ROI_NONE = dialect.MAV_CMD_DO_SET_ROI_NONE
+    DO_SET_ROI = dialect.MAV_CMD_DO_SET_ROI
+    DO_DIGICAM_CONTROL = dialect.MAV_CMD_DO_DIGICAM_CONTROL
+    DO_MOUNT_CONTROL = dialect.MAV_CMD_DO_MOUNT_CONTROL
+    DO_SET_CAM_TRIGG_DIST = dialect.MAV_CMD_DO_SET_CAM_TRIGG_DIST
+
+
+REGARDED: Final = (OtherCommand.DO_SET_ROI_LOCATION, OtherCommand.DO_SET_ROI)
 """Those of them that have a place."""
-_REFUSED: Final[Mapping[int, str]] = {
-    17: "LOITER_UNLIM", 30: "CONTINUE_AND_CHANGE_ALT", 31: "LOITER_TO_ALT", 84: "VTOL_TAKEOFF", 85: "VTOL_LAND",
-    92: "GUIDED_ENABLE", 94: "PAYLOAD_PLACE", 177: "DO_JUMP", 179: "DO_SET_HOME", 181: "DO_SET_RELAY",
-    183: "DO_SET_SERVO", 208: "DO_PARACHUTE", 211: "DO_GRIPPER", 601: "DO_JUMP_TAG",
-}  # fmt: skip
-"""Names for what is refused."""
+_REFUSED: Final = (
+    *("NAV_LOITER_UNLIM", "NAV_CONTINUE_AND_CHANGE_ALT", "NAV_LOITER_TO_ALT", "NAV_VTOL_TAKEOFF", "NAV_VTOL_LAND"),
+    *("NAV_GUIDED_ENABLE", "NAV_PAYLOAD_PLACE", "DO_JUMP", "DO_SET_HOME", "DO_SET_RELAY", "DO_SET_SERVO"),
+    *("DO_PARACHUTE", "DO_GRIPPER", "DO_JUMP_TAG"),
+)
+_NAMES: Final[Mapping[int, str]] = {
+    **{int(command): command.name for command in (*NavCommand, *OtherCommand)},
+    **{getattr(dialect, f"MAV_CMD_{name}"): name.removeprefix("NAV_") for name in _REFUSED},
+}
 _HIGHEST_M: Final = 10_000.0
 """Altitudes beyond are damage. Chosen, not measured: no multicopter flies there."""
 
@@ -101,8 +117,7 @@ class MissionItem:
     @property
     def name(self) -> str:
         """Number and command, as one says them."""
-        said = NavCommand(self.command).name if self.flies else PASSED_ON.get(self.command)
-        said = said or _REFUSED.get(self.command) or f"command {self.command}"
+        said = _NAMES.get(self.command, f"command {self.command}")
         return f"item {self.number} ({said})" if self.number >= 0 else f"added {said}"
 
 
@@ -133,7 +148,7 @@ class LoggedMission:
 
 
 def _check(item: MissionItem) -> None:
-    if not item.flies and item.command not in PASSED_ON:
+    if not item.flies and item.command not in set(OtherCommand):
         known = ", ".join(command.name for command in NavCommand)
         raise InvalidInputError(
             f"{item.name} of the log's mission cannot be flown in a simulator. These can: {known}. {INSTEAD}"

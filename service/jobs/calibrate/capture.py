@@ -122,9 +122,9 @@ class Capture:
             with suppress(CommandRefused, CommandTimeout):
                 await self.vehicle.command(RUN_PREARM_CHECKS, ())
         kind = self.handle.job.kind
-        told = counting(self.handle, "reading the calibration in force")
+        progress = counting(self.handle, "reading the calibration in force")
         sensors = specification(kind).sensors
-        read = await read_needed(self.vehicle, sensors, drift=kind in DRIFT_KINDS, told=told)
+        read = await read_needed(self.vehicle, sensors, drift=kind in DRIFT_KINDS, progress=progress)
         self.parameters = {name: reading.value for name, reading in read.items()}
         for text in await asyncio.to_thread(self.foresee, identity, self.parameters):
             self.handle.warn(text)
@@ -235,10 +235,10 @@ class Capture:
         """Read the calibration again: a change that was not heard would make the capture useless."""
         prefixes = CALIBRATION_PREFIXES[identity.autopilot or ""]
         names = [name for name in self.parameters if name.startswith(prefixes)]
-        told = counting(self.handle, "reading the calibration again")
+        progress = counting(self.handle, "reading the calibration again")
         while True:
             try:
-                readings = await read_values(self.vehicle, names, told=lambda done: told(done, len(names)))
+                readings = await read_values(self.vehicle, names, progress=lambda done: progress(done, len(names)))
                 break
             except (VehicleSilent, ParameterTimeout, LinkDown):
                 watch.look(None)

@@ -56,8 +56,8 @@ def _verified(job: Job, store: JobStore) -> VerifiedCalibration:
     written = {change.name: change.new for change in job.plan.changes if not change.session}
     left = {**parameters, **written}
     # as they stand afterwards: a plan may write ids, and its fingerprint is of before
-    autopilot, told = job.plan.fingerprint.autopilot, stated_device_ids(job)
-    held = px4_sensor_ids(left, told) if autopilot == "px4" else sensor_ids(autopilot, left)
+    autopilot, stated = job.plan.fingerprint.autopilot, stated_device_ids(job)
+    held = px4_sensor_ids(left, stated) if autopilot == "px4" else sensor_ids(autopilot, left)
     ids = {key_text(*key): device for key, device in held.items()}
     accels = [fit for fit in job.results if fit.sensor == Sensor.ACCEL and fit.temperature is not None]
     return VerifiedCalibration(
@@ -68,5 +68,5 @@ def _verified(job: Job, store: JobStore) -> VerifiedCalibration:
         parameters=left,
         temperatures={fit.instance: fit.temperature for fit in accels if fit.temperature is not None},
         uid=job.plan.fingerprint.uid or None,
-        told=told,
+        stated=stated,
     )

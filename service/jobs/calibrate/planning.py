@@ -160,13 +160,13 @@ def make_plan(
     *,
     unproved_origin: str = "",
     without_row: Iterable[Key] = (),
-    told: Mapping[Key, int] = NO_DEVICE_IDS,
+    stated: Mapping[Key, int] = NO_DEVICE_IDS,
 ) -> Planned:
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all.
 
     `options` are those of the plan as plain data, `temperatures` those of :func:`accel_temperatures`,
     and `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says. PX4 itself says `without_row`.
-    `told` is what :func:`held_device_ids` finds.
+    `stated` is what :func:`held_device_ids` finds.
     """
     rowless = frozenset(without_row)
     chosen = compose_options(
@@ -176,7 +176,7 @@ def make_plan(
         without_row=rowless,
     )
     given = {(key[0], device) for key, device in chosen.device_ids.items()}
-    earlier = {k: device for k, device in told.items() if k not in rowless and (k[0], device) not in given}
+    earlier = {k: device for k, device in stated.items() if k not in rowless and (k[0], device) not in given}
     chosen = dataclasses.replace(chosen, device_ids={**earlier, **chosen.device_ids})
     plan = compose(results, parameters, fingerprint(identity, parameters), options=chosen)
     return Planned(plan, calibration_snapshot(parameters))

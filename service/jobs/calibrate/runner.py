@@ -149,7 +149,7 @@ class Runner:
                 plan_options,
                 known,
                 without_row=fitted.without_row,
-                told=stated,
+                stated=stated,
             )
             await keep_plan(handle, planned)
         except CaptureEnded as ended:

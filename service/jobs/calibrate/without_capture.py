@@ -69,7 +69,7 @@ async def compose_plan(
         doubt = unproved(from_json(origin, Origin), identity)
     earlier = tuple(jobs)
     known = accel_temperatures(earlier, vehicle.id, parameters)
-    told = held_device_ids(earlier, vehicle.id, parameters) if origin is None else {}  # a log says its own ids
+    stated = held_device_ids(earlier, vehicle.id, parameters) if origin is None else {}  # a log says its own ids
     return identity, await asyncio.to_thread(
         make_plan,
         results,
@@ -79,7 +79,7 @@ async def compose_plan(
         known,
         unproved_origin=doubt,
         without_row=without_row,
-        told=told,
+        stated=stated,
     )
 
 

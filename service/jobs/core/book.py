@@ -64,7 +64,7 @@ class JobBook:
         return [self._hold(job_of(row, self._store)) for row in rows]
 
     def drop(self, of: Callable[[Job], bool]) -> list[JobHandle]:
-        """Give these jobs up; their last state stays listed."""
+        """Release these jobs to another instance; their last state stays listed."""
         dropped = [handle for handle in self._handles.values() if of(handle.job)]
         for handle in dropped:
             del self._handles[handle.id]

@@ -254,9 +254,9 @@ def counting(handle: JobHandle, what: str) -> Callable[[int, int], None]:
     """A callback for items done and in total, which reports progress with the remaining time."""
     began = time.monotonic()
 
-    def told(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         spent = time.monotonic() - began
         eta = spent * (total - done) / done if done else None
         handle.progress(Progress(float(done), float(total), "", f"{what}: {done} of {total}", eta))
 
-    return told
+    return report

@@ -117,7 +117,7 @@ class WriteRecord:
 
 
 class Next(StrEnum):
-    """What must follow."""
+    """The next step of a recovery."""
 
     NOTHING_SENT = "nothing_sent"  # the vehicle is as it was
     REBOOT = "reboot"
@@ -127,7 +127,7 @@ class Next(StrEnum):
 
 
 def fold(rows: Iterable[JournalRow]) -> WriteRecord:
-    """What the rows of a job say, oldest first."""
+    """The state of a write after these journal rows, oldest first."""
     record = WriteRecord()
     for row in rows:
         record = _after(record, JournalStep(row.step), row.data)
@@ -202,7 +202,7 @@ def _stopped(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
 
 
 def decide(record: WriteRecord, plan: WritePlan, values: Mapping[str, Value]) -> Next:
-    """What follows from the journal and from values that were freshly read (every sent parameter must be there)."""
+    """The next step, from the journal and from fresh values of every parameter that was sent."""
     if record.rolling_back is not None:
         return Next.ROLL_BACK
     if not record.sent:

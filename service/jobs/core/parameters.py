@@ -15,11 +15,11 @@ from mavcal.service.vehicle.job_vehicle import JobVehicle, ParameterReading, rea
 
 
 async def read_needed(
-    vehicle: JobVehicle, sensors: Collection[Sensor], *, drift: bool, told: Callable[[int, int], None] | None = None
+    vehicle: JobVehicle, sensors: Collection[Sensor], *, drift: bool, progress: Callable[[int, int], None] | None = None
 ) -> dict[str, ParameterReading]:
     """Every parameter of the vehicle that a job over `sensors` looks at; those that it does not have are left out.
 
-    `told` is called with how many were answered, and of how many as far as is known.
+    `progress` is called with how many were answered, and of how many as far as is known.
 
     Raises
     ------
@@ -39,10 +39,10 @@ async def read_needed(
         asked |= missing
 
         def counted(answered: int, done: int = done, total: int = len(asked)) -> None:
-            if told is not None:
-                told(done + answered, total)
+            if progress is not None:
+                progress(done + answered, total)
 
-        found |= await read_values(vehicle, sorted(missing), absent=True, told=counted)
+        found |= await read_values(vehicle, sorted(missing), absent=True, progress=counted)
 
 
 def sensors_of(results: Iterable[FitResult]) -> set[Sensor]:
@@ -51,7 +51,7 @@ def sensors_of(results: Iterable[FitResult]) -> set[Sensor]:
 
 
 async def require_absent(
-    vehicle: JobVehicle, job: Job, composed_on: Mapping[str, Value], told: Callable[[int, int], None] | None = None
+    vehicle: JobVehicle, job: Job, composed_on: Mapping[str, Value], progress: Callable[[int, int], None] | None = None
 ) -> None:
     """Ask again for what the vehicle did not have when `composed_on` was read: on a bad link silence may deceive.
 
@@ -68,11 +68,11 @@ async def require_absent(
         return
 
     def counted(answered: int) -> None:
-        if told is not None:
-            told(answered, len(absent))
+        if progress is not None:
+            progress(answered, len(absent))
 
     counted(0)
-    there = await read_values(vehicle, sorted(absent), absent=True, told=counted)
+    there = await read_values(vehicle, sorted(absent), absent=True, progress=counted)
     if there:
         names = ", ".join(there)
         raise PlanChanged(f"{names} did not answer when the calibration was read, but does now: start the job again")

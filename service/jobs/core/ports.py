@@ -41,7 +41,7 @@ class Alone:
         self._store = store
 
     async def begin(self, job: Job) -> None:
-        """Nothing: every job is ours."""
+        """Do nothing: every job is ours."""
 
     def store_of(self, _job: Job) -> JobStore:
         """The store itself."""
@@ -51,7 +51,7 @@ class Alone:
         """Nothing."""
 
     def changed(self) -> None:
-        """Nothing: who watches was told."""
+        """Do nothing: subscribers in this process have been notified."""
 
 
 class JobRecord(Protocol):

@@ -58,7 +58,7 @@ async def close_span(store: JobStore, row: SegmentRow, vehicle: JobVehicle | Non
 
 
 def span_of(row: SegmentRow) -> LogSpan:
-    """A closed row as a span."""
+    """The span of a closed row."""
     assert row.end_byte is not None
     assert row.sha256 is not None
     return LogSpan(row.path, row.start_byte, row.end_byte, row.sha256)

@@ -125,7 +125,7 @@ def note_defect(handle: JobHandle, error: BaseException) -> None:
 
 
 def _each(handles: Iterable[JobHandle], how: How) -> None:
-    """Take each job up; what is wrong with one must not keep the others waiting."""
+    """Resume each job; an error in one does not delay the others."""
     for handle in handles:
         try:
             how(handle)

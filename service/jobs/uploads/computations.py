@@ -11,7 +11,7 @@ from mavcal.calib.fit import FitResult
 from mavcal.service.errors import RecordingUnknown
 from mavcal.service.store.rows import JobDocument
 
-Told = Callable[[str], None]
+ProgressCallback = Callable[[str], None]
 """Hears how far a computation is, in words."""
 
 
@@ -40,7 +40,7 @@ class Computations(Protocol):
         ...
 
     async def fit(
-        self, recording: str, method: str, options: Mapping[str, Any], *, told: Told | None = None
+        self, recording: str, method: str, options: Mapping[str, Any], *, progress: ProgressCallback | None = None
     ) -> tuple[FitResult, ...]:
         """One fit a sensor."""
         ...
@@ -58,7 +58,7 @@ class Computations(Protocol):
         nominal: Sequence[str],
         *,
         limit_s: float | None = None,
-        told: Told | None = None,
+        progress: ProgressCallback | None = None,
     ) -> Diagnosis:
         """The sim-to-real gap of an upload; `limit_s` is its processor time, None: the default."""
         ...

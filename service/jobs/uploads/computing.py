@@ -24,8 +24,8 @@ from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Failure, Job, Result, fit_messages
 from mavcal.service.jobs.core.states import CANCELLABLE, ENDED, JobState
 from mavcal.service.jobs.core.tasks import JobTasks
-from mavcal.service.jobs.uploads.computations import Computations, Told
-from mavcal.service.told import read_line
+from mavcal.service.jobs.uploads.computations import Computations, ProgressCallback
+from mavcal.service.progress_line import parse_line
 
 FIT = "fit"
 """Kind of a job that runs a method on an upload: options `recording`, `method`, `options`."""
@@ -196,7 +196,7 @@ class Computing:
     async def _fitted(self, handle: JobHandle) -> None:
         order = handle.job.options
         fits = await self._computations.fit(
-            order["recording"], order["method"], order["options"], told=self._told(handle)
+            order["recording"], order["method"], order["options"], progress=self._progress_of(handle)
         )
         self._note_started(handle)
         outcome = Result(_counted(fits, order["method"]), proof_reason=NOTHING_WRITTEN)
@@ -206,7 +206,11 @@ class Computing:
     async def _diagnosed(self, handle: JobHandle) -> None:
         order = handle.job.options
         diagnosis = await self._computations.diagnose(
-            order["real"], order["sim"], order["nominal"], limit_s=order.get("limit_s"), told=self._told(handle)
+            order["real"],
+            order["sim"],
+            order["nominal"],
+            limit_s=order.get("limit_s"),
+            progress=self._progress_of(handle),
         )
         self._note_started(handle)
         for document in diagnosis.documents:
@@ -219,19 +223,19 @@ class Computing:
     def _waiting(self, kind: str) -> int:
         return sum(job.kind == kind and job.state not in ENDED for job in self._book.list())
 
-    def _told(self, handle: JobHandle) -> Told:
+    def _progress_of(self, handle: JobHandle) -> ProgressCallback:
         """A callback for the child's progress; its first message says that it has started."""
         steps = itertools.count()
 
-        def told(text: str) -> None:
+        def report(text: str) -> None:
             self._note_started(handle)
-            said, step = read_line(text), next(steps)
+            said, step = parse_line(text), next(steps)
             if said.share is None:
                 handle.progress(Progress(float(min(step, STEPS)), float(STEPS), "steps", said.text))
             else:
                 handle.progress(Progress(100.0 * said.share, 100.0, "%", said.text, said.left_s))
 
-        return told
+        return report
 
     def _note_started(self, handle: JobHandle) -> None:
         """Note that a child has started the job."""

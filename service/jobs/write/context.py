@@ -52,7 +52,7 @@ class WriteContext:
         self.guard = WriteGuard(self.vehicle, self.settings.watch_s)
 
     def hear(self, reading: ParameterReading) -> None:
-        """Take note of a PARAM_VALUE."""
+        """Store the value of a PARAM_VALUE."""
         self.heard[reading.name] = reading.value
 
     async def set(self, name: str, value: Value, kind: ParameterKind, *, instead_of: Value) -> Value:

@@ -78,7 +78,7 @@ class WriteGuard:
         return self._peers.setdefault(now.way, now.peer) != now.peer
 
     def _meanwhile(self, now: Condition) -> str | None:
-        """What happened and ended since the guard was set up."""
+        """Why nothing may be written, from events that came and went since the guard was set up."""
         before = self._before
         if now.armings != before.armings:
             return "the vehicle was armed meanwhile"
@@ -93,7 +93,7 @@ class WriteGuard:
 
     @property
     def silent(self) -> bool:
-        """Whether nothing is heard of the vehicle now."""
+        """Whether the vehicle is silent now."""
         return self._vehicle.condition().silent
 
     def doubt(self) -> str | None:

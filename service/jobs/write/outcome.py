@@ -164,7 +164,7 @@ async def withdraw_certainty(handle: JobHandle, guard: WriteGuard) -> None:
 
 
 def record_of(handle: JobHandle) -> WriteRecord | None:
-    """What the journal says; None: it cannot be read."""
+    """The record of the write in the journal; None: it cannot be read."""
     try:
         return handle.write_record()
     except Exception:  # of any kind: a damaged journal must not keep a job from its ending; logged with its trace

@@ -47,8 +47,8 @@ async def check_plan(w: WriteContext) -> dict[str, ParameterReading]:
     identity = await w.vehicle.identify()
     try:
         names = list(dict.fromkeys([*composed_on, *(change.name for change in w.plan.changes)]))
-        told = counting(w.handle, "reading what the plan rests on")
-        fresh = await read_values(w.vehicle, names, told=lambda done: told(done, len(names)))
+        progress = counting(w.handle, "reading what the plan rests on")
+        fresh = await read_values(w.vehicle, names, progress=lambda done: progress(done, len(names)))
     except ParameterMissing as error:
         raise PlanChanged(f"the vehicle no longer has {error.name}: plan again") from error
     now = {name: fresh[name].value for name in composed_on if matters(name, w.plan.sensors)}
@@ -84,10 +84,10 @@ async def prepare(w: WriteContext) -> None:
 async def send_all(w: WriteContext) -> None:
     """Write every parameter of the plan in its order. Raises WriteStopped, ParameterError."""
     before = w.old_values()
-    told = counting(w.handle, "writing")
+    progress = counting(w.handle, "writing")
     for number, change in enumerate(w.plan.changes):
         w.guard.check()
-        told(number, len(w.plan.changes))
+        progress(number, len(w.plan.changes))
         old = before[change.name]
         await w.handle.record(
             JournalStep.SEND, name=change.name, old=old, new=change.new, kind=change.kind.value, session=change.session
@@ -97,7 +97,7 @@ async def send_all(w: WriteContext) -> None:
         w.reach(At.AFTER_ECHO)
         await w.handle.record(JournalStep.ECHO, name=change.name, value=value)
         w.reach(At.ECHO_KEPT)
-    told(len(w.plan.changes), len(w.plan.changes))
+    progress(len(w.plan.changes), len(w.plan.changes))
 
 
 async def read_back(w: WriteContext, until: Settling = Settling.KEPT) -> dict[str, Value]:
@@ -119,8 +119,10 @@ async def read_back(w: WriteContext, until: Settling = Settling.KEPT) -> dict[st
 async def current_values(w: WriteContext) -> dict[str, Value]:
     """Fresh values of the plan's parameters, under the guard."""
     names = [change.name for change in w.plan.changes]
-    told = counting(w.handle, "reading back")
-    readings = await w.guard.run(partial(read_values, w.vehicle, names, told=lambda done: told(done, len(names))))
+    progress = counting(w.handle, "reading back")
+    readings = await w.guard.run(
+        partial(read_values, w.vehicle, names, progress=lambda done: progress(done, len(names)))
+    )
     return {name: reading.value for name, reading in readings.items()}
 
 

@@ -8,7 +8,7 @@ from mavcal.service.campaigns.items import Item, ItemOutcome
 from mavcal.service.campaigns.outcome import COLUMNS, head, lines
 from mavcal.service.campaigns.selection import Selection, selected
 from mavcal.service.commands.campaign import OUTCOMES
-from mavcal.service.commands.campaign_told import exit_code
+from mavcal.service.commands.campaign_output import exit_code
 
 
 def read(text: str) -> list[dict[str, str]]:

@@ -164,9 +164,9 @@ class FakeService:
         self.links.setdefault(url, FakeLink(url))
         return url
 
-    async def tidied(self, _seconds: float = 0.0, *, written: str | None = None) -> None:
+    async def wait_for_cleanup(self, _seconds: float = 0.0, *, written: str | None = None) -> None:
         """See Door."""
-        self.jobs.ask("tidied")
+        self.jobs.ask("wait_for_cleanup")
 
     async def list_links(self) -> list[FakeLink]:
         """See AsyncClient."""
@@ -198,11 +198,11 @@ class FakeService:
 
     async def list_unfinished(self) -> list[UnfinishedModel]:
         """See AsyncClient."""
-        return [_told(found) for found in left_over(self.store, self.jobs.list())]
+        return [_unfinished_model(found) for found in left_over(self.store, self.jobs.list())]
 
     async def get_unfinished(self, job_id: str) -> UnfinishedModel:
         """See AsyncClient."""
-        return _told(unfinished(self.store, self.jobs.get(job_id)))
+        return _unfinished_model(unfinished(self.store, self.jobs.get(job_id)))
 
     def follow_job(self, job_id: str) -> AsyncIterator[Any]:
         """See AsyncClient."""
@@ -238,5 +238,5 @@ class FakeService:
         return of_service(self.jobs.jobs[job_id])
 
 
-def _told(found: Unfinished) -> UnfinishedModel:
+def _unfinished_model(found: Unfinished) -> UnfinishedModel:
     return UnfinishedModel.model_validate(unfinished_model(found).model_dump(mode="json"))

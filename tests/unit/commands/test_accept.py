@@ -56,14 +56,14 @@ def test_the_plan_is_made_again_with_old_and_new_decisions_and_what_was_shown_is
     assert done == [
         ("plan_again", "j", {"only": ["gyro0"], "mark_calibrated": False}),
         ("apply", "j", PLAN.sha256, {"reboot": True}),
-        ("tidied",),
+        ("wait_for_cleanup",),
     ]
 
 
 def test_a_plan_that_is_blocked_is_not_written(at):
     done = at(in_review(BLOCKED))
     assert invoked(accept.command, "j", "--url", "http://h")[0] == 1
-    assert [what for what, *_ in done] == ["plan_again", "tidied"]
+    assert [what for what, *_ in done] == ["plan_again", "wait_for_cleanup"]
 
 
 def test_json_is_the_job_as_it_ended(at):
@@ -85,7 +85,7 @@ def test_the_vehicle_of_a_service_is_that_of_the_job(at, command):
 def test_a_service_takes_a_write_back(at):
     done = at(ended())
     assert invoked(revert.command, "j", "--url", "http://h")[0] == 0
-    assert done == [("revert", "j"), ("tidied",)]
+    assert done == [("revert", "j"), ("wait_for_cleanup",)]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from mavcal.service.commands import campaign_archive, campaign_run
 from mavcal.service.commands.campaign import command
-from mavcal.service.commands.campaign_told import Telling
+from mavcal.service.commands.campaign_output import OutputOptions
 from mavcal.service.commands.headless import Begun
 from mavcal.service.commands.whom import Whom
 
@@ -50,10 +50,10 @@ class Noting:
 
 
 async def test_every_vehicle_that_is_heard_is_checked(handed):
-    whom, begin, telling = handed(
+    whom, begin, output = handed(
         "preflight", "--connect", URL, "--connect", "tcp:w:1", "--vehicle", "v1", "--at-once", "3"
     )
-    assert (whom.urls, whom.ids, whom.every, telling) == ((URL, "tcp:w:1"), ("v1",), False, Telling())
+    assert (whom.urls, whom.ids, whom.every, output) == ((URL, "tcp:w:1"), ("v1",), False, OutputOptions())
     client = Noting()
     assert await begin(client, ["v1", "tcp:w:1"]) == Begun("job")
     assert client.asked == [("start_preflight_campaign", {"vehicles": ["v1", "tcp:w:1"], "at_once": 3})]
@@ -61,8 +61,8 @@ async def test_every_vehicle_that_is_heard_is_checked(handed):
 
 async def test_a_calibration_has_its_options(handed):
     arguments = ("--option", "uncertainty=0.5", "--only", "gyro0", "--apply", "--reboot", "--csv", "a.csv", "--json")
-    _, begin, telling = handed("calibrate", "gyro", "--connect", URL, *arguments)
-    assert (str(telling.table), telling.as_json) == ("a.csv", True)
+    _, begin, output = handed("calibrate", "gyro", "--connect", URL, *arguments)
+    assert (str(output.table), output.as_json) == ("a.csv", True)
     client = Noting()
     await begin(client, ["v1"])
     [(name, how)] = client.asked
@@ -79,8 +79,8 @@ def test_a_restart_is_a_part_of_writing(handed):
 
 async def test_a_folder_is_fitted_by_one_method(handed):
     arguments = ("--glob", "*.bin", "--option", "model=ring", "--unit-accel", "g", "--executor", "processes:2")
-    executor, begin, telling = handed("fit", "gyro-rest", "logs", *arguments)
-    assert (executor, telling) == ("processes:2", Telling())
+    executor, begin, output = handed("fit", "gyro-rest", "logs", *arguments)
+    assert (executor, output) == ("processes:2", OutputOptions())
     found = Noting()
     await begin(found)
     [(name, folder, pattern, method, chosen, how)] = found.asked

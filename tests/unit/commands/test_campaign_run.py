@@ -9,9 +9,9 @@ from mavcal.client.models import ItemModel
 from mavcal.service.api.views import item_model
 from mavcal.service.campaigns.campaigns import CAMPAIGN
 from mavcal.service.campaigns.items import Item, ItemOutcome
-from mavcal.service.commands import campaign_run
+from mavcal.service.commands import campaign_items, campaign_run
+from mavcal.service.commands.campaign_output import OutputOptions
 from mavcal.service.commands.campaign_run import resumed
-from mavcal.service.commands.campaign_told import Telling
 from mavcal.service.commands.headless import Begun
 from mavcal.service.commands.whom import Whom
 from mavcal.service.errors import EndpointError, JobUnknown
@@ -85,8 +85,8 @@ def noting(service, *items):
     async def interrupt(job_id):
         asked.append(("interrupt", job_id))
 
-    async def listed(_job_id, *, after, limit):
-        assert limit == campaign_run.PAGE
+    async def listed(_job_id, *, outcome, after, limit):
+        assert (outcome, limit) == (None, campaign_items.PAGE)
         return [] if after else [item_of(*item) for item in items]
 
     service.resume_campaign, service.interrupt_campaign, service.list_items = resume, interrupt, listed
@@ -132,16 +132,16 @@ async def test_a_stopped_campaign_takes_its_captures_with_it_and_nothing_else(ma
     going_on = [(Item(n, "v1", job_id=job.id), job) for n, job in enumerate((capture, review, write, ended), 1)]
     noted = noting(service, *going_on, (Item(9, "v9"),))
     service.jobs.jobs["c"] = plain("c", JobState.RUNNING, kind=CAMPAIGN)
-    await campaign_run._put_down(service, screen, Begun(await service.get_job("c")))
+    await campaign_run._leave_campaign(service, screen, Begun(await service.get_job("c")))
     assert noted == [("interrupt", "c")]
-    assert service.jobs.done == [("cancel", "capture"), ("tidied",)]
+    assert service.jobs.done == [("cancel", "capture"), ("wait_for_cleanup",)]
 
 
 async def test_a_campaign_that_a_shared_service_goes_on_with_is_left_alone(make_service, screen):
     service = make_service(plain("c", JobState.RUNNING, kind=CAMPAIGN), shared=True)
     noted = noting(service)
     begun = await resumed("c")(service, [])
-    await campaign_run._put_down(service, screen, begun)
+    await campaign_run._leave_campaign(service, screen, begun)
     assert (noted, screen.lines) == ([], ["stopped: the service goes on with campaign c"])
 
 
@@ -153,7 +153,7 @@ def run(make_service, screen):
         service = make_service()
         service.joined(A, "v1")
         service.noted = noting(service, (Item(1, "v1", outcome=ItemOutcome.DONE),))
-        how = {"whom": Whom((A,)), "begin": lambda *given: begin(service, *given), "telling": Telling()}
+        how = {"whom": Whom((A,)), "begin": lambda *given: begin(service, *given), "output": OutputOptions()}
         return service, await campaign_run._run(service, **how, screen=screen)
 
     return of
@@ -170,7 +170,7 @@ def begun(state):
 
 async def test_a_campaign_ends_with_its_items_told_and_the_old_rates_back(run, screen):
     service, code = await run(begun(JobState.SUCCEEDED))
-    assert (code, service.jobs.done) == (0, [("tidied",)])
+    assert (code, service.jobs.done) == (0, [("wait_for_cleanup",)])
     assert screen.lines == ["campaign c", "succeeded: "]
 
 
@@ -191,4 +191,4 @@ async def test_a_campaign_that_is_stopped_can_be_resumed(run, screen, monkeypatc
     [service] = made
     assert service.noted == [("interrupt", "c")]
     assert screen.lines[-1] == "stopped: `mavcal campaign resume c` goes on with it"
-    assert ("tidied",) in service.jobs.done
+    assert ("wait_for_cleanup",) in service.jobs.done

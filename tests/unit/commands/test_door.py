@@ -94,7 +94,7 @@ async def test_a_vehicle_that_does_not_confirm_its_rates_is_not_waited_for_longe
     async def never():
         await asyncio.Event().wait()
 
-    await Door(SimpleNamespace(), SimpleNamespace(tidied=never)).tidied(0.0)
+    await Door(SimpleNamespace(), SimpleNamespace(wait_for_cleanup=never)).wait_for_cleanup(0.0)
 
 
 def test_an_error_is_told_in_the_words_that_came():
@@ -127,11 +127,11 @@ async def test_a_service_elsewhere_is_waited_for_until_it_has_looked_at_what_it_
     async def get_job(_job_id):
         return jobs.pop(0)
 
-    await Door(SimpleNamespace(get_job=get_job)).tidied(written="j")
+    await Door(SimpleNamespace(get_job=get_job)).wait_for_cleanup(written="j")
     assert jobs == []
     jobs += [SimpleNamespace(state=JobState.REVERTED, last_write="written", readiness=None)]
-    await Door(SimpleNamespace(get_job=get_job)).tidied(written="j")
-    await Door(SimpleNamespace()).tidied()  # nothing is waited for where nothing was written
+    await Door(SimpleNamespace(get_job=get_job)).wait_for_cleanup(written="j")
+    await Door(SimpleNamespace()).wait_for_cleanup()  # nothing is waited for where nothing was written
 
 
 @pytest.fixture

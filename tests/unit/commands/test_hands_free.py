@@ -43,7 +43,7 @@ def calibrate(make_service, screen):
 async def test_a_plan_is_written_and_no_movement_is_waited_for(calibrate):
     done, came = await calibrate(PLAN)
     how = {"plan_sha256": PLAN.sha256, "prove_s": 0.0, "preflight": True}
-    assert done == [("start", "v1", "gyro"), ("apply", how), ("tidied",)]
+    assert done == [("start", "v1", "gyro"), ("apply", how), ("wait_for_cleanup",)]
     assert (came.job.state, came.text, came.in_part) == (JobState.SUCCEEDED, "It is written.", False)
 
 
@@ -56,13 +56,13 @@ async def test_a_sensor_that_needs_a_restart_is_left_out_and_named(calibrate):
 
 async def test_where_every_change_needs_a_restart_nothing_is_written(calibrate):
     done, came = await calibrate(replace(PLAN, changes=(LATER,)))
-    assert [what for what, *_ in done] == ["start", "tidied"]
+    assert [what for what, *_ in done] == ["start", "wait_for_cleanup"]
     assert came.text == "Nothing was written. gyro1 stays as it is: its change would act only after a restart."
 
 
 async def test_a_plan_that_is_blocked_is_not_written(calibrate):
     done, came = await calibrate(BLOCKED)
-    assert [what for what, *_ in done] == ["start", "tidied"]
+    assert [what for what, *_ in done] == ["start", "wait_for_cleanup"]
     assert came.text == "not written: The offset is too large."
 
 

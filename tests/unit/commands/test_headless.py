@@ -12,11 +12,11 @@ from mavcal.service.commands.headless import (
     heard,
     is_of,
     jobs_of,
+    leave_job,
     left_over,
-    put_down,
     recovered,
+    recovery_document,
     show_event,
-    told_of,
 )
 from mavcal.service.errors import VehicleSilent
 from mavcal.service.jobs.core.journal import JournalStep
@@ -207,7 +207,7 @@ async def test_a_recovered_job_is_told_with_its_parameters(make_service):
     failure = Failure("in-doubt", "It fell silent", "switch it on")
     service = make_service(plain("j", JobState.IN_DOUBT, outcome=failure))
     sent(service, "j")
-    told = told_of(await service.get_unfinished("j"))
+    told = recovery_document(await service.get_unfinished("j"))
     assert {name: told[name] for name in ("id", "kind", "vehicle_id", "state")} == {
         "id": "j",
         "kind": "gyro",
@@ -221,15 +221,15 @@ async def test_a_recovered_job_is_told_with_its_parameters(make_service):
 @pytest.mark.parametrize("state", [JobState.QUEUED, JobState.WAITING_FOR_OPERATOR, JobState.FITTING])
 async def test_a_stopped_run_cancels_what_has_written_nothing(make_service, screen, state):
     service = make_service(plain("j", state))
-    await put_down(service, screen, Begun(await service.get_job("j")))
-    assert service.jobs.done == [("cancel", "j"), ("tidied",)]
+    await leave_job(service, screen, Begun(await service.get_job("j")))
+    assert service.jobs.done == [("cancel", "j"), ("wait_for_cleanup",)]
     assert screen.lines == ["stopped: job j (gyro) was cancelled, nothing was written"]
 
 
 async def test_a_stopped_run_leaves_a_plan_in_review(make_service, screen):
     service = make_service(plain("j", JobState.REVIEW))
-    await put_down(service, screen, Begun(await service.get_job("j")))
-    assert service.jobs.done == [("tidied",)]
+    await leave_job(service, screen, Begun(await service.get_job("j")))
+    assert service.jobs.done == [("wait_for_cleanup",)]
     assert screen.lines == ["stopped: job j (gyro) is review"]
 
 
@@ -238,22 +238,22 @@ async def test_a_stopped_run_says_what_a_write_leaves_behind(make_service, scree
     service = make_service(plain("j", JobState.VERIFYING))
     if wrote:
         sent(service, "j")
-    await put_down(service, screen, Begun(await service.get_job("j")))
-    assert service.jobs.done == [("tidied",)]
+    await leave_job(service, screen, Begun(await service.get_job("j")))
+    assert service.jobs.done == [("wait_for_cleanup",)]
     assert screen.lines[0].startswith(f"stopped while job j (gyro) is verifying: {said}")
     assert screen.lines[1].startswith("`mavcal recover` finishes it")
 
 
 async def test_a_shared_service_goes_on_with_a_write(make_service, screen):
     service = make_service(plain("j", JobState.VERIFYING), shared=True)
-    await put_down(service, screen, Begun(await service.get_job("j")))
+    await leave_job(service, screen, Begun(await service.get_job("j")))
     assert screen.lines[1] == "The service goes on with it: `mavcal follow j` shows what comes of it."
 
 
 async def test_a_job_that_somebody_else_has_begun_is_never_cancelled(make_service, screen):
     service = make_service(plain("j", JobState.RUNNING), shared=True)
-    await put_down(service, screen, Begun(await service.get_job("j"), ours=False))
-    assert service.jobs.done == [("tidied",)]
+    await leave_job(service, screen, Begun(await service.get_job("j"), ours=False))
+    assert service.jobs.done == [("wait_for_cleanup",)]
     assert screen.lines == ["stopped: job j (gyro) is running"]
 
 

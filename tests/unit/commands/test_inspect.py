@@ -12,7 +12,7 @@ from mavcal.calib.errors import UnreadableError
 from mavcal.calib.health.report import health
 from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage
 from mavcal.service.commands.inspect import command
-from mavcal.service.commands.inspect_told import told
+from mavcal.service.commands.inspect_output import inspection_lines
 
 T = np.arange(500) / 50.0
 ACCEL = Channel(Sensor.ACCEL, 0, T, np.tile([0.0, 0.0, -9.8], (500, 1)), "m/s2", Stage.RAW, "IMU")
@@ -122,7 +122,7 @@ def test_a_sensor_is_told_with_what_speaks_against_it_or_the_first_thing_found()
         "findings": [finding("ok", "fine"), finding("suspicious", "It clips."), finding("faulty", "Dead.")],
     }
     document = {**BARE, "health": health_of(GOOD, bad, lacks=["a compass"])}
-    lines = [" ".join(line.split()) for line in told(document, whole=True)]
+    lines = [" ".join(line.split()) for line in inspection_lines(document, whole=True)]
     summary, good, first, second, lacks, end = lines[1:7]
     assert summary == document["health"]["summary"]
     assert good.startswith("ok gyro")
@@ -132,14 +132,14 @@ def test_a_sensor_is_told_with_what_speaks_against_it_or_the_first_thing_found()
     assert second == "Dead."
     assert lacks.endswith("a compass")
     assert end == ""
-    short = [" ".join(line.split()) for line in told(document)]
+    short = [" ".join(line.split()) for line in inspection_lines(document)]
     assert short[2:4] == [first, second]
     assert short[4] in good
     assert GOOD["findings"][0]["text"] not in short[4]
 
 
 def test_the_next_action_follows_the_summary():
-    assert told({**BARE, "health": health_of(action="Look.")})[2] == "Next: Look."
+    assert inspection_lines({**BARE, "health": health_of(action="Look.")})[2] == "Next: Look."
 
 
 def test_a_long_log_is_told_in_forty_lines_of_eighty_columns_and_says_what_is_left():
@@ -148,7 +148,7 @@ def test_a_long_log_is_told_in_forty_lines_of_eighty_columns_and_says_what_is_le
     channel = {"sensor": "accel", "instance": 0, "source": "IMU", "stage": "raw", "samples": 5, "rate": 400.0}
     channel |= {"mean": [0.0, 0.0, -9.8], "norm": None, "unit": "m/s2"}
     document = {**BARE, "health": health_of(*[bad] * 5, GOOD), "channels": [channel] * 30, "warnings": [text] * 20}
-    short, whole = told(document), told(document, whole=True)
+    short, whole = inspection_lines(document), inspection_lines(document, whole=True)
     assert len(short) <= 40
     assert len(whole) > 100
     assert max(len(line) for line in [*short, *whole]) <= 80
@@ -169,7 +169,7 @@ def test_a_flight_is_told_with_its_rests_limits_and_next_steps():
     }
     step = {"command": "mavcal fit gyro-rest", "method": "gyro-rest", "reason": "It rests."}
     steps = [{**step, "worthwhile": worth} for worth in (True, False)]
-    lines = [" ".join(line.split()) for line in told({**BARE, "flight": flight, "next": steps}, whole=True)]
+    lines = [" ".join(line.split()) for line in inspection_lines({**BARE, "flight": flight, "next": steps}, whole=True)]
     head, rate, bare, share, worthwhile, useless = lines[2:]
     assert all(token in head for token in (" warn;", "2 rests", "10 s,", " 6 s", "throttle"))
     assert all(line.startswith(bare) for line in (rate, share))

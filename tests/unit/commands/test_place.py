@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mavcal.service.commands.place import NOWHERE, CommandPlace, place_of
+from mavcal.service.commands.place import NO_OPTIONS, CommandPlace, place_of
 from mavcal.service.settings import default_data_dir
 
 HERE = CommandPlace("tcp:v:1", Path("/d d"))
@@ -30,7 +30,7 @@ THERE = CommandPlace(url="http://h:1", key_file=Path("/k"))
         (CHOSEN, "`mavcal restore --apply`", "`mavcal restore --apply --url http://h:1 --vehicle 7`"),
         (CHOSEN, "`mavcal accept j`", "`mavcal accept j --url http://h:1`"),  # a job says which vehicle
         (CHOSEN, "`mavcal status --all`", "`mavcal status --all --url http://h:1`"),
-        (NOWHERE, "`mavcal recover`", "`mavcal recover`"),
+        (NO_OPTIONS, "`mavcal recover`", "`mavcal recover`"),
     ],
 )
 def test_a_named_command_has_the_options_of_the_run(place: CommandPlace, text: str, told: str) -> None:

@@ -78,7 +78,7 @@ async def test_what_was_left_is_brought_to_an_end_and_what_is_of_others_named(ma
     service = make_service(plain("a", JobState.QUEUED), plain("b", JobState.IN_DOUBT, vehicle_id="v2"))
     service.joined(URL, "v1", "v2")
     assert await recover._recovered(service, Whom((URL,), wait_s=1.0), screen, as_json=True) == 0
-    assert service.jobs.done == [("cancel", "a"), ("tidied",)]
+    assert service.jobs.done == [("cancel", "a"), ("wait_for_cleanup",)]
     assert screen.lines[-1] == "job b (gyro) of v2 is in_doubt"
     assert '"of_other_vehicles": [{"id": "b"' in capsys.readouterr().out
 

@@ -11,7 +11,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.fit import FitResult
 from mavcal.service.errors import RecordingUnknown
-from mavcal.service.jobs.uploads.computations import Diagnosis, Told
+from mavcal.service.jobs.uploads.computations import Diagnosis, ProgressCallback
 from mavcal.service.store.rows import JobDocument
 
 FOREIGN = Origin("px4", "other", (), {})
@@ -46,9 +46,9 @@ class FakeComputations:
             raise InvalidInputError(f"there is no method {method}")
 
     async def fit(
-        self, recording: str, method: str, options: Mapping[str, Any], *, told: Told | None = None
+        self, recording: str, method: str, options: Mapping[str, Any], *, progress: ProgressCallback | None = None
     ) -> tuple[FitResult, ...]:
-        await self._work(told)
+        await self._work(progress)
         return self.fits
 
     async def fit_of_vehicle(
@@ -64,18 +64,18 @@ class FakeComputations:
         nominal: Sequence[str],
         *,
         limit_s: float | None = None,
-        told: Told | None = None,
+        progress: ProgressCallback | None = None,
     ) -> Diagnosis:
         self.limits.append(limit_s)
-        await self._work(told)
+        await self._work(progress)
         return DIAGNOSED
 
-    async def _work(self, told: Told | None) -> None:
+    async def _work(self, progress: ProgressCallback | None) -> None:
         self.begun += 1
         try:
-            if told is not None and self.begins:
+            if progress is not None and self.begins:
                 for line in self.lines:
-                    told(line)
+                    progress(line)
             await self.go.wait()
             if self.refusal is not None:
                 raise self.refusal

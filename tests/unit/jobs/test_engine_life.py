@@ -124,7 +124,7 @@ async def test_rates_that_a_job_has_left_changed_are_put_back_at_the_start(
     store.add_journal("j1", 0.0, JournalStep.STREAMS, {"intervals": {"27": 4000}})
     async with started(store, vehicle, settings=replace(QUICK, review_s=0.01)) as engine:
         await until(lambda: vehicle.message_intervals == {27: 4000})
-        await engine.tidied()
+        await engine.wait_for_cleanup()
         assert store.journal("j1")[-1].step == JournalStep.STREAMS_RESTORED
         assert engine.get("j1").state == state
 

@@ -235,7 +235,7 @@ async def test_what_waits_for_a_vehicle_that_goes_away_ends_with_the_reason(ardu
 
 async def test_one_that_another_unit_has_replaced_says_so_for_ever(ardupilot: FakeVehicle) -> None:
     ardupilot.vehicle.successor = "ffff"
-    said = ardupilot.vehicle.give_way()
+    said = ardupilot.vehicle.mark_replaced()
     assert said.startswith("Another unit (ffff) answers to system id 1 now; ")
     assert said.endswith("was not heard for 30 s.")
     ardupilot.clock.now += 1000.0

@@ -103,7 +103,7 @@ async def test_every_step_is_told_once(children):
     steps = [HowFar(said, None) for said in (None, "a", "a", "b", None, "b")]
     made, _, _ = children(*steps, HowFar("b", DONE.result))
     said = []
-    await made.run("fit", {}, LIMITS, told=said.append)
+    await made.run("fit", {}, LIMITS, progress=said.append)
     assert said == ["a", "b", "b"]
 
 

@@ -22,7 +22,7 @@ async def test_the_count_grows_by_one_and_its_total_by_what_turns_out_to_be_need
     vehicle = FakeVehicle.with_floats({**dict.fromkeys(IDS, 5.0), "INS_GYROFFS_X": 0.25, "INS_GYR2OFFS_X": 0.5})
     told: list[tuple[int, int]] = []
     sensors = (Sensor.ACCEL, Sensor.GYRO)
-    found = await read_needed(vehicle, sensors, drift=False, told=lambda done, total: told.append((done, total)))
+    found = await read_needed(vehicle, sensors, drift=False, progress=lambda done, total: told.append((done, total)))
     assert found["INS_GYR2OFFS_X"].value == 0.5
     assert [done for done, _ in told] == list(range(1, len(told) + 1))
     totals = [total for _, total in told]

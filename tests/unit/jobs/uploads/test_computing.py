@@ -30,7 +30,7 @@ from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.uploads import computing
 from mavcal.service.jobs.uploads.computing import FIT, GAP, MOST_DIAGNOSES, MOST_STARTS, uploads_of
-from mavcal.service.told import ToldProgress, line_of
+from mavcal.service.progress_line import ProgressLine, format_line
 from tests.unit.jobs.computations import DIAGNOSED, FakeComputations
 from tests.unit.jobs.conftest import OLD, until
 from tests.unit.jobs.fakes import FakeVehicle
@@ -284,7 +284,7 @@ def test_an_upload_stays_as_long_as_something_rests_on_it() -> None:
 
 
 async def test_a_diagnosis_says_how_far_it_is_and_how_long_it_will_take(vehicle: FakeVehicle) -> None:
-    lines = ("reading", line_of(ToldProgress("selecting effects", 0.25, 90.0)))
+    lines = ("reading", format_line(ProgressLine("selecting effects", 0.25, 90.0)))
     work = FakeComputations(lines=lines)
     work.go.clear()
     async with running(vehicle, computations=work) as engine:

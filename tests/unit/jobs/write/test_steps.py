@@ -323,7 +323,7 @@ async def test_a_few_reads_at_a_time_each_name_once_and_counted() -> None:
     names = [f"P{k}" for k in range(25)]
     vehicle = Busy.with_floats(dict.fromkeys(names, 1.0))
     told: list[int] = []
-    found = await read_values(vehicle, [*names[::-1], "P3"], told=told.append)
+    found = await read_values(vehicle, [*names[::-1], "P3"], progress=told.append)
     assert list(found) == names[::-1]
     assert told == list(range(1, 26))
     assert vehicle.most == READS_IN_FLIGHT == 10
@@ -332,7 +332,7 @@ async def test_a_few_reads_at_a_time_each_name_once_and_counted() -> None:
 async def test_what_the_vehicle_does_not_have_is_left_out_or_an_error() -> None:
     vehicle = FakeVehicle.with_floats({"A": 1.0})
     told: list[int] = []
-    assert list(await read_values(vehicle, ["A", "B"], absent=True, told=told.append)) == ["A"]
+    assert list(await read_values(vehicle, ["A", "B"], absent=True, progress=told.append)) == ["A"]
     assert told == [1, 2]
     with pytest.raises(ParameterMissing, match="B is unknown"):
         await read_values(vehicle, ["A", "B"])

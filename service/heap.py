@@ -20,14 +20,14 @@ _M_ARENA_MAX = -8
 
 def share_heaps() -> bool:
     """Have the threads that begin from now on share :data:`HEAPS` heaps; whether that is so."""
-    tell = _of_glibc("mallopt")
-    return tell is not None and bool(tell(_M_ARENA_MAX, HEAPS))
+    mallopt = _of_glibc("mallopt")
+    return mallopt is not None and bool(mallopt(_M_ARENA_MAX, HEAPS))
 
 
-def give_back() -> bool:
-    """Give back what is free; whether there was anything. Without glibc nothing happens."""
-    trim = _of_glibc("malloc_trim")
-    return trim is not None and bool(trim(0))
+def trim() -> bool:
+    """Return free memory to the system; whether there was any. Without glibc nothing happens."""
+    malloc_trim = _of_glibc("malloc_trim")
+    return malloc_trim is not None and bool(malloc_trim(0))
 
 
 def _of_glibc(name: str) -> Callable[..., int] | None:
@@ -37,8 +37,8 @@ def _of_glibc(name: str) -> Callable[..., int] | None:
     return getattr(library, name) if hasattr(library, "gnu_get_libc_version") else None
 
 
-async def give_back_for_ever() -> None:
-    """Give back now and then."""
+async def trim_for_ever() -> None:
+    """Trim the heap once a minute."""
     while True:
         await asyncio.sleep(PERIOD_S)
-        await asyncio.to_thread(give_back)
+        await asyncio.to_thread(trim)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.freed import HEAPS, give_back
+from mavcal.service.heap import HEAPS, trim
 
 MB = 2**20
 
@@ -24,7 +24,7 @@ def test_memory_between_two_things_that_stay_goes_back() -> None:
     del held[:-1:2]
     del held[: len(held) - 1]  # one at the end keeps the heap from shrinking
     before = resident()
-    assert give_back()
+    assert trim()
     assert before - resident() > 20 * MB
     assert len(held) == 1
 
@@ -35,7 +35,7 @@ def test_threads_share_a_few_heaps() -> None:
     asked = """
 import re, sys, threading, time
 from pathlib import Path
-from mavcal.service.freed import share_heaps
+from mavcal.service.heap import share_heaps
 if sys.argv[1] == "shared":
     assert share_heaps()
 held, go = [], threading.Event()

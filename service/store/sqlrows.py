@@ -1,4 +1,4 @@
-"""How a store of rows reads and writes: in transactions, in the order of asking, JSON as text."""
+"""Reads and writes rows: in transactions, in the order of the calls, JSON as text."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class SqlRows:
 
     @property
     def version(self) -> int:
-        """Number of the schema."""
+        """Version number of the schema."""
         return self._database.version
 
     def fenced(self, fence: Fence) -> Self:
@@ -88,17 +88,17 @@ class SqlRows:
 
 
 def marks(count: int) -> str:
-    """Places for `count` values; at least one, which then is to be None."""
+    """Placeholders for `count` values; at least one, to be filled with None."""
     return ", ".join("?" * max(count, 1))
 
 
 def dump(value: Json) -> str:
-    """JSON as it is kept."""
+    """The JSON text that is stored."""
     return json.dumps(value, allow_nan=False, separators=(",", ":"))
 
 
 def object_of(text: str) -> Json:
-    """The JSON object of a damaged row is empty: one row must not hide the others."""
+    """The JSON object of a row; empty for a damaged one, so that the others can still be read."""
     try:
         value = json.loads(text)
     except ValueError:

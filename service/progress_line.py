@@ -9,7 +9,7 @@ _NUMBERS = re.compile(r"^(?P<text>.*) \[(?P<share>[01]\.\d{3}) (?P<left>-|\d+)\]
 
 
 @dataclass(frozen=True)
-class ToldProgress:
+class ProgressLine:
     """What is being done, the share of the work that is done (None: unknown), and the seconds left (None: unknown)."""
 
     text: str
@@ -17,18 +17,18 @@ class ToldProgress:
     left_s: float | None = None
 
 
-def line_of(told: ToldProgress) -> str:
-    """One line, which :func:`read_line` reads back to the thousandth and to the second."""
-    if told.share is None:
-        return told.text
-    left = "-" if told.left_s is None else f"{max(told.left_s, 0.0):.0f}"
-    return f"{told.text} [{min(max(told.share, 0.0), 1.0):.3f} {left}]"
+def format_line(progress: ProgressLine) -> str:
+    """One line, which :func:`parse_line` reads back to the thousandth and to the second."""
+    if progress.share is None:
+        return progress.text
+    left = "-" if progress.left_s is None else f"{max(progress.left_s, 0.0):.0f}"
+    return f"{progress.text} [{min(max(progress.share, 0.0), 1.0):.3f} {left}]"
 
 
-def read_line(line: str) -> ToldProgress:
+def parse_line(line: str) -> ProgressLine:
     """What a line says; any other text stands for itself."""
     found = _NUMBERS.match(line)
     if found is None:
-        return ToldProgress(line)
+        return ProgressLine(line)
     left = None if found["left"] == "-" else float(found["left"])
-    return ToldProgress(found["text"], float(found["share"]), left)
+    return ProgressLine(found["text"], float(found["share"]), left)

@@ -7,17 +7,18 @@ import click
 import pytest
 
 from mavcal.calib.procedures.protocol import Progress
-from mavcal.service.campaigns.campaigns import CAMPAIGN
-from mavcal.service.campaigns.items import Item, ItemOutcome, row_from_item
-from mavcal.service.commands import campaign_told
-from mavcal.service.commands.campaign_archive import is_of_folder
-from mavcal.service.commands.campaign_told import Seen, Telling, followed, show_items, tell, write_table
-from mavcal.service.errors import JobUnknown
+from mavcal.service.campaigns.items import Item, ItemOutcome
+from mavcal.service.commands import campaign_output
+from mavcal.service.commands.campaign_output import (
+    CampaignSnapshot,
+    OutputOptions,
+    followed,
+    print_campaign,
+    write_table,
+)
 from mavcal.service.jobs.core.codec import to_json
 from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.store import SqliteStore
-from mavcal.service.store.rows import JobRow
 
 DONE = Item(1, "v1", "boat", ItemOutcome.DONE, "pass", "It may fly.", result={"preflight": {"x": 1}}, starts=2)
 WARNED = Item(2, "v2", "", ItemOutcome.WARNED, "warn", "The compass is old.", job_id="j7")
@@ -28,16 +29,12 @@ SOME_DONE = Result("2 of 3 are done.")
 
 
 def campaign(state=JobState.SUCCEEDED, *, options=None, outcome=SOME_DONE, progress=None):
-    return Seen("c", state.value, options or {}, to_json(outcome), progress)
+    return CampaignSnapshot("c", state.value, options or {}, to_json(outcome), progress)
 
 
 def documents(*items):
     """Items as they are told."""
     return [{n: value for n, value in to_json(item).items() if n not in {"result", "starts"}} for item in items]
-
-
-def rows(*items):
-    return [row_from_item("c", item) for item in items]
 
 
 async def test_a_campaign_is_looked_at_until_it_goes_on_no_more(screen, monkeypatch):
@@ -46,7 +43,7 @@ async def test_a_campaign_is_looked_at_until_it_goes_on_no_more(screen, monkeypa
     async def sleep(seconds):
         looks.append(seconds)
 
-    monkeypatch.setattr(campaign_told.asyncio, "sleep", sleep)
+    monkeypatch.setattr(campaign_output.asyncio, "sleep", sleep)
     running = campaign(JobState.RUNNING, outcome=None)
     half = replace(running, progress=to_json(Progress(1.0, 2.0, "items", "checking")))
     states = [running, half, half, campaign()]
@@ -59,7 +56,7 @@ async def test_a_campaign_is_looked_at_until_it_goes_on_no_more(screen, monkeypa
 
 
 def test_what_is_not_done_has_a_line(screen):
-    assert tell(campaign(), documents(DONE, WARNED, FAILED), Telling(), screen) == 1
+    assert print_campaign(campaign(), documents(DONE, WARNED, FAILED), OutputOptions(), screen) == 1
     assert [" ".join(line.split()) for line in screen.lines] == [
         "warned v2: The compass is old.",
         "failed v3: It broke.",
@@ -68,7 +65,7 @@ def test_what_is_not_done_has_a_line(screen):
 
 
 def test_an_item_is_called_as_a_person_calls_it(screen):
-    tell(campaign(), documents(replace(FAILED, name="tug")), Telling(), screen)
+    print_campaign(campaign(), documents(replace(FAILED, name="tug")), OutputOptions(), screen)
     assert "tug:" in screen.lines[0]
     assert FAILED.text in screen.lines[0]
     assert FAILED.subject not in screen.lines[0]
@@ -77,7 +74,7 @@ def test_an_item_is_called_as_a_person_calls_it(screen):
 @pytest.mark.parametrize(("count", "more"), [(20, []), (23, ["3 more"])])
 def test_a_long_list_is_cut_and_says_where_the_rest_is(screen, count, more):
     many = [replace(FAILED, number=k, subject=f"v{k}") for k in range(1, count + 1)]
-    tell(campaign(), documents(*many), Telling(), screen)
+    print_campaign(campaign(), documents(*many), OutputOptions(), screen)
     *cut, end = screen.lines[20:]
     assert [" ".join(line.split()[:2]) for line in cut] == more
     assert all("campaign items" in line for line in cut)
@@ -95,22 +92,24 @@ def test_a_long_list_is_cut_and_says_where_the_rest_is(screen, count, more):
     ],
 )
 def test_the_exit_code_is_that_of_the_items(screen, items, options, code):
-    assert tell(campaign(options=options), documents(*items), Telling(), screen) == code
+    assert print_campaign(campaign(options=options), documents(*items), OutputOptions(), screen) == code
 
 
 def test_a_campaign_that_failed_is_no_success_whatever_its_items_are(screen):
     failed = campaign(JobState.FAILED, outcome=Failure("x", "The disk is full", "free some space"))
-    assert tell(failed, documents(DONE), Telling(), screen) == 1
+    assert print_campaign(failed, documents(DONE), OutputOptions(), screen) == 1
     assert screen.lines == ["failed: The disk is full. Free some space."]
 
 
 def test_a_campaign_without_an_outcome_says_its_state(screen):
-    tell(campaign(JobState.CANCELLED, outcome=None), documents(DONE), Telling(), screen)
+    print_campaign(campaign(JobState.CANCELLED, outcome=None), documents(DONE), OutputOptions(), screen)
     assert screen.lines == ["cancelled: "]
 
 
 def test_json_counts_the_items(screen, capsys):
-    tell(campaign(options={"task": "preflight"}), documents(DONE, WARNED), Telling(as_json=True), screen)
+    print_campaign(
+        campaign(options={"task": "preflight"}), documents(DONE, WARNED), OutputOptions(as_json=True), screen
+    )
     told = json.loads(capsys.readouterr().out)
     assert (told["id"], told["state"], told["options"]) == ("c", "succeeded", {"task": "preflight"})
     assert told["counts"] == {"done": 1, "warned": 1}
@@ -128,44 +127,3 @@ def test_the_table_is_written_and_counted(tmp_path, capsys):
 def test_a_table_that_cannot_be_written_is_said(tmp_path):
     with pytest.raises(click.ClickException, match="cannot be written: No such file"):
         write_table(tmp_path / "none" / "out.csv", "", 0)
-
-
-@pytest.fixture
-def folder(tmp_path):
-    store = SqliteStore(tmp_path)
-    of_folder, of_vehicles = {"folder": "/logs"}, {"task": "preflight"}
-    for name, kind, options in (("c", CAMPAIGN, of_vehicles), ("f", CAMPAIGN, of_folder), ("j", "gyro", of_folder)):
-        store.save_job(JobRow(name, None, kind, "succeeded", 1.0, 2.0, {"options": options}))
-    store.save_job(JobRow("damaged", None, CAMPAIGN, "succeeded", 1.0, 2.0, {}))
-    store.add_items(rows(DONE, WARNED, FAILED))
-    store.close()
-    return tmp_path
-
-
-def test_items_are_listed_with_all_that_they_hold(folder, capsys):
-    assert show_items(folder, "c", (), None, as_json=False) == 0
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert [line[:2] for line in lines] == [["item", "outcome"], ["1", "done"], ["2", "warned"], ["3", "failed"]]
-    assert lines[1][2:] == ["boat", "It", "may", "fly."]
-    assert lines[2][2:4] == ["j7", "v2"]
-    assert show_items(folder, "c", (), None, as_json=True) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["items"][0]["result"] == {"preflight": {"x": 1}}
-
-
-def test_items_are_chosen_by_outcome_for_the_table_as_well(folder, capsys):
-    show_items(folder, "c", ("warned", "failed"), folder / "out.csv", as_json=True)
-    assert [item["number"] for item in json.loads(capsys.readouterr().out)["items"]] == [2, 3]
-    assert len((folder / "out.csv").read_text().splitlines()) == 3
-
-
-@pytest.mark.parametrize("name", ["gone", "j"])
-def test_what_is_no_campaign_has_no_items(folder, name):
-    with pytest.raises(JobUnknown, match=name):
-        show_items(folder, name, (), None, as_json=False)
-    with pytest.raises(JobUnknown, match=name):
-        is_of_folder(folder, name)
-
-
-def test_a_campaign_through_files_is_told_from_one_of_vehicles(folder):
-    assert [is_of_folder(folder, name) for name in ("c", "f", "damaged")] == [False, True, False]

@@ -16,7 +16,7 @@ _BAD = frozenset({"faulty", "suspicious"})
 _GOOD = frozenset({"ok", "pass"})
 
 
-def told(document: Mapping[str, Any], *, whole: bool = False) -> list[str]:
+def inspection_lines(document: Mapping[str, Any], *, whole: bool = False) -> list[str]:
     """The lines of an inspection; in short what is sound is named in a line, and the last one says how much is left."""
     parts = (
         (HEAD, _head(document)),

@@ -1,0 +1,126 @@
+"""``mavcal campaign items``: those of a data directory, whoever runs it, or those of a running service."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mavcal.service.commands.campaign_output import OutputOptions, write_table
+from mavcal.service.commands.output import write_json
+
+if TYPE_CHECKING:
+    from mavcal.client import AsyncClient
+    from mavcal.client.models import ItemModel
+    from mavcal.service.commands.whom import Whom
+
+PAGE = 1000
+"""Items of a page, at most."""
+_HEAD = ("item", "outcome", "job", "of", "text")
+OF_HTTP = {"job_state", "preflight", "fits", "documents"}
+"""Fields of an item that only the API has; a data directory keeps what was found as its `result`."""
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Items of a campaign as JSON, and as a table."""
+
+    items: Sequence[Mapping[str, Any]]
+    csv: str = ""
+
+
+def show_items(whom: Whom, job_id: str, outcomes: Sequence[str], output: OutputOptions) -> int:
+    """List the items of a campaign with all that they hold; the exit code.
+
+    Raises
+    ------
+    JobUnknown
+        If there is no such campaign.
+    StoreError
+        If the data directory cannot be read.
+    AnsweredNo
+        If the service does not answer.
+    """
+    from mavcal.service.commands.door import Door, through_door
+
+    if whom.url is None:
+        return _show(job_id, _of_directory(whom.settings.data_dir, job_id, outcomes), output)
+
+    async def ask(at: Door) -> Listing:
+        return await _of_service(at.client, job_id, outcomes, table=output.table is not None)
+
+    found = through_door(whom, ask)
+    return found if isinstance(found, int) else _show(job_id, found, output)
+
+
+async def items_of(client: AsyncClient, job_id: str, outcomes: Sequence[str] = ()) -> list[ItemModel]:
+    """Every item of a campaign, or those with one of these outcomes."""
+    from mavcal.client.enums import ItemOutcome
+
+    wanted = [ItemOutcome(outcome) for outcome in outcomes] or None
+    found: list[ItemModel] = []
+    while page := await client.list_items(
+        job_id, outcome=wanted, after=found[-1].number if found else None, limit=PAGE
+    ):
+        found += page
+    return found
+
+
+def _of_directory(data_dir: Path, job_id: str, outcomes: Sequence[str]) -> Listing:
+    from mavcal.service.campaigns.campaigns import CAMPAIGN
+    from mavcal.service.campaigns.items import item_from_row
+    from mavcal.service.campaigns.outcome import head, lines
+    from mavcal.service.errors import JobUnknown
+    from mavcal.service.jobs.core.codec import to_json
+    from mavcal.service.store.sqlite import items_of as rows_of
+    from mavcal.service.store.sqlite import jobs_of
+
+    if not any(row.id == job_id and row.kind == CAMPAIGN for row in jobs_of(data_dir)):
+        raise JobUnknown(f"there is no campaign {job_id} in this data directory")
+    found = [item_from_row(row) for row in rows_of(data_dir, job_id, outcomes or None)]
+    return Listing([to_json(item) for item in found], head() + lines(found))
+
+
+async def _of_service(client: AsyncClient, job_id: str, outcomes: Sequence[str], *, table: bool) -> Listing:
+    from mavcal.client.enums import ItemOutcome
+    from mavcal.service.campaigns.campaigns import CAMPAIGN
+    from mavcal.service.errors import JobUnknown
+
+    if (await client.get_job(job_id)).kind != CAMPAIGN:
+        raise JobUnknown(f"there is no campaign {job_id} in this service")
+    items = [_document(item) for item in await items_of(client, job_id, outcomes)]
+    wanted = [ItemOutcome(outcome) for outcome in outcomes] or None
+    return Listing(items, await client.export_items(job_id, "csv", outcome=wanted) if table else "")
+
+
+def _document(item: ItemModel) -> dict[str, Any]:
+    """The item as a data directory has it, without what HTTP does not tell."""
+    result: dict[str, Any] = {}
+    if item.preflight is not None:
+        found = item.preflight.model_dump(mode="json")
+        same = {name: found[name] for name in ("vehicle_id", "at", "seconds", "notes")}
+        result["preflight"] = {**same, "report": {"checks": found["checks"]}}
+    if item.fits:
+        result["fits"] = [fit.model_dump(mode="json", exclude={"parameters"}) for fit in item.fits]
+    if item.documents:
+        result["documents"] = [document.name for document in item.documents]
+    return {**item.model_dump(mode="json", exclude=OF_HTTP), "result": result or None}
+
+
+def _show(job_id: str, found: Listing, output: OutputOptions) -> int:
+    from mavcal.service.commands.jobs import table
+
+    if output.table is not None:
+        write_table(output.table, found.csv, len(found.items))
+    if output.as_json:
+        write_json({"id": job_id, "items": found.items})
+        return 0
+    cells = [
+        (str(i["number"]), i["outcome"], i["job_id"] or "", i["name"] or i["subject"], i["text"]) for i in found.items
+    ]
+    for line in table([_HEAD, *cells]):
+        click.echo(line)
+    return 0
