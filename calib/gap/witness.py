@@ -41,7 +41,7 @@ _RUN: Final = 0.05
 """Output of a motor, 0..1, from which on it runs. Chosen, not measured: below what speed controllers idle at."""
 _BEFORE_S, _LONGEST_S, _FEWEST = 0.5, 30.0, 20
 """Seconds before a start in which somebody touches the vehicle, seconds of rest, and samples of it at least. Chosen,
-not measured."""
+not measured: a vehicle that waits longer may be carried."""
 
 
 def not_borne_out(report: GapReport, real: Recording, sim: Recording | None = None) -> tuple[EffectEstimate, ...]:
