@@ -131,12 +131,7 @@ def verify(
         If `again` has nothing in common with `real`, or no reference of its own.
     """
     direct = build(real, again, nominal)
-    same = (
-        direct.reference.kind is ReferenceKind.SIM
-        and recorded_reference(real) is None
-        and recorded_reference(again) is None
-        and not is_another_flight(real, again)  # a log may hold the truth of its own flight
-    )
+    same = _is_same_flight(direct, real, again)
     lost: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
     sensors, flying = sensor_effects(report.effects), airframe_effects(report.effects)
@@ -168,6 +163,13 @@ def verify(
         rest,
         (*rest.warnings, *said, *warnings),
     )
+
+
+def _is_same_flight(direct: GapProblem, real: Recording, again: Recording) -> bool:
+    """Whether the new log is the reference of the real one, and no log holds a reference of its own."""
+    if direct.reference.kind is not ReferenceKind.SIM or is_another_flight(real, again):
+        return False  # a log may hold the truth of its own flight
+    return recorded_reference(real) is None and recorded_reference(again) is None
 
 
 def _anew(

@@ -13,9 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib import gap
 from mavcal.calib.gap.export import Target, exported
+from mavcal.calib.gap.problem import ReferenceKind
+from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
 from mavcal.calib.gap.telling.agreement import agreements, distance, remainders
-from mavcal.calib.gap.verify import _left_flying, verified_json, verify
+from mavcal.calib.gap.verify import _is_same_flight, _left_flying, verified_json, verify
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.calib.simulate import SensorErrors, SensorSuite
 from mavcal.calib.simulate.document import stated_in
@@ -105,6 +107,16 @@ def test_a_remedy_that_was_flown_again_closes_the_gap_and_brings_nothing_in() ->
     assert half["added"] == []
     assert not any(e["agrees"] for e in half["effects"])
     assert [e["share"] for e in half["effects"]] == pytest.approx([0.25, 0.25], abs=0.1)
+
+
+def test_a_log_with_the_truth_of_its_own_flight_is_not_the_same_flight_as_another() -> None:
+    def with_truth(made: Recording) -> Recording:
+        return dataclasses.replace(made, reference=tuple(c for c in made.channels if c.sensor is Sensor.ATTITUDE))
+
+    real, other = (with_truth(flown(SensorSuite(), seed)) for seed in (1, 3))
+    direct = build(real, other)
+    assert direct.reference.kind is ReferenceKind.SIM
+    assert not _is_same_flight(direct, real, other)
 
 
 def stated(value: float, se: float, effect_id: str = "gyro_bias", instances: tuple[int, ...] = (1,)) -> EffectEstimate:
