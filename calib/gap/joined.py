@@ -39,6 +39,7 @@ from mavcal.calib.recording import Recording, Sensor
 _Z95: Final = 1.959964
 """Standard errors on either side of 95 % of a normal distribution. Source: its quantile."""
 _INERTIAL: Final = frozenset({str(Sensor.ACCEL), str(Sensor.GYRO)})
+_BY_ITSELF: Final = frozenset({Trait.THERMAL, Trait.WANDERING})
 _LEAST_P: Final = 1e-300
 """Smallest probability that is written. Source: below lie numbers that a double holds with fewer digits."""
 
@@ -211,18 +212,20 @@ def _as_simulated(effect: EffectEstimate) -> str:
 def _moves(effect: EffectEstimate) -> bool:
     """Whether an effect goes with the flight, whose forces no sensor's model knows.
 
-    A temperature goes by itself, and a bias is compared with that of the simulator's units.
+    A temperature goes by itself, and so does noise that wanders. A bias is compared with that of the simulator's units.
     """
     known = by_id().get(effect.id)
-    return known is None or not (Trait.THERMAL in known.traits or known.term is SensorTerm.BIAS)
+    return known is None or not (_BY_ITSELF & known.traits or known.term is SensorTerm.BIAS)
 
 
 def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
     """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is."""
     for one in report.series:
-        part = next((p for name, p in one.parts.items() if name.startswith(effect.id)), None)
-        if part is not None and one.sensor == effect.sensor and set(one.instances) & set(effect.instances):
-            return bool(np.nanmean(part**2) > np.nanmean((one.residual - one.modelled) ** 2))
+        if one.sensor != effect.sensor or not set(one.instances) & set(effect.instances):
+            continue
+        left = np.nanmean((one.residual - one.modelled) ** 2)
+        if any(name.startswith(effect.id) and np.nanmean(p**2) > left for name, p in one.parts.items()):
+            return True
     return False
 
 

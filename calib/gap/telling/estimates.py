@@ -151,8 +151,8 @@ def _at_an_end(model: Model, term: NoiseTerm) -> bool:
     if shape.screen is None:  # values that were given, and no range
         return False
     traces = [t for view in model.setting.views if term.hypothesis.touches(view) for t in view.traces.values()]
-    grids = [shape.grid(trace) for trace in traces if mean_speed(trace) == 0.0]
-    return any(len(g) > 1 and not g[0] < term.theta < g[-1] for g in grids)
+    tried = [grid for trace in traces if mean_speed(trace) == 0.0 and len(grid := shape.grid(trace))]
+    return bool(tried) and not min(g[0] for g in tried) < term.theta < max(g[-1] for g in tried)
 
 
 def _sd_on_side(bare: Model, fits: tuple[AxisFit, ...], term: NoiseTerm, best: float, sign: float) -> float:
