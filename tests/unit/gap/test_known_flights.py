@@ -91,7 +91,6 @@ PUT_IN: list[dict[str, Change]] = [
         "accel_misalignment": (Sensor.ACCEL, [2], lambda c: c.values @ MISALIGNED.T),
         "mag_delay": (Sensor.MAG, [1, 2, 3], lambda c: late(c, 0.15)),
     },
-    {"accel_rotation": (Sensor.ACCEL, [1, 2], lambda c: c.values @ TURNED.T)},
     {"gyro_low_pass": (Sensor.GYRO, [2], lambda c: slowed(c, 12.0))},
 ]
 
@@ -111,6 +110,17 @@ def test_what_is_put_into_a_flight_is_found_beside_its_own(shared_data: Path, ch
     put = {name: instances for name, (_, instances, _) in changes.items()}
     assert {e.id: list(e.instances) for e in of_sensors(report)} == own | put
     assert not report.unknown.flag
+
+
+def test_both_accelerometers_turned_alike_are_not_told_from_a_force_of_the_flight(shared_data: Path) -> None:
+    folder = shared_data / "sitl_flights"
+    real = logs.read(folder / "mix.bin")
+    real = real.with_channels(
+        dataclasses.replace(c, values=c.values @ TURNED.T) if c.sensor is Sensor.ACCEL else c for c in real.channels
+    )
+    report = gap.run(real, logs.read(folder / "null.bin"), nested=False)
+    assert {e.id for e in of_sensors(report)} == {"gyro_bias", "mag_soft_iron"}
+    assert any(warning.startswith("accel_rotation is not a sensor's") for warning in report.warnings)
 
 
 def of_one_unit(recording: Recording) -> Recording:
