@@ -15,19 +15,20 @@ from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 HZ = 13.0
+LINE = forward_models()["gyro_vibration"][-1]
 
 
-def with_line(seed, shaking):
+def with_line(seed, shaking, hz=HZ):
     """A gyroscope that shakes so while its motors run, and a line in its model."""
     problem = problem_of(np.random.default_rng(seed), (Sensor.GYRO,), shaking)
     setting = setting_of(views_of(problem, {}, {}))
-    term = NoiseTerm(Hypothesis(forward_models()["gyro_vibration"][-1], (0,)), HZ)
+    term = NoiseTerm(Hypothesis(LINE, (0,)), hz)
     return noise_fitted(with_term(starting_model(setting, starting_noise(setting)), term)).model, term
 
 
-def shaken(trace):
+def shaken(trace, hz=HZ):
     turning = (trace.throttle > 0.05)[:, None]
-    return 2.0 * SIGMA[Sensor.GYRO] * np.cos(2.0 * np.pi * HZ * trace.t)[:, None] * turning * np.ones(3)
+    return 2.0 * SIGMA[Sensor.GYRO] * np.cos(2.0 * np.pi * hz * trace.t)[:, None] * turning * np.ones(3)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -43,3 +44,10 @@ def test_white_noise_has_no_frequency(seed):
     model, term = with_line(seed, lambda trace: louder * rng.normal(size=trace.ideal.shape))
     sd = frequency_sd(model, term)
     assert math.isinf(sd) or sd > 0.1 * HZ
+
+
+def test_power_that_rises_to_half_of_the_rate_is_no_line():
+    tried = LINE.shape.grid(problem_of(np.random.default_rng(1), (Sensor.GYRO,)).traces[0])
+    for hz, bounded in ((tried[-1], False), (tried[-8], True)):
+        model, term = with_line(1, lambda trace, hz=hz: shaken(trace, hz), hz)
+        assert math.isfinite(frequency_sd(model, term)) is bounded
