@@ -28,7 +28,7 @@ def _with_table(text: str, name: str, head: tuple[str, ...], rows: Iterable[tupl
 
 
 def main() -> None:
-    """Write the page anew."""
+    """Write the tables into docs/preflight.md."""
     PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
 
 

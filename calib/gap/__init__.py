@@ -109,7 +109,7 @@ def run(
     if flown is not None and sim is not None:
         sensors, report = report, joined(report, flown, real, sim)
         if isinstance(flown, AirframeAnswer) and (right := without_matrix_errors(real, report)) is not None:
-            flown = airframe_gap(right, sim, without=without, frame=frame, ended=pace.ends)
+            flown = airframe_gap(right, sim, without=without, frame=frame)  # a search cut short would take names away
             report = joined(sensors, flown, real, sim)
     elif sim is None and _is_flight(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
         report = dataclasses.replace(report, airframe=alone)

@@ -33,7 +33,7 @@ from mavcal.calib.gap.schema import (
     Unknown,
 )
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING
-from mavcal.calib.gap.witness import as_simulated, not_borne_out
+from mavcal.calib.gap.witness import as_simulated, not_borne_out, refuted_at_rest
 from mavcal.calib.recording import Recording, Sensor
 
 _Z95: Final = 1.959964
@@ -60,13 +60,15 @@ def joined(
     sim
         The simulator's, whose units may differ from each other as much.
     """
-    shared = not_borne_out(report, real, sim)
-    same = () if sim is None else tuple(e for e in as_simulated(report, real, sim) if e not in shared)
-    sensors = tuple(e for e in report.effects if e not in shared and e not in same)
-    said = (*report.warnings, *map(_as_simulated, same))
+    refuted = refuted_at_rest(report, real, sim)
+    shared = tuple(e for e in not_borne_out(report, real) if e not in refuted)
+    gone = (*refuted, *shared)
+    same = () if sim is None else tuple(e for e in as_simulated(report, real, sim) if e not in gone)
+    sensors = tuple(e for e in report.effects if e not in (*gone, *same))
+    said = (*report.warnings, *map(_as_simulated, same), *map(_refuted, refuted))
     if isinstance(answer, NoAirframe):
-        gone = NotTestable("airframe", answer.reason, answer.need)
-        report = replace(report, not_testable=(*report.not_testable, gone))
+        untested = NotTestable("airframe", answer.reason, answer.need)
+        report = replace(report, not_testable=(*report.not_testable, untested))
         return _of_sensors(report, sensors, (*said, *map(_of_the_flight, shared)))
     doubtful = tuple(e for e in sensors if e.evidence.probability < LIKELY and _moves(e) and not _stands_out(e, report))
     sensors = tuple(e for e in sensors if e not in doubtful)
@@ -102,6 +104,7 @@ def _of_sensors(report: GapReport, sensors: tuple[EffectEstimate, ...], warnings
         effects=_with_shares(sensors),
         where=_where(report, sensors),
         unknown=unknown,
+        shrink=None,  # that of the whole set says nothing of what is left
         warnings=warnings,
     )
 
@@ -202,7 +205,15 @@ def _withdrawn(effect: EffectEstimate) -> str:
 
 
 def _of_the_flight(effect: EffectEstimate) -> str:
-    return f"{effect.id} is not named: the units feel it alike, and not at rest; the airframe may do it, untested"
+    return f"{effect.id} is not named: the units feel it alike, and not at rest; the untested airframe may cause it"
+
+
+def _refuted(effect: EffectEstimate) -> str:
+    return f"{effect.id} of {_units(effect)} is no gap: gravity at rest does not read as it would with it"
+
+
+def _units(effect: EffectEstimate) -> str:
+    return f"unit{'s' if len(effect.instances) > 1 else ''} {', '.join(map(str, effect.instances))}"
 
 
 def _as_simulated(effect: EffectEstimate) -> str:
@@ -230,10 +241,9 @@ def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
 
 
 def _doubtful(effect: EffectEstimate) -> str:
-    units = ", ".join(map(str, effect.instances))
     fix = next((f"; to decide: {r.fix}" for r in effect.confusable_with if r.fix), "")
     chance = effect.evidence.probability
-    return f"{effect.id} of unit {units} is likely ({chance:.2f}) and not named, for which {LIKELY:g} is asked{fix}"
+    return f"{effect.id} of {_units(effect)} is not named: its probability is {chance:.2f}, {LIKELY:g} is needed{fix}"
 
 
 def _where(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> tuple:  # type: ignore[type-arg]

@@ -15,6 +15,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
+from mavcal.calib.gap.effects.vibration import RUNNING_THROTTLE
 from mavcal.calib.gap.export.state import matrix_of, vector
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, GapReport, SeriesFit
 from mavcal.calib.recording import Channel, Recording, Sensor
@@ -37,20 +38,21 @@ _SAME_TIME_S: Final = 0.003
 """s between samples of two units that count as one moment. Source: one loop at 400 Hz."""
 _REST: Final = 0.03
 """m/s2 by which the norm at rest may differ from gravity. Source: local gravity."""
-_RUN: Final = 0.05
-"""Output of a motor, 0..1, from which on it runs. Chosen, not measured: below what speed controllers idle at."""
 _BEFORE_S, _LONGEST_S, _FEWEST = 0.5, 30.0, 20
 """Seconds before a start in which somebody touches the vehicle, seconds of rest, and samples of it at least. Chosen,
 not measured: a vehicle that waits longer may be carried."""
 
 
-def not_borne_out(report: GapReport, real: Recording, sim: Recording | None = None) -> tuple[EffectEstimate, ...]:
-    """Effects of inertial sensors that every unit shows alike, and only in flight, or that rest refutes."""
+def not_borne_out(report: GapReport, real: Recording) -> tuple[EffectEstimate, ...]:
+    """Effects of inertial sensors that every unit shows alike, and only in flight."""
     return tuple(
-        effect
-        for effect in report.effects
-        if effect.sensor in _INERTIAL and (_refuted(effect, real, sim) or not _borne_out(effect, report, real))
+        effect for effect in report.effects if effect.sensor in _INERTIAL and not _borne_out(effect, report, real)
     )
+
+
+def refuted_at_rest(report: GapReport, real: Recording, sim: Recording | None) -> tuple[EffectEstimate, ...]:
+    """Effects of accelerometers that gravity at rest contradicts."""
+    return tuple(effect for effect in report.effects if _refuted(effect, real, sim))
 
 
 def _refuted(effect: EffectEstimate, real: Recording, sim: Recording | None) -> bool:
@@ -75,7 +77,11 @@ def _refuted(effect: EffectEstimate, real: Recording, sim: Recording | None) -> 
 def _at_rest(recording: Recording, instance: int) -> Array | None:
     """Median reading (3,) of an accelerometer before the vehicle arms, or its motors run, for the first time."""
     begins = [e.t for e in recording.events if e.kind == "armed"]
-    begins += [float(c.t[r.argmax()]) for c in recording.find(Sensor.MOTOR) if (r := c.values.max(axis=1) > _RUN).any()]
+    begins += [
+        float(c.t[r.argmax()])
+        for c in recording.find(Sensor.MOTOR)
+        if (r := c.values.max(axis=1) > RUNNING_THROTTLE).any()
+    ]
     if instance not in recording.instances(Sensor.ACCEL) or not begins:
         return None
     accel = recording.channel(Sensor.ACCEL, instance)

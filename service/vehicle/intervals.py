@@ -95,7 +95,7 @@ class _Together:
     ) -> None:
         self.left = list(wanted)
         self.answered: dict[int, int] = {}
-        """What was answered; where intervals are set, only what was answered as it was asked for."""
+        """The intervals that the vehicle answered. Of those that were set, only the ones that it took as asked."""
         self._vehicle = vehicle
         self._intervals_us = intervals_us
         self._different: Counter[int] = Counter()

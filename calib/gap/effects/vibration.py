@@ -35,7 +35,7 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_RUNNING_THROTTLE = 0.05
+RUNNING_THROTTLE = 0.05
 """Output of a motor, or throttle, 0..1, above which a motor turns. Chosen, not measured: below what speed controllers
 idle at."""
 _LOWEST = 5.0
@@ -88,9 +88,9 @@ def motors_running(trace: Trace) -> NDArray[np.bool_]:
     if trace.rotor_hz is not None:
         return np.asarray((trace.rotor_hz > LOWEST_ROTOR_HZ).any(axis=1))
     if trace.motors is not None:
-        return np.asarray((trace.motors > _RUNNING_THROTTLE).any(axis=1))
+        return np.asarray((trace.motors > RUNNING_THROTTLE).any(axis=1))
     if trace.throttle is not None:
-        return np.asarray(trace.throttle > _RUNNING_THROTTLE)
+        return np.asarray(trace.throttle > RUNNING_THROTTLE)
     return np.ones(len(trace.t), dtype=np.bool_)
 
 

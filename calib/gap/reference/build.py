@@ -13,7 +13,7 @@ from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.problem import FaultyInstances, GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.best_reference import BestReferences, best_references, refusals
 from mavcal.calib.gap.reference.channels import SAME_RATE, as_slow_as, corrected, not_undone, offset_changed, sensors_of
-from mavcal.calib.gap.reference.checks import Checked, Refusal, check_vehicles, checked, in_shreds
+from mavcal.calib.gap.reference.checks import Checked, Refusal, check_vehicles, checked, fragmented
 from mavcal.calib.gap.reference.expected_noise import (
     age_noise_of,
     age_of,
@@ -118,10 +118,10 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     given, real = real, corrected(real)
     sim = None if sim is None else real if sim is given else corrected(sim)
     check_vehicles(real, companions)
-    real, shreds = _without_shreds(real)
+    real, fragments = _without_fragmented(real)
     channels = sensors_of(real)
-    if shreds and not channels:
-        raise IncomparableError(shreds[0][1], need=shreds[0][2])
+    if fragments and not channels:
+        raise IncomparableError(fragments[0][1], need=fragments[0][2])
     if not channels:
         raise IncomparableError(
             "the recording has no accelerometer, gyroscope or magnetometer", need="a log of the sensors' own samples"
@@ -136,12 +136,12 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     if not single and not pairs and not useless:
         raise InvalidInputError(_NO_OVERLAP) if ideal is not None else IncomparableError(_NO_REFERENCE, need=_NEED)
     judged = () if chosen is None else tuple((n, nominal_traces(as_slow_as(n, real), its)) for n, its in chosen.nominal)
-    return PreparedProblem(real, sim, companions, tuple(channels), chosen, single, pairs, judged, worse, shreds)
+    return PreparedProblem(real, sim, companions, tuple(channels), chosen, single, pairs, judged, worse, fragments)
 
 
-def _without_shreds(real: Recording) -> tuple[Recording, tuple[Refusal, ...]]:
-    """The recording without channels in shreds, and why these are refused."""
-    found = {c.key: why for c in sensors_of(real) if (why := in_shreds(c)) is not None}
+def _without_fragmented(real: Recording) -> tuple[Recording, tuple[Refusal, ...]]:
+    """The recording without fragmented channels, and why these are refused."""
+    found = {c.key: why for c in sensors_of(real) if (why := fragmented(c)) is not None}
     if not found:
         return real, ()
     return real.with_channels(c for c in real.channels if c.key not in found), tuple(found.values())

@@ -175,8 +175,8 @@ def comparable_channels(real: Recording, sensor: Sensor) -> dict[int, Channel]:
 def as_slow_as(companion: Recording, real: Recording) -> Recording:
     """`companion` with every unit's samples picked at the rate of the same unit of `real`, where that is lower.
 
-    A logger that writes every tenth sample folds fast movement and noise to low frequencies. What a companion says
-    of such a unit has to be folded alike.
+    A logger that writes every tenth sample aliases fast movement and noise. The companion has to be aliased in the same
+    way.
     """
     rates = {(s, i): rate_of(c) for s in TRIADS for i, c in comparable_channels(real, s).items()}
     return companion.with_channels(_picked(c, rates.get((c.sensor, c.instance))) for c in companion.channels)

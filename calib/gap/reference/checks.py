@@ -18,6 +18,7 @@ from mavcal.calib.gap.reference.align import (
     correlation,
     uncorrelated_axes,
 )
+from mavcal.calib.gap.reference.signals import HOLE
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Channel, Recording, Sensor
 
@@ -27,11 +28,9 @@ SHORTEST_S = 5.0
 """Seconds of samples beside a reference, for any statement. Chosen, not measured: a few movements of a vehicle."""
 FEWEST = 48
 """Samples beside a reference, for any statement. Chosen, not measured: five seconds of a compass at 10 Hz."""
-_HOLE = 3.0
-"""Times the usual step between samples from which on a step is a hole. Chosen, not measured: two samples are lost."""
 _PIECE_S, _COVERED = 1.0, 0.5
-"""Mean length of pieces, s, and share of the time that they cover, below both of which a recording is in shreds.
-Chosen, not measured: movements last a second; poses that are held, with pauses between them, last longer."""
+"""Mean length of the pieces, s, and the share of the time that they cover. A channel below both is fragmented. Chosen,
+not measured: movements last a second, and held poses with pauses between them last longer."""
 MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}
 """Rms about the mean above which an ideal sensor moves, m/s2, rad/s and uT. Chosen, not measured: 3 % of gravity and of
 a field of 50 uT, and 1.7 deg/s."""
@@ -103,17 +102,17 @@ def checked(traces: tuple[Trace, ...]) -> Checked:
     return Checked(tuple(accepted), tuple(dict.fromkeys(refused)))
 
 
-def in_shreds(channel: Channel) -> Refusal | None:
-    """Why a channel with more holes than samples is refused: between its pieces neither movement nor filters are known.
+def fragmented(channel: Channel) -> Refusal | None:
+    """Why a channel with more holes than samples is refused; None if it has fewer.
 
-    None if it has fewer.
+    Between its pieces neither the movement nor the state of the filters is known.
     """
     t = np.unique(channel.t)
     if len(t) < FEWEST:
         return None
     step = np.diff(t)
     usual = float(np.median(step))
-    pieces = 1 + int((step > _HOLE * usual).sum())
+    pieces = 1 + int((step > HOLE * usual).sum())
     length, covered = len(t) * usual / pieces, len(t) * usual / float(t[-1] - t[0])
     if length > _PIECE_S or covered > _COVERED:
         return None

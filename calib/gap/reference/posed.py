@@ -30,7 +30,7 @@ GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 """Gravity in north-east-down, m/s2. Source: standard gravity, which both firmwares use (FLIGHT_CONTROLLERS)."""
 
 _LEAST = 16
-"""Samples from which on a pose is one. Chosen, not measured: a cubic through four of them has some to spare."""
+"""A pose needs so many samples. Chosen, not measured: a cubic spline needs four."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 
-_HOLE = 3.5
+HOLE = 3.5
 """Median steps between two samples beyond which nothing is known between them. Chosen, not measured: two lost samples
 in a row are bridged."""
 
@@ -68,7 +68,7 @@ class Signal:
         differences = np.diff(self.t)
         after = np.clip(np.searchsorted(self.t, t, side="right"), 1, len(self.t) - 1)
         at_sample = self.t[after - 1] == t
-        return np.asarray((differences[after - 1] > _HOLE * np.median(differences)) & ~at_sample)
+        return np.asarray((differences[after - 1] > HOLE * np.median(differences)) & ~at_sample)
 
 
 def interpolated(t: Array, values: Array, wanted: Array) -> Array:

@@ -25,7 +25,7 @@ from mavcal.calib.gap.schema import (
     as_json,
 )
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING
-from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
 from tests.unit.gap.export.making import effect, report
 
 G = 9.80665
@@ -117,7 +117,7 @@ def test_a_sensors_effect_beside_a_flight_needs_the_probability_of_an_airframes(
     after = joined(before, answer(thrust()), BARE)
     # a temperature goes with no movement
     assert [e.id for e in after.effects] == ["thrust_scale", "mag_temp_poly", "mag_hard_iron"]
-    assert after.warnings == ("mag_low_pass of unit 1, 2 is likely (0.58) and not named, for which 0.9 is asked",)
+    assert after.warnings == ("mag_low_pass of units 1, 2 is not named: its probability is 0.58, 0.9 is needed",)
 
 
 def test_a_large_effect_of_a_sensor_is_named_though_its_unit_is_in_doubt() -> None:
@@ -182,6 +182,16 @@ def test_a_bias_by_which_the_simulators_units_differ_as_well_is_no_gap() -> None
     assert [e.id for e in after.effects] == ["wind"]
     assert after.warnings == ("accel_bias is no gap: the simulator's units differ from each other by as much",)
     assert [e.id for e in joined(before, answer(wind()), real, right).effects] == ["wind", "accel_bias"]
+
+
+def test_a_scale_that_gravity_at_rest_contradicts_is_no_gap_and_says_so() -> None:
+    scale = effect("accel_scale", (2,), scale=(0.05, 0.05, 0.05))
+    real = units(REST + noise(1, 0.02), REST + noise(2, 0.02))
+    real = replace(real, events=(Event(20.0, "armed", ""),))
+    after = joined(report(scale), answer(wind()), real)
+    assert [e.id for e in after.effects] == ["wind"]
+    (said,) = after.warnings
+    assert said == "accel_scale of unit 2 is no gap: gravity at rest does not read as it would with it"
 
 
 def test_noise_that_both_units_feel_becomes_turbulence() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, SeriesFit
-from mavcal.calib.gap.witness import not_borne_out
+from mavcal.calib.gap.witness import not_borne_out, refuted_at_rest
 from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
 from tests.unit.gap.export.making import effect, report
 
@@ -134,8 +134,9 @@ def test_gravity_at_rest_refutes_a_scale_that_the_units_difference_follows(off: 
         replace(c, values=c.values * (1.0 + off / 9.80665)) if c.instance == 1 else c for c in real.channels
     )
     one = effect("accel_scale", (2,), scale=(0.05, 0.05, 0.05))
-    assert not_borne_out(told(one, part, part), wrong, wrong) == (one,)
-    assert not_borne_out(told(one, part, part), wrong) == ((one,) if off == 0.0 else ())
+    assert not_borne_out(told(one, part, part), wrong) == ()
+    assert refuted_at_rest(told(one, part, part), wrong, wrong) == (one,)
+    assert refuted_at_rest(told(one, part, part), wrong, None) == ((one,) if off == 0.0 else ())
 
 
 def test_without_rest_one_unit_is_believed() -> None:

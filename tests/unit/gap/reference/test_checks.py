@@ -38,7 +38,7 @@ def test_another_frame_is_named(sensor, turn, words):
     assert refused[1] in problem.warnings
 
 
-def test_a_recording_in_shreds_is_refused_and_poses_with_pauses_are_not():
+def test_a_fragmented_recording_is_refused_and_poses_with_pauses_are_not():
     def cut(period, kept):
         made = flown()
         return made.with_channels(

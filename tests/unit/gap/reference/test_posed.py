@@ -69,8 +69,8 @@ def test_a_pose_of_holes_only_is_none():
     assert pose_of(noisy) is not None
     attitude = noisy.channels[-1]
     kept = np.arange(len(attitude)) % int(0.8 * RATE) < int(0.2 * RATE)
-    shreds = Recording((*noisy.channels[:-1], attitude.take(kept)))
-    assert pose_of(shreds, pose_of(noisy).cutoffs) is None
+    fragments = Recording((*noisy.channels[:-1], attitude.take(kept)))
+    assert pose_of(fragments, pose_of(noisy).cutoffs) is None
 
 
 def test_rate_of_a_steady_turn():
