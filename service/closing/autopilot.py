@@ -18,6 +18,8 @@ VELOCITY_AND_YAW = 0b1001_1100_0111
 ATTITUDE_ONLY = 0b0000_0111
 """type_mask: body rates are to be ignored."""
 _PX4_MAIN_OFFBOARD = 6
+_BY_FORCE = 21196.0
+"""Param 2 of MAV_CMD_COMPONENT_ARM_DISARM that skips the firmware's checks. Source: MAVLink's common.xml."""
 _CUSTOM = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 Target = tuple[int, int]
 
@@ -72,6 +74,10 @@ class Autopilot(ABC):
     def arm(self, to: Target) -> Any:
         """Arm."""
         return command(to, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+
+    def disarm(self, to: Target) -> Any:
+        """Disarm at once, also where the firmware believes itself in the air: for a simulator that stands."""
+        return command(to, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _BY_FORCE)
 
     def take_off(self, to: Target, height: float) -> Any:
         """Take off to `height`, m; only where it :attr:`climbs_by_itself`."""

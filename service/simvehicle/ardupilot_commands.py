@@ -18,11 +18,10 @@ from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
 from mavcal.service.simvehicle.ardupilot_stored import StoredCalibrations
 from mavcal.service.simvehicle.parameters import Value
 from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
-from mavcal.service.simvehicle.wire import Received, command_parameters
+from mavcal.service.simvehicle.wire import FORCED, Received, command_parameters
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 ACCEPT_CODE = 76
-FORCE_ARM = 21196
 ACCEL_AGAIN_S = 5.0  # a second accelerometer calibration sooner than this is refused
 GYRO_OVERHEAD_S = 0.03
 GYRO_SETTLE_S = 10.0  # the arming check wants gyroscopes that have agreed for so long
@@ -136,7 +135,7 @@ class ArduPilotCommands:
     def _arm(self, _channel: MavlinkChannel, p: Parameters) -> int:
         vehicle = self._vehicle
         wanted = p[0] == 1
-        if wanted and not vehicle.armed and p[1] != FORCE_ARM:
+        if wanted and not vehicle.armed and p[1] != FORCED:
             reasons = self.arming_faults()
             if reasons:
                 vehicle.at(0.0, lambda: self._complain("Arm", reasons))

@@ -20,6 +20,8 @@ MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
 SIGNATURE_LENGTH = 13
 MAX_BUFFER = 4096
 INT32_MAX = 2147483647
+FORCED = 21196
+"""Param 2 of MAV_CMD_COMPONENT_ARM_DISARM that skips the checks."""
 
 
 @dataclass(frozen=True)

@@ -106,6 +106,14 @@ def test_parameters_go_over_mavlink_where_the_command_takes_no_file(real: Record
     assert "MOT_THST_HOVER" in sim.parameters.final()
 
 
+def test_a_vehicle_that_does_not_notice_its_landing_is_disarmed(tmp_path: Path) -> None:
+    """ArduCopter's simulator stays armed on the ground where the wind shakes it."""
+    log = fly(tmp_path, SimSettings({"SIM_WIND_SPD": 3.0, "SIM_WIND_TURB": 1.0}))
+    recording = logs.read(log)
+    assert hover(recording) > 0.3
+    assert recording.channel(Sensor.THROTTLE).values[-20:].max() < 0.05, "disarmed"
+
+
 def test_what_a_command_cannot_take_is_said(real: Recording, tmp_path: Path) -> None:
     result = Closing(plan(real, tmp_path, FLYING.replace("--frame {frame}", "")), compare).run()
     assert result.outcome is Outcome.NOTHING_TO_SET

@@ -16,7 +16,7 @@ from mavcal.service.simvehicle.flight.missionlink import MissionLink
 from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Mode
 from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
 from mavcal.service.simvehicle.links import SimEndpoint
-from mavcal.service.simvehicle.wire import Packer, Received, command_parameters
+from mavcal.service.simvehicle.wire import FORCED, Packer, Received, command_parameters
 
 SYSTEM = 1
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
@@ -120,7 +120,7 @@ class GroundLink:
         return ACCEPTED if done else FAILED
 
     def _arm(self, p: list[float]) -> int:
-        return self._answer(self._vehicle.arm() if p[0] == 1 else self._vehicle.disarm())
+        return self._answer(self._vehicle.arm() if p[0] == 1 else self._vehicle.disarm(forced=p[1] == FORCED))
 
     def _set_interval(self, p: list[float]) -> int:
         number = int(p[0])

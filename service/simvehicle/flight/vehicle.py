@@ -30,6 +30,9 @@ _SPOOL_S = 0.5
 _LIFT_PER_S = 0.5
 """How fast the throttle rises until the vehicle lifts off."""
 _LANDED_S = 1.0
+_SHAKEN = 1.0
+"""SIM_WIND_TURB from which a vehicle on the ground takes its shaking for flight. Measured: ArduCopter's SITL stayed armed
+for a minute after it had landed at 8 m/s with SIM_WIND_TURB 1."""
 ATTITUDE_CLIMB_MIDDLE = 0.5
 """Thrust of SET_ATTITUDE_TARGET that holds the height: ArduCopter takes it as a climb rate."""
 
@@ -77,6 +80,10 @@ class FlyingVehicle:
         log.begin(self)
 
     @property
+    def _shaken(self) -> bool:
+        return self.parameters["SIM_WIND_TURB"] >= _SHAKEN
+
+    @property
     def time_us(self) -> int:
         """Since boot."""
         return self.loops * 1_000_000 // LOOP_HZ
@@ -111,9 +118,9 @@ class FlyingVehicle:
         self._tell(6, "Arming motors")
         return True
 
-    def disarm(self) -> bool:
-        """Disarm; False while it flies."""
-        if self.flying:
+    def disarm(self, *, forced: bool = False) -> bool:
+        """Disarm; False while it flies, or does not know that it stands."""
+        if self.flying or (self._shaken and not forced):
             return False
         if self.armed:
             self.armed, self.guidance = False, Guidance.HOLD
