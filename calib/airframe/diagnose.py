@@ -30,7 +30,7 @@ from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
-from mavcal.calib.airframe.told import doubtful, effects_of, needed_manoeuvres, probabilities, with_rivals
+from mavcal.calib.airframe.told import doubtful, effects_of, latent, needed_manoeuvres, probabilities, with_rivals
 from mavcal.calib.inference.search import Answer, search
 from mavcal.calib.recording import Recording
 
@@ -186,7 +186,7 @@ def _diagnosed(
     for which, side in (("real", ours), ("simulated", theirs)):
         if reason := unusable(side.likelihood):
             return NoAirframe(f"{which} recording: {reason}", "a flight within the motors' limits")
-    untestable = missing(ours.likelihood, theirs.likelihood)
+    untestable = missing(ours.likelihood, theirs.likelihood, (ours.wind, theirs.wind))
     air = densities(real.air, sim.air, sim.parameters)
     alike = air if isinstance(air, Missing) else air.alike
     if alike is not None:
@@ -224,7 +224,7 @@ def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side
 def _testable(
     sim: Side, kind: Kind, untestable: Sequence[Missing], without: frozenset[str], air: Densities | None
 ) -> tuple[AirframeEffect, ...]:
-    gone = {m.id for m in untestable} | without
+    gone = {m.id for m in untestable if not m.latent} | without
     layout = sim.fit.layout
     gains = [sim.fit.value(f"gain_{axis}") for axis in AXES]
     named = catalogue(layout, rotors_damp=kind.drag_by_rotor, hover_gain=gains)
@@ -250,7 +250,9 @@ def _answer(
     evidence = answer.evidence
     assert isinstance(evidence, PairEvidence)
     side = evidence.side_of(answer.best.model)
-    found = effects_of(answer, evidence, slew, least=LIKELY, beside=beside)
+    untested = {m.id for m in untestable}
+    tested = [e for e in evidence.effects if e.id not in untested]
+    found = effects_of(answer, evidence, tested, slew, least=LIKELY, beside=beside)
     found = with_rivals(found, _beside_thrust(found, real, sim, side, untestable))
     parted = held_out(answer, evidence, found) if held else Parted((), None)
     loud = turbulence(real.flight, side.fit.residual[:, :3], sim.flight, evidence.sim.fit.residual[:, :3])
@@ -265,7 +267,7 @@ def _answer(
         manoeuvres=needed_manoeuvres(found, untestable),
         traces=_traces(side, evidence, answer),
         facts=_facts(own),
-        probabilities=probabilities(answer, evidence.effects, beside),
+        probabilities=probabilities(answer, tested, beside),
     )
     return AirframeAnswer(
         found=found,
@@ -279,7 +281,10 @@ def _answer(
         unknown_share=share,
         nameless=chance,
         heldout=parted.nats,
-        warnings=doubtful(answer, evidence.effects, least=_DOUBTFUL, most=LIKELY, beside=beside),
+        warnings=(
+            *doubtful(answer, tested, least=_DOUBTFUL, most=LIKELY, beside=beside),
+            *latent(answer, evidence.effects, untestable, least=_DOUBTFUL),
+        ),
     )
 
 

@@ -54,6 +54,11 @@ class Side:
         names = self.fit.layout.names
         return np.array([n.rsplit("_", 1)[0] in OWN or n in OWN for n in names])
 
+    @property
+    def wind(self) -> Array:
+        """Where the air moves to, north and east (2,), m/s."""
+        return np.array([self.fit.value("wind_north"), self.fit.value("wind_east")])
+
     @cached_property
     def says(self) -> Quadratic:
         """Of the common parameters; this flight's own are integrated out."""

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcal.calib.airframe.fit import FlightLikelihood
 from mavcal.calib.airframe.flown import LOG_BITS, PROFILE_BITS
+
+Array = NDArray[np.float64]
 
 TORQUE_HZ: Final = 90.0
 """Rate of commands and gyroscope from which on torque is judged. Source: AIRFRAME 5.7, torque needs 100 Hz; a log at
@@ -23,17 +26,22 @@ _LIFT_SPAN: Final = 0.15
 _SAG_SPAN: Final = 0.06
 _LEAST_TURNS: Final = 0.03
 _MOST_LIMITED: Final = 0.2
-"""Numbers of AIRFRAME 5.8: speed both ways, m/s; speed for a square law (8 m/s reached in part of a flight); climbs;
-span of the collective command; of the voltage; part of a flight in which it is made to turn; part at a limit."""
+"""Numbers of AIRFRAME 5.8: speed both ways, m/s; speed through the air for a square law (8 m/s reached in part of a
+flight); climbs; span of the collective command; of the voltage; part of a flight in which it is made to turn; part at a
+limit."""
 
 
 @dataclass(frozen=True)
 class Missing:
-    """An effect that these flights could not have shown, why, and what would be needed."""
+    """An effect that these flights could not have shown, why, and what would be needed.
+
+    `latent`: it may still be in them. Then it competes, so that no other effect takes its place, and is not named.
+    """
 
     id: str
     reason: str
     need: str
+    latent: bool = False
 
 
 TORQUE_IDS: Final = (
@@ -42,16 +50,16 @@ TORQUE_IDS: Final = (
 )  # fmt: skip
 
 
-def missing(real: FlightLikelihood, sim: FlightLikelihood) -> tuple[Missing, ...]:
-    """Everything that cannot be tested with both flights."""
-    return tuple(_missing(real, sim))
+def missing(real: FlightLikelihood, sim: FlightLikelihood, winds: tuple[Array, Array]) -> tuple[Missing, ...]:
+    """Everything that cannot be tested with both flights; `winds` (2,) blow to north and east in each, m/s."""
+    return tuple(_missing(real, sim, winds))
 
 
-def _missing(real: FlightLikelihood, sim: FlightLikelihood) -> Iterator[Missing]:
+def _missing(real: FlightLikelihood, sim: FlightLikelihood, winds: tuple[Array, Array]) -> Iterator[Missing]:
     pair = {"real": real, "simulated": sim}
     yield from _by_rates(pair)
-    for which, one in pair.items():
-        yield from _by_motion(which, one)
+    for (which, one), wind in zip(pair.items(), winds, strict=True):
+        yield from _by_motion(which, one, wind)
     silent = [which for which, one in pair.items() if not one.airframe.flight.has_voltage]
     if silent:
         log = LOG_BITS if pair[silent[0]].airframe.flight.ardupilot else PROFILE_BITS
@@ -83,25 +91,28 @@ def _by_rates(pair: Mapping[str, FlightLikelihood]) -> Iterator[Missing]:
                 yield Missing(id_, f"{reason}: commands answer gusts", need)
 
 
-def _by_motion(which: str, one: FlightLikelihood) -> Iterator[Missing]:
+def _by_motion(which: str, one: FlightLikelihood, wind: Array) -> Iterator[Missing]:
     """What a flight too slow, too level or too steady does not tell."""
     flight = one.airframe.flight
     rows = flight.usable
     level = np.hypot(*flight.velocity[rows, :2].T)
     span = float(np.ptp(np.percentile(flight.c[rows].mean(axis=1), (5.0, 95.0))))
-    fast, usual = float(np.percentile(level, 98.0)), float(np.percentile(level, 90.0))
+    through_air = np.hypot(*(flight.velocity[rows, :2] - wind).T)
+    fast, usual = float(np.percentile(through_air, 98.0)), float(np.percentile(level, 90.0))
     climb = float(np.percentile(np.abs(flight.velocity[rows, 2]), 97.0))
     if span < _LIFT_SPAN and one.lifts.mean() < _LEAST_TURNS:
-        yield Missing("thrust_expo", f"the {which} flight's throttle spans {span:.2f}", "throttle steps of 0.3")
+        why = f"the {which} flight's throttle spans {span:.2f}"
+        yield Missing("thrust_expo", why, "throttle steps of 0.3", latent=True)
     if usual < _RUN:
         need = f"runs out and back at {_RUN:.0f} m/s and more, along x and y"
-        yield Missing("rotor_drag", f"the {which} vehicle flies at {usual:.1f} m/s", need)
+        yield Missing("rotor_drag", f"the {which} vehicle flies at {usual:.1f} m/s", need, latent=True)
     if fast < _FAST:
         need = "runs at two speeds, the faster one at 8 m/s or more"
         for id_ in ("body_drag", "translational_lift"):
-            yield Missing(id_, f"the {which} vehicle reaches {fast:.1f} m/s", need)
+            yield Missing(id_, f"the {which} vehicle reaches {fast:.1f} m/s through the air", need, latent=True)
     if climb < _CLIMB:
-        yield Missing("inflow", f"the {which} vehicle climbs at {climb:.1f} m/s", "climbs and descents at 2 to 4 m/s")
+        need = "climbs and descents at 2 to 4 m/s"
+        yield Missing("inflow", f"the {which} vehicle climbs at {climb:.1f} m/s", need, latent=True)
 
 
 def unusable(one: FlightLikelihood) -> str | None:

@@ -52,15 +52,21 @@ _RELATIVE: Final = frozenset(
 
 
 def effects_of(
-    answer: Answer, evidence: PairEvidence, slew: float | None, *, least: float, beside: Sequence[FoundEffect] = ()
+    answer: Answer,
+    evidence: PairEvidence,
+    tested: Sequence[AirframeEffect],
+    slew: float | None,
+    *,
+    least: float,
+    beside: Sequence[FoundEffect] = (),
 ) -> tuple[FoundEffect, ...]:
-    """Every named effect whose probability is `least` or more, the one of most evidence first.
+    """Every effect of `tested` whose probability is `least` or more, the one of most evidence first.
 
     `beside` are effects that were judged on other rows of the flight.
     """
     by_block = {e.block: e for e in evidence.effects}
     ids: dict[tuple[str, int | None], list[AirframeEffect]] = {}
-    for effect in evidence.effects:
+    for effect in tested:
         if not effect.nameless:
             ids.setdefault((effect.id, effect.motor), []).append(effect)
     slow = [g.id for g in GROUPS if g.of_air]
@@ -124,6 +130,21 @@ def doubtful(
             fly = FIXES.get(id_, STANDARD_FLIGHT)
             found.append(f"{id_}{which} has a probability of {100 * chance:.0f} %, too little to name it; fly {fly}")
     return tuple(found)
+
+
+def latent(
+    answer: Answer, effects: Sequence[AirframeEffect], untestable: Sequence[Missing], *, least: float
+) -> tuple[str, ...]:
+    """Effects of that probability that these flights are too poor to name."""
+    found = {}
+    for missing in untestable:
+        chance = answer.probability(*(e.block for e in effects if e.id == missing.id))
+        if missing.latent and chance >= least:
+            found[missing.id] = (
+                f"{missing.id} has a probability of {100 * chance:.0f} %, but is not named: {missing.reason}; "
+                f"fly {missing.need}"
+            )
+    return tuple(found.values())
 
 
 def _nats(answer: Answer, blocks: Sequence[str]) -> float:

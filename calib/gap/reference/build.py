@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.problem import FaultyInstances, GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.best_reference import BestReferences, best_references, refusals
-from mavcal.calib.gap.reference.channels import SAME_RATE, as_slow_as, corrected, not_undone, offset_changed, sensors_of
+from mavcal.calib.gap.reference.channels import (
+    SAME_RATE,
+    as_slow_as,
+    as_uneven_as,
+    corrected,
+    not_undone,
+    offset_changed,
+    sensors_of,
+)
 from mavcal.calib.gap.reference.checks import Checked, Refusal, check_vehicles, checked, fragmented
 from mavcal.calib.gap.reference.expected_noise import (
     age_noise_of,
@@ -118,6 +126,8 @@ def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Re
     given, real = real, corrected(real)
     sim = None if sim is None else real if sim is given else corrected(sim)
     check_vehicles(real, companions)
+    if sim is not None and sim is not real:
+        real = as_uneven_as(real, sim)
     real, fragments = _without_fragmented(real)
     channels = sensors_of(real)
     if fragments and not channels:

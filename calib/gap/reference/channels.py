@@ -182,6 +182,18 @@ def as_slow_as(companion: Recording, real: Recording) -> Recording:
     return companion.with_channels(_picked(c, rates.get((c.sensor, c.instance))) for c in companion.channels)
 
 
+def as_uneven_as(real: Recording, sim: Recording) -> Recording:
+    """`real` with units picked as rarely as the simulator's, where its log is thinned in some units of a sensor only.
+
+    Else the difference of two units, one of which is aliased in the simulator alone, shows a vibration that both have.
+    """
+    slow: dict[tuple[Sensor, int], float] = {}
+    for sensor in TRIADS:
+        rates = {i: rate_of(c) for i, c in comparable_channels(sim, sensor).items()}
+        slow |= {(sensor, i): hz for i, hz in rates.items() if FASTER * hz < max(rates.values())}
+    return real.with_channels(_picked(c, slow.get((c.sensor, c.instance))) for c in real.channels)
+
+
 def _picked(channel: Channel, rate: float | None) -> Channel:
     """The samples nearest to a grid of `rate` Hz; all if the channel is not faster, or `rate` is not known."""
     if rate is None or len(channel) < 4 or rate_of(channel) < FASTER * rate:

@@ -35,6 +35,7 @@ from mavcal.calib.gap.reference.trajectory import (
     initial_state,
     log_evidence,
     smooth,
+    with_accuracy,
 )
 from mavcal.calib.recording import Channel, Recording, Sensor
 
@@ -178,13 +179,14 @@ def _with_unit_errors(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTraj
     """
     state = smooth(found.imu, aiding, found.state)
     free = smooth(found.imu, aiding, state, matrices=True)
-    best, drifts = free if free.plausible else state, False
+    best, matrices, drifts = (free, True, False) if free.plausible else (state, False, False)
     if found.imu.warmth.any():
         warm = smooth(found.imu, aiding, state, matrices=True, drifts=True)
         if warm.plausible and warm.cost < best.cost - _WARMER:
-            best, drifts = warm, True
+            best, matrices, drifts = warm, True, True
     if aiding.truth is None:
-        best = _with_bias_walk(found.imu, aiding, best, matrices=best is not state, drifts=drifts)
+        best = _with_bias_walk(found.imu, aiding, best, matrices=matrices, drifts=drifts)
+    best = with_accuracy(found.imu, aiding, best, matrices=matrices, drifts=drifts)
     return dataclasses.replace(found, state=best)
 
 

@@ -110,8 +110,9 @@ class Aiding:
 class TrajectoryState:
     """State at the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (41,), noise of the aiding.
 
-    `att_sd` (rad) and `constants_sd` (41,) say how well attitude and constants are known; `walk` (12,) are the standard
-    deviations of what a node's state does by itself, per root second.
+    `att_sd` (rad) and `constants_sd` (41,) say how well attitude and constants are known, infinite until
+    :func:`with_accuracy` is asked; `walk` (12,) are the standard deviations of what a node's state does by itself, per
+    root second.
     """
 
     t: Array
@@ -199,10 +200,17 @@ def smooth(
         state, moved = _updated(state, normal)
         if moved < 5e-5:
             break
+    return replace(state, cost=_normal_equations(imu, aiding, state, prior).cost)
+
+
+def with_accuracy(
+    imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool, drifts: bool
+) -> TrajectoryState:
+    """`state` with the standard deviations of its attitude and constants; parameters as in :func:`smooth`."""
+    prior = _prior_sd(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
     cautious = replace(state, velocity_sd=_CAUTION * state.velocity_sd, mag_sd=_CAUTION * state.mag_sd)
     att_sd, constants_sd = _standard_deviations(_normal_equations(imu, aiding, cautious, prior))
-    cost = _normal_equations(imu, aiding, state, prior).cost
-    return replace(state, cost=cost, att_sd=att_sd, constants_sd=constants_sd)
+    return replace(state, att_sd=att_sd, constants_sd=constants_sd)
 
 
 def log_evidence(
@@ -245,12 +253,17 @@ class _NormalEquations:
     def observe(
         self, node: NDArray[np.intp], by_node: Array, by_constant: Array, residual: Array, weight: Array
     ) -> None:
-        """Rows ``residual = by_node x + by_constant c + noise``; `weight` (M, 3) are their inverse variances."""
+        """Rows ``residual = by_node x + by_constant c + noise``; `weight` (M, 3) are their inverse variances.
+
+        `node` (M,) must be sorted.
+        """
         weighted, constants = by_node * weight[:, :, None], by_constant * weight[:, :, None]
         turned = weighted.swapaxes(1, 2)
-        np.add.at(self.diagonal, node, turned @ by_node)
-        np.add.at(self.border, node, turned @ by_constant)
-        np.add.at(self.right, node, (turned @ residual[:, :, None])[:, :, 0])
+        firsts = np.flatnonzero(np.diff(node, prepend=-1))
+        seen = node[firsts]
+        self.diagonal[seen] += np.add.reduceat(turned @ by_node, firsts)
+        self.border[seen] += np.add.reduceat(turned @ by_constant, firsts)
+        self.right[seen] += np.add.reduceat((turned @ residual[:, :, None])[:, :, 0], firsts)
         rows = constants.reshape(-1, CONSTANTS)
         self.corner += rows.T @ by_constant.reshape(-1, CONSTANTS)
         self.right_constants += rows.T @ residual.reshape(-1)

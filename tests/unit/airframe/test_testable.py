@@ -35,8 +35,11 @@ def likelihood(one: FlownFlight, *, torque: bool = True) -> FlightLikelihood:
     return FlightLikelihood(airframe(one, torque=torque), one.usable, torque=torque)
 
 
-def reasons(real: FlownFlight, sim: FlownFlight | None = None) -> dict[str, tuple[str, str]]:
-    found = missing(likelihood(real), likelihood(real if sim is None else sim))
+def reasons(
+    real: FlownFlight, sim: FlownFlight | None = None, wind: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, tuple[str, str]]:
+    winds = np.array(wind), np.array(wind)
+    found = missing(likelihood(real), likelihood(real if sim is None else sim), winds)
     assert all(m.reason and m.need for m in found)
     return {m.id: (m.reason, m.need) for m in found}
 
@@ -84,6 +87,20 @@ def test_what_is_missing_is_said_with_its_number(id_: str, changes: dict, said: 
     assert said in reason
     assert which in reason or said == "changes by 0.0 %"
     assert need
+
+
+def test_drag_by_the_square_asks_for_speed_through_the_air() -> None:
+    """Against 4 m/s of wind, 5.4 m/s over the ground are enough."""
+    slow = replace(lively(), velocity=0.6 * lively().velocity)
+    assert {"body_drag", "translational_lift"} <= set(reasons(slow))
+    assert reasons(slow, wind=(4.0, 0.0)) == {}
+
+
+def test_what_too_little_movement_hides_may_be_there_all_the_same() -> None:
+    slow = replace(lively(), velocity=0.1 * lively().velocity, voltage=np.full(N, 12.0), command_hz=10.0)
+    still = np.zeros(2)
+    latent = {m.id: m.latent for m in missing(likelihood(slow), likelihood(lively()), (still, still))}
+    assert {id_ for id_, one in latent.items() if one} == {"rotor_drag", "body_drag", "translational_lift", "inflow"}
 
 
 def test_slow_commands_hide_all_that_turns_and_say_how_to_log() -> None:

@@ -14,7 +14,7 @@ from mavcal.calib.airframe.effects import catalogue
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundRival
 from mavcal.calib.airframe.physics import Layout
 from mavcal.calib.airframe.testable import Missing
-from mavcal.calib.airframe.told import doubtful, needed_manoeuvres, with_rivals
+from mavcal.calib.airframe.told import doubtful, latent, needed_manoeuvres, with_rivals
 from mavcal.calib.airframe.words import FIXES, STANDARD_FLIGHT
 from mavcal.calib.inference.model import Block, Evidence, Model, Posterior
 from mavcal.calib.inference.search import Answer, Visited
@@ -72,6 +72,20 @@ def test_what_is_likelier_than_not_and_not_named_says_what_would_decide() -> Non
         f"thrust_scale has a probability of 65 %, too little to name it; fly {FIXES['thrust_scale']}",
     )  # of both its forms; a certain drag is named, and wind is of the day
     assert doubtful(answer, effects, least=0.1, most=0.2)[0].startswith("motor_weak of motor 2")
+
+
+def test_what_the_flights_are_too_poor_to_name_is_said() -> None:
+    effects = catalogue(Layout(4), rotors_damp=True, hover_gain=(300.0, 300.0, 8.0))
+    posterior = Nothing().posterior(frozenset())
+    kept = (Visited(frozenset({"body_drag"}), np.log(0.7), posterior), Visited(frozenset(), np.log(0.3), posterior))
+    answer = Answer(kept, (), Nothing(), 2)
+    slow = Missing("body_drag", "the real vehicle reaches 5.0 m/s through the air", "runs at 8 m/s", latent=True)
+    (said,) = latent(answer, effects, (slow, replace(slow, id="inflow"), slow), least=0.5)
+    assert said == (
+        "body_drag has a probability of 70 %, but is not named: the real vehicle reaches 5.0 m/s through the air; "
+        "fly runs at 8 m/s"
+    )
+    assert latent(answer, effects, (replace(slow, latent=False),), least=0.5) == ()
 
 
 @pytest.mark.long
