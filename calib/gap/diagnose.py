@@ -316,9 +316,14 @@ def _report(task: _Setup, answer: _Answer, alpha: float, *, nested: bool) -> Gap
         not_testable=_untestable(task),
         power=powers_of(chosen, answer.contest, alpha),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
-        warnings=(*task.problem.warnings, *_tolerated_notices(answer), *overstated_noise(model)),
+        warnings=(*task.problem.warnings, *_tolerated_notices(answer), *_noise_notices(task, model)),
         series=series_of(model, answer.tolerated),
     )
+
+
+def _noise_notices(task: _Setup, model: Model) -> Iterable[str]:
+    """Of too much declared noise; a trajectory's error is declared too, and is louder in a livelier flight."""
+    return overstated_noise(model) if math.isinf(task.problem.reference.bandwidth_hz) else ()
 
 
 def _tolerated_notices(answer: _Answer) -> tuple[str, ...]:
@@ -368,7 +373,7 @@ def _effects(
     denied |= {t.hypothesis.key for t in model.noise_terms if is_line_unsteadiness(t, model)}
     doubtful = on_uncertain_unit(model, REFERENCE_CHANCE)
     found = (
-        _effect(task, answer, a, beside_unknown=beside_unknown, either=a.key in doubtful)
+        _effect(task, answer, a, beside_unknown=beside_unknown, sure=doubtful.get(a.key))
         for a in answer.reported
         if a.key not in denied
     )
@@ -382,9 +387,9 @@ def _effects(
 
 
 def _effect(
-    task: _Setup, answer: _Answer, attribution: Attribution, *, beside_unknown: bool, either: bool
+    task: _Setup, answer: _Answer, attribution: Attribution, *, beside_unknown: bool, sure: float | None
 ) -> EffectEstimate:
-    """One effect of the model; `either`: the data do not tell which of two units has it."""
+    """One effect of the model; `sure`: how likely its unit has it, and not the other of two; None: for certain."""
     passed = answer.gates.get(attribution.key)
     effect = effect_of(answer.chosen, attribution, passed, beside_unknown=beside_unknown)
     term = next(t for t in answer.chosen.model.members if t.hypothesis.key == attribution.key)
@@ -393,7 +398,7 @@ def _effect(
     units = {i + FIRST for view in views if view.sensor is effect.sensor for i in view.weights}
     if task.problem.reference.kind is ReferenceKind.ESTIMATOR:
         effect = delay_on_late_unit(effect, units)
-    return with_other_unit_as_rival(effect, units) if either else effect
+    return effect if sure is None else with_other_unit_as_rival(effect, units, sure)
 
 
 def _reported_wander(task: _Setup, answer: _Answer) -> WanderFit | None:

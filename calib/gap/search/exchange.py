@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcal.calib.gap.effects.base import NoiseEffect
+from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
 from mavcal.calib.gap.model.hypotheses import Hypothesis, HypothesisColumns, Key, columns_of
 from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
 from mavcal.calib.gap.model.noise_fit import noise_fitted, without_term
@@ -199,8 +199,8 @@ def second_order_evidence(chosen: ChosenModel, own: float) -> float:
 
 
 Flexibility = tuple[bool, int]
-"""Whether an effect is noise that wanders, and its degrees of freedom. In this order: such noise takes the place of
-anything slow, and is freer than any number of amplitudes.
+"""Whether an effect is noise that wanders, and its degrees of freedom, its shape among them. In this order: such noise
+takes the place of anything slow, and is freer than any number of amplitudes.
 """
 
 
@@ -210,7 +210,8 @@ def flexibility_of(chosen: ChosenModel, key: Key) -> Flexibility | None:
 
 
 def _flexibility(score: ContestScore) -> Flexibility:
-    return score.hypothesis.effect.drifts, score.df
+    effect = score.hypothesis.effect
+    return effect.drifts, score.df + (isinstance(effect, MeanEffect) and effect.shape is not None)
 
 
 def evidence_deficit(own: float, score: ContestScore, freedom: Flexibility | None, second: float) -> float:

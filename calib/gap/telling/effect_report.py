@@ -37,8 +37,6 @@ def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, b
     )
 
 
-_EITHER_UNIT_SHARE = 0.5
-"""Part of its probability that an effect keeps if either of two units may have it. Source: decision 42."""
 
 
 def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
@@ -56,11 +54,11 @@ def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> Effect
     return replace(effect, instances=tuple(set(units) - set(effect.instances)), params=(late,))
 
 
-def with_other_unit_as_rival(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
-    """`effect` with half its probability and the other of two `units`, which count from 1, as a rival."""
+def with_other_unit_as_rival(effect: EffectEstimate, units: Collection[int], sure: float) -> EffectEstimate:
+    """`effect` with the other of two `units`, which count from 1, as a rival; `sure`: chance that it is not that one."""
     other = next(unit for unit in sorted(units) if unit not in effect.instances)
     fix = f"turning through all headings and tilts (instance {other} may have it instead, with the opposite sign)"
-    evidence = replace(effect.evidence, probability=_EITHER_UNIT_SHARE * effect.evidence.probability)
+    evidence = replace(effect.evidence, probability=sure * effect.evidence.probability)
     rivals = (Rival(effect.id, 1.0, 0.0, fix), *effect.confusable_with)
     return replace(effect, evidence=evidence, confusable_with=rivals)
 

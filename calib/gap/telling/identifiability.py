@@ -121,7 +121,10 @@ def with_equal_effects(effect: EffectEstimate, model: Model, term: Term | NoiseT
 
 
 def _series_with_error(model: Model, term: Term) -> View | None:
-    """The series with the reference's error, if the effect is on all its units; else the other units decide."""
+    """The series with the reference's error, if the effect is on all units of its sensor; else these decide."""
+    views = (view for view in model.setting.views if view.sensor is term.effect.sensor)
+    if {unit for view in views for unit in view.weights} != set(term.hypothesis.instances):
+        return None
     for view in model.setting.views:
         if term.hypothesis.touches(view) and view.reference_error and view.att_sd > 0.0 and not view.first:
             return view if set(term.hypothesis.instances) == set(view.weights) else None

@@ -54,18 +54,18 @@ def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
     return frozenset(found)
 
 
-def on_uncertain_unit(model: Model, alpha: float) -> frozenset[Key]:
-    """Effects on one of two units that the other may have instead, with the opposite sign.
+def on_uncertain_unit(model: Model, alpha: float) -> dict[Key, float]:
+    """Effects on one of two units that the other may have instead, with the opposite sign; and how sure their unit is.
 
-    The difference of the units is certain. The trajectory cannot tell which unit is wrong if its own error explains the
-    effect on both with a chance above `alpha`.
+    The difference of the units is certain. The other unit has the effect if the trajectory's own error looks like it on
+    both: as likely as that error beside none. Effects for which its chance is below `alpha` are left out.
     """
     views = model.setting.views
     tilt = max((view.att_sd for view in views if view.reference_error), default=0.0)
     if tilt == 0.0:
-        return frozenset()
+        return {}
     errors = _error_columns(model.setting, tilts=model.ridge is None)
-    found = set()
+    found = {}
     for term in model.terms:
         own = term.hypothesis
         units = {i for view in views if view.sensor is own.effect.sensor for i in view.weights}
@@ -79,18 +79,25 @@ def on_uncertain_unit(model: Model, alpha: float) -> frozenset[Key]:
         moved = inverse @ cross
         values = term.values[: columns.p]
         second_order = (tilt * np.linalg.norm(values)) ** 2 * np.eye(columns.p)
-        if moved.any() and _chance_of(values, inverse + moved @ moved.T + second_order) > alpha:
-            found.add(own.key)
-    return frozenset(found)
+        squares, count = _deviation(values, inverse + moved @ moved.T + second_order)
+        if moved.any() and chdtrc(count, squares) > alpha:
+            found[own.key] = 1.0 / (1.0 + math.exp(-0.5 * squares))
+    return found
 
 
 def _chance_of(values: Array, covariance: Array) -> float:
     """Chance of values (p,) at least as far from zero."""
+    squares, count = _deviation(values, covariance)
+    return float(chdtrc(count, squares))
+
+
+def _deviation(values: Array, covariance: Array) -> tuple[float, int]:
+    """Squared distance of values (p,) from zero in standard deviations, and along how many directions."""
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     variances, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     seen = variances > _RANK * variances[-1]
     along = axes.T @ (values / scale)
-    return float(chdtrc(int(seen.sum()), float((along[seen] ** 2 / variances[seen]).sum())))
+    return float((along[seen] ** 2 / variances[seen]).sum()), int(seen.sum())
 
 
 def _amplitude_errors(model: Model, joint: Joint) -> Array:

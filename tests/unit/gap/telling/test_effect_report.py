@@ -46,10 +46,10 @@ def test_a_negative_amplitude_of_another_effect_is_no_lead():
     assert delay_on_late_unit(biased, UNITS) == biased
 
 
-def test_what_either_unit_may_have_has_half_of_its_probability_and_names_the_other():
+def test_what_either_unit_may_have_has_its_part_of_the_probability_and_names_the_other():
     biased = replace(effect("accel_bias", bias=(0.3, 0.0, 0.0)), instances=(1,))
-    doubted = with_other_unit_as_rival(biased, UNITS)
-    assert doubted.evidence.probability == 0.5 * biased.evidence.probability
+    doubted = with_other_unit_as_rival(biased, UNITS, 0.6)
+    assert doubted.evidence.probability == 0.6 * biased.evidence.probability
     assert (doubted.instances, doubted.params) == (biased.instances, biased.params)
     assert "instance 2 may have it instead" in doubted.confusable_with[0].fix
     assert doubted.confusable_with[1:] == biased.confusable_with

@@ -31,3 +31,9 @@ def test_noise_that_nobody_declared_is_never_too_little():
     problem = problem_of(np.random.default_rng(5), (Sensor.GYRO,))
     bare = dataclasses.replace(problem, traces=tuple(dataclasses.replace(t, sigma=None) for t in problem.traces))
     assert not diagnose(bare, nested=False).warnings
+
+def test_noise_of_a_trajectory_is_no_sensors():
+    """The simulator flew doublets, the real vehicle did not: every report said that the simulator is too noisy."""
+    problem = declared(problem_of(np.random.default_rng(4), (Sensor.GYRO,)), 3.0)
+    flown = dataclasses.replace(problem, reference=dataclasses.replace(problem.reference, bandwidth_hz=2.0))
+    assert not [w for w in diagnose(flown, nested=False).warnings if "less noise" in w]
