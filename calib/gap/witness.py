@@ -60,13 +60,16 @@ def _refuted(effect: EffectEstimate, real: Recording, sim: Recording | None) -> 
     known = by_id().get(effect.id)
     if effect.sensor != Sensor.ACCEL or known is None or known.term not in _AT_REST:
         return False
-    matrix = np.eye(3) + matrix_of(effect) if known.term is SensorTerm.SCALE else np.eye(3)
+    bias, matrix = vector(effect, "bias"), np.eye(3)
+    if known.term is SensorTerm.SCALE:
+        matrix += matrix_of(effect)
     for instance in (i - FIRST for i in effect.instances):
         reads = _at_rest(real, instance)
         if reads is None:
             continue
-        ideal = reads * (STANDARD_GRAVITY / float(np.linalg.norm(reads)))
-        told = float(np.linalg.norm(matrix @ ideal + vector(effect, "bias"))) - STANDARD_GRAVITY
+        down = np.linalg.solve(matrix, reads - bias)  # a bias across gravity tilts what is read
+        ideal = down * (STANDARD_GRAVITY / float(np.linalg.norm(down)))
+        told = float(np.linalg.norm(matrix @ ideal + bias)) - STANDARD_GRAVITY
         simulated = None if sim is None else _at_rest(sim, instance)
         right = STANDARD_GRAVITY if simulated is None else float(np.linalg.norm(simulated))
         if abs(float(np.linalg.norm(reads)) - right - told) > max(_REST, _FOLLOWS * abs(told)):

@@ -139,6 +139,14 @@ def test_gravity_at_rest_refutes_a_scale_that_the_units_difference_follows(off: 
     assert refuted_at_rest(told(one, part, part), wrong, None) == ((one,) if off == 0.0 else ())
 
 
+def test_a_bias_across_gravity_is_not_refuted_by_it() -> None:
+    """It tilts what is read at rest, and lengthens it by its square only: 0.56 m/s2 by 0.016."""
+    offset = np.array([0.47, -0.31, 0.0])
+    real = recording(REST + swing() + noise(1, 0.01), REST + swing() + offset + noise(2, 0.01))
+    one = effect("accel_bias", (2,), bias=tuple(offset))
+    assert refuted_at_rest(told(one, np.tile(offset, (len(T), 1))), real, None) == ()
+
+
 def test_without_rest_one_unit_is_believed() -> None:
     part = 0.03 * (REST + swing())
     one = effect("accel_scale")
