@@ -7,6 +7,7 @@ of its fitted energy that a rival can imitate; ``gain (1 - kappa)`` separates th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -125,8 +126,10 @@ def _after_best_exchange(
     for worth, key, score in _gainful_exchanges(chosen, comparisons, level, contest)[: prices.EXCHANGES_TRIED]:
         if contest.pace.ends():
             break
-        other = extended(_with_exchange(chosen, key, score), contest, level)
-        if objective(other) < objective(chosen) + worth:
+        exchanged = _with_exchange(chosen, key, score)
+        other = extended(exchanged, contest, level)
+        # the extension also drops what a rule forbids, which the model before the exchange may still have
+        if min(objective(exchanged), objective(other)) < objective(chosen) + worth:
             return other
     return None
 
@@ -261,6 +264,10 @@ def _comparison(
     means = [rival for rival in likely if not isinstance(rival.effect, NoiseEffect)]
     coarse = [contest.score(rival, beside, refine=False) for rival in means]
     coarse += contest.scores([rival for rival in far if not isinstance(rival.effect, NoiseEffect)], beside)
+    if isinstance(term, NoiseTerm):
+        near = [score for score in coarse if score.gain > prices.WORTH_A_FIT * own_gain]
+        scores += [_with_noise_fitted(contest.score(score.hypothesis, beside), bare) for score in near]
+        coarse = [score for score in coarse if score not in near]
     scores += contest.refined_scores(coarse, beside, own_delta - prices.RIVAL_REACH)
     for score in scores:
         near = own_delta - score.delta < prices.RIVAL_REACH + price_of_kind(score.hypothesis.effect)
@@ -271,6 +278,17 @@ def _comparison(
         )
         found.append(Alternative(score, kappa))
     return Comparison(tuple(found), own_delta)
+
+
+def _with_noise_fitted(score: ContestScore, bare: Model) -> ContestScore:
+    """`score` of an effect on the mean with the noise that it leaves: noise had to contain the effect before.
+
+    An offset of 0.4 m/s2 in noise of 0.02 gained a third of the random walk that took its place.
+    """
+    sensor = score.hypothesis.effect.sensor
+    before, after = (noise_fitted(m, [sensor]).deviance for m in (bare, with_score(bare, score)))
+    more = math.fsum(before.values()) - math.fsum(after.values()) - score.gain
+    return score if more <= 0.0 else _lowered(score, -more)
 
 
 def _lowered(score: ContestScore, gain: float) -> ContestScore:
