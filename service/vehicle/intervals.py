@@ -166,8 +166,8 @@ class _Together:
 def _note(vehicle: Vehicle, way: str, told_us: Mapping[int, int]) -> None:
     """Note what a link had where we have asked for nothing yet."""
     for message_id, interval in told_us.items():
-        if message_id not in vehicle.streams.asked:
-            vehicle.streams.before(way, message_id, interval)
+        if message_id not in vehicle.rates.requested_us:
+            vehicle.rates.note_before(way, message_id, interval)
 
 
 async def _set(vehicle: Vehicle, message_id: int, interval_us: float) -> int | None:
