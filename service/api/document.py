@@ -197,10 +197,10 @@ def _by_title(made: Json) -> Json:
             return [renamed(value) for value in part]
         return references.get(part, part) if isinstance(part, str) else part
 
-    told: Json = renamed(made)
-    schemas = told["components"]["schemas"]
-    told["components"]["schemas"] = dict(sorted((titles[name], schema) for name, schema in schemas.items()))
-    return told
+    document: Json = renamed(made)
+    schemas = document["components"]["schemas"]
+    document["components"]["schemas"] = dict(sorted((titles[name], schema) for name, schema in schemas.items()))
+    return document
 
 
 def _answer(status: int) -> Json:

@@ -347,9 +347,9 @@ class Vehicle:
             self._tell(VehicleEventKind.PEER_CHANGED, event.text)
 
     def _conflict(self, kind: str, text: str, now: float) -> None:
-        told = kind in self._conflicts and now - self._conflicts[kind][1] < CONFLICT_S
+        announced = kind in self._conflicts and now - self._conflicts[kind][1] < CONFLICT_S
         self._conflicts[kind] = (text, now)
-        if not told:
+        if not announced:
             self._tell(VehicleEventKind.CONFLICT, text)
 
     # --- state ------------------------------------------------------------------------------------------------------

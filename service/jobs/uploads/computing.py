@@ -200,8 +200,8 @@ class Computing:
         )
         self._note_started(handle)
         outcome = Result(_counted(fits, order["method"]), proof_reason=NOTHING_WRITTEN)
-        told = fit_messages(fits)
-        handle.move(JobState.SUCCEEDED, results=tuple(fits), outcome=outcome, warnings=told, progress=None)
+        warnings = fit_messages(fits)
+        handle.move(JobState.SUCCEEDED, results=tuple(fits), outcome=outcome, warnings=warnings, progress=None)
 
     async def _diagnosed(self, handle: JobHandle) -> None:
         order = handle.job.options
