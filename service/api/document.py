@@ -136,7 +136,7 @@ def statuses(path: str, method: str, operation: Json) -> list[int]:
 
 
 def _complete(path: str, method: str, operation: Json) -> None:
-    """What FastAPI does not know of an operation."""
+    """Add problems and streams to an operation, which FastAPI does not know."""
     first, _, rest = operation.get("description", "").partition("\n\n")
     operation["summary"] = first.removesuffix(".")
     if rest:
@@ -162,7 +162,7 @@ def _complete(path: str, method: str, operation: Json) -> None:
 
 
 def _further_schemas() -> Json:
-    """Schemas that no route names."""
+    """Schemas of events and problems, which no route names."""
     _, found = TypeAdapter.json_schemas(
         [
             ("message", "serialization", TypeAdapter(Message)),

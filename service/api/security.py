@@ -50,7 +50,7 @@ _NOTED = frozenset({Scope.OPERATE, Scope.ADMIN})
 
 
 def digest(key: str) -> str:
-    """How a key is kept in the settings."""
+    """The digest of a key, as the settings hold it."""
     return hashlib.sha256(key.encode()).hexdigest()
 
 
@@ -94,7 +94,7 @@ class RequestGuard:
             raise Forbidden("a page of another origin may not change anything here: open the panel of this service")
 
     def authenticate(self, request: Request) -> ApiKey | None:
-        """The key of a request, which is looked at once; None: no keys are set.
+        """The key of a request, read once a request; None: no keys are set.
 
         Raises
         ------

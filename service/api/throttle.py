@@ -22,7 +22,7 @@ class Throttle:
         """When the last failure of a peer will be forgiven: each failure adds EVERY_S."""
 
     def wait_s(self, peer: str) -> float:
-        """How long this peer has to wait before its next try is looked at; 0: not at all."""
+        """Seconds that this peer has to wait before its next try; 0: none."""
         paid = self._paid_until.get(_group(peer), 0.0) - self._clock()
         return max(0.0, paid - (AT_ONCE - 1) * EVERY_S)
 
@@ -38,7 +38,7 @@ class Throttle:
 
 
 def _group(peer: str) -> str:
-    """The peer; of an IPv6 address its network, since one host has all addresses of that."""
+    """The address of the peer, or its /64 network: one IPv6 host has all addresses of that."""
     try:
         address = ip_address(peer)
     except ValueError:

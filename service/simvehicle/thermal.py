@@ -60,7 +60,7 @@ class Thermal:
         self._curve = Curve(start, end, max(tau_s, 1e-6), t)
 
     def hold(self, t: float, value: float) -> None:
-        """The board is at this temperature from now on."""
+        """Hold the board at this temperature from now on."""
         self._remember(t)
         self._curve = Curve(value, value, t0=t)
 

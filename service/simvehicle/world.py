@@ -1,4 +1,4 @@
-"""The physical vehicle: how it moves, how warm it is, what its motors draw, and what its sensors truly read."""
+"""The physical vehicle: motion, temperature, motor current, and the raw readings of its sensors."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Ramp:
 
 @dataclass
 class VibrationState:
-    """What the vehicle says of its vibration."""
+    """Vibration levels and clipping counts that the vehicle reports."""
 
     level: float = 0.1  # m/s²
     clips: int = 0  # of the first accelerometer since the start
@@ -97,7 +97,7 @@ class SimWorld:
         return MotionState(t, q, rate, force)
 
     def temperature_read(self, instance: int, t: Array) -> Array:
-        """What the driver of an IMU says: the temperature when it was last read."""
+        """Temperature that the driver of an IMU reports: that of its last reading."""
         period = self.config.temperature_period_s
         read_at = t if period <= 0 else np.floor(t / period) * period
         return self.thermal.imu(instance, read_at)

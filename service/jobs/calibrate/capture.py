@@ -147,7 +147,7 @@ class Capture:
         self._disk = disk or self._disk
 
     async def _begin(self, identity: Identity, earlier: Sequence[SegmentRow]) -> tuple[LiveDigest, CaptureWatch]:
-        """A digest that was fed what an earlier run of the service has recorded."""
+        """A digest that has replayed the segments of earlier runs of the service."""
         job = self.handle.job
         digest = LiveDigest(job.kind, job.options, identity, self.parameters, job.created_at)
         digest.schedule([(t, value) for t, value in job.context.get("answers", ())])

@@ -43,7 +43,7 @@ class Message:
 
     @property
     def definition(self) -> tuple[int, int, str, str, str]:
-        """What FMT says of it."""
+        """The values of its FMT message."""
         return self.number, 3 + self._packer.size, self.name, self.letters, self.columns
 
 
@@ -63,9 +63,9 @@ class DataFlashWriter:
         self._file.write(message.packed(*values))
 
     def flush(self) -> None:
-        """Everything so far is in the file."""
+        """Write buffered messages to the file."""
         self._file.flush()
 
     def close(self) -> None:
-        """The log ends; harmless if repeated."""
+        """Close the file; harmless if repeated."""
         self._file.close()

@@ -57,7 +57,7 @@ class FlightLog:
         self._loop = 0
 
     def begin(self, vehicle: FlyingVehicle) -> None:
-        """The parameters, and who it is."""
+        """Log the parameters and the firmware's version."""
         us = vehicle.time_us
         for name in vehicle.parameters:
             value = vehicle.parameters[name]
@@ -68,33 +68,33 @@ class FlightLog:
         self.mode(us, vehicle.mode, 1)
 
     def text(self, us: int, text: str) -> None:
-        """A message in words."""
+        """Log a message in words."""
         self._out.write(MSG, us, text)
 
     def mode(self, us: int, number: int, reason: int) -> None:
-        """The flight mode changed."""
+        """Log a change of the flight mode."""
         self._out.write(MODE, us, number, number, reason)
 
     def mission(self, us: int, items: Sequence[Item]) -> None:
-        """A mission was uploaded."""
+        """Log an uploaded mission."""
         self.text(us, "New mission")
         for number, item in enumerate(items):
             place = (item.latitude, item.longitude, item.altitude, item.frame)
             self._out.write(CMD, us, len(items), number, item.command, *item.parameters, *place)
 
     def parameter(self, us: int, name: str, value: float) -> None:
-        """A parameter was set."""
+        """Log a parameter that was set."""
         self._out.write(PARM, us, name, value, math.nan)
 
     def armed(self, us: int, *, armed: bool) -> None:
-        """The motors were armed or disarmed."""
+        """Log that the motors were armed or disarmed."""
         self._out.write(ARM, us, int(armed), int(armed), 0, 1)
         self._out.write(EV, us, 10 if armed else 11)
         if not armed:
             self._out.flush()
 
     def loop(self, vehicle: FlyingVehicle) -> None:
-        """What falls due in this loop."""
+        """Log what is due after a main loop."""
         us, k = vehicle.time_us, self._loop
         self._loop += 1
         self._rate(us, vehicle)
@@ -109,7 +109,7 @@ class FlightLog:
             self._positioning(us, vehicle)
 
     def close(self) -> None:
-        """The log ends."""
+        """Close the log."""
         self._out.close()
 
     def _rate(self, us: int, vehicle: FlyingVehicle) -> None:

@@ -78,12 +78,12 @@ class FlyingVehicle:
 
     @property
     def time_us(self) -> int:
-        """Since boot."""
+        """Time since boot, us."""
         return self.loops * 1_000_000 // LOOP_HZ
 
     @property
     def time(self) -> float:
-        """Since boot, s."""
+        """Time since boot, s."""
         return self.loops * DT
 
     def position(self) -> tuple[float, float]:
@@ -92,7 +92,7 @@ class FlyingVehicle:
         return degrees_from_metres(*home, self.airframe.place[0], self.airframe.place[1])
 
     def pressure(self) -> float:
-        """Of the air around, Pa."""
+        """Static pressure of the air around, Pa."""
         return air.pressure(self.altitude_home - self.airframe.place[2])
 
     # --- what it is told
@@ -144,7 +144,7 @@ class FlyingVehicle:
         return True
 
     def load_mission(self, items: Sequence[Item]) -> None:
-        """A mission for AUTO; the first item is home."""
+        """Take a mission for AUTO; its first item is home."""
         self.auto.load(items)
         self._log.mission(self.time_us, items)
 
@@ -156,7 +156,7 @@ class FlyingVehicle:
         return True
 
     def follow_velocity(self, target: Vector, yaw: float | None, yaw_rate: float) -> None:
-        """A velocity north east down, m/s, and a heading or a turn, rad and rad/s."""
+        """Follow a velocity north east down, m/s, and a heading or a yaw rate, rad and rad/s."""
         if self._follows(Guidance.VELOCITY):
             self._velocity_target = target
             self._yaw_rate = yaw_rate
@@ -164,7 +164,7 @@ class FlyingVehicle:
                 self.control.attitude[2] = yaw
 
     def follow_attitude(self, target: Vector, thrust: float) -> None:
-        """Roll, pitch, yaw, rad, and a thrust of 0 to 1 that means a climb rate."""
+        """Follow roll, pitch, yaw, rad, and a thrust of 0 to 1 that means a climb rate."""
         if self._follows(Guidance.ATTITUDE):
             most = 0.01 * self.parameters["WPNAV_SPEED_UP"]
             self._attitude_target = target
@@ -190,7 +190,7 @@ class FlyingVehicle:
         self.say(severity, text)
 
     def close(self) -> None:
-        """The log ends."""
+        """Close the log."""
         self._log.close()
 
     # --- the loop
@@ -281,7 +281,7 @@ class FlyingVehicle:
         return wanted
 
     def _wanted(self, height: float, dt: float) -> Vector:
-        """Velocity north and east, and climb, m/s."""
+        """The velocity to follow: north, east and climb, m/s."""
         if self.mode is Mode.LAND:
             return 0.0, 0.0, landing_climb(height, self.parameters)
         if self.mode is Mode.AUTO:
