@@ -27,7 +27,6 @@ from mavcal.service.vehicle.listing import ParameterSet, Progress, list_all
 from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.parameters import Parameters
 from mavcal.service.vehicle.rate_ledger import RateLedger
-from mavcal.service.vehicle.refusal import refuse
 from mavcal.service.vehicle.state import (
     Refusal,
     VehicleState,
@@ -35,6 +34,7 @@ from mavcal.service.vehicle.state import (
     changed,
     expire,
     reduce,
+    refuse,
     restarted,
     writable,
 )

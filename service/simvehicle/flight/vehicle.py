@@ -8,11 +8,10 @@ from collections.abc import Callable, Sequence
 from mavcal.service.simvehicle.flight import air
 from mavcal.service.simvehicle.flight.airframe import Airframe
 from mavcal.service.simvehicle.flight.auto import AutoFlight
-from mavcal.service.simvehicle.flight.checks import arming_fault, mission_fault
 from mavcal.service.simvehicle.flight.control import Controller
 from mavcal.service.simvehicle.flight.estimator import Estimate, degrees_from_metres
 from mavcal.service.simvehicle.flight.frame import Frame, Vector, rotors_of
-from mavcal.service.simvehicle.flight.items import Item
+from mavcal.service.simvehicle.flight.items import AT_ONCE, Command, Item
 from mavcal.service.simvehicle.flight.mixer import Mixer
 from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Log, Mode
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
@@ -32,6 +31,8 @@ _LIFT_PER_S = 0.5
 _LANDED_S = 1.0
 ATTITUDE_CLIMB_MIDDLE = 0.5
 """Thrust of SET_ATTITUDE_TARGET that holds the height: ArduCopter takes it as a climb rate."""
+READY_S = 5.0
+"""When the position estimate is good enough for arming. Chosen: SITL takes some seconds more."""
 
 
 class FlyingVehicle:
@@ -298,3 +299,20 @@ class FlyingVehicle:
             up, least = 0.01 * self.parameters["WPNAV_SPEED_UP"], -0.01 * self.parameters["WPNAV_SPEED_DN"]
             return north, east, min(max(-down, least), up)
         return 0.0, 0.0, self._climb_target if self.guidance is Guidance.ATTITUDE else 0.0
+
+
+def arming_fault(parameters: FlightParameters, time: float) -> str:
+    """Why it does not arm `time` seconds after boot, in the firmware's words; empty: it does."""
+    if parameters["ARMING_CHECK"] == 0:
+        return ""
+    if not parameters["SIM_GPS1_ENABLE"]:
+        return "GPS 1: Bad fix"
+    return "Need Position Estimate" if time < READY_S else ""
+
+
+def mission_fault(items: Sequence[Item], *, flying: bool) -> str:
+    """Why AUTO does not fly these items, the first of which is home."""
+    if len(items) < 2:
+        return "No mission"
+    moving = [item.command for item in items[1:] if item.command not in AT_ONCE]
+    return "" if flying or moving[:1] == [Command.TAKEOFF] else "Missing Takeoff Cmd"
