@@ -39,9 +39,10 @@ from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, state
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import CommandRefused, CommandTimeout, DiskFull, PreflightRunning, ServiceError, VehicleError
-from mavcal.service.rates.ledger import RateLedgers, RateUser
+from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS
 from mavcal.service.vehicle.job_vehicle import SLOW, JobVehicle, ParameterReading, read_values
+from mavcal.service.vehicle.rate_ledger import RateUser
 
 History = Callable[[JobVehicle], Awaitable[tuple[VerifiedCalibration, ...]]]
 """The verified calibrations of a vehicle, oldest first."""

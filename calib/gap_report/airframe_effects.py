@@ -13,9 +13,9 @@ from mavcal.calib.gap_report.intervals import after_number, bracketed, more_or_l
 _AXES = {"x": "roll", "y": "pitch", "z": "yaw"}
 _PER_CENT, _MS = 100.0, 1000.0
 _FAST = 10.0
-"""m/s at which the lift of forward flight is told. Chosen, not measured: a brisk flight of a small multicopter."""
+"""m/s at which the lift of forward flight is stated. Chosen, not measured: a brisk flight of a small multicopter."""
 _DECIDED = 0.9
-"""Probability from which a cause is told as the one. Source: that from which an effect is named."""
+"""Probability from which a cause is stated as the only one. Source: that from which an effect is named."""
 _Params = Mapping[str, ParameterEstimate]
 
 
@@ -31,10 +31,10 @@ class Claim:
 
 @dataclass(frozen=True)
 class _Kind:
-    """`plain` names the effect, `told` says what was found; `sides` has label and unit of the sides by parameter."""
+    """`plain` names the effect, `finding` says what was found; `sides` has label and unit of the sides by parameter."""
 
     plain: str
-    told: Callable[[_Params, EffectEstimate], str]
+    finding: Callable[[_Params, EffectEstimate], str]
     sides: Mapping[str, tuple[str, str]]
 
 
@@ -56,7 +56,7 @@ def phrase(effect: EffectEstimate) -> str:
         where = f", {part} {', '.join(map(str, effect.instances))}" if effect.instances else ""
         return f"{plain_name(effect.id)}{where}"
     try:
-        return kind.told({p.name: p for p in effect.params}, effect)
+        return kind.finding({p.name: p for p in effect.params}, effect)
     except KeyError:  # of a report that another version wrote
         return kind.plain
 
@@ -113,12 +113,12 @@ def _has(name: str, what: str) -> Callable[[_Params, EffectEstimate], str]:
 
 
 def _has_by_axis(what: str) -> Callable[[_Params, EffectEstimate], str]:
-    def told(p: _Params, _: EffectEstimate) -> str:
+    def finding(p: _Params, _: EffectEstimate) -> str:
         shown = [axis for axis in _AXES if axis in p]
         first = [times(p[axis], f"the {what} in {_AXES[axis]}") for axis in shown[:1]]
         return f"the real vehicle has {_joined(first + [times(p[a], f'that in {_AXES[a]}') for a in shown[1:]])}"
 
-    return told
+    return finding
 
 
 def _thrust(p: _Params, effect: EffectEstimate) -> str:

@@ -9,7 +9,7 @@ from mavcal.calib.airframe.answer import AirframePart, Commands, Domain, Geometr
 from mavcal.calib.gap.schema import EffectEstimate, GapReport
 
 _MAIN = {Quantity.VELOCITY: 1.0, Quantity.BODY_RATE: 0.2}
-"""Seconds of the horizon that is told in words; the others are in the picture. Source: those of the rollout, of which
+"""Seconds of the horizon that is stated in words; the others are in the picture. Source: those of the rollout, of which
 these are long enough to fly by and short enough for the start not to matter."""
 _NAMES = {Quantity.VELOCITY: "velocity", Quantity.BODY_RATE: "body rate"}
 _GROUPS = {
@@ -94,10 +94,10 @@ def sized(rollout: Rollout, error: float) -> str:
 def rollout_sentence(part: AirframePart) -> str:
     """How far the effects improve the prediction of flight that was held out; empty where it was not predicted."""
     main = [r for r in part.rollout if math.isclose(r.h_s, _MAIN[r.quantity])]
-    told = main or list(part.rollout[:1])
-    if not told:
+    shown = main or list(part.rollout[:1])
+    if not shown:
         return ""
-    return f"Error of the predicted flight, on data that were held out. {'. '.join(map(predicted, told))}."
+    return f"Error of the predicted flight, on data that were held out. {'. '.join(map(predicted, shown))}."
 
 
 def predicted(rollout: Rollout) -> str:

@@ -84,9 +84,9 @@ def rollout_plot(rollout: Rollout) -> Markup:
     """Error as it is, what each effect takes off it, what is left, and the floor: bars in the unit of the error."""
     steps = list(_steps(rollout))
     top = max(max(begin, end) for _, begin, end, _ in steps)
-    told = ", ".join(filter(None, (closed_words(rollout), part_name(rollout))))
+    legend = ", ".join(filter(None, (closed_words(rollout), part_name(rollout))))
     title = f"{quantity_name(rollout).capitalize()}, {rollout.unit}"
-    out = [text(4, 14, title, kind="title"), text(4, 30, told, kind="legend")]
+    out = [text(4, 14, title, kind="title"), text(4, 30, legend, kind="legend")]
     for k, (name, begin, end, colour) in enumerate(steps):
         left, right = (_LEFT + _BARS * v / top for v in sorted((begin, end)))
         y = _TOP + k * _TALL

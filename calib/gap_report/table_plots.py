@@ -37,7 +37,7 @@ def where_map(findings: Sequence[LocatedGap]) -> Markup:
     labels = [regime(next(f for (_, c), f in cells.items() if c == column)) for column in columns]
     strongest = max(f.nats_per_sample for f in findings)
     drawn = [
-        (rows.index(row), columns.index(column), _level(f.nats_per_sample, strongest), _told(f))
+        (rows.index(row), columns.index(column), _level(f.nats_per_sample, strongest), _tooltip(f))
         for (row, column), f in cells.items()
     ]
     return heat(rows, labels, drawn, "Where the sensors differ: channel by operating regime", colour=BEFORE)
@@ -58,7 +58,7 @@ def _level(nats: float, strongest: float) -> float:
     return math.log(max(nats, _LEAST_NATS) / _LEAST_NATS) / math.log(strongest / _LEAST_NATS)
 
 
-def _told(f: LocatedGap) -> str:
+def _tooltip(f: LocatedGap) -> str:
     return (
         f"{f.channel} of instance {f.instance}, {regime(f)}: {number(f.nats_per_sample)} nats a sample, "
         f"rms {number(f.rms)} {f.unit}, p {number(f.p_holm)}"

@@ -114,7 +114,7 @@ def _hull() -> Markup:
 def _rotor(place: _Place, radius: float, weak: Mapping[int, float]) -> Iterator[Markup]:
     """The disc, filled where a motor is not as simulated, its number, and an arrow each way that a propeller turns."""
     sick = [n for n in place.numbers if n in weak]
-    told = " and ".join(
+    tooltip = " and ".join(
         f"motor {n}, turns {'counter-clockwise' if spin > 0 else 'clockwise'}"
         + (f", {weak[n]:.2f} times the simulated thrust" if n in weak else "")
         for n, spin in zip(place.numbers, place.spins, strict=True)
@@ -124,7 +124,7 @@ def _rotor(place: _Place, radius: float, weak: Mapping[int, float]) -> Iterator[
         '<circle class="{}" cx="{:.1f}" cy="{:.1f}" r="{:.1f}" style="{}" fill-opacity="{}"><title>{}</title></circle>'
     )
     kind = "motor weak" if sick else "motor"
-    yield disc.format(kind, place.x, place.y, radius, style, "0.9" if sick else "0.75", told)
+    yield disc.format(kind, place.x, place.y, radius, style, "0.9" if sick else "0.75", tooltip)
     colour = "var(--page)" if sick else MODEL
     for k, spin in enumerate(place.spins):
         yield _turning(place.x, place.y, radius * (0.74 - 0.22 * k), spin, colour)

@@ -49,5 +49,5 @@ async def note(request: Request, actor: str) -> None:
 
 
 def _text(value: object) -> str:
-    """What was sent, as text that the store takes."""
+    """`value` as valid Unicode of at most :data:`LONGEST` characters."""
     return str(value)[:LONGEST].encode("utf-8", "replace").decode()

@@ -1,4 +1,4 @@
-"""What routes are given."""
+"""Dependencies of the routes: the application's parts by type."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ def statuses(path: str, method: str, operation: Json) -> list[int]:
 
 
 def _complete(path: str, method: str, operation: Json) -> None:
-    """What FastAPI does not know of an operation."""
+    """Add problems and streams to an operation, which FastAPI does not know."""
     first, _, rest = operation.get("description", "").partition("\n\n")
     operation["summary"] = first.removesuffix(".")
     if rest:
@@ -162,7 +162,7 @@ def _complete(path: str, method: str, operation: Json) -> None:
 
 
 def _further_schemas() -> Json:
-    """Schemas that no route names."""
+    """Schemas of events and problems, which no route names."""
     _, found = TypeAdapter.json_schemas(
         [
             ("message", "serialization", TypeAdapter(Message)),
@@ -197,10 +197,10 @@ def _by_title(made: Json) -> Json:
             return [renamed(value) for value in part]
         return references.get(part, part) if isinstance(part, str) else part
 
-    told: Json = renamed(made)
-    schemas = told["components"]["schemas"]
-    told["components"]["schemas"] = dict(sorted((titles[name], schema) for name, schema in schemas.items()))
-    return told
+    document: Json = renamed(made)
+    schemas = document["components"]["schemas"]
+    document["components"]["schemas"] = dict(sorted((titles[name], schema) for name, schema in schemas.items()))
+    return document
 
 
 def _answer(status: int) -> Json:

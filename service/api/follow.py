@@ -40,7 +40,7 @@ class ChangeWatch:
 
     async def changes(self) -> AsyncIterator[tuple[str, State]]:
         """Every state now, and then each one that has changed, for ever."""
-        told: dict[Name, str] = {}
+        sent: dict[Name, str] = {}
         self._streams += 1
         self._look()
         if self._looking is None:
@@ -49,8 +49,8 @@ class ChangeWatch:
             while True:
                 news = self._news
                 for name, (text, state) in self._states.items():
-                    if told.get(name) != text:
-                        told[name] = text
+                    if sent.get(name) != text:
+                        sent[name] = text
                         yield name[0], state
                 if news is self._news:  # else a look came in between
                     await news.wait()

@@ -17,8 +17,8 @@ from mavcal.service.api.models import LiveModel, SamplesModel, WatchModel, Watch
 from mavcal.service.api.security import Scope, require
 from mavcal.service.api.vehicles import VehicleDep
 from mavcal.service.live import LiveBatch, live_batches
-from mavcal.service.rates.ledger import LiveWatch
 from mavcal.service.rates.watching import LiveStatus
+from mavcal.service.vehicle.rate_ledger import LiveWatch
 
 router = APIRouter(tags=["vehicles"])
 

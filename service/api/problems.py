@@ -46,7 +46,7 @@ def problem(request: Request, status: int, code: str, title: str, detail: str, *
 
 
 def refusal(request: Request, error: ServiceError) -> ProblemResponse:
-    """What a request is answered with whose body is not read: that ends the connection."""
+    """The answer to a request whose body is not read; it closes the connection."""
     answer = problem(request, error.status_code, error.code, error.title, str(error))
     if error.status_code == 401:
         answer.headers["WWW-Authenticate"] = "Bearer"
@@ -60,7 +60,7 @@ def refusal(request: Request, error: ServiceError) -> ProblemResponse:
 
 
 def internal_problem(request: Request, error: Exception) -> ProblemResponse:
-    """What a defect is answered with: the trace goes to the log, under the request's id."""
+    """The answer to an internal error; its trace is in the log under the request's id."""
     log.error("unexpected error", request_id=request.scope.get("request_id"), exc_info=error)
     detail = "an unexpected error; the log of the service has it under this request id"
     return problem(request, 500, ServiceError.code, ServiceError.title, detail)
@@ -121,5 +121,5 @@ def install_problem_handlers(app: FastAPI) -> None:
 
 
 def _without_paths(request: Request, text: str) -> str:
-    """`text` without the place of the data directory, which is nobody's business on the network."""
+    """`text` without the path of the data directory."""
     return text.replace(str(request.app.state.settings.data_dir), "the data directory")

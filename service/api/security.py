@@ -11,8 +11,10 @@ import hmac
 import math
 import secrets
 import time
+from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
 from enum import StrEnum
+from ipaddress import IPv6Address, ip_address
 from typing import Annotated
 from urllib.parse import urlsplit
 
@@ -22,7 +24,6 @@ from starlette.datastructures import Headers
 
 from mavcal.service.api.audit import note
 from mavcal.service.api.sight import Sight
-from mavcal.service.api.throttle import Throttle
 from mavcal.service.errors import AuthError, Forbidden, TooManyAttempts
 from mavcal.service.settings import ApiKey, Settings, is_loopback
 
@@ -34,6 +35,11 @@ SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _KEY = "mavcal.key"
 """Where a request carries the key that it was found to have."""
 _PORTS = {"http": 80, "https": 443}
+FAILURES_AT_ONCE = 10
+"""Failures that a peer may have in quick succession."""
+FAILURE_EVERY_S = 6.0
+"""Afterwards one more so often."""
+MOST_PEERS = 1024
 
 
 class Scope(StrEnum):
@@ -50,7 +56,7 @@ _NOTED = frozenset({Scope.OPERATE, Scope.ADMIN})
 
 
 def digest(key: str) -> str:
-    """How a key is kept in the settings."""
+    """The digest of a key, as the settings hold it."""
     return hashlib.sha256(key.encode()).hexdigest()
 
 
@@ -94,7 +100,7 @@ class RequestGuard:
             raise Forbidden("a page of another origin may not change anything here: open the panel of this service")
 
     def authenticate(self, request: Request) -> ApiKey | None:
-        """The key of a request, which is looked at once; None: no keys are set.
+        """The key of a request, read once a request; None: no keys are set.
 
         Raises
         ------
@@ -215,3 +221,36 @@ def _hostname(url: str) -> str:
         return (urlsplit(url).hostname or "").lower()
     except ValueError:
         return ""
+
+
+class Throttle:
+    """Counts failed logins by peer; memory is bounded, the peer that failed longest ago is forgotten first."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._paid_until: OrderedDict[str, float] = OrderedDict()
+        """When the last failure of a peer will be forgiven: each failure adds FAILURE_EVERY_S."""
+
+    def wait_s(self, peer: str) -> float:
+        """Seconds that this peer has to wait before its next try; 0: none."""
+        paid = self._paid_until.get(_group(peer), 0.0) - self._clock()
+        return max(0.0, paid - (FAILURES_AT_ONCE - 1) * FAILURE_EVERY_S)
+
+    def failed(self, peer: str) -> None:
+        """Note a failure."""
+        now, group = self._clock(), _group(peer)
+        self._paid_until[group] = max(self._paid_until.pop(group, now), now) + FAILURE_EVERY_S
+        if len(self._paid_until) > MOST_PEERS:
+            self._paid_until.popitem(last=False)
+
+    def __len__(self) -> int:
+        return len(self._paid_until)
+
+
+def _group(peer: str) -> str:
+    """The address of the peer, or its /64 network: one IPv6 host has all addresses of that."""
+    try:
+        address = ip_address(peer)
+    except ValueError:
+        return peer[:64]
+    return str(IPv6Address(int(address) >> 64 << 64)) if isinstance(address, IPv6Address) else peer

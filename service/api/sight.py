@@ -78,7 +78,7 @@ class Sight:
         return self.vehicle(job.vehicle_id)
 
     def job_of(self, job_id: str) -> bool:
-        """The same by its id; one that is not there is not seen."""
+        """Whether a job of that id is seen; False where there is none."""
         if self.everything:
             return True
         try:

@@ -211,9 +211,9 @@ def parameter_model(parameter: Parameter) -> ParameterModel:
 
 def procedure_model(spec: ProcedureSpec) -> ProcedureModel:
     """A procedure as a row of the table."""
-    told = {name: getattr(spec, name) for name in ProcedureModel.model_fields}
-    told["options"] = [{name: getattr(option, name) for name in OptionModel.model_fields} for option in spec.options]
-    return ProcedureModel.model_validate(to_json(told))
+    fields = {name: getattr(spec, name) for name in ProcedureModel.model_fields}
+    fields["options"] = [{name: getattr(option, name) for name in OptionModel.model_fields} for option in spec.options]
+    return ProcedureModel.model_validate(to_json(fields))
 
 
 def preflight_model(found: Preflight, fixed: Sequence[Fix]) -> PreflightModel:

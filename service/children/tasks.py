@@ -136,13 +136,13 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
 
 def _seldom(tell: Tell) -> Callable[[GapProgress], None]:
     """Tells every stage of a diagnosis, and of its steps no more than a few a second."""
-    told: dict[str, float] = {}
+    reported_at: dict[str, float] = {}
 
     def show(standing: GapProgress) -> None:
         now = time.monotonic()
-        if now - told.get(standing.stage, -math.inf) < _EVERY_S:
+        if now - reported_at.get(standing.stage, -math.inf) < _EVERY_S:
             return
-        told[standing.stage] = now
+        reported_at[standing.stage] = now
         tell(format_line(ProgressLine(standing.text, standing.share, standing.left_s)))
 
     return show

@@ -44,12 +44,12 @@ class VehicleState:
 class Conversation:
     """With the vehicle behind `link`, whose heartbeat was heard.
 
-    `check` raises if the simulator has ended; `told` hears the seconds since the beginning and what is being done.
+    `check` raises if the simulator has ended; `on_progress` gets the seconds since the beginning and the activity.
     """
 
-    def __init__(self, link: VehicleLink, check: Callable[[], None], told: Callable[[float, str], None]) -> None:
+    def __init__(self, link: VehicleLink, check: Callable[[], None], on_progress: Callable[[float, str], None]) -> None:
         assert link.heartbeat is not None
-        self._link, self._check, self._told = link, check, told
+        self._link, self._check, self._on_progress = link, check, on_progress
         self.to = link.target
         self.way = ways.autopilot_of(link.heartbeat)
         self.state = VehicleState()
@@ -106,7 +106,7 @@ class Conversation:
         before = self.state.t
         while self.state.t == before:
             self._listen()
-        self._told(self.state.t - self._began, self.doing)
+        self._on_progress(self.state.t - self._began, self.doing)
 
     def _broken(self, error: LinkDown) -> None:
         self._check()  # a simulator that has ended is the better reason

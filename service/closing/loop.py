@@ -30,7 +30,7 @@ PORT = "{port}"
 CONNECT = f"tcp:127.0.0.1:{PORT}"
 HEARTBEAT_S = 60.0
 """Wall seconds for a simulator to start. Chosen, not measured: Gazebo needs some 20."""
-_TELL_EVERY_S = 0.5
+_REPORT_EVERY_S = 0.5
 _MOST_DROPPED = 0.02
 """Part of its samples that a simulator's log may lack. Measured: beside a log that lacked 8 %, in a thousand holes, a
 vibration was named that was not there, and the rotor drag's error doubled; at half the speed nothing was lost."""
@@ -39,7 +39,7 @@ _LOG_QUIET_S, _LOG_MOST_S = 0.7, 30.0
 """Wall seconds without growth after which a log is whole, and the most that is waited. Chosen, not measured: the logger
 of ArduPilot writes many times a second."""
 
-Told = Callable[[str, float, float | None], None]
+OnProgress = Callable[[str, float, float | None], None]
 """What is being done, the part of it that is done (0..1), and the seconds that are left, None if nobody knows."""
 
 
@@ -47,7 +47,7 @@ class Diagnose(Protocol):
     """Says where the real flight differs from the simulated one; its effects carry what to set (`sim_patch`)."""
 
     def __call__(
-        self, real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, told: Told
+        self, real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, on_progress: OnProgress
     ) -> GapReport:
         """`frame` has the keys of the frame file that was flown; further files may be left in `folder`."""
         ...
@@ -83,7 +83,7 @@ class ClosingResult:
 
 
 class Closing:
-    """Closes the loop of `plan`. `told` hears round, doing, share and seconds left.
+    """Closes the loop of `plan`. `on_progress` gets round, activity, share and seconds left, `on_round` each result.
 
     Raises
     ------
@@ -97,10 +97,10 @@ class Closing:
         self,
         plan: ClosingPlan,
         diagnose: Diagnose,
-        told: Callable[[int, str, float, float | None], None] = lambda *_: None,
-        done: Callable[[RoundResult], None] = lambda _result: None,
+        on_progress: Callable[[int, str, float, float | None], None] = lambda *_: None,
+        on_round: Callable[[RoundResult], None] = lambda _result: None,
     ) -> None:
-        self._plan, self._diagnose, self._on_told, self._on_done = plan, diagnose, told, done
+        self._plan, self._diagnose, self._on_progress, self._on_round = plan, diagnose, on_progress, on_round
         _check(plan)
         identity = {
             "real_sha256": plan.real_sha256,
@@ -111,7 +111,7 @@ class Closing:
         self._folder = WorkFolder(plan.work, identity)
         self._speedup = plan.speedup
         self._number = 0
-        self._last_told = 0.0
+        self._reported_at = 0.0
 
     def run(self) -> ClosingResult:
         """Every round until nothing material is left, or the rounds are used up.
@@ -127,10 +127,10 @@ class Closing:
             self._number = len(results)
             result = self._folder.result(self._number, settings) or self._round(settings)
             results.append(result)
-            self._on_done(result)
+            self._on_round(result)
             outcome = outcome_of(results, self._plan.rounds)
             if outcome is not None:
-                self._folder.tell(self._number, outcome.value, 1.0, 0.0)
+                self._folder.keep_progress(self._number, outcome.value, 1.0, 0.0)
                 return ClosingResult(outcome, tuple(results))
             settings = result.to_set
 
@@ -144,8 +144,8 @@ class Closing:
             self._folder.keep_flown(self._number, settings, log)
         folder = self._folder.round_folder(self._number)
         sim = read_log(log)
-        self._last_told = 0.0
-        report = self._diagnose(self._plan.real, sim, frame=settings.frame, folder=folder, told=self._tell)
+        self._reported_at = 0.0
+        report = self._diagnose(self._plan.real, sim, frame=settings.frame, folder=folder, on_progress=self._report)
         result = measured(
             self._number, report, settings, str(log.relative_to(folder)), with_frame=self._plan.command.has("frame")
         )
@@ -164,15 +164,15 @@ class Closing:
         port = free_port()
         endpoint = parse_endpoint(plan.connect.replace(PORT, str(port)))
         arguments = plan.command.arguments(port=port, speedup=self._speedup, here=plan.here)
-        self._last_told = 0.0
+        self._reported_at = 0.0
         slower = "" if self._speedup == plan.speedup else f" at {self._speedup:g} times real time"
-        self._tell(f"starting the simulator{slower}", 0.0, None)
+        self._report(f"starting the simulator{slower}", 0.0, None)
         with Simulator(arguments, folder) as simulator:
             try:
                 with VehicleLink(endpoint) as link:
                     link.connect(plan.heartbeat_s, simulator.check)
-                    flight = _FlightClock(plan.mission.seconds, self._tell)
-                    vehicle = Conversation(link, simulator.check, flight.told)
+                    flight = _FlightClock(plan.mission.seconds, self._report)
+                    vehicle = Conversation(link, simulator.check, flight.report)
                     by_link = {} if plan.command.has("params") else settings.parameters
                     _pilot(vehicle, plan.mission).fly(by_link)
                     _let_log_end(vehicle, folder)
@@ -184,13 +184,13 @@ class Closing:
             except SimulatorError as error:
                 raise error.with_output(simulator.last_lines()) from error
 
-    def _tell(self, doing: str, share: float, left_s: float | None) -> None:
+    def _report(self, doing: str, share: float, left_s: float | None) -> None:
         now = time.monotonic()
-        if now - self._last_told < _TELL_EVERY_S:
+        if now - self._reported_at < _REPORT_EVERY_S:
             return
-        self._last_told = now
-        self._folder.tell(self._number, doing, share, left_s)
-        self._on_told(self._number, doing, share, left_s)
+        self._reported_at = now
+        self._folder.keep_progress(self._number, doing, share, left_s)
+        self._on_progress(self._number, doing, share, left_s)
 
 
 def _pilot(vehicle: Conversation, mission: Mission | LogMission) -> Pilot | Follower:
@@ -201,15 +201,15 @@ def _pilot(vehicle: Conversation, mission: Mission | LogMission) -> Pilot | Foll
 class _FlightClock:
     """How far a flight is, and how long the rest takes on the wall's clock."""
 
-    def __init__(self, seconds: float, told: Told) -> None:
-        self._seconds, self._told = seconds, told
+    def __init__(self, seconds: float, on_progress: OnProgress) -> None:
+        self._seconds, self._on_progress = seconds, on_progress
         self._began = time.monotonic()
 
-    def told(self, done: float, doing: str) -> None:
-        """So many seconds of the mission are done."""
-        share = min(done / self._seconds, 1.0)
+    def report(self, done_s: float, doing: str) -> None:
+        """Report the share of the mission that is flown, and the wall seconds that the rest takes."""
+        share = min(done_s / self._seconds, 1.0)
         spent = time.monotonic() - self._began
-        self._told(f"flying ({doing})", share, spent * (1.0 - share) / share if share > 0.0 else None)
+        self._on_progress(f"flying ({doing})", share, spent * (1.0 - share) / share if share > 0.0 else None)
 
 
 def _let_log_end(vehicle: Conversation, folder: Path) -> None:

@@ -255,13 +255,13 @@ class WorkFolder:
         write_json(folder / FLOWN, kept)
 
     def keep(self, result: RoundResult, diagnosis: Json) -> None:
-        """The diagnosis of a round is done."""
+        """Write the diagnosis of a round and what came of it."""
         folder = self.round_folder(result.number)
         write_json(folder / DIAGNOSIS, diagnosis)
         write_json(folder / ROUND, result.as_json())
 
-    def tell(self, number: int, doing: str, share: float, left_s: float | None) -> None:
-        """How far the loop is."""
+    def keep_progress(self, number: int, doing: str, share: float, left_s: float | None) -> None:
+        """Write how far the loop is."""
         standing = {"round": number, "doing": doing, "share": share, "left_s": left_s}
         write_json(self.path / PROGRESS, {"schema": SCHEMA, "of": self._identity, "standing": standing})
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import textwrap
 import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +18,16 @@ from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.commands.reading import parse_mapping, reading_options
 
 if TYPE_CHECKING:
-    from mavcal.calib.gap.schema import GapReport
-    from mavcal.calib.gap.verify import Verified
+    from mavcal.calib.airframe.answer import AirframePart, Rollout
+    from mavcal.calib.gap.schema import EffectEstimate, GapReport
+    from mavcal.calib.gap.verify import Left, Verified
 
 TARGETS = ("sitl", "frame", "sih", "gazebo", "matlab", "mavcal", "vehicle")
 """Those of ``calib.gap.export.Target``, stated here so that help does without numpy (a test compares them)."""
 _MOST_WHERE = 3
 _MOST_UNTESTABLE = 8
+WIDTH = 80
+"""Columns of lines about airframe and air."""
 
 
 @click.group(invoke_without_command=True)
@@ -164,7 +169,6 @@ def _show(report: GapReport, verified: Verified | None) -> None:
     from mavcal.calib.airframe.answer import Domain
     from mavcal.calib.gap_report.airframe_words import effects_of
     from mavcal.calib.gap_report.words import closed_sentence, not_compared, regime, verdict_sentence
-    from mavcal.service.commands.gap_output import flight_lines
 
     click.echo(f"{report.verdict.value}: {verdict_sentence(report, listed=False)}")
     if missing := not_compared(report):
@@ -197,7 +201,6 @@ def _show_effects(report: GapReport) -> None:
     """Those of airframe and air with a heading each; those of sensors too where they are not alone."""
     from mavcal.calib.airframe.answer import Domain
     from mavcal.calib.gap_report.airframe_words import groups
-    from mavcal.service.commands.gap_output import effect_lines
 
     grouped = report.airframe is not None or any(effect.domain is not Domain.SENSOR for effect in report.effects)
     for heading, effects in groups(report):
@@ -222,7 +225,6 @@ def _show_effect(effect: Any, indent: str) -> None:
 
 def _show_verified(verified: Verified) -> None:
     from mavcal.calib.gap_report.words import NATS, number
-    from mavcal.service.commands.gap_output import remainder_lines
 
     low, high = verified.remaining.ci95
     click.echo(
@@ -247,3 +249,70 @@ def _show_verified(verified: Verified) -> None:
 
 command.add_command(close, "close")
 command.add_command(selftest, "selftest")
+
+
+def effect_lines(effect: EffectEstimate) -> list[str]:
+    """An effect of airframe or air: what was found, how sure that is, its numbers, and its rivals."""
+    from mavcal.calib.gap_report.airframe_effects import claims, rival_phrase
+    from mavcal.calib.gap_report.words import chance, effect_phrase, held_out
+
+    phrase = effect_phrase(effect)
+    lines = wrapped(f"{phrase[0].upper()}{phrase[1:]}")
+    likelier = ", something else is likelier" if effect.evidence.doubtful else ""
+    sure = f"{effect.id}, probability {chance(effect.evidence.probability)}{likelier}; {held_out(effect)}"
+    lines += wrapped(sure, "    ")
+    for claim in claims(effect):
+        said = f"{claim.label}: {claim.difference}" + (f" ({claim.interval})" if claim.interval else "")
+        lines += wrapped(f"{said}; {claim.sides}" if claim.sides else said, "    ")
+    for rival in effect.confusable_with:
+        lines += wrapped(f"could also be {rival_phrase(rival)}", "    ")
+    return lines
+
+
+def remainder_lines(left: Left) -> Iterator[str]:
+    """What is left of an effect of the airframe, parameter by parameter."""
+    from mavcal.calib.gap_report.words import number
+
+    motor = "" if not left.instances else f" of motor {', '.join(map(str, left.instances))}"
+    for name, one in left.remainders.items():
+        nothing, what = (1.0, "real by new") if one.ratio else (0.0, "real less new")
+        within = f"within two standard errors of {nothing:g}" if one.within else "not closed"
+        unseen = "; the new flight does not show the effect" if left.again is None else ""
+        said = f"{left.id}{motor}: {name}, {what} {nothing + one.value:.4g} ± {number(one.se)}, {within}{unseen}"
+        yield from wrapped(said)
+
+
+def flight_lines(part: AirframePart) -> Iterator[str]:
+    """How far the prediction improves, what to fly next, and whence frame and commands are known."""
+    from mavcal.calib.gap_report.airframe_words import commands_sentence, geometry_sentence
+
+    if part.rollout:
+        yield from _table(part.rollout)
+    if part.manoeuvres:
+        yield "To decide between what is left, fly:"
+        for manoeuvre in part.manoeuvres:
+            yield from wrapped(manoeuvre)
+    if part.geometry is not None:
+        yield from wrapped(geometry_sentence(part.geometry), "")
+    if part.commands is not None:
+        yield from wrapped(commands_sentence(part.commands), "")
+
+
+def _table(rollouts: Iterable[Rollout]) -> Iterator[str]:
+    """The error of the predicted flight: a row for each horizon."""
+    from mavcal.calib.gap_report.airframe_words import closed_words, part_name, quantity_name, sized
+
+    yield "Predicted flight, on data that were held out:"
+    yield f"  {'error':28}{'before':>8}{'after':>8}{'floor':>8}"
+    for one in rollouts:
+        name = f"{quantity_name(one)}, {one.unit}"
+        numbers = "".join(f"{sized(one, error):>8}" for error in (one.before, one.after, one.floor))
+        yield f"  {name:28}{numbers}  {', '.join(filter(None, (closed_words(one), part_name(one))))}".rstrip()
+
+
+def wrapped(text: str, indent: str = "  ") -> list[str]:
+    """A text in lines, the further ones two columns deeper; words are never broken."""
+    return textwrap.wrap(
+        text, WIDTH, initial_indent=indent, subsequent_indent=f"{indent}  ", break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip

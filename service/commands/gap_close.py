@@ -19,7 +19,7 @@ from mavcal.service.commands.reading import readable_file, reading_options
 if TYPE_CHECKING:
     from mavcal.calib.gap.schema import GapReport
     from mavcal.calib.recording import Recording
-    from mavcal.service.closing.loop import ClosingPlan, ClosingResult, Told
+    from mavcal.service.closing.loop import ClosingPlan, ClosingResult, OnProgress
     from mavcal.service.closing.rounds import RoundResult
 
 CONNECT = "tcp:127.0.0.1:{port}"
@@ -105,21 +105,21 @@ def command(
         try:
             plan = _plan(options)
 
-            def told(number: int, doing: str, share: float, left_s: float | None) -> None:
+            def show_progress(number: int, doing: str, share: float, left_s: float | None) -> None:
                 left = "" if left_s is None else f", about {max(round(left_s), 1)} s left"
                 line.write(f"round {number}, {doing}: {100 * share:.0f} % done{left}")
 
-            def done(result: RoundResult) -> None:
+            def show_round(result: RoundResult) -> None:
                 line.clear()
                 if not as_json:
                     _show(result)
 
-            result = Closing(plan, _diagnosis(limit_s, layout, mass), told, done).run()
+            result = Closing(plan, _diagnosis(limit_s, layout, mass), show_progress, show_round).run()
         except ClosingError as error:
             line.clear()
             raise AnsweredNo(error.code, str(error), EXIT_USAGE) from error
     if page is not None:
-        from mavcal.service.closing.telling import page as page_of
+        from mavcal.service.closing.report import page as page_of
 
         write(page, page_of(result, f"The loop with {Path(options['real']).name}, closed"))
     _answer(result, as_json=as_json)
@@ -162,9 +162,13 @@ def _diagnosis(limit_s: float, layout: str | None, mass: float | None) -> Any:
     from mavcal.calib import gap
     from mavcal.calib.gap_report import gap_to_html
 
-    def diagnose(real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, told: Told) -> GapReport:
+    def diagnose(
+        real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, on_progress: OnProgress
+    ) -> GapReport:
         began = time.process_time()
-        pace = gap.GapPace(lambda: time.process_time() - began, limit_s, lambda s: told(s.text, s.share, s.left_s))
+        pace = gap.GapPace(
+            lambda: time.process_time() - began, limit_s, lambda s: on_progress(s.text, s.share, s.left_s)
+        )
         report = gap.run(real, sim, pace=pace, frame=layout, sim_frame=frame, mass=mass)
         (folder / _PAGE).write_text(gap_to_html(report, title=f"Sim-to-real gap, {folder.name}"), encoding="utf-8")
         return report
@@ -187,14 +191,14 @@ def _ended_cleanly() -> Iterator[None]:
 
 
 def _show(result: RoundResult) -> None:
-    from mavcal.service.closing.telling import round_lines
+    from mavcal.service.closing.report import round_lines
 
     for text in round_lines(result):
         click.echo(text)
 
 
 def _answer(result: ClosingResult, *, as_json: bool) -> None:
-    from mavcal.service.closing.telling import sentence
+    from mavcal.service.closing.report import sentence
 
     said = sentence(result)
     if as_json:

@@ -1,15 +1,16 @@
-"""The parts of one instance among others, put together."""
+"""One instance among others: which one it is, and its parts put together."""
 
 from __future__ import annotations
 
 import asyncio
+import secrets
+import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 
 from mavcal.service.errors import LinkElsewhere, StoreError
 from mavcal.service.instances.follow import Follower
-from mavcal.service.instances.identity import owner_of
-from mavcal.service.instances.leases import Leases
+from mavcal.service.instances.leases import Leases, Owner
 from mavcal.service.instances.membership import Membership
 from mavcal.service.instances.ownership import LeasedJobs, link_subject
 from mavcal.service.jobs.engine import JobEngine
@@ -17,6 +18,8 @@ from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.settings import Settings
 from mavcal.service.store.sql import SqlStore
 from mavcal.service.vehicle import VehicleRegistry
+
+FILE = "instance"
 
 
 class Instance:
@@ -78,3 +81,13 @@ class LeasedLinks:
     async def release(self, link_id: str) -> None:
         """See LinkOwnership."""
         await asyncio.to_thread(self._leases.release, link_subject(link_id))
+
+
+def owner_of(settings: Settings) -> Owner:
+    """The owner of this data directory, which no other process has; its earlier leases are taken back at once."""
+    path = settings.data_dir / FILE
+    known = path.read_text(encoding="ascii").strip() if path.is_file() else ""
+    if not known:
+        known = secrets.token_hex(8)
+        path.write_text(f"{known}\n", encoding="ascii")
+    return Owner(known, settings.fleet.name or f"{socket.gethostname()}:{settings.port}", settings.fleet.url)

@@ -14,8 +14,9 @@ from mavcal.service.jobs.core.handle import JobHandle, waiting
 from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import PHYSICAL, JobState
-from mavcal.service.rates.ledger import RateLedgers, RateUser, request_rates, return_rates
+from mavcal.service.rates.ledger import RateLedgers, request_rates, return_rates
 from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
+from mavcal.service.vehicle.rate_ledger import RateUser
 
 ASKING_S = 1.0
 """About how long it takes to ask for messages and to hear that they are granted."""

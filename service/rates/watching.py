@@ -20,9 +20,10 @@ import structlog
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.stream.rates import LIVE_MOST_HZ, live_streams
 from mavcal.service.errors import Forbidden, ServiceError, VehicleUnknown, WatchUnknown
-from mavcal.service.rates.ledger import LiveWatch, RateLedgers, request_rates, return_rates
+from mavcal.service.rates.ledger import RateLedgers, request_rates, return_rates
 from mavcal.service.rates.owed import OwedRates
 from mavcal.service.vehicle.job_vehicle import JobVehicle
+from mavcal.service.vehicle.rate_ledger import LiveWatch
 
 log = structlog.get_logger(__name__)
 

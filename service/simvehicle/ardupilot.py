@@ -137,12 +137,12 @@ class ArduPilotVehicle(FlightController):
     # --- what it says by itself
 
     def banner(self) -> list[str]:
-        """What is said before a parameter list."""
+        """The STATUSTEXTs that precede a parameter list."""
         serial = self.uid2().hex()[:32]
         return [f"ArduCopter V4.7.0-dev ({GIT_HASH.decode()})", serial, "Frame: QUAD/PLUS"]
 
     def _statistics(self) -> None:
-        """Runtime, told to everybody unasked each half minute."""
+        """Send the runtime statistics to every link each half minute."""
         if "STAT_RUNTIME" in self.table:
             total = int(self.table.saved["STAT_RUNTIME"]) + int(self.time)
             self.table.store("STAT_RUNTIME", total)

@@ -72,7 +72,7 @@ class ArduPilotCommands:
         return self._vehicle.time < self._stalled_until
 
     def boot(self) -> None:
-        """Forget what a reboot ends."""
+        """End every routine that a reboot ends."""
         self.deaf = False
         self._stored.boot()
         self._stalled_until = self._last_accel = self._gyros_settled_at = -math.inf

@@ -1,4 +1,4 @@
-"""What ArduPilot's estimator takes for the bias of its accelerometer, and remembers.
+"""The accelerometer bias that ArduPilot's estimator has learnt.
 
 On the ground EKF3 learns the bias of an axis only while that axis is within 37 deg of the vertical
 (``NavEKF3_core::CovariancePrediction``: ``fabsF(prevTnb[index][2]) > 0.8``, else the state is held); at boot it knows
@@ -22,19 +22,19 @@ LIMIT = 1.0  # m/s², EK3_ACC_BIAS_LIM
 
 
 class TiltEstimate:
-    """The accelerometer bias (3,), body frame, m/s², that the attitude is freed of."""
+    """Accelerometer bias (3,), body frame, m/s², that the estimator subtracts."""
 
     def __init__(self, sensors: ArduPilotSensors) -> None:
         self._sensors = sensors
         self.boot()
 
     def boot(self) -> None:
-        """A restart forgets everything: the attitude begins where the accelerometer says that down is."""
+        """Reset to zero bias: after a restart the attitude is the accelerometer's."""
         self.bias = np.zeros(3)
         self._time = 0.0
 
     def advance(self, until: float, *, flying: bool) -> None:
-        """Learn from the primary accelerometer up to a vehicle time; airborne every axis is learned."""
+        """Update the bias from the primary accelerometer up to a vehicle time; in flight on every axis."""
         dt = until - self._time
         if dt < STEP_S:
             return
@@ -50,5 +50,5 @@ class TiltEstimate:
         self.bias = np.clip(self.bias + follow * learned * (error - self.bias), -LIMIT, LIMIT)
 
     def unbiased(self, force: Array) -> Array:
-        """Corrected accelerations (N, 3) as the attitude is made of them."""
+        """Corrected accelerations (N, 3) minus the bias."""
         return np.asarray(force - self.bias)

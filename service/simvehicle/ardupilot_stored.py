@@ -1,4 +1,4 @@
-"""What ArduPilot's onboard calibrations leave behind: stored values, accelerometers that count, a wanted reboot."""
+"""What ArduPilot's onboard calibrations store, and what arming checks require afterwards."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mavcal.service.simvehicle.parameters import ParameterTable, Value
 
 
 class StoredCalibrations:
-    """Takes the values of a calibration, and remembers what the arming checks ask for afterwards."""
+    """Stores calibrations; knows which accelerometers count as calibrated and whether a reboot is due."""
 
     def __init__(self, table: ParameterTable, announce: Callable[[list[str]], None]) -> None:
         self._table, self._announce = table, announce
@@ -18,7 +18,7 @@ class StoredCalibrations:
         """Arming is refused with this reason until the next boot."""
 
     def boot(self) -> None:
-        """The reboot that was wanted has come."""
+        """Note that the vehicle has rebooted."""
         self.reboot_reason = None
 
     def mark_accels(self, count: int) -> None:

@@ -1,4 +1,4 @@
-"""The calibration that a vehicle starts with: made some time ago, near the truth, and identity nowhere.
+"""The calibration that a vehicle starts with: near the truth, and no parameter neutral.
 
 A vehicle whose parameters are all neutral hides every fault in undoing what is in force, and in judging a change of it.
 Such a new vehicle is therefore the exception (``"calibration": "none"``).
@@ -37,7 +37,7 @@ class _Wear:
     amount: float
 
     def aged(self, value: Array, bounds: tuple[float, float]) -> Array:
-        """`value` as an earlier calibration has it."""
+        """`value` with the error of an earlier calibration."""
         off = self.rng.uniform(*bounds, value.shape) * self.rng.choice([-1.0, 1.0], value.shape)
         return np.asarray(value + self.amount * off)
 

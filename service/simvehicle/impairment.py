@@ -37,7 +37,7 @@ class Impairment:
 
     @property
     def clean(self) -> bool:
-        """Whether nothing is spoilt."""
+        """Whether no impairment is set."""
         return self == CLEAN
 
 
@@ -64,7 +64,7 @@ class FaultyLink:
         self._free_out = self._free_in = 0.0  # when the wire has carried what it was given, monotonic
 
     def set_impairments(self, incoming: Impairment, outgoing: Impairment) -> None:
-        """Spoil what passes from now on."""
+        """Set the impairments of what passes from now on."""
         self.incoming, self.outgoing = incoming, outgoing
 
     def sockets(self) -> list[socket.socket | int]:

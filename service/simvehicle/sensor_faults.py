@@ -22,7 +22,7 @@ SENSORS = ("accel", "gyro", "mag")
 
 
 class SensorFaults:
-    """Which sensors are failing, and what a stuck one last said."""
+    """Failing sensors, and the last reading of each that is stuck."""
 
     def __init__(self) -> None:
         self._faults: dict[tuple[str, int], SensorFault] = {}
@@ -55,7 +55,7 @@ class SensorFaults:
         return (sensor, instance) in self._faults
 
     def apply(self, sensor: str, instance: int, values: Array) -> Array:
-        """The corrected readings (N, 3) as a failing sensor gives them."""
+        """Corrected readings (N, 3) of a sensor with its fault applied."""
         key = (sensor, instance)
         fault = self._faults.get(key)
         if fault is None:

@@ -88,7 +88,7 @@ class SimServer:
         self._twins.append((twin, twin.channels))
 
     def remove_twins(self) -> None:
-        """Only the first vehicle is left."""
+        """Remove every vehicle but the first."""
         self._twins.clear()
 
     def _rebooted(self) -> None:
@@ -109,7 +109,7 @@ class SimServer:
         self._step_script()
 
     def stop_script(self) -> None:
-        """The operator takes over."""
+        """End the script; the operator moves the vehicle."""
         self._script = None
 
     def _step_script(self) -> None:
@@ -148,7 +148,7 @@ class SimServer:
         return set(ready)
 
     def _tick(self, wall_s: float, ready: Ready | None = None) -> None:
-        """Take in what has arrived (None: look everywhere), let time pass, send what was held back."""
+        """Read what has arrived (None: on every socket), advance vehicle time, send what was held back."""
         if ready is None or not ready.isdisjoint(self.control.sockets()):
             self.control.poll()
         for link in self.links:

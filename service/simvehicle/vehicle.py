@@ -175,7 +175,7 @@ class FlightController(ABC):
         self.at(period if first is None else first, again)
 
     def advance(self, until: float) -> None:
-        """Let vehicle time pass, doing all that falls due on the way. A reboot sets the clock back: then it ends."""
+        """Advance vehicle time and do everything that falls due. A reboot sets the clock back: then it ends."""
         boots = self.boots
         while self.time < until and self.boots == boots:
             target = min(until, self.time + SLICE_S)
@@ -243,7 +243,7 @@ class FlightController(ABC):
         self.handle(channel, received)
 
     def note_set(self, name: str, value: float) -> None:
-        """Remember that a PARAM_SET arrived, and let faults strike that wait for it."""
+        """Count a PARAM_SET, and start faults that wait for it."""
         self.sets.append((self.elapsed, name, value))
         del self.sets[:-MAX_SETS_KEPT]
         self.set_count += 1

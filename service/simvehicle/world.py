@@ -1,8 +1,8 @@
-"""The physical vehicle: how it moves, how warm it is, what its motors draw, and what its sensors truly read."""
+"""The physical vehicle: motion, temperature, motor current, and the raw readings of its sensors."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,9 +10,96 @@ from mavcal.service.simvehicle.config import VehicleConfig
 from mavcal.service.simvehicle.motion import CurrentMotion
 from mavcal.service.simvehicle.mounting import true_mounting
 from mavcal.service.simvehicle.rotation import Array, body_from_ned, mounting_matrix
-from mavcal.service.simvehicle.thermal import Thermal
 from mavcal.service.simvehicle.truth import SensorTruth, draw_truth
-from mavcal.service.simvehicle.wander import RandomWalk
+
+HORIZON_S = 14400
+"""From here on the random walk of a bias stays where it is."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """T(t) = end − (end − start)·exp(−(t − t0)/tau): a warm-up; constant where start equals end. Units °C and s."""
+
+    start: float
+    end: float
+    tau: float = 60.0
+    t0: float = 0.0
+
+    def at(self, t: Array) -> Array:
+        """Temperature at vehicle times t (N,)."""
+        elapsed = np.maximum(t - self.t0, 0.0)
+        return np.asarray(self.end - (self.end - self.start) * np.exp(-elapsed / self.tau))
+
+
+class Thermal:
+    """The board's temperature, and each IMU's own: an offset, and a lag of first order where configured."""
+
+    def __init__(self, start: float, offsets: Array, lag_s: float = 0.0) -> None:
+        self._curve = Curve(start, start)
+        self._offsets = offsets
+        self._lag = lag_s
+        self._lagged = start
+        self._lagged_at = 0.0
+
+    def board(self, t: Array) -> Array:
+        """Board temperature at times t, °C."""
+        return self._curve.at(t)
+
+    def imu(self, instance: int, t: Array) -> Array:
+        """Temperature of one IMU at times t, °C."""
+        return np.asarray(self._core(t) + self._offsets[instance])
+
+    def _core(self, t: Array) -> Array:
+        if self._lag <= 0:
+            return self._curve.at(t)
+        # Response of a first-order lag to an exponential: exact, from the state kept at the last change of curve.
+        c, dt = self._curve, np.maximum(t - self._lagged_at, 0.0)
+        span = c.start - c.end
+        if abs(c.tau - self._lag) < 1e-9:
+            forced = span * (dt / self._lag) * np.exp(-dt / self._lag)
+        else:
+            forced = span * c.tau / (c.tau - self._lag) * (np.exp(-dt / c.tau) - np.exp(-dt / self._lag))
+        return np.asarray(c.end + forced + (self._lagged - c.end) * np.exp(-dt / self._lag))
+
+    def warm_up(self, t: float, start: float, end: float, tau_s: float) -> None:
+        """Begin a warm-up curve now; every IMU that lags keeps the temperature it has."""
+        self._remember(t)
+        self._curve = Curve(start, end, max(tau_s, 1e-6), t)
+
+    def hold(self, t: float, value: float) -> None:
+        """Hold the board at this temperature from now on."""
+        self._remember(t)
+        self._curve = Curve(value, value, t0=t)
+
+    def _remember(self, t: float) -> None:
+        self._lagged, self._lagged_at = float(self._core(np.array([t]))[0]), t
+
+    def restart(self, elapsed: float) -> None:
+        """Vehicle time begins again at zero after `elapsed` seconds; the temperature goes on."""
+        c = self._curve
+        self._curve = Curve(c.start, c.end, c.tau, c.t0 - elapsed)
+        self._lagged_at -= elapsed
+
+
+@dataclass
+class RandomWalk:
+    """A random walk (3,) in time: zero at first, one standard deviation a root second; the same however often read."""
+
+    rng: np.random.Generator
+    _elapsed: float = 0.0
+    _walk: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._walk = np.vstack([np.zeros(3), np.cumsum(self.rng.normal(size=(HORIZON_S, 3)), axis=0)])
+
+    def __call__(self, t: Array) -> Array:
+        """The walk (N, 3) at vehicle times (N,), straight between whole seconds."""
+        since = t + self._elapsed
+        return np.column_stack([np.interp(since, np.arange(HORIZON_S + 1), axis) for axis in self._walk.T])
+
+    def restart(self, elapsed: float) -> None:
+        """Vehicle time begins again at zero after `elapsed` seconds; the bias goes on."""
+        self._elapsed += elapsed
 
 
 @dataclass
@@ -43,7 +130,7 @@ class Ramp:
 
 @dataclass
 class VibrationState:
-    """What the vehicle says of its vibration."""
+    """Vibration levels and clipping counts that the vehicle reports."""
 
     level: float = 0.1  # m/s²
     clips: int = 0  # of the first accelerometer since the start
@@ -97,7 +184,7 @@ class SimWorld:
         return MotionState(t, q, rate, force)
 
     def temperature_read(self, instance: int, t: Array) -> Array:
-        """What the driver of an IMU says: the temperature when it was last read."""
+        """Temperature that the driver of an IMU reports: that of its last reading."""
         period = self.config.temperature_period_s
         read_at = t if period <= 0 else np.floor(t / period) * period
         return self.thermal.imu(instance, read_at)

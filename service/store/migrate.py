@@ -1,7 +1,7 @@
 """Numbered migrations: ``migrations/NNNN_name.sql``, each applied once and in order.
 
 They are written in the words of SQLite. A file of the same name in ``migrations/postgres`` is read there instead of it;
-:mod:`service.store.schema` translates either.
+:mod:`service.store.postgres` translates either.
 """
 
 from __future__ import annotations

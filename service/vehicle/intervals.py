@@ -163,11 +163,11 @@ class _Together:
             self.left.remove(message_id)
 
 
-def _note(vehicle: Vehicle, way: str, told_us: Mapping[int, int]) -> None:
+def _note(vehicle: Vehicle, way: str, answered_us: Mapping[int, int]) -> None:
     """Note what a link had where we have asked for nothing yet."""
-    for message_id, interval in told_us.items():
-        if message_id not in vehicle.streams.asked:
-            vehicle.streams.before(way, message_id, interval)
+    for message_id, interval in answered_us.items():
+        if message_id not in vehicle.rates.requested_us:
+            vehicle.rates.note_before(way, message_id, interval)
 
 
 async def _set(vehicle: Vehicle, message_id: int, interval_us: float) -> int | None:
@@ -180,8 +180,8 @@ async def _set(vehicle: Vehicle, message_id: int, interval_us: float) -> int | N
     return commands.ACCEPTED
 
 
-def _as_asked(asked_us: float, told_us: int) -> bool:
-    return told_us == -1 if asked_us < 0 else told_us > 0 and abs(told_us - asked_us) <= ROUNDED * asked_us
+def _as_asked(asked_us: float, answered_us: int) -> bool:
+    return answered_us == -1 if asked_us < 0 else answered_us > 0 and abs(answered_us - asked_us) <= ROUNDED * asked_us
 
 
 def _questions(vehicle: Vehicle, message_id: int) -> list[_Question]:

@@ -16,6 +16,7 @@ from mavcal.service.link import Batch
 from mavcal.service.link.capacity import slowdown
 from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.intervals import get_intervals
+from mavcal.service.vehicle.rate_ledger import RateLedger
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.streams import StreamReport, demand_streams, request_streams
 from mavcal.service.vehicle.vehicle import Vehicle
@@ -105,6 +106,11 @@ class JobVehicle:
     def id(self) -> str:
         """Stable and URL-safe."""
         return self._vehicle.id
+
+    @property
+    def rates(self) -> RateLedger:
+        """Who uses its message rates, and what is set on which link."""
+        return self._vehicle.rates
 
     @property
     def identity(self) -> Identity:

@@ -265,7 +265,7 @@ class VehicleRegistry:
         elif kind is VehicleEventKind.HEARD_AGAIN and vehicle.identity.uid2 is None:
             vehicle.decide_again()  # it may have been found on another link meanwhile, as nobody known
         elif kind is VehicleEventKind.MOVED:
-            vehicle.streams.move(partial(follow, vehicle))
+            vehicle.rates.begin_following(partial(follow, vehicle))
         event = VehicleEvent(kind, vehicle.id, text)
         loop = asyncio.get_running_loop()
         for key in list(self._subscribers):

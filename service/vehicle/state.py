@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, NoReturn
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire import Message
+from mavcal.service.errors import VehicleArmed, VehicleBusy, VehicleConflict, VehicleError, VehicleSilent
 from mavcal.service.vehicle.calibration import OnboardCalibration, watch_calibration
 from mavcal.service.vehicle.texts import ChunkedText, StatusText, add_chunk
 
@@ -232,3 +233,21 @@ def _not_landed(state: VehicleState, now: float) -> str | None:
     if state.throttle_at is None or now - state.throttle_at > LANDED_FRESH_S or state.throttle is None:
         return "it is not known whether the vehicle is on the ground: neither landed state nor throttle was heard"
     return None if state.throttle == 0 else f"its landed state is unknown and the throttle is {state.throttle:.0%}"
+
+
+def refuse(found: Writable, name: str, sent: int) -> NoReturn:
+    """Raise the error of the first of its reasons: `name` was sent so often, or "" for a write at all."""
+    doing = f"{name} was not written" if name else "Nothing is written"
+    if sent:
+        doing = f"{name} was sent {sent} times and not confirmed; it is not sent again"
+    text = f"{doing}: {'; '.join(found.reasons)}."
+    errors: dict[Refusal, type[VehicleError]] = {
+        Refusal.SILENT: VehicleSilent,
+        Refusal.ARMED: VehicleArmed,
+        Refusal.CONFLICT: VehicleConflict,
+        Refusal.NOT_LANDED: VehicleBusy,
+        Refusal.CALIBRATING: VehicleBusy,
+    }
+    error = next(errors[refusal] for refusal in errors if refusal in found.refusals)(text)
+    error.sent = sent
+    raise error

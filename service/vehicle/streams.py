@@ -121,14 +121,14 @@ class StreamReport:
     async def restore(self) -> tuple[int, ...]:
         """Put the old intervals back; returns the messages for which that could not be confirmed."""
         vehicle = self.vehicle.unit
-        ledger, way = vehicle.streams, vehicle.way
-        await ledger.moved()
+        ledger, way = vehicle.rates, vehicle.way
+        await ledger.followed()
         try:
-            results = await set_intervals(vehicle, ledger.to_restore(way, self.previous))
+            results = await set_intervals(vehicle, ledger.before_us(way, self.previous))
         except (VehicleError, LinkError):
             return tuple(self.previous)
         failed = tuple(message_id for message_id, result in results.items() if result != commands.ACCEPTED)
-        left = ledger.restored(way, tuple(key for key in self.previous if key not in failed))
+        left = ledger.note_restored(way, tuple(key for key in self.previous if key not in failed))
         for link in vehicle.links:
             for message_id, interval in left.get(link.id, {}).items():
                 vehicle.demand_over(link, commands.SET_MESSAGE_INTERVAL, message_id, interval)
@@ -230,7 +230,7 @@ def demand_streams(vehicle: Vehicle, requested_hz: Mapping[int, float]) -> Mappi
     """
     planned = plan_rates(requested_hz, _smaller(nominal_capacity(vehicle.link.endpoint), _remembered(vehicle)))
     for message_id, rate in sorted(planned.items(), key=lambda item: item[1]):
-        vehicle.streams.ask(message_id, _interval_us(rate))
+        vehicle.rates.requested_us[message_id] = _interval_us(rate)
         vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
     return planned
 
@@ -304,7 +304,7 @@ class _Request:
     def hurry(self, rates_hz: Mapping[int, float]) -> None:
         """Ask without waiting for answers: they stand in the queue that is to be relieved."""
         for message_id, rate in rates_hz.items():
-            self.vehicle.streams.ask(message_id, _interval_us(rate))
+            self.vehicle.rates.requested_us[message_id] = _interval_us(rate)
             self.vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
 
     async def ask(self, rates_hz: Mapping[int, float]) -> None:
@@ -312,13 +312,13 @@ class _Request:
 
         The slow ones first: the link is busy only when the last ones are on, and answers then wait.
         """
-        await self.vehicle.streams.moved()
+        await self.vehicle.rates.followed()
         unknown = [message_id for message_id in rates_hz if message_id not in self._previous]
         if unknown:
             self._previous |= await get_intervals(self.vehicle, unknown)
         slow_first = sorted(rates_hz.items(), key=lambda item: item[1])
         for message_id, rate in slow_first:
-            self.vehicle.streams.ask(message_id, _interval_us(rate))
+            self.vehicle.rates.requested_us[message_id] = _interval_us(rate)
             self._results.setdefault(message_id, None)  # what is cut short is put back too
         self._results |= await set_intervals(self.vehicle, {key: _interval_us(rate) for key, rate in slow_first})
 
@@ -341,11 +341,11 @@ class _Request:
 
 async def follow(vehicle: Vehicle) -> None:
     """Ask for the rates that are ours over the link that has come into use; what it had before is noted."""
-    ledger, way = vehicle.streams, vehicle.way
-    for message_id, interval in dict(ledger.asked).items():
+    ledger, way = vehicle.rates, vehicle.way
+    for message_id, interval in dict(ledger.requested_us).items():
         try:
-            if not ledger.knows(way, message_id):
-                ledger.before(way, message_id, await get_interval(vehicle, message_id) or DEFAULT_INTERVAL)
+            if not ledger.knows_before(way, message_id):
+                ledger.note_before(way, message_id, await get_interval(vehicle, message_id) or DEFAULT_INTERVAL)
             await set_interval(vehicle, message_id, interval)
         except (VehicleError, LinkError):
             continue  # a stream that does not come shows where it is needed

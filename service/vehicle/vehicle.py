@@ -26,8 +26,7 @@ from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heart
 from mavcal.service.vehicle.listing import ParameterSet, Progress, list_all
 from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.parameters import Parameters
-from mavcal.service.vehicle.port_rates import PortRates
-from mavcal.service.vehicle.refusal import refuse
+from mavcal.service.vehicle.rate_ledger import RateLedger
 from mavcal.service.vehicle.state import (
     Refusal,
     VehicleState,
@@ -35,6 +34,7 @@ from mavcal.service.vehicle.state import (
     changed,
     expire,
     reduce,
+    refuse,
     restarted,
     writable,
 )
@@ -108,7 +108,7 @@ class Vehicle:
         """The vehicle that this one turned out to be, over another link."""
         self.gone = False
         """Whether it was closed."""
-        self.streams = PortRates()
+        self.rates = RateLedger()
         self._replaced = ""
         self.heartbeat = heartbeat
         """The last one heard at this address, be it of another unit."""
@@ -321,7 +321,7 @@ class Vehicle:
         used = link is self.link
         self.channels.leave(link)
         self._subscribers.leave(link)
-        self.streams.drop(link.id)
+        self.rates.forget_link(link.id)
         if used:
             self._moved(why)
         self._tell(VehicleEventKind.LINKS, f"It is not heard over {link.id} any more: {why}.")
@@ -347,9 +347,9 @@ class Vehicle:
             self._tell(VehicleEventKind.PEER_CHANGED, event.text)
 
     def _conflict(self, kind: str, text: str, now: float) -> None:
-        told = kind in self._conflicts and now - self._conflicts[kind][1] < CONFLICT_S
+        announced = kind in self._conflicts and now - self._conflicts[kind][1] < CONFLICT_S
         self._conflicts[kind] = (text, now)
-        if not told:
+        if not announced:
             self._tell(VehicleEventKind.CONFLICT, text)
 
     # --- state ------------------------------------------------------------------------------------------------------
@@ -401,7 +401,7 @@ class Vehicle:
         """Let time pass: deadlines, silence, and asking again for a state that has grown old."""
         if self.channels.overdue():
             self._fail_over(f"no heartbeat over link {self.way} for 3 s")
-        elif not (self._subscribers or self.waits.any or self.streams.asked) and self.channels.prefer():
+        elif not (self._subscribers or self.waits.any or self.rates.requested_us) and self.channels.prefer():
             self._moved("it carries more")
         now = self.heard_until
         self.waits.tick(now)

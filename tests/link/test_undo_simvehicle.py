@@ -18,9 +18,9 @@ from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage, 
 from mavcal.calib.wire import Frame, FrameParser, encode
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.server import make_vehicle
-from mavcal.service.simvehicle.truthreport import truth_report
 from mavcal.service.simvehicle.vehicle import FlightController
 from mavcal.service.simvehicle.vehicle import MavlinkChannel as Link
+from mavcal.service.simvehicle.verbs import truth_report
 from mavcal.service.simvehicle.wire import Packer, split_datagram
 
 SECONDS = 12.0

@@ -58,9 +58,9 @@ def hover(recording: Recording) -> float:
     return float(np.median(flying))
 
 
-def compare(real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, told: Any) -> GapReport:
+def compare(real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, on_progress: Any) -> GapReport:
     """A report that names `thrust_scale` where the hover throttles differ."""
-    told("comparing", 0.5, 1.0)
+    on_progress("comparing", 0.5, 1.0)
     ratio = hover(sim) / hover(real)
     error = 9.80665 * abs(ratio - 1.0)
     effects: tuple[EffectEstimate, ...] = ()

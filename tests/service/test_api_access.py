@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import structlog
 
-from mavcal.service.api.throttle import AT_ONCE
+from mavcal.service.api.security import FAILURES_AT_ONCE
 from mavcal.service.app import create_app
 from mavcal.service.jobs.core.codec import row_from_job
 from mavcal.service.jobs.core.model import Job
@@ -29,10 +29,10 @@ CSV = b"mag_x,mag_y,mag_z\n1,2,3\n4,5,7\n"
 
 async def test_wrong_keys_are_throttled_and_logged_and_no_key_is_no_guess(tmp_path: Path) -> None:
     async with api(tmp_path, api_keys=keys()) as a:
-        for _ in range(3 * AT_ONCE):
+        for _ in range(3 * FAILURES_AT_ONCE):
             await a.get("/jobs", 401)  # a panel that has not been given its key
         with structlog.testing.capture_logs() as logs:
-            for i in range(AT_ONCE):
+            for i in range(FAILURES_AT_ONCE):
                 await a.get("/jobs", 401, headers=bearer(f"guess {i}"))
             response = await a.client.get("/api/v1/jobs", headers=bearer("admin"))  # the right one is not looked at
             assert response.status_code == 429
@@ -40,7 +40,7 @@ async def test_wrong_keys_are_throttled_and_logged_and_no_key_is_no_guess(tmp_pa
             assert response.json()["type"].endswith("too-many-attempts")
             await a.get("/jobs", 429, headers=bearer("guess"))
         failed = [e for e in logs if e["event"] == "login failed"]
-        assert len(failed) == AT_ONCE
+        assert len(failed) == FAILURES_AT_ONCE
         assert failed[0]["peer"] == "127.0.0.1"
         assert "guess" not in json.dumps(logs)
         assert sum(e["event"] == "logins throttled" for e in logs) == 1
@@ -185,7 +185,7 @@ def test_the_command_line_checks_the_trail(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ticket", ["", "guess"])
 async def test_guessed_tickets_are_throttled_too(tmp_path: Path, ticket: str) -> None:
     async with api(tmp_path, api_keys=keys()) as a:
-        for _ in range(AT_ONCE):
+        for _ in range(FAILURES_AT_ONCE):
             await a.get("/jobs", 401, params={"ticket": ticket})
         await a.get("/jobs", 429, params={"ticket": ticket})
 

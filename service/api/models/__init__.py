@@ -5,7 +5,6 @@ A comment in such a model says in what. `views` makes the models.
 
 from __future__ import annotations
 
-from mavcal.service.api.models.audit import AuditCheck, AuditPage
 from mavcal.service.api.models.campaigns import (
     CalibrationCampaignRequest,
     FitCampaignRequest,
@@ -18,9 +17,25 @@ from mavcal.service.api.models.events import JobEvent, Message
 from mavcal.service.api.models.fits import FitJobRequest, FitModel, FitRequest, FitsModel
 from mavcal.service.api.models.fleet import FleetUnitModel, SensorRecordModel, UnitHistoryModel, UnitRequest
 from mavcal.service.api.models.gaps import GapModel, GapRequest, GapSummary
-from mavcal.service.api.models.host import HealthModel, InfoModel, ReadinessModel, RegistrationModel, TicketModel
-from mavcal.service.api.models.jobs import AnswerRequest, JobModel, JobRequest, JobSummary, WriteFailedModel, WriteModel
-from mavcal.service.api.models.links import LinkModel, LinkRequest
+from mavcal.service.api.models.host import (
+    AuditCheck,
+    AuditPage,
+    HealthModel,
+    InfoModel,
+    ReadinessModel,
+    RegistrationModel,
+    TicketModel,
+)
+from mavcal.service.api.models.jobs import (
+    AnswerRequest,
+    JobModel,
+    JobRequest,
+    JobSummary,
+    UnfinishedModel,
+    WriteFailedModel,
+    WriteModel,
+)
+from mavcal.service.api.models.links import LinkModel, LinkRequest, SigningKeyModel, SigningKeyRequest, SigningRequest
 from mavcal.service.api.models.live import LiveMessage, LiveModel, SamplesModel, WatchModel, WatchRequest
 from mavcal.service.api.models.plans import ApplyRequest, PlanModel, PlanOptions, PlanRequest, VerificationModel
 from mavcal.service.api.models.preflight import CheckModel, PreflightModel, PreflightRequest, RestoreRequest
@@ -32,11 +47,14 @@ from mavcal.service.api.models.recordings import (
     SeriesModel,
 )
 from mavcal.service.api.models.reviews import MountingChoiceModel, ReviewModel, SensorEffectModel
-from mavcal.service.api.models.sensors import VehicleSensorsModel
-from mavcal.service.api.models.signing import SigningKeyModel, SigningKeyRequest, SigningRequest
 from mavcal.service.api.models.steps import OptionModel, ProcedureModel, ProgressModel, PromptModel
-from mavcal.service.api.models.unfinished import UnfinishedModel
-from mavcal.service.api.models.vehicles import HandRequest, ParameterModel, TurnRequest, VehicleModel
+from mavcal.service.api.models.vehicles import (
+    HandRequest,
+    ParameterModel,
+    TurnRequest,
+    VehicleModel,
+    VehicleSensorsModel,
+)
 
 __all__ = [
     "AnswerRequest",

@@ -1,10 +1,13 @@
-"""The service itself."""
+"""The service itself, and its audit trail."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
+
+from mavcal.service.api.models.wire import Wire
+from mavcal.service.store.rows import AuditRow
 
 
 class TicketModel(BaseModel):
@@ -51,3 +54,23 @@ class RegistrationModel(BaseModel):
     avoid_iframes: bool
     works_in_relative_paths: bool
     extras: dict[str, str] = Field(description="addresses of manifests for other hosts, by host")
+
+
+AuditModel = Annotated[AuditRow, Wire("AuditModel")]
+
+
+class AuditPage(BaseModel):
+    """Rows of the audit trail, oldest first."""
+
+    rows: list[AuditModel]
+    next: int | None = Field(description="`after` of the next page; null: this is the last one")
+
+
+class AuditCheck(BaseModel):
+    """Whether the audit trail is as it was written."""
+
+    # A ChainCheck with its verdict.
+    intact: bool
+    rows: int = Field(description="how many there are")
+    head: str = Field(description="digest of the newest row; kept elsewhere it vouches for all rows up to it")
+    broken_at: int | None = Field(description="first row that does not fit; null: all do")

@@ -145,3 +145,16 @@ class JobModel(JobSummary):
     )
     documents: list[DocumentModel] = Field(description="what the job has made beside its results")
     segments: list[SegmentModel] = Field(description="what the fit was made of")
+
+
+class UnfinishedModel(BaseModel):
+    """A job that claims its vehicle, and what is known of the parameters that it has sent."""
+
+    job: JobSummary
+    at: Stamp = Field(description="when this state was read; earlier events belong to the run that is over")
+    writing: bool = Field(description="parameters of the vehicle may be this job's")
+    ended: bool = Field(description="nothing of it is in doubt any more")
+    sent: list[str] = Field(description="parameters for which a PARAM_SET may have left")
+    standing: list[StandingModel] = Field(description="what is known of each of them")
+    beginning: str = Field(description="what is going to happen to it")
+    ending: list[str] = Field(description="how it ended, or what is in doubt, a sentence each")

@@ -1,11 +1,16 @@
-"""Vehicles and their parameters."""
+"""Vehicles, their parameters, and the state of their calibrations."""
 
 from __future__ import annotations
+
+from typing import Annotated
 
 from pydantic import BaseModel, Field
 
 from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.preflight.check import Verdict
+from mavcal.calib.preflight.states import SensorState
 from mavcal.service.api.models.base import Attitude, Number, Request
+from mavcal.service.api.models.wire import Wire
 from mavcal.service.link import Hand
 from mavcal.service.vehicle.identity import Airframe, Autopilot
 from mavcal.service.vehicle.state import Landed
@@ -58,3 +63,14 @@ class ParameterModel(BaseModel):
     name: str
     value: Number | None = Field(description="in the unit that the firmware documents; null: not a finite number")
     kind: ParameterKind
+
+
+SensorStateModel = Annotated[SensorState, Wire("SensorStateModel")]
+
+
+class VehicleSensorsModel(BaseModel):
+    """The four kinds of calibration of a vehicle, and what it needs now."""
+
+    verdict: Verdict
+    summary: str
+    sensors: list[SensorStateModel]

@@ -49,23 +49,23 @@ class Wire:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Json:
         reference = handler(schema)
-        told = handler.resolve_ref_schema(reference)
-        told["properties"] = {name: self._property(name, part) for name, part in told["properties"].items()}
-        told["required"] = [name for name in told["properties"] if name not in self._lacking]
-        told["title"] = self.name
-        told["description"] = _null_for_none(inspect.getdoc(self._kind) or "")
+        schema = handler.resolve_ref_schema(reference)
+        schema["properties"] = {name: self._property(name, part) for name, part in schema["properties"].items()}
+        schema["required"] = [name for name in schema["properties"] if name not in self._lacking]
+        schema["title"] = self.name
+        schema["description"] = _null_for_none(inspect.getdoc(self._kind) or "")
         return reference
 
     def _property(self, name: str, part: Json) -> Json:
-        told = _plain(part)
+        schema = _plain(part)
         if name in self._not_finite:
-            told.pop("type", None)
-            told = {"anyOf": [_NUMBER, _NULL], **told}
+            schema.pop("type", None)
+            schema = {"anyOf": [_NUMBER, _NULL], **schema}
         if (text := _attribute_texts(self._kind.__module__, self._kind.__qualname__).get(name)) is not None:
-            told["description"] = text
-        if "default" in told and name not in self._lacking:
-            del told["default"]
-        return told
+            schema["description"] = text
+        if "default" in schema and name not in self._lacking:
+            del schema["default"]
+        return schema
 
 
 def _plain(part: Json) -> Json:

@@ -72,7 +72,7 @@ class Capture:
     parameters: dict[str, Value] = field(default_factory=dict)
     """What the job rests on; the calibration is the same before and after the capture."""
     _frames: list[Frame] = field(default_factory=list)
-    _told_at: float = -math.inf
+    _reported_at: float = -math.inf
     _disk: DiskFull | None = None
 
     async def run(self) -> Done:
@@ -147,7 +147,7 @@ class Capture:
         self._disk = disk or self._disk
 
     async def _begin(self, identity: Identity, earlier: Sequence[SegmentRow]) -> tuple[LiveDigest, CaptureWatch]:
-        """A digest that was fed what an earlier run of the service has recorded."""
+        """A digest that has replayed the segments of earlier runs of the service."""
         job = self.handle.job
         digest = LiveDigest(job.kind, job.options, identity, self.parameters, job.created_at)
         digest.schedule([(t, value) for t, value in job.context.get("answers", ())])
@@ -196,11 +196,11 @@ class Capture:
     def _announce_wait(self) -> None:
         """Announce that samples are awaited: a procedure counts samples, and reports nothing while none are usable."""
         now, last = self.clock(), self.handle.job.progress
-        if math.isinf(self._told_at):
-            self._told_at = now
-        if now - self._told_at < SILENT_S or last is None:
+        if math.isinf(self._reported_at):
+            self._reported_at = now
+        if now - self._reported_at < SILENT_S or last is None:
             return
-        self._told_at = now
+        self._reported_at = now
         self.handle.progress(replace(last, text=f"{last.text.partition(WAITS)[0]}{WAITS}", eta=None))
 
     def _answered(self, digest: LiveDigest) -> list[Step]:
@@ -224,7 +224,7 @@ class Capture:
                 self.handle.prompt(step)
                 self._set_state(JobState.WAITING_FOR_OPERATOR if _needs_operator(step) else JobState.RUNNING)
             elif isinstance(step, Progress):
-                self._told_at = self.clock()
+                self._reported_at = self.clock()
                 self.handle.progress(step)
 
     def _set_state(self, state: JobState) -> None:

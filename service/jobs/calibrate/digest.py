@@ -64,7 +64,7 @@ class Fitted:
 
 
 class LiveDigest:
-    """Feeds a procedure with frames as they come.
+    """Feeds a procedure with live frames.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class LiveDigest:
         return () if self._procedure is None else tuple(self._procedure.warnings)
 
     def feed(self, frames: Sequence[Frame]) -> tuple[Step, ...]:
-        """Take frames; return what changed.
+        """Feed frames; returns the steps of the procedure that they caused.
 
         Raises
         ------
@@ -172,7 +172,7 @@ class LiveDigest:
 def context_of(
     kind: str, identity: Identity, parameters: Mapping[str, Value], field: EarthField | None
 ) -> ProcedureContext:
-    """What the procedure knows beforehand: every sensor of the parameters is expected to stream."""
+    """The procedure's context: sensors that the parameters name are expected to stream."""
     wanted = specification(kind).sensors
     instances: dict[Sensor, tuple[int, ...]] = {}
     for sensor, instance in sorted(sensor_ids(identity.autopilot, parameters)):
@@ -211,7 +211,7 @@ def require_unchanged(kind: str, name: str, before: Value, after: Value) -> None
 
 
 def field_of(recording: Recording, at: float) -> EarthField | None:
-    """The Earth's field where the vehicle first said to be; None: it said nothing usable."""
+    """The Earth's magnetic field at the first position that the vehicle reports; None: it reports none."""
     position = next((c for c in recording.channels if c.sensor == Sensor.POSITION and len(c)), None)
     when = datetime.fromtimestamp(at, UTC)
     year = when.year + (when.timetuple().tm_yday - 1) / 365.25

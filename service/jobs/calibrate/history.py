@@ -45,7 +45,7 @@ def _same_address(job: Job, identity: Identity) -> bool:
 
 
 def history_of(jobs: Iterable[Job], store: JobStore) -> tuple[VerifiedCalibration, ...]:
-    """What these jobs left on their vehicle. Reads the store: not for the event loop."""
+    """The calibrations that these jobs have verified. Reads the store: not for the event loop."""
     return tuple(_verified(job, store) for job in jobs)
 
 

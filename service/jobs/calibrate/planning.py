@@ -74,7 +74,7 @@ def foresee(
     options: Mapping[str, Any],
     temperatures: Mapping[int, float],
 ) -> tuple[str, ...]:
-    """What the vehicle's parameters alone say about the plan of a job that has just begun.
+    """Warnings about the plan of a job that has just begun, from the vehicle's parameters alone.
 
     Raises
     ------

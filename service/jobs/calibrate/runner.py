@@ -170,7 +170,7 @@ class Runner:
         )
 
     async def _fitted(self, request: JobFitRequest) -> Fitted:
-        """The fit; in a thread of this process if the worker that had it was killed."""
+        """The fit, by a worker; in a thread of this process if the worker was killed."""
         try:
             return await asyncio.get_running_loop().run_in_executor(self.executor, fit_segments, request)
         except BrokenExecutor as broken:

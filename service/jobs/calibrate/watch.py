@@ -35,7 +35,7 @@ class LinkWatch:
         self._before: Prompt | None = None
 
     def look(self) -> None:
-        """Compare with the last look."""
+        """Compare the vehicle with what was seen last."""
         silent = self._vehicle.condition().silent
         if silent:
             asked = self._handle.job.prompt
@@ -72,7 +72,7 @@ class LinkWatch:
         )
 
     async def run(self) -> None:
-        """Look again and again, until cancelled."""
+        """Look periodically until cancelled."""
         while True:
             self.look()
             await asyncio.sleep(self._settings.watch_s)
@@ -99,7 +99,7 @@ class CaptureWatch:
         self._moved_at = self.clock()
 
     def resume(self, last_time: float, last_record: float, wall: Callable[[], float]) -> None:
-        """The capture goes on from a record at `last_record` (wall clock), at `last_time` of the vehicle."""
+        """Continue a capture whose last record is at `last_record` (wall clock), at `last_time` of the vehicle."""
         self._before = (last_time, last_record, wall)
         self._last_time = last_time
 

@@ -62,5 +62,5 @@ class JobRecord(Protocol):
         ...
 
     async def keep_preflight(self, found: Preflight) -> Preflight:
-        """The report as it is told, with a note if it could not be kept."""
+        """The report as it is sent, with a note if it could not be kept."""
         ...

@@ -32,7 +32,7 @@ class Computations(Protocol):
 
     @property
     def at_once(self) -> int:
-        """How many are computed at a time; further ones wait."""
+        """Number of computations at a time; further ones wait."""
         ...
 
     def check(self, recording: str, method: str | None = None) -> None:
@@ -42,7 +42,7 @@ class Computations(Protocol):
     async def fit(
         self, recording: str, method: str, options: Mapping[str, Any], *, progress: ProgressCallback | None = None
     ) -> tuple[FitResult, ...]:
-        """One fit a sensor."""
+        """Fits by sensor."""
         ...
 
     async def fit_of_vehicle(

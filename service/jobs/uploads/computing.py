@@ -137,7 +137,7 @@ class Computing:
         return (await self._start(GAP, {"real": real, "sim": sim, "nominal": list(nominal), **limited})).job
 
     async def fitted(self, recording: str, method: str, options: Mapping[str, Any]) -> Job:
-        """The same as :meth:`fit`, waited for: the job is cancelled when whoever waits goes away.
+        """The ended job of :meth:`fit`; it is cancelled where its caller is.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Computing:
             self._waited_for.pop(job.id, None)
 
     def resume_at_start(self, handle: JobHandle) -> None:
-        """Begin a job again that was waiting or running when the service stopped; not more often than is sensible."""
+        """Begin a job again that was waiting or running when the service stopped; at most :data:`MOST_STARTS` times."""
         if handle.job.state in ENDED:
             return
         if handle.job.state == JobState.FITTING:
@@ -200,8 +200,8 @@ class Computing:
         )
         self._note_started(handle)
         outcome = Result(_counted(fits, order["method"]), proof_reason=NOTHING_WRITTEN)
-        told = fit_messages(fits)
-        handle.move(JobState.SUCCEEDED, results=tuple(fits), outcome=outcome, warnings=told, progress=None)
+        warnings = fit_messages(fits)
+        handle.move(JobState.SUCCEEDED, results=tuple(fits), outcome=outcome, warnings=warnings, progress=None)
 
     async def _diagnosed(self, handle: JobHandle) -> None:
         order = handle.job.options

@@ -121,13 +121,15 @@ def _number(value: Value | None) -> str:
     return "unknown" if value is None else shown(value)
 
 
-def conclude(handle: JobHandle, told: WriteOutcome) -> None:
-    """Bring the job to the state of `told`, with the last attempt as a field and as the event ``write``."""
-    of = told.outcome
+def conclude(handle: JobHandle, ending: WriteOutcome) -> None:
+    """Bring the job to the state of `ending`, with the last attempt as a field and as the event ``write``."""
+    of = ending.outcome
     cause, remedy = (of.cause, of.remedy) if isinstance(of, Failure) else (of.text, "")
-    attempt = Attempt(RESULTS[told.state], handle.now(), cause, remedy, told.sent)
-    changes: dict[str, Any] = {"accept": None} if told.state == JobState.REVIEW else {}
-    handle.move(told.state, outcome=told.outcome, standing=told.standing, last_write=attempt, prompt=None, **changes)
+    attempt = Attempt(RESULTS[ending.state], handle.now(), cause, remedy, ending.sent)
+    changes: dict[str, Any] = {"accept": None} if ending.state == JobState.REVIEW else {}
+    handle.move(
+        ending.state, outcome=ending.outcome, standing=ending.standing, last_write=attempt, prompt=None, **changes
+    )
     handle.announce("write", to_json(attempt))
 
 
@@ -158,9 +160,9 @@ async def withdraw_certainty(handle: JobHandle, guard: WriteGuard) -> None:
     before = handle.job
     lost: dict[str, Any] = {"certain": False, "holds": Holds.UNKNOWN}
     known = tuple(dataclasses.replace(s, note=s.note or doubt, **lost) if s.certain else s for s in before.standing)
-    told = in_doubt(known, _cause(record, getattr(before.outcome, "cause", doubt)))
-    if (told.standing, told.outcome) != (before.standing, before.outcome):
-        handle.change("standing", {"note": doubt}, standing=told.standing, outcome=told.outcome)
+    ending = in_doubt(known, _cause(record, getattr(before.outcome, "cause", doubt)))
+    if (ending.standing, ending.outcome) != (before.standing, before.outcome):
+        handle.change("standing", {"note": doubt}, standing=ending.standing, outcome=ending.outcome)
 
 
 def record_of(handle: JobHandle) -> WriteRecord | None:

@@ -31,11 +31,11 @@ async def keep_readiness(handle: JobHandle, vehicles: VehicleSource, preflights:
     except VehicleUnknown:
         return
     except (ServiceError, CalibError) as error:
-        told = unchecked(str(error))
+        ready = unchecked(str(error))
     else:
-        told = unchecked("something else began with the vehicle.") if found is None else readiness(found.report)
+        ready = unchecked("something else began with the vehicle.") if found is None else readiness(found.report)
     if handle.job.state == JobState.SUCCEEDED:  # it may be taken back by now
-        handle.change(READINESS, to_json(told), context={**handle.job.context, READINESS: to_json(told)})
+        handle.change(READINESS, to_json(ready), context={**handle.job.context, READINESS: to_json(ready)})
 
 
 def readiness_of(job: Job) -> Readiness | None:

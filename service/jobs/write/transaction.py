@@ -79,8 +79,8 @@ class Transaction:
             w = self.attempt()
             w.guard.check()
             await w.check.before(w.guard)
-            told = counting(self.handle, "asking again for what was not there")
-            await w.guard.run(partial(require_absent, w.vehicle, self.handle.job, w.composed_on(), told))
+            progress = counting(self.handle, "asking again for what was not there")
+            await w.guard.run(partial(require_absent, w.vehicle, self.handle.job, w.composed_on(), progress))
             await prepare(w)
         except Exception as error:  # noqa: BLE001 - nothing was sent yet, whatever it was
             conclude(self.handle, _nothing_sent(error))
@@ -279,14 +279,14 @@ async def _go_on(w: WriteContext, following: Next, values: dict[str, Value]) -> 
     await _close(w, succeeded(read, w.plan, w.handle.job.verification, who))
 
 
-async def _close(w: WriteContext, told: WriteOutcome) -> None:
+async def _close(w: WriteContext, ending: WriteOutcome) -> None:
     """Return the message rates and end the job; only a success has to be on the disk before."""
     async with waiting(w.handle, "putting the message rates back", ASKING_S):
         await return_streams(w.handle, w.vehicle)
-    record = w.handle.record if told.state == JobState.SUCCEEDED else w.handle.record_anyway
+    record = w.handle.record if ending.state == JobState.SUCCEEDED else w.handle.record_anyway
     await record(JournalStep.CLOSED)
     w.reach(At.CLOSED)
-    conclude(w.handle, told)
+    conclude(w.handle, ending)
 
 
 async def _roll_back(w: WriteContext, because: str) -> None:

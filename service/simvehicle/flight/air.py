@@ -21,17 +21,17 @@ GUST_VERTICAL = 0.5
 
 
 def temperature(altitude: float) -> float:
-    """Of the standard atmosphere, K."""
+    """Temperature of the standard atmosphere, K."""
     return SEA_LEVEL_KELVIN - LAPSE * altitude
 
 
 def pressure(altitude: float) -> float:
-    """Of the standard atmosphere, Pa."""
+    """Pressure of the standard atmosphere, Pa."""
     return float(SEA_LEVEL_PRESSURE * (temperature(altitude) / SEA_LEVEL_KELVIN) ** 5.2559)
 
 
 def density(altitude: float) -> float:
-    """Of the standard atmosphere, kg/m3."""
+    """Density of the standard atmosphere, kg/m3."""
     return float(SEA_LEVEL_DENSITY * (temperature(altitude) / SEA_LEVEL_KELVIN) ** 4.2559)
 
 
@@ -43,14 +43,14 @@ class Noise:
         self._left: list[float] = []
 
     def __call__(self) -> float:
-        """The next one."""
+        """The next number."""
         if not self._left:
             self._left = self._draw.standard_normal(_BLOCK).tolist()
         return self._left.pop()
 
 
 class Wind:
-    """Where the air moves to, m/s north east down: SIM_WIND_SPD from SIM_WIND_DIR, and coloured gusts.
+    """Velocity of the air, m/s north east down: SIM_WIND_SPD from SIM_WIND_DIR, and coloured gusts.
 
     SIM_WIND_TURB is the standard deviation of the horizontal gusts, m/s, and SIM_WIND_TC their time constant, s.
     """
@@ -68,7 +68,7 @@ class Wind:
         self._tau = max(parameters["SIM_WIND_TC"], 0.1)
 
     def advance(self, dt: float) -> tuple[float, float, float]:
-        """The wind `dt` seconds later."""
+        """Velocity of the air `dt` seconds later."""
         north, east = self._steady
         if self._sd <= 0.0:
             return north, east, 0.0
@@ -102,7 +102,7 @@ class Battery:
         self.used_mah = 0.0
 
     def draw(self, current: float, dt: float) -> None:
-        """So many amperes for `dt` seconds."""
+        """Draw a current (A) for `dt` seconds."""
         self.current = current
         self.used_mah += current * dt / 3.6
         if self._capacity <= 0.0:

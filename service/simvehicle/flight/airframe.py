@@ -27,7 +27,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 class Airframe:
-    """Where the vehicle is and how it moves. World north east down with the ground at 0; body forward right down."""
+    """Position, attitude and rates of the rigid body. World north east down, ground at 0; body forward right down."""
 
     def __init__(self, frame: Frame, rotors: tuple[Rotor, ...], altitude: float, heading: float) -> None:
         self._frame, self._altitude = frame, altitude
@@ -71,7 +71,7 @@ class Airframe:
         self._multiplied = [factor if mask >> k & 1 else 1.0 for k in range(len(self._multiplied))]
 
     def advance(self, pwm: list[int], voltage: float, wind: Vector, dt: float) -> None:
-        """`dt` seconds with these pulses, us, and this wind, m/s north east down."""
+        """Integrate `dt` seconds with these pulses, us, and this wind, m/s north east down."""
         frame = self._frame
         w, x, y, z = self.q
         r00, r01, r02 = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
@@ -82,7 +82,7 @@ class Airframe:
         u, v, s = r00 * an + r10 * ae + r20 * ad, r01 * an + r11 * ae + r21 * ad, r02 * an + r12 * ae + r22 * ad
         p, q, r = self.rate
         rho = density(self._altitude - self.place[2])
-        scale = (voltage / frame.full_voltage) ** 2 * self._fastest2 * self._near_ground()
+        scale = (voltage / frame.full_voltage) ** 2 * self._fastest2 * self._ground_effect()
         e, half, drag_rotor = frame.expo, 0.5 * rho * self._area, self._drag_per_rotor * math.sqrt(rho)
         change = frame.slew_max * dt
         follow = 1.0 if frame.motor_tau <= 0.0 else 1.0 - math.exp(-dt / frame.motor_tau)
@@ -139,13 +139,13 @@ class Airframe:
             self.on_ground = True
             self._rest()
 
-    def _near_ground(self) -> float:
-        """Thrust over that far from the ground."""
+    def _ground_effect(self) -> float:
+        """Thrust at the present height over that far from the ground."""
         near = self._frame.ground_radius / (4.0 * (LEGS_M - self.place[2]))
         return 1.0 / (1.0 - near * near)
 
     def _rest(self) -> None:
-        """Stand level on the ground, with the heading that it has."""
+        """Set the vehicle level on the ground; its heading stays."""
         w, _, _, z = self.q
         self.q = _unit(w, 0.0, 0.0, z)
         self.place[2] = 0.0

@@ -1,4 +1,4 @@
-"""AUTO: one item of the mission after the other, as velocities; the least that flies one.
+"""AUTO: the items of a mission in their order, as velocities to follow.
 
 A place is reached within the radius of WPNAV_RADIUS; then the vehicle waits as long as the item says.
 """
@@ -21,7 +21,7 @@ _HEIGHT_OFF_M = 0.7
 
 
 class AutoFlight:
-    """Flies `items`; the first one is home. `reached` hears the number of every item that is done."""
+    """Flies `items`; the first one is home. `reached` is called with the number of every item that is done."""
 
     def __init__(self, parameters: FlightParameters) -> None:
         self._parameters = parameters
@@ -37,7 +37,7 @@ class AutoFlight:
         self._over = False
 
     def load(self, items: Sequence[Item]) -> None:
-        """A new mission; it is flown from its beginning."""
+        """Take a new mission, to be flown from its first item."""
         self.items = tuple(items)
         self.current = 0
         self.state = MissionState.NOT_STARTED if len(self.items) > 1 else MissionState.NO_MISSION
@@ -52,26 +52,26 @@ class AutoFlight:
 
     @property
     def command(self) -> int | None:
-        """The one that is flown now."""
+        """The command that is flown now."""
         return self.items[self.current].command if self.state is MissionState.ACTIVE else None
 
     @property
     def lifting(self) -> bool:
-        """Whether it is to leave the ground now."""
+        """Whether the present item takes off."""
         return self.command == Command.TAKEOFF
 
     @property
     def landing(self) -> bool:
-        """Whether it sinks to the ground where it has arrived."""
+        """Whether the vehicle descends at the place where it lands."""
         return self.command in LANDINGS and self._over
 
     @property
     def down(self) -> bool:
-        """Whether a vehicle that stands on the ground has nothing to do there any more."""
+        """Whether a vehicle on the ground is to disarm."""
         return self.landing or self.state is MissionState.COMPLETE
 
     def landed(self) -> None:
-        """It stands on the ground."""
+        """Note that the vehicle has landed."""
         if self.command in LANDINGS:
             self._done()
 
@@ -106,7 +106,7 @@ class AutoFlight:
             self._done()
 
     def _aim(self, north: float, east: float, height: float) -> list[float]:
-        """Where the present item ends."""
+        """Target of the present item."""
         item, parameters = self.items[self.current], self._parameters
         if item.command == Command.RETURN_TO_LAUNCH:
             return [0.0, 0.0, max(height, 0.01 * parameters["RTL_ALT"])]

@@ -65,7 +65,7 @@ class RateAxis:
         self._p, self._i, self._d = (parameters[f"ATC_RAT_{self._name}_{gain}"] for gain in "PID")
 
     def output(self, wanted: float, is_: float, *, hold: bool, dt: float) -> float:
-        """What the mixer is given; `hold`: the integral does not grow."""
+        """Input of the mixer; with `hold` the integrator stands still."""
         alpha = dt / (dt + 1.0 / (2.0 * math.pi * _FILTER_HZ))
         self._wanted += alpha * (wanted - self._wanted)
         error = self._wanted - is_
@@ -77,13 +77,13 @@ class RateAxis:
         return min(max(self._p * error + self._integral + self._d * self._slope, -1.0), 1.0)
 
     def reset(self) -> None:
-        """Forget what was added up."""
+        """Clear the integrators."""
         self._integral = self._slope = self._wanted = 0.0
         self._last = None
 
 
 class Controller:
-    """What it wants, and what it gives the mixer. Angles rad, rates rad/s, velocities north east down m/s."""
+    """The cascade's targets and its inputs for the mixer. Angles rad, rates rad/s, velocities north east down m/s."""
 
     def __init__(self, parameters: FlightParameters) -> None:
         self.rates = (RateAxis("RLL"), RateAxis("PIT"), RateAxis("YAW"))
@@ -113,7 +113,7 @@ class Controller:
         self._learns = parameters["MOT_HOVER_LEARN"] > 0
 
     def reset(self, yaw: float) -> None:
-        """On the ground: level, with nothing added up."""
+        """Targets and integrators of a vehicle at rest: level, zero."""
         for axis, shape in zip(self.rates, self.shapes, strict=True):
             axis.reset()
             shape.angle = shape.rate = 0.0
@@ -144,7 +144,7 @@ class Controller:
         self.attitude[0], self.attitude[1] = min(max(roll, -most), most), min(max(pitch, -most), most)
 
     def level_off(self) -> None:
-        """Begin to follow a velocity from the one that there is, without what was added up before."""
+        """Follow a velocity from the present one, with cleared integrators."""
         self._side = [0.0, 0.0]
         self._side_integral = [0.0, 0.0]
 

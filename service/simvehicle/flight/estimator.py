@@ -22,7 +22,7 @@ class Wander:
         self.value = [0.0] * len(sd)
 
     def advance(self, dt: float) -> None:
-        """`dt` seconds later."""
+        """Advance by `dt` seconds."""
         keep = math.exp(-dt / _ERROR_TAU)
         fresh = math.sqrt(1.0 - keep * keep)
         for k, sd in enumerate(self._sd):
@@ -39,11 +39,11 @@ class Estimate:
         self.follow(resting=True)
 
     def wander(self, dt: float) -> None:
-        """The errors change."""
+        """Advance the errors of attitude, velocity and position."""
         self._errors.advance(dt)
 
     def follow(self, *, resting: bool) -> None:
-        """Take over what is true now; a vehicle that rests is known to."""
+        """Take over the true state plus the errors; a vehicle at rest has none in velocity."""
         e, frame = self._errors.value, self._airframe
         share = 0.0 if resting else 1.0
         v, p = frame.velocity, frame.place

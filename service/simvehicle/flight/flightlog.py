@@ -3,14 +3,78 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import struct
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from mavcal.service.simvehicle.flight.airframe import in_body
-from mavcal.service.simvehicle.flight.dataflash import DataFlashWriter, Message
 from mavcal.service.simvehicle.flight.items import Item
 from mavcal.service.simvehicle.flight.parameters import DEFAULTS
 from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
+
+# DataFlash: definitions (FMT) first, then two magic bytes, a type and the packed values (``LogStructure.h``).
+_MAGIC = b"\xa3\x95"
+_FMT = 128
+_LETTERS: Mapping[str, str] = {
+    "b": "b", "B": "B", "h": "h", "H": "H", "i": "i", "I": "I", "f": "f", "d": "d", "n": "4s", "N": "16s", "Z": "64s",
+    "c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "M": "B", "q": "q", "Q": "Q",
+}  # fmt: skip
+_SCALED: Mapping[str, float] = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
+"""Letters of whole hundredths (of degrees, metres ...) and ten-millionths."""
+_TEXTS = "nNZ"
+
+
+class Message:
+    """One kind of message: its number, name, letters and columns."""
+
+    def __init__(self, number: int, name: str, letters: str, columns: str) -> None:
+        self.number, self.name, self.letters, self.columns = number, name, letters, columns
+        self._packer = struct.Struct("<" + "".join(_LETTERS[letter] for letter in letters))
+        self._head = _MAGIC + bytes([number])
+        self._scaled = tuple((k, _SCALED[letter]) for k, letter in enumerate(letters) if letter in _SCALED)
+        self._texts = tuple(k for k, letter in enumerate(letters) if letter in _TEXTS)
+
+    def packed(self, *values: Any) -> bytes:
+        """The bytes of one message; scaled letters take the value itself."""
+        if self._scaled or self._texts:
+            row = list(values)
+            for k, factor in self._scaled:
+                row[k] = round(row[k] * factor)
+            for k in self._texts:
+                row[k] = row[k].encode("ascii", "replace")
+            values = tuple(row)
+        return self._head + self._packer.pack(*values)
+
+    @property
+    def definition(self) -> tuple[int, int, str, str, str]:
+        """The values of its FMT message."""
+        return self.number, 3 + self._packer.size, self.name, self.letters, self.columns
+
+
+FMT = Message(_FMT, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+
+
+class DataFlashWriter:
+    """A file that begins with the definitions of `messages`."""
+
+    def __init__(self, path: Path, messages: tuple[Message, ...]) -> None:
+        self._file: BinaryIO = path.open("wb")
+        for message in (FMT, *messages):
+            self._file.write(FMT.packed(*message.definition))
+
+    def write(self, message: Message, *values: Any) -> None:
+        """One message."""
+        self._file.write(message.packed(*values))
+
+    def flush(self) -> None:
+        """Write buffered messages to the file."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file; harmless if repeated."""
+        self._file.close()
+
 
 IMU = Message(163, "IMU", "QBffffffIIfBBHH", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz")
 RATE = Message(75, "RATE", "Qfffffffffffff", "TimeUS,RDes,R,ROut,PDes,P,POut,YDes,Y,YOut,ADes,A,AOut,AOutSlew")
@@ -57,7 +121,7 @@ class FlightLog:
         self._loop = 0
 
     def begin(self, vehicle: FlyingVehicle) -> None:
-        """The parameters, and who it is."""
+        """Log the parameters and the firmware's version."""
         us = vehicle.time_us
         for name in vehicle.parameters:
             value = vehicle.parameters[name]
@@ -68,33 +132,33 @@ class FlightLog:
         self.mode(us, vehicle.mode, 1)
 
     def text(self, us: int, text: str) -> None:
-        """A message in words."""
+        """Log a message in words."""
         self._out.write(MSG, us, text)
 
     def mode(self, us: int, number: int, reason: int) -> None:
-        """The flight mode changed."""
+        """Log a change of the flight mode."""
         self._out.write(MODE, us, number, number, reason)
 
     def mission(self, us: int, items: Sequence[Item]) -> None:
-        """A mission was uploaded."""
+        """Log an uploaded mission."""
         self.text(us, "New mission")
         for number, item in enumerate(items):
             place = (item.latitude, item.longitude, item.altitude, item.frame)
             self._out.write(CMD, us, len(items), number, item.command, *item.parameters, *place)
 
     def parameter(self, us: int, name: str, value: float) -> None:
-        """A parameter was set."""
+        """Log a parameter that was set."""
         self._out.write(PARM, us, name, value, math.nan)
 
     def armed(self, us: int, *, armed: bool) -> None:
-        """The motors were armed or disarmed."""
+        """Log that the motors were armed or disarmed."""
         self._out.write(ARM, us, int(armed), int(armed), 0, 1)
         self._out.write(EV, us, 10 if armed else 11)
         if not armed:
             self._out.flush()
 
     def loop(self, vehicle: FlyingVehicle) -> None:
-        """What falls due in this loop."""
+        """Log what is due after a main loop."""
         us, k = vehicle.time_us, self._loop
         self._loop += 1
         self._rate(us, vehicle)
@@ -109,7 +173,7 @@ class FlightLog:
             self._positioning(us, vehicle)
 
     def close(self) -> None:
-        """The log ends."""
+        """Close the log."""
         self._out.close()
 
     def _rate(self, us: int, vehicle: FlyingVehicle) -> None:

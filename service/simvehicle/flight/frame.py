@@ -146,7 +146,7 @@ def _vector(key: str, value: object) -> Vector:
 
 @dataclass(frozen=True)
 class Rotor:
-    """One motor: its angle in the mixer's eyes, where it really sits from the centre of mass (m), its yaw factor."""
+    """One motor: angle that the mixer assumes, true position from the centre of mass (m), yaw factor."""
 
     angle: float
     spin: float

@@ -15,7 +15,7 @@ WHOLE_DEGREE = 1e7
 
 
 class Command(IntEnum):
-    """What this vehicle can do in AUTO (MAV_CMD)."""
+    """Commands of AUTO that this vehicle flies (MAV_CMD)."""
 
     WAYPOINT = 16
     LOITER_TIME = 19
@@ -34,7 +34,7 @@ LANDINGS = (Command.RETURN_TO_LAUNCH, Command.LAND)
 
 
 class MissionState(IntEnum):
-    """What AUTO does with the mission (MISSION_STATE)."""
+    """State of the mission in AUTO (MISSION_STATE)."""
 
     NO_MISSION = 1
     NOT_STARTED = 2

@@ -52,7 +52,7 @@ class MissionLink:
         return True
 
     def send_due(self) -> None:
-        """Ask again for what did not come."""
+        """Request an item again that did not arrive in time."""
         now = self._vehicle.time
         if self._from is None:
             return
@@ -62,7 +62,7 @@ class MissionLink:
             self._ask()
 
     def current(self) -> Any:
-        """Which item is flown."""
+        """MISSION_CURRENT: the item that is flown."""
         auto = self._vehicle.auto
         return dialect.MAVLink_mission_current_message(auto.current, len(auto.items), int(auto.state))
 
@@ -78,7 +78,7 @@ class MissionLink:
         if self._from is None or sender != self._from or m.seq != len(self._coming):
             self._answer(sender, dialect.MAV_MISSION_INVALID_SEQUENCE)
             return
-        fault = dialect.MAV_MISSION_ACCEPTED if m.seq == 0 else _fault(m)
+        fault = dialect.MAV_MISSION_ACCEPTED if m.seq == 0 else _result_of(m)
         if fault != dialect.MAV_MISSION_ACCEPTED:
             self._end(fault)
             return
@@ -124,8 +124,8 @@ class MissionLink:
         self._answer(sender, dialect.MAV_MISSION_ACCEPTED)
 
 
-def _fault(m: Any) -> int:
-    """Why the vehicle cannot fly it."""
+def _result_of(m: Any) -> int:
+    """MAV_MISSION_RESULT of an item: accepted, or why it cannot be flown."""
     if m.command not in set(Command):
         return int(dialect.MAV_MISSION_UNSUPPORTED)
     if m.frame not in FRAMES:

@@ -45,7 +45,7 @@ class Mixer:
         self._least = max(parameters["MOT_BAT_VOLT_MIN"], 0.6 * self._most)
 
     def settle(self, voltage: float) -> None:
-        """Begin at this voltage."""
+        """Set the filtered voltage to this one."""
         self.ratio = 1.0
         if self._most > self._least:
             self.ratio = min(max(voltage, self._least), self._most) / self._most
@@ -79,7 +79,7 @@ class Mixer:
         return [self._pulse(one) for one in th]
 
     def _within(self, roll: float, pitch: float, yaw: float, throttle: float) -> list[float]:
-        """Roll and pitch first, then what yaw has room for, then the throttle that is nearest to the wanted one."""
+        """Outputs within their limits: roll and pitch first, then yaw, then the throttle nearest to the wanted one."""
         tilt = [roll * rf + pitch * pf for rf, pf, _ in self._factors]
         tilt_scale = min(1.0, (1.0 - _YAW_ROOM) / max(max(tilt) - min(tilt), 1e-9))
         room = max(1.0 - tilt_scale * (max(tilt) - min(tilt)), _YAW_ROOM)

@@ -21,7 +21,7 @@ class Mode(IntEnum):
 
 
 class Guidance(Enum):
-    """What GUIDED follows."""
+    """The setpoints of GUIDED."""
 
     HOLD = auto()
     TAKEOFF = auto()
@@ -30,36 +30,36 @@ class Guidance(Enum):
 
 
 class Log(Protocol):
-    """Takes what a vehicle has to say; times in us since boot."""
+    """Receives the events of a vehicle for its log; times in us since boot."""
 
     def begin(self, vehicle: Any) -> None:
-        """The vehicle has booted."""
+        """Log the boot."""
         ...
 
     def loop(self, vehicle: Any) -> None:
-        """A main loop is done."""
+        """Log what is due after a main loop."""
         ...
 
     def text(self, us: int, text: str) -> None:
-        """A message in words."""
+        """Log a message in words."""
         ...
 
     def mode(self, us: int, number: int, reason: int) -> None:
-        """The flight mode changed."""
+        """Log a change of the flight mode."""
         ...
 
     def mission(self, us: int, items: Sequence[Item]) -> None:
-        """A mission was uploaded."""
+        """Log an uploaded mission."""
         ...
 
     def parameter(self, us: int, name: str, value: float) -> None:
-        """A parameter was set."""
+        """Log a parameter that was set."""
         ...
 
     def armed(self, us: int, *, armed: bool) -> None:
-        """The motors were armed or disarmed."""
+        """Log that the motors were armed or disarmed."""
         ...
 
     def close(self) -> None:
-        """The log ends."""
+        """Close the log."""
         ...

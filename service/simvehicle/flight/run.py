@@ -65,7 +65,7 @@ def _log(path: str) -> FlightLog:
 
 
 class FlightLoop:
-    """Vehicle time as fast as it may pass; it begins when a ground station is first heard, as SITL's does."""
+    """Runs vehicle time at up to the wanted speed; it begins when a ground station is first heard, as SITL's does."""
 
     def __init__(self, vehicle: FlyingVehicle, endpoint: SimEndpoint, speedup: float) -> None:
         self._vehicle, self._endpoint, self._speedup = vehicle, endpoint, speedup
@@ -73,7 +73,7 @@ class FlightLoop:
         self._running = True
 
     def run(self) -> None:
-        """Until SIGTERM or SIGINT; the log is whole then."""
+        """Fly until SIGTERM or SIGINT; the log is complete afterwards."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda _number, _frame: self._stop())
         try:

@@ -44,7 +44,7 @@ class LowPass:
         return b0 * x0 + b1 * x1 + b2 * x2, b0 * y0 + b1 * y1 + b2 * y2, b0 * z0 + b1 * z1 + b2 * z2
 
     def settle(self, x: float, y: float, z: float) -> None:
-        """As if this sample had been there for ever."""
+        """Set the filter to the steady state of this sample."""
         gain = 1.0 + self._a1 + self._a2
         self._delays = [x / gain, x / gain, y / gain, y / gain, z / gain, z / gain]
 
@@ -72,14 +72,14 @@ class InertialUnit:
         self._gyro_sd = GYRO_NOISE + parameters[f"SIM_GYR{n}_RND"]
 
     def settle(self, force: Vector) -> None:
-        """Begin at rest."""
+        """Set the filters to the steady state at rest."""
         fx, fy, fz = (self._accel_gain[k] * force[k] + self._accel_bias[k] for k in range(3))
         self.accel, self.gyro = (fx, fy, fz), self._gyro_bias
         self._accel.settle(*self.accel)
         self._gyro.settle(*self.gyro)
 
     def sample(self, force: Vector, rate: list[float]) -> None:
-        """Read once."""
+        """One filtered reading."""
         noise, gain, bias, sd = self._noise, self._accel_gain, self._accel_bias, self._accel_sd
         self.accel = self._accel.apply(
             gain[0] * force[0] + bias[0] + sd * noise(),

@@ -8,11 +8,10 @@ from collections.abc import Callable, Sequence
 from mavcal.service.simvehicle.flight import air
 from mavcal.service.simvehicle.flight.airframe import Airframe
 from mavcal.service.simvehicle.flight.auto import AutoFlight
-from mavcal.service.simvehicle.flight.checks import arming_fault, mission_fault
 from mavcal.service.simvehicle.flight.control import Controller
 from mavcal.service.simvehicle.flight.estimator import Estimate, degrees_from_metres
 from mavcal.service.simvehicle.flight.frame import Frame, Vector, rotors_of
-from mavcal.service.simvehicle.flight.items import Item
+from mavcal.service.simvehicle.flight.items import AT_ONCE, Command, Item
 from mavcal.service.simvehicle.flight.mixer import Mixer
 from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Log, Mode
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
@@ -35,6 +34,8 @@ _SHAKEN = 1.0
 for a minute after it had landed at 8 m/s with SIM_WIND_TURB 1."""
 ATTITUDE_CLIMB_MIDDLE = 0.5
 """Thrust of SET_ATTITUDE_TARGET that holds the height: ArduCopter takes it as a climb rate."""
+READY_S = 5.0
+"""When the position estimate is good enough for arming. Chosen: SITL takes some seconds more."""
 
 
 class FlyingVehicle:
@@ -85,12 +86,12 @@ class FlyingVehicle:
 
     @property
     def time_us(self) -> int:
-        """Since boot."""
+        """Time since boot, us."""
         return self.loops * 1_000_000 // LOOP_HZ
 
     @property
     def time(self) -> float:
-        """Since boot, s."""
+        """Time since boot, s."""
         return self.loops * DT
 
     def position(self) -> tuple[float, float]:
@@ -99,7 +100,7 @@ class FlyingVehicle:
         return degrees_from_metres(*home, self.airframe.place[0], self.airframe.place[1])
 
     def pressure(self) -> float:
-        """Of the air around, Pa."""
+        """Static pressure of the air around, Pa."""
         return air.pressure(self.altitude_home - self.airframe.place[2])
 
     # --- what it is told
@@ -151,7 +152,7 @@ class FlyingVehicle:
         return True
 
     def load_mission(self, items: Sequence[Item]) -> None:
-        """A mission for AUTO; the first item is home."""
+        """Take a mission for AUTO; its first item is home."""
         self.auto.load(items)
         self._log.mission(self.time_us, items)
 
@@ -163,7 +164,7 @@ class FlyingVehicle:
         return True
 
     def follow_velocity(self, target: Vector, yaw: float | None, yaw_rate: float) -> None:
-        """A velocity north east down, m/s, and a heading or a turn, rad and rad/s."""
+        """Follow a velocity north east down, m/s, and a heading or a yaw rate, rad and rad/s."""
         if self._follows(Guidance.VELOCITY):
             self._velocity_target = target
             self._yaw_rate = yaw_rate
@@ -171,7 +172,7 @@ class FlyingVehicle:
                 self.control.attitude[2] = yaw
 
     def follow_attitude(self, target: Vector, thrust: float) -> None:
-        """Roll, pitch, yaw, rad, and a thrust of 0 to 1 that means a climb rate."""
+        """Follow roll, pitch, yaw, rad, and a thrust of 0 to 1 that means a climb rate."""
         if self._follows(Guidance.ATTITUDE):
             most = 0.01 * self.parameters["WPNAV_SPEED_UP"]
             self._attitude_target = target
@@ -197,7 +198,7 @@ class FlyingVehicle:
         self.say(severity, text)
 
     def close(self) -> None:
-        """The log ends."""
+        """Close the log."""
         self._log.close()
 
     # --- the loop
@@ -288,7 +289,7 @@ class FlyingVehicle:
         return wanted
 
     def _wanted(self, height: float, dt: float) -> Vector:
-        """Velocity north and east, and climb, m/s."""
+        """The velocity to follow: north, east and climb, m/s."""
         if self.mode is Mode.LAND:
             return 0.0, 0.0, landing_climb(height, self.parameters)
         if self.mode is Mode.AUTO:
@@ -305,3 +306,20 @@ class FlyingVehicle:
             up, least = 0.01 * self.parameters["WPNAV_SPEED_UP"], -0.01 * self.parameters["WPNAV_SPEED_DN"]
             return north, east, min(max(-down, least), up)
         return 0.0, 0.0, self._climb_target if self.guidance is Guidance.ATTITUDE else 0.0
+
+
+def arming_fault(parameters: FlightParameters, time: float) -> str:
+    """Why it does not arm `time` seconds after boot, in the firmware's words; empty: it does."""
+    if parameters["ARMING_CHECK"] == 0:
+        return ""
+    if not parameters["SIM_GPS1_ENABLE"]:
+        return "GPS 1: Bad fix"
+    return "Need Position Estimate" if time < READY_S else ""
+
+
+def mission_fault(items: Sequence[Item], *, flying: bool) -> str:
+    """Why AUTO does not fly these items, the first of which is home."""
+    if len(items) < 2:
+        return "No mission"
+    moving = [item.command for item in items[1:] if item.command not in AT_ONCE]
+    return "" if flying or moving[:1] == [Command.TAKEOFF] else "Missing Takeoff Cmd"

@@ -1,4 +1,4 @@
-"""How fast a vehicle climbs in take-off and sinks in landing, m/s upwards."""
+"""Climb rates of take-off and landing, m/s upwards."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _LANDING_FAST = 1.5
 
 
 def takeoff_climb(height: float, target: float) -> float:
-    """Towards `target`, both m above the ground."""
+    """Climb rate towards `target`; heights in m above the ground."""
     return min(_TAKEOFF_CLIMB, max(target - height, 0.0) + CLOSE_ENOUGH)
 
 
 def landing_climb(height: float, parameters: FlightParameters) -> float:
-    """Downwards, slowly below LAND_ALT_LOW."""
+    """Climb rate of a landing, slower below LAND_ALT_LOW."""
     low, slow = 0.01 * parameters["LAND_ALT_LOW"], 0.01 * parameters["LAND_SPEED"]
     return -(_LANDING_FAST if height > low else slow)

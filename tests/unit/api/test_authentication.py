@@ -7,8 +7,16 @@ from types import SimpleNamespace
 import pytest
 from starlette.requests import Request
 
-from mavcal.service.api.security import COOKIE, TICKET_S, RequestGuard, Scope, digest, require
-from mavcal.service.api.throttle import AT_ONCE, EVERY_S
+from mavcal.service.api.security import (
+    COOKIE,
+    FAILURE_EVERY_S,
+    FAILURES_AT_ONCE,
+    TICKET_S,
+    RequestGuard,
+    Scope,
+    digest,
+    require,
+)
 from mavcal.service.errors import AuthError, Forbidden, TooManyAttempts
 from mavcal.service.settings import ApiKey, Settings
 from mavcal.service.store import SqliteStore
@@ -77,7 +85,7 @@ def test_a_key_is_known_from_the_header_and_from_the_cookie(desk, key, owner):
 
 @pytest.mark.parametrize("headers", [{}, {"authorization": "Bearer "}, {"authorization": "Basic d29yaw=="}])
 def test_no_key_at_all_is_told_how_to_send_one_and_is_no_failed_try(desk, headers):
-    for _ in range(2 * AT_ONCE):
+    for _ in range(2 * FAILURES_AT_ONCE):
         with pytest.raises(AuthError, match="an API key is needed: send it as `Authorization: Bearer"):
             desk.guard.authenticate(desk.request(**headers))
     assert desk.given("work") is WORKER
@@ -96,23 +104,23 @@ def test_a_header_is_believed_before_a_cookie(desk):
 
 
 def test_too_many_wrong_keys_of_one_peer_have_to_wait_and_those_of_another_do_not(desk):
-    for _ in range(AT_ONCE):
+    for _ in range(FAILURES_AT_ONCE):
         with pytest.raises(AuthError) as refused:
             desk.given("wrong")
         assert not isinstance(refused.value, TooManyAttempts)
     with pytest.raises(TooManyAttempts, match=r"from 10\.0\.0\.1: wait 6 s, then") as throttled:
         desk.given("work")  # even a right one: else guesses could go on
-    assert throttled.value.wait_s == pytest.approx(EVERY_S)
+    assert throttled.value.wait_s == pytest.approx(FAILURE_EVERY_S)
     assert desk.given("work", peer="10.0.0.2") is WORKER
-    desk.clock.advance(EVERY_S / 2)
+    desk.clock.advance(FAILURE_EVERY_S / 2)
     with pytest.raises(TooManyAttempts, match="wait 3 s"):
         desk.given("work")
-    desk.clock.advance(EVERY_S / 2)
+    desk.clock.advance(FAILURE_EVERY_S / 2)
     assert desk.given("work") is WORKER
 
 
 def test_peers_without_an_address_count_as_one(desk):
-    for _ in range(AT_ONCE):
+    for _ in range(FAILURES_AT_ONCE):
         with pytest.raises(AuthError):
             desk.given("wrong", peer=None)
     with pytest.raises(TooManyAttempts, match="from unknown"):
@@ -146,7 +154,7 @@ def test_a_ticket_is_good_up_to_its_last_second(desk):
 
 
 def test_guessed_tickets_are_throttled_like_keys(desk):
-    for n in range(AT_ONCE):
+    for n in range(FAILURES_AT_ONCE):
         with pytest.raises(AuthError):
             desk.guard.authenticate(desk.request(query=f"ticket=guess{n}"))
     with pytest.raises(TooManyAttempts):

@@ -3,10 +3,11 @@ from __future__ import annotations
 import pytest
 from starlette.datastructures import Headers
 
-from mavcal.service.api.security import RequestGuard, digest
+from mavcal.service.api.security import FAILURE_EVERY_S, FAILURES_AT_ONCE, MOST_PEERS, RequestGuard, Throttle, digest
 from mavcal.service.errors import AuthError, Forbidden
 from mavcal.service.exposure import check_exposure
 from mavcal.service.settings import ApiKey, Settings
+from tests.clock import ManualClock
 
 KEY = ApiKey(name="ground", sha256=digest("secret"), scopes=frozenset({"read"}))
 
@@ -137,3 +138,39 @@ def test_a_page_of_a_guest_origin_may_ask_from_its_own_site():
 def test_a_guest_origin_is_an_exact_one(origin):
     with pytest.raises(ValueError, match="cors_origins"):
         Settings(cors_origins=(origin,))
+
+
+def test_a_peer_fails_a_few_times_and_then_once_in_a_while():
+    clock = ManualClock(1000.0)
+    throttle = Throttle(clock)
+    for _ in range(FAILURES_AT_ONCE):
+        assert throttle.wait_s("10.0.0.1") == 0.0
+        throttle.failed("10.0.0.1")
+    assert 0.0 < throttle.wait_s("10.0.0.1") <= FAILURE_EVERY_S
+    assert throttle.wait_s("10.0.0.2") == 0.0
+    clock.advance(FAILURE_EVERY_S)
+    assert throttle.wait_s("10.0.0.1") == 0.0
+    throttle.failed("10.0.0.1")
+    assert throttle.wait_s("10.0.0.1") > 0.0
+    clock.advance(FAILURES_AT_ONCE * FAILURE_EVERY_S)
+    for _ in range(FAILURES_AT_ONCE):
+        assert throttle.wait_s("10.0.0.1") == 0.0
+        throttle.failed("10.0.0.1")
+
+
+def test_hosts_with_a_network_of_addresses_count_as_one():
+    throttle = Throttle(ManualClock())
+    for i in range(FAILURES_AT_ONCE):
+        throttle.failed(f"2001:db8::{i:x}")
+    assert throttle.wait_s("2001:db8::ffff") > 0.0
+    assert throttle.wait_s("2001:db8:0:1::1") == 0.0
+
+
+def test_memory_is_bounded_and_an_active_peer_is_not_forgotten():
+    throttle = Throttle(ManualClock())
+    for i in range(20 * MOST_PEERS):
+        throttle.failed(f"10.{i >> 16}.{i >> 8 & 255}.{i & 255}")
+        if i % (MOST_PEERS // 2) == 0:
+            throttle.failed("192.168.0.1")
+    assert len(throttle) == MOST_PEERS
+    assert throttle.wait_s("192.168.0.1") > 0.0

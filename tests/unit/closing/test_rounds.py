@@ -24,9 +24,9 @@ from mavcal.calib.gap.schema import (
 from mavcal.service.closing.errors import LogUnusable, OtherClosing
 from mavcal.service.closing.logs import find_log
 from mavcal.service.closing.loop import ClosingResult
+from mavcal.service.closing.report import page, round_lines, sentence
 from mavcal.service.closing.rounds import Outcome, RoundResult, WorkFolder, measured, outcome_of, read_json
 from mavcal.service.closing.settings import SimSettings
-from mavcal.service.closing.telling import page, round_lines, sentence
 
 START = SimSettings({"A": 1.0}, {"mass": 3.0})
 
@@ -99,7 +99,7 @@ def test_the_loop_ends_when_another_round_would_not_help(results: list[RoundResu
 
 
 def test_a_folder_that_names_no_mission_flew_the_standard_one(tmp_path: Path) -> None:
-    WorkFolder(tmp_path / "w", {"real": "a"}).tell(0, "flying", 0.5, None)
+    WorkFolder(tmp_path / "w", {"real": "a"}).keep_progress(0, "flying", 0.5, None)
     WorkFolder(tmp_path / "w", {"real": "a", "mission": "standard"})
     with pytest.raises(OtherClosing, match=r"\(mission differ\)"):
         WorkFolder(tmp_path / "w", {"real": "a", "mission": "log"})
@@ -133,7 +133,7 @@ def test_a_file_that_was_cut_counts_as_none(tmp_path: Path) -> None:
 
 def test_another_flight_does_not_go_on_with_these_rounds(tmp_path: Path) -> None:
     folder = WorkFolder(tmp_path, {"real": "a", "command": "c"})
-    folder.tell(1, "flying (hover)", 0.5, 12.0)
+    folder.keep_progress(1, "flying (hover)", 0.5, 12.0)
     assert read_json(tmp_path / "progress.json") == {
         "schema": "closing/1",
         "of": {"real": "a", "command": "c"},

@@ -15,6 +15,7 @@ from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import CommandRefused, ParameterMissing, ParameterRejected, ParameterTimeout, VehicleUnknown
 from mavcal.service.vehicle.job_vehicle import Condition, FramesCallback, JobVehicle, ParameterReading, TlogPosition
+from mavcal.service.vehicle.rate_ledger import RateLedger
 
 FINE = Condition(armed=False, silent=False, reboots=0, calibrating=False, obstacles=(), conflict=None)
 
@@ -42,6 +43,7 @@ class FakeVehicle:
     commands: list[int] = field(default_factory=list)
     message_intervals: dict[int, int] = field(default_factory=dict)
     tlog: Path = Path("fake.tlog")
+    rates: RateLedger = field(default_factory=RateLedger)
     _frames: list[tuple[frozenset[int], FramesCallback]] = field(default_factory=list)
     _listeners: list[Callable[[ParameterReading], None]] = field(default_factory=list)
 

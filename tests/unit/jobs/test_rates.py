@@ -13,8 +13,9 @@ from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.rates import JobRates, ask_for_streams, return_streams
-from mavcal.service.rates.ledger import RateLedgers, RateUser
+from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.store import SqliteStore
+from mavcal.service.vehicle.rate_ledger import RateUser
 from tests.unit.jobs.conftest import until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 

@@ -6,7 +6,8 @@ import asyncio
 
 import pytest
 
-from mavcal.service.rates.ledger import LiveWatch, RateLedgers, RateUser
+from mavcal.service.rates.ledger import RateLedgers
+from mavcal.service.vehicle.rate_ledger import LiveWatch, RateLedger, RateUser
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 
@@ -56,6 +57,48 @@ async def test_two_addresses_that_turn_out_to_be_one_vehicle_get_one_ledger(regi
     returning.done.set()
     await ledger.returned(RateUser.JOB)
     assert not ledger.returning(RateUser.JOB)
+
+
+async def test_a_unit_that_is_found_anew_keeps_who_watches_and_has_no_rates_set(registry: FakeRegistry) -> None:
+    ledgers = RateLedgers(registry)
+    gone = ledgers.of("link-1-1")
+    gone.watches["a"] = watch("a", 20.0)
+    gone.requested_us[27] = 20_000
+    gone.note_before("link", 27, 500_000)
+    del registry.vehicles["link-1-1"]
+    assert ledgers.of("link-1-1") is gone
+    registry.vehicles["link-1-1"] = FakeVehicle({}, id="link-1-1")
+    ledger = ledgers.of("link-1-1")
+    assert ledger is registry.vehicles["link-1-1"].rates
+    assert ledger.wanted_hz(0.0) == 20.0
+    assert ledger.requested_us == {}
+    assert not ledger.knows_before("link", 27)
+    assert ledgers.all() == (ledger,)
+
+
+async def test_rates_that_are_kept_for_an_accept_stay_so_when_the_unit_is_found_anew(registry: FakeRegistry) -> None:
+    ledgers = RateLedgers(registry)
+    gone = ledgers.of("link-1-1")
+    gone.begin_return(RateUser.JOB, gone.wait_for_hurry(), owner="j")
+    await asyncio.sleep(0)
+    registry.vehicles["link-1-1"] = FakeVehicle({}, id="link-1-1")
+    ledger = ledgers.of("link-1-1")
+    await asyncio.sleep(0.01)
+    assert ledger.returning(RateUser.JOB)
+    await ledger.returned(RateUser.JOB)  # somebody else needs the rates
+    assert not ledger.returning(RateUser.JOB)
+
+
+async def test_a_second_return_of_a_joined_ledger_waits_for_no_accept(registry: FakeRegistry) -> None:
+    one, other = RateLedger(), RateLedger()
+    for ledger in (one, other):
+        ledger.begin_return(RateUser.JOB, ledger.wait_for_hurry(), owner="j")
+    second = next(iter(other.tasks))
+    one.join(other)
+    await asyncio.wait({second}, timeout=1.0)
+    assert second.done()
+    assert one.returning(RateUser.JOB)
+    await one.returned(RateUser.JOB)
 
 
 async def test_a_watch_lapses_and_a_ledger_without_anything_is_forgotten(registry: FakeRegistry) -> None:

@@ -16,6 +16,7 @@ from mavcal.service.errors import CommandTimeout, Forbidden, LinkDown, VehicleUn
 from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.rates.owed import OwedRates
 from mavcal.service.rates.watching import ARMED, SILENT, LiveRates, LiveState, LiveTimes, WatchOwed
+from mavcal.service.vehicle.rate_ledger import RateLedger
 from tests.unit.jobs.conftest import until
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
@@ -226,6 +227,7 @@ async def test_the_end_of_the_service_puts_back_and_a_killed_one_leaves_it_to_th
         attended.task.cancel()
     await asyncio.sleep(0)
     assert not world.restored
+    world.vehicle.rates = RateLedger()  # what was in memory is gone
     async with world.running():
         await until(lambda: world.restored and OwedRates(world.path).all() == {})
 

@@ -9,9 +9,8 @@ import pytest
 from mavcal.service.simvehicle.config import VehicleConfig, load_config
 from mavcal.service.simvehicle.errors import ConfigurationError
 from mavcal.service.simvehicle.parameters import load_table
-from mavcal.service.simvehicle.thermal import Thermal
 from mavcal.service.simvehicle.truth import draw_truth
-from mavcal.service.simvehicle.world import SimWorld
+from mavcal.service.simvehicle.world import RandomWalk, SimWorld, Thermal
 
 
 def test_a_seed_gives_the_same_truth_again_and_another_gives_another() -> None:
@@ -146,3 +145,22 @@ def test_a_parameter_file_keeps_its_order_and_names_its_broken_line(tmp_path: Pa
     path.write_text("B,1.5,9\nA,x,6\n")
     with pytest.raises(ConfigurationError, match="line 2"):
         load_table(str(path))
+
+
+def test_it_grows_with_the_root_of_time():
+    ends = np.array([RandomWalk(np.random.default_rng(seed))(np.array([100.0])) for seed in range(60)])
+    assert np.sqrt(np.mean(ends**2)) == pytest.approx(10.0, rel=0.2)
+
+
+def test_it_is_the_same_however_it_is_read_and_starts_at_zero():
+    wander, t = RandomWalk(np.random.default_rng(1)), np.linspace(0.0, 50.0, 501)
+    together = wander(t)
+    np.testing.assert_array_equal(together, np.vstack([wander(part) for part in np.array_split(t, 7)]))
+    assert not together[0].any()
+
+
+def test_a_restart_of_the_clock_does_not_move_it():
+    wander = RandomWalk(np.random.default_rng(2))
+    before = wander(np.array([40.0]))
+    wander.restart(40.0)
+    np.testing.assert_array_equal(wander(np.array([0.0])), before)

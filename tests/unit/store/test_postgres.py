@@ -11,9 +11,8 @@ import pytest
 
 from mavcal.service.errors import StoreError
 from mavcal.service.store.migrate import migrations
-from mavcal.service.store.postgres import PostgresStore
+from mavcal.service.store.postgres import PostgresStore, to_postgres
 from mavcal.service.store.rows import JobRow
-from mavcal.service.store.schema import to_postgres
 from tests.postgres import Server
 
 ROW = JobRow("j1", "v1", "gyro", "queued", 1.0, 1.0, {})

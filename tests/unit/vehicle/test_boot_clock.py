@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from mavcal.service.vehicle.boot_time import BootClock
-from mavcal.service.vehicle.unit import WITH_ID_S, WITHOUT_ID_S, clocks_agree
+from mavcal.service.vehicle.kin import WITH_ID_S, WITHOUT_ID_S, clocks_agree
 
 
 def running(start: float, *, speed: float = 1.0, late: float = 0.0, seconds: float = 3.0) -> BootClock:

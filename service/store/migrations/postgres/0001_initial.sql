@@ -1,4 +1,4 @@
--- What 0001_initial.sql says in words of SQLite that `service/store/schema.py` does not translate: triggers.
+-- What 0001_initial.sql says in words of SQLite that `service/store/postgres.py` does not translate: triggers.
 CREATE FUNCTION json_valid(body TEXT) RETURNS BOOLEAN LANGUAGE plpgsql IMMUTABLE AS
 $$ BEGIN PERFORM body::json; RETURN TRUE; EXCEPTION WHEN invalid_text_representation THEN RETURN FALSE; END $$;
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcal.service.simvehicle.truthreport import truth_report
+from mavcal.service.simvehicle.verbs import truth_report
 
 LATER_S = 2000.0
 """So long the biases have wandered: by now a gyroscope's is off by what a rest of some seconds can see."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.instances.identity import FILE, owner_of
+from mavcal.service.instances.instance import FILE, owner_of
 from mavcal.service.settings import Settings
 
 
