@@ -301,7 +301,9 @@ def _beside_thrust(
     sags = "battery_sag" in gone and (unseen or max(airframe.voltage_span, airframe.voltage_off) >= SAG_SPAN)
     air = densities(real.air, sim.air, sim.parameters)
     thin = isinstance(air, Densities) and air.alike is not None and air.explains(thrust.value, thrust.sd)
-    return (*(("battery_sag",) if sags else ()), *((DENSITY,) if thin else ()))
+    weak = "motor_weak" in gone and thrust.value < 0.0
+    rivals = {"battery_sag": sags, DENSITY: thin, "motor_weak": weak}
+    return tuple(id_ for id_, possible in rivals.items() if possible)
 
 
 def _unnamed(answer: Answer, found: Sequence[FoundEffect], *, gusty: bool) -> tuple[str, float, float]:

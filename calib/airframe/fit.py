@@ -6,6 +6,7 @@ learned, not declared. The result is a :class:`FlightFit`, the log-likelihood ab
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from mavcal.calib.airframe.flown import REST_AGREES, FlownFlight
 from mavcal.calib.airframe.geometry import arms
 from mavcal.calib.airframe.nameless import PREFIX, SIZES
 from mavcal.calib.airframe.physics import TORQUE_ONLY, Airframe, Layout
+from mavcal.calib.airframe.signals import kept_power
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -53,6 +55,12 @@ _CONVERGED: Final = 0.02
 _WINDOW: Final = 0.15
 """Part of a frequency over which a spectrum is averaged on either side. Chosen, not measured."""
 _LEAST_BINS: Final = 8
+_NOISE_BANDS: Final = 4
+_NOISE_HZ: Final = 40.0
+"""Bands from `TORQUE_BAND_HZ` to that frequency of which the quietest is a gyroscope's noise. Chosen, not measured:
+vibration of rotors fills some of them; above lies what the grid does not keep."""
+_OCTAVES: Final = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
+"""Hz between which a residual is compared with that noise. Source: octaves below `TORQUE_BAND_HZ`."""
 _STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "fall": 1e-3, "expo": 1e-3}
 PRIORS: Final[Mapping[str, tuple[float, float]]] = {
     "k": (25.0, 20.0), "expo": (0.5, 0.4), "sag": (0.0, 1.5), "c1": (0.3, 0.5), "cz": (0.3, 0.7), "c2": (0.02, 0.05),
@@ -254,11 +262,42 @@ class FlightLikelihood:
         for one in REFERENCES:
             views = [k for k, v in enumerate(self._views) if v.column in one.columns and v.rows in one.rows]
             size = sum(float((measured[k] ** 2).sum()) for k, v in enumerate(self._views) if v.column in one.whole)
-            left = math.fsum(_answerable(residual[k], self._hz[self._views[k].picked], one.below_hz) for k in views)
+            left = math.fsum(self._answerable(k, residual[k], one.below_hz) for k in views)
             if size > 0.0:
                 error = one.right_to**2 * size + one.answered**2 * left
                 total += sum(columns[k] @ columns[k].T for k in views) / max(error, 1e-12)
         return total
+
+    def _answerable(self, view: int, residual: Array, below_hz: float) -> float:
+        """Energy of a view's residual below that frequency beyond the sensor's noise, which no controller answers."""
+        one = self._views[view]
+        if one.column < 3:
+            return _beyond_noise(residual, self._hz[one.picked], below_hz)
+        noise = self._gyro_noise[one.column - 3] * self._rows[one.rows].mean() * self._of_white[one.picked]
+        beyond = np.array(
+            [b.sum() for b in np.split(residual**2 - noise, np.searchsorted(self._hz[one.picked], _OCTAVES))]
+        )
+        return float(beyond[beyond > 0.0].sum())
+
+    @cached_property
+    def _of_white(self) -> Array:
+        """Power (N,) of the angular acceleration on the grid for white noise of power 1 of the gyroscope."""
+        flight = self.airframe.flight
+        corner = flight.cutoff_hz.get(Sensor.GYRO, 0.0)
+        passed = 1.0 / (1.0 + (self._hz / corner) ** 4) if corner > 0.0 else np.ones_like(self._hz)
+        return np.asarray((2.0 * np.pi * self._hz) ** 2 * passed * kept_power(self._hz, flight.inertial_hz, flight.fs))
+
+    @cached_property
+    def _gyro_noise(self) -> Array:
+        """Power (3,) of the gyroscopes' white noise, by the quietest band above the judged ones; 0 without one."""
+        highest = min(0.45 * self.airframe.flight.inertial_hz, _NOISE_HZ)
+        edges = np.searchsorted(self._hz, np.linspace(TORQUE_BAND_HZ, highest, _NOISE_BANDS + 1))
+        if highest < 1.5 * TORQUE_BAND_HZ or (np.diff(edges) < _LEAST_BINS).any():
+            return np.zeros(3)
+        power = dct(np.where(self.usable[:, None], self._measured[:, 3:], 0.0), axis=0, norm="ortho") ** 2
+        white = power / np.maximum(self._of_white, 1e-12)[:, None]
+        bands = [white[low:high].mean(axis=0) for low, high in itertools.pairwise(edges)]
+        return np.asarray(np.min(bands, axis=0) / max(float(self.usable.mean()), 1e-9))
 
     def spectra(self, theta: Array) -> tuple[Array, ...]:
         """The noise that is left at a point."""
@@ -306,8 +345,8 @@ class FlightLikelihood:
         return [np.array(c) for c in columns]
 
 
-def _answerable(residual: Array, hz: Array, below_hz: float) -> float:
-    """Energy of a residual below that frequency beyond the sensor's noise, which no controller answers there."""
+def _beyond_noise(residual: Array, hz: Array, below_hz: float) -> float:
+    """Energy of a residual below that frequency beyond what is left at the highest ones."""
     power, slow = residual**2, hz < below_hz
     noise = 0.0 if slow.all() else float(power[~slow][-(np.count_nonzero(~slow) // 2) :].mean())
     return max(float(power[slow].sum()) - noise * np.count_nonzero(slow), 0.0)

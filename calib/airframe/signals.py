@@ -31,6 +31,13 @@ def kept_below(values: Array, rate: float, grid_hz: float) -> Array:
     return np.asarray(sosfiltfilt(butter(4, corner, fs=rate, output="sos"), values, axis=0))
 
 
+def kept_power(hz: Array, rate: float, grid_hz: float) -> Array:
+    """Part of the power at `hz` that :func:`kept_below` keeps."""
+    if rate < 1.2 * grid_hz:
+        return np.ones_like(hz)
+    return np.asarray((1.0 + (hz / (PASSED * grid_hz)) ** 8) ** -2.0)
+
+
 def spline(stamps: Array, values: Array) -> CubicSpline:
     """A spline through `values` (N, k) at `stamps` (N,); stamps that do not increase are dropped."""
     new = np.concatenate([[True], np.diff(np.maximum.accumulate(stamps)) > 0.0])

@@ -40,6 +40,8 @@ _Z95: Final = 1.959964
 """Standard errors on either side of 95 % of a normal distribution. Source: its quantile."""
 _INERTIAL: Final = frozenset({str(Sensor.ACCEL), str(Sensor.GYRO)})
 _BY_ITSELF: Final = frozenset({Trait.THERMAL, Trait.WANDERING})
+_SPOKEN_OF: Final = 0.05
+"""Probability from which an effect that is not named is a warning. Source: the odds of any effect before a flight."""
 _LEAST_P: Final = 1e-300
 """Smallest probability that is written. Source: below lie numbers that a double holds with fewer digits."""
 
@@ -72,6 +74,7 @@ def joined(
         return _of_sensors(report, sensors, (*said, *map(_of_the_flight, shared)))
     doubtful = tuple(e for e in sensors if e.evidence.probability < LIKELY and _moves(e) and not _stands_out(e, report))
     sensors = tuple(e for e in sensors if e not in doubtful)
+    doubtful = tuple(e for e in doubtful if e.evidence.probability >= _SPOKEN_OF)
     shaken = any(e.id == "accel_vibration" for e in sensors)
     found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_jumps(answer, real))
     effects = _with_shares((*found, *sensors))

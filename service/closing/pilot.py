@@ -164,12 +164,11 @@ def land(vehicle: Conversation) -> None:
     """
     vehicle.doing, vehicle.flying = "landing", False
     state, landing, disarm = vehicle.state, vehicle.way.land(vehicle.to), vehicle.way.disarm(vehicle.to)
-    high = state.t
-    ended = state.t + _LAND_S
+    ended, standing_since = state.t + _LAND_S, math.inf
     while state.armed and state.t < ended:
-        if state.height > _NEARLY:
-            high = state.t
-        vehicle.run(TRY_S, lambda: disarm if state.t - high > _STANDS_S else landing, until=lambda: not state.armed)
+        standing_since = min(standing_since, state.t) if state.height < _NEARLY else math.inf
+        vehicle.send(disarm if state.t - standing_since > _STANDS_S else landing)
+        vehicle.run(TRY_S, until=lambda: not state.armed)
     if state.armed:
         raise MissionLeft(
             f"the vehicle is still armed {_LAND_S:g} s after the landing began, at {vehicle.state.height:.1f} m."

@@ -265,9 +265,9 @@ def _comparison(
     coarse = [contest.score(rival, beside, refine=False) for rival in means]
     coarse += contest.scores([rival for rival in far if not isinstance(rival.effect, NoiseEffect)], beside)
     if isinstance(term, NoiseTerm):
-        near = [score for score in coarse if score.gain > prices.WORTH_A_FIT * own_gain]
-        scores += [_with_noise_fitted(contest.score(score.hypothesis, beside), bare) for score in near]
-        coarse = [score for score in coarse if score not in near]
+        large = [score.hypothesis for score in coarse if score.gain > prices.WORTH_A_FIT * own_gain]
+        scores += [_with_noise_fitted(contest.score(hypothesis, beside), bare) for hypothesis in large]
+        coarse = [score for score in coarse if score.hypothesis not in large]
     scores += contest.refined_scores(coarse, beside, own_delta - prices.RIVAL_REACH)
     for score in scores:
         near = own_delta - score.delta < prices.RIVAL_REACH + price_of_kind(score.hypothesis.effect)

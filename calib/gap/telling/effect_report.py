@@ -37,8 +37,6 @@ def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, b
     )
 
 
-
-
 def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
     """A delay, moved to the unit that has it, of two `units`, which count from 1.
 
@@ -55,7 +53,7 @@ def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> Effect
 
 
 def with_other_unit_as_rival(effect: EffectEstimate, units: Collection[int], sure: float) -> EffectEstimate:
-    """`effect` with the other of two `units`, which count from 1, as a rival; `sure`: chance that it is not that one."""
+    """`effect` with the other of two `units`, which count from 1, as a rival; `sure`: chance that this one has it."""
     other = next(unit for unit in sorted(units) if unit not in effect.instances)
     fix = f"turning through all headings and tilts (instance {other} may have it instead, with the opposite sign)"
     evidence = replace(effect.evidence, probability=sure * effect.evidence.probability)

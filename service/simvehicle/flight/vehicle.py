@@ -30,8 +30,8 @@ _LIFT_PER_S = 0.5
 """How fast the throttle rises until the vehicle lifts off."""
 _LANDED_S = 1.0
 _SHAKEN = 1.0
-"""SIM_WIND_TURB from which a vehicle on the ground takes its shaking for flight. Measured: ArduCopter's SITL stayed armed
-for a minute after it had landed at 8 m/s with SIM_WIND_TURB 1."""
+"""SIM_WIND_TURB from which a vehicle on the ground takes its shaking for flight. Measured: ArduCopter's SITL stayed
+armed for a minute after it had landed at 8 m/s with SIM_WIND_TURB 1."""
 ATTITUDE_CLIMB_MIDDLE = 0.5
 """Thrust of SET_ATTITUDE_TARGET that holds the height: ArduCopter takes it as a climb rate."""
 READY_S = 5.0

@@ -32,6 +32,7 @@ def test_noise_that_nobody_declared_is_never_too_little():
     bare = dataclasses.replace(problem, traces=tuple(dataclasses.replace(t, sigma=None) for t in problem.traces))
     assert not diagnose(bare, nested=False).warnings
 
+
 def test_noise_of_a_trajectory_is_no_sensors():
     """The simulator flew doublets, the real vehicle did not: every report said that the simulator is too noisy."""
     problem = declared(problem_of(np.random.default_rng(4), (Sensor.GYRO,)), 3.0)
