@@ -157,6 +157,7 @@ FOREIGN = {
     "lag up and down": (6, "motor_lag", {"tau_up": -0.0138, "tau_down": -0.0197}),
     "yaw": (19, "yaw_coefficient", {"s": 0.604}),
     "load": (23, "payload_step", {"s": -0.2122}),
+    "drag beside flapping, which was an inertia": (9940014, "body_drag", {"c2": 0.521}),
 }
 """Seeds of the withheld-effect check's physics, development seeds, and what they hold."""
 

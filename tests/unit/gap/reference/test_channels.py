@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcal.calib.gap.reference.channels import as_slow_as, with_common_channels
+from mavcal.calib.gap.reference.channels import as_slow_as, as_uneven_as, with_common_channels
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 T = np.arange(100) / 100.0
@@ -50,3 +50,14 @@ def test_a_companions_unit_is_picked_at_the_rate_of_the_real_one():
     assert 390 < len(slow) < 410
     assert np.isin(slow.t, sim.channels[1].t).all()  # samples, as a logger writes them, and no means
     assert [len(c) for c in as_slow_as(real, sim).channels] == [len(c) for c in real.channels]
+
+
+def test_real_units_are_picked_where_the_simulator_thins_some_of_a_sensor_only():
+    """Its aliased unit beside a full one made a vibration of the real difference, which has none."""
+    even, thinned = Recording((timed(0, 400.0), timed(1, 400.0))), Recording((timed(0, 400.0), timed(1, 40.0)))
+    first, second = as_uneven_as(even, thinned).channels
+    assert len(first) == len(even.channels[0])
+    assert np.isin(second.t, even.channels[1].t).all()
+    assert 390 < len(second) < 410
+    slow = Recording((timed(0, 40.0), timed(1, 40.0)))
+    assert [len(c) for c in as_uneven_as(even, slow).channels] == [len(c) for c in even.channels]
