@@ -51,7 +51,7 @@ WALK = np.repeat([3e-4, 0.02, 1e-5, 3e-4], 3)
 """Standard deviations a priori of the walks of a node's state, per root second: rad, m/s, rad/s and m/s2. Source:
 decision 9 for the gyroscope's bias. The others are chosen, not measured: below what usual inertial units show in
 flight."""
-BIAS = np.repeat([0.05, 0.2], 3)
+BIAS: Array = np.repeat([0.05, 0.2], 3)
 """Standard deviation of the gyroscope's bias, rad/s, and the accelerometer's, m/s2, a priori. Chosen, not measured: 3
 deg/s and 2 % of gravity, larger than calibrated units have."""
 TRUTH_SD = np.radians(0.05)

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.gap.effects.affine import rotation_columns
 from mavcal.calib.gap.effects.magnetic import earth_columns
 from mavcal.calib.gap.model.hypotheses import HypothesisColumns, Key, Part, add_block, columns_of
 from mavcal.calib.gap.model.joint import Joint, Model, Setting, jacobian, normal_equations
 from mavcal.calib.gap.model.views import View
+from mavcal.calib.gap.reference.trajectory import BIAS
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -28,6 +30,8 @@ _TILTS, _MATRIX, _FIELD = slice(0, 6), slice(6, 15), slice(15, 18)
 _ERRORS = 18
 REFERENCE_CHANCE = 0.005
 """Chance above which an effect is as large as the reference's own error makes it. Source: decision 34."""
+_PRIOR_TILT = float(BIAS[-1]) / STANDARD_GRAVITY
+"""Tilt, rad, that an accelerometer's bias makes which the trajectory expects. Source: its prior of that bias."""
 _RANK = 1e-9
 """Part of the largest variance of amplitudes below which a direction of them was not fitted. Source: rounding of a
 covariance, 1e-16, with a margin."""
@@ -58,13 +62,15 @@ def on_uncertain_unit(model: Model, alpha: float) -> dict[Key, float]:
     """Effects on one of two units that the other may have instead, with the opposite sign; and how sure their unit is.
 
     The difference of the units is certain. The other unit has the effect if the trajectory's own error looks like it on
-    both: as likely as that error beside none. Effects for which its chance is below `alpha` are left out.
+    both: as likely as that error beside none. Effects for which its chance is below `alpha` are left out. What the
+    trajectory knows of its attitude by the prior of its unit's bias does not count: the other unit's prior is the same.
     """
     views = model.setting.views
     tilt = max((view.att_sd for view in views if view.reference_error), default=0.0)
     if tilt == 0.0:
         return {}
     errors = _error_columns(model.setting, tilts=model.ridge is None)
+    measured = max(1.0 - (tilt / _PRIOR_TILT) ** 2, 0.0)
     found = {}
     for term in model.terms:
         own = term.hypothesis
@@ -81,7 +87,7 @@ def on_uncertain_unit(model: Model, alpha: float) -> dict[Key, float]:
         second_order = (tilt * np.linalg.norm(values)) ** 2 * np.eye(columns.p)
         squares, count = _deviation(values, inverse + moved @ moved.T + second_order)
         if moved.any() and chdtrc(count, squares) > alpha:
-            found[own.key] = 1.0 / (1.0 + math.exp(-0.5 * squares))
+            found[own.key] = 1.0 / (1.0 + math.exp(-0.5 * measured * squares))
     return found
 
 
