@@ -57,8 +57,8 @@ _WINDOW: Final = 0.15
 _LEAST_BINS: Final = 8
 _NOISE_BANDS: Final = 4
 _NOISE_HZ: Final = 40.0
-"""Bands from `TORQUE_BAND_HZ` to that frequency of which the quietest is a gyroscope's noise. Chosen, not measured:
-vibration of rotors fills some of them; above lies what the grid does not keep."""
+"""The quietest of these bands, from `TORQUE_BAND_HZ` to `_NOISE_HZ`, is taken for the gyroscope's noise. Chosen, not
+measured: vibration of the rotors fills some bands, and the grid's own filter removes what lies above."""
 _OCTAVES: Final = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
 """Hz between which a residual is compared with that noise. Source: octaves below `TORQUE_BAND_HZ`."""
 _STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "fall": 1e-3, "expo": 1e-3}

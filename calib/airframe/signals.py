@@ -19,6 +19,8 @@ Response = NDArray[np.complex128]
 
 PASSED: Final = 0.35
 """Part of the grid's rate up to which a series is kept. Source: torque is judged up to a fifth of it."""
+_FASTER: Final = 1.2
+"""Rate, in rates of the grid, above which a series folds back. Chosen, not measured: loops jitter by less."""
 _PADDED_S: Final = 2.0
 """At either end of a series. Source: ten lags of 0.2 s, the longest of a small vehicle (AIRFRAME 2)."""
 
@@ -26,14 +28,14 @@ _PADDED_S: Final = 2.0
 def kept_below(values: Array, rate: float, grid_hz: float) -> Array:
     """`values` (N, k) at `rate` Hz without what a grid of `grid_hz` would fold back; no phase is changed."""
     corner = PASSED * grid_hz
-    if rate < 1.2 * grid_hz or len(values) < 50:
+    if rate < _FASTER * grid_hz or len(values) < 50:
         return values
     return np.asarray(sosfiltfilt(butter(4, corner, fs=rate, output="sos"), values, axis=0))
 
 
 def kept_power(hz: Array, rate: float, grid_hz: float) -> Array:
     """Part of the power at `hz` that :func:`kept_below` keeps."""
-    if rate < 1.2 * grid_hz:
+    if rate < _FASTER * grid_hz:
         return np.ones_like(hz)
     return np.asarray((1.0 + (hz / (PASSED * grid_hz)) ** 8) ** -2.0)
 

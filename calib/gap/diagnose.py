@@ -322,7 +322,10 @@ def _report(task: _Setup, answer: _Answer, alpha: float, *, nested: bool) -> Gap
 
 
 def _noise_notices(task: _Setup, model: Model) -> Iterable[str]:
-    """Of too much declared noise; a trajectory's error is declared too, and is louder in a livelier flight."""
+    """Notices of series with less noise than declared.
+
+    None where a trajectory's error, which grows with the movement, is part of the declared noise.
+    """
     return overstated_noise(model) if math.isinf(task.problem.reference.bandwidth_hz) else ()
 
 

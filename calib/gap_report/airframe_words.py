@@ -9,8 +9,8 @@ from mavcal.calib.airframe.answer import AirframePart, Commands, Domain, Geometr
 from mavcal.calib.gap.schema import EffectEstimate, GapReport
 
 _MAIN = {Quantity.VELOCITY: 1.0, Quantity.BODY_RATE: 0.2}
-"""Seconds of the horizon that is stated in words; the others are in the picture. Source: those of the rollout, of which
-these are long enough to fly by and short enough for the start not to matter."""
+"""Horizon, s, of the prediction error that the text states; the picture shows all of them. Chosen, not measured: long
+enough to matter in flight."""
 _NAMES = {Quantity.VELOCITY: "velocity", Quantity.BODY_RATE: "body rate"}
 _GROUPS = {
     Domain.AIRFRAME: "Airframe",

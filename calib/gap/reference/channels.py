@@ -185,7 +185,7 @@ def as_slow_as(companion: Recording, real: Recording) -> Recording:
 def as_uneven_as(real: Recording, sim: Recording) -> Recording:
     """`real` with units picked as rarely as the simulator's, where its log is thinned in some units of a sensor only.
 
-    Else the difference of two units, one of which is aliased in the simulator alone, shows a vibration that both have.
+    Where only the simulator's unit is aliased, the difference of two units would show a vibration that both have.
     """
     slow: dict[tuple[Sensor, int], float] = {}
     for sensor in TRIADS:

@@ -222,7 +222,7 @@ MOST_EXCHANGES = 3
 Unit: exchanges. Source: chosen in development, seeds not recorded.
 """
 WORTH_A_FIT = 0.05
-"""Gain from which on an effect on the mean in the place of added noise has the noise fitted again.
+"""Gain above which the noise is fitted again when an effect on the mean replaces added noise.
 
 Unit: share of the gain of the added noise. Source: chosen, not measured: an effect of a fifth of the noise's amplitude.
 """

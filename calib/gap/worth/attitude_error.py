@@ -61,9 +61,9 @@ def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
 def on_uncertain_unit(model: Model, alpha: float) -> dict[Key, float]:
     """Effects on one of two units that the other may have instead, with the opposite sign; and how sure their unit is.
 
-    The difference of the units is certain. The other unit has the effect if the trajectory's own error looks like it on
-    both: as likely as that error beside none. Effects for which its chance is below `alpha` are left out. What the
-    trajectory knows of its attitude by the prior of its unit's bias does not count: the other unit's prior is the same.
+    The difference of the units is certain. The other unit has the effect if an error of the trajectory imitates it on
+    both units; the value compares the likelihood of no error with that of this error. Effects are left out if the
+    error has a chance below `alpha`. The prior of the unit's bias does not count: both units have the same one.
     """
     views = model.setting.views
     tilt = max((view.att_sd for view in views if view.reference_error), default=0.0)
