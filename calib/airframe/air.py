@@ -36,6 +36,10 @@ _GLITCH_M: Final = 3.0
 metre a second at most."""
 _FEWEST: Final = 10
 _OVER_S: Final = 0.4
+_AT_ONCE_S: Final = 0.2
+_MOST: Final = 0.7
+"""s within which a reset is over, and part of a jump that must be over by then. Chosen, not measured: two samples at 10
+Hz. An estimator that corrects its heading in a fast start errs by as much, and takes a second."""
 AROUND_S: Final = 1.5
 GLITCHED_S: Final = 5.0
 """s around a jump of the estimator and of the GPS that are left out. Chosen, not measured: an estimator follows a wrong
@@ -89,24 +93,29 @@ def _rms(values: Array, rows: Mask) -> float:
 
 @dataclass(frozen=True)
 class Jump:
-    """The estimator's velocity changed by `size` m/s at `t` s, and no accelerometer felt it."""
+    """The estimator's velocity changed by `size` m/s at `t` s, and no accelerometer felt it.
+
+    `sudden`: within two samples, as by a reset; else the estimator drifted, and these samples are only left out.
+    """
 
     t: float
     size: float
+    sudden: bool = True
 
 
 def jumps(flight: FlownFlight, body: Array) -> tuple[Jump, ...]:
     """Where velocity and integrated force part: resets of the estimator, glitches of the GPS."""
     local = np.einsum("nji,nj->ni", body, flight.force) + np.array([0.0, 0.0, flight.gravity])
     speed = np.cumsum(local, axis=0) / flight.fs
-    steps = round(_OVER_S * flight.fs)
-    gone = (flight.velocity[steps:] - flight.velocity[:-steps]) - (speed[steps:] - speed[:-steps])
-    size = np.linalg.norm(gone, axis=1)
+    apart = flight.velocity - speed
+    steps, few = (round(seconds * flight.fs) for seconds in (_OVER_S, _AT_ONCE_S))
+    size, quick = (np.linalg.norm(apart[n:] - apart[:-n], axis=1) for n in (steps, few))
     found: list[Jump] = []
     least = max(JUMP, _TIMES * float(np.median(size)))
     while size.max(initial=0.0) > least and len(found) < 20:
         at = int(size.argmax())
-        found.append(Jump(float(flight.t[at + steps // 2]), float(size[at])))
+        sudden = bool(quick[at : at + steps - few + 1].max() > _MOST * size[at])
+        found.append(Jump(float(flight.t[at + steps // 2]), float(size[at]), sudden))
         around = round(AROUND_S * flight.fs)
         size[max(at - around, 0) : at + around] = 0.0
     return tuple(sorted(found, key=lambda j: j.t))

@@ -275,7 +275,7 @@ def _answer(
         part=part,
         tested=len(answer.blocks) + len(beside),
         turbulence=loud,
-        jumps=real.jumps,
+        jumps=tuple(jump for jump in real.jumps if jump.sudden),
         glitches=real.glitches,
         unknown=unknown,
         unknown_share=share,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from mavcal.calib.airframe.answer import AirframePart
@@ -26,6 +27,7 @@ from mavcal.calib.gap.joined import joined
 from mavcal.calib.gap.progress import DEFAULT_LIMIT_S, GapPace, GapProgress, GapStage
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import GapReport, as_json
+from mavcal.calib.gap.witness import of_no_sensor
 from mavcal.calib.recording import Recording, Sensor
 
 __all__ = [
@@ -103,7 +105,8 @@ def run(
     digests = dict(inputs or {})
     try:
         problem = dataclasses.replace(problem_of(real, sim, nominal, alpha, pace), inputs=digests)
-        report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace)
+        foreign = (lambda _: ()) if flown is None else partial(of_no_sensor, real=real, sim=sim)
+        report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace, foreign=foreign)
     except IncomparableError as error:
         report = untestable(error.reason, error.need, digests)
     if flown is not None and sim is not None:

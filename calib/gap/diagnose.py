@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -102,6 +102,7 @@ class _Answer:
     gates: Mapping[Key, bool | None] = field(default_factory=dict)
     withdrawn: tuple[Unexplained, ...] = ()
     inseparable: frozenset[Key] = frozenset()
+    foreign: frozenset[Key] = frozenset()
 
     @property
     def chosen(self) -> ChosenModel:
@@ -132,6 +133,7 @@ def diagnose(
     alpha: float = 0.005,
     nested: bool = True,
     pace: GapPace | None = None,
+    foreign: Callable[[GapReport], Collection[EffectEstimate]] = lambda _: (),
 ) -> GapReport:
     """Where the sensors of `problem` differ from their references, which effects explain it, and how far.
 
@@ -147,6 +149,8 @@ def diagnose(
         Whether the shrink repeats the selection inside the folds.
     pace
         How long it may take, and who hears how far it is; None: as long as it takes.
+    foreign
+        Which effects of a report are no sensor's, by what else the recordings show. They stay in the report.
     """
     effects, pace = catalogue() if effects is None else effects, pace or GapPace()
     pace.begin(GapStage.SELECTION)
@@ -164,6 +168,7 @@ def diagnose(
     task = replace(task, left_out=left_out)
     pace.begin(GapStage.RIVALS)
     answer = _stable_answer(task, chosen, alpha, frozenset(e.id for e in effects))
+    answer = replace(answer, foreign=frozenset(map(_key_of, foreign(_before_blocks(task, answer)))))
     pace.begin(GapStage.HELD_OUT)
     confirmed = _confirmed_by_blocks(answer, alpha, nested=nested and not task.problem.alone)
     if task.problem.alone:
@@ -235,7 +240,7 @@ def _confirmed_by_blocks(answer: _Answer, alpha: float, *, nested: bool) -> _Ans
     The weakest effect of each kind is removed first: either of two similar ones seems superfluous beside the other.
     """
     chosen, contest = answer.chosen, answer.contest
-    heldout = held_out(chosen, contest, answer.tolerated)
+    heldout = held_out(chosen, contest, answer.tolerated | answer.foreign)
     gates, excluded = _gate_results(heldout), []
     while failed := [s for s in chosen.scores if gates.get(s.hypothesis.key) is False]:
         kinds = {s.hypothesis.effect.id for s in failed}
@@ -244,7 +249,7 @@ def _confirmed_by_blocks(answer: _Answer, alpha: float, *, nested: bool) -> _Ans
         excluded += weakest
         chosen = refitted_without(chosen, [s.hypothesis.key for s in weakest])
         known = None if heldout is None or not contest.pace.ended else heldout.gates
-        heldout = held_out(chosen, contest, answer.tolerated, known)
+        heldout = held_out(chosen, contest, answer.tolerated | answer.foreign, known)
         if len(weakest) == len(failed) or contest.pace.ended:
             break
         gates = _gate_results(heldout)
@@ -270,10 +275,22 @@ def _consistent_answer(task: _Setup, answer: _Answer, alpha: float, *, nested: b
     answer = replace(answer, inseparable=answer.inseparable | denied | unbounded_parameters(answer.chosen).keys())
     heldout = answer.heldout
     if heldout is not None and answer.tolerated != before:
-        heldout = held_out(answer.chosen, answer.contest, answer.tolerated, heldout.gates)
+        heldout = held_out(answer.chosen, answer.contest, answer.tolerated | answer.foreign, heldout.gates)
     if nested and heldout is not None:
         heldout = with_nested_selection(heldout, answer.chosen, answer.contest, alpha)
     return replace(answer, heldout=heldout)
+
+
+def _before_blocks(task: _Setup, answer: _Answer) -> GapReport:
+    """Effects and series of an answer for which no block was held out."""
+    named = (a for a in answer.reported if a.key[0] in by_id())
+    effects = tuple(effect_of(answer.chosen, a, None, beside_unknown=False) for a in named)
+    series = series_of(answer.chosen.model, answer.tolerated)
+    return GapReport(inputs_of(task.problem), GapVerdict.NO_GAP, effects=effects, series=series)
+
+
+def _key_of(effect: EffectEstimate) -> Key:
+    return effect.id, tuple(i - FIRST for i in effect.instances)
 
 
 def _gate_results(heldout: Heldout | None) -> Mapping[Key, bool | None]:

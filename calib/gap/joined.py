@@ -7,7 +7,7 @@ the sensors; what only one unit shows stays a sensor's.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -20,6 +20,7 @@ from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundValue,
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
+from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.schema import (
     EffectEstimate,
     EffectEvidence,
@@ -71,15 +72,16 @@ def joined(
     if isinstance(answer, NoAirframe):
         untested = NotTestable("airframe", answer.reason, answer.need)
         report = replace(report, not_testable=(*report.not_testable, untested))
-        return _of_sensors(report, sensors, (*said, *map(_of_the_flight, shared)))
-    doubtful = tuple(e for e in sensors if e.evidence.probability < LIKELY and _moves(e) and not _stands_out(e, report))
+        return _of_sensors(report, sensors, (*said, *_shared(shared, "the untested airframe may cause it")))
+    unlikely = (e for e in sensors if e.evidence.probability < LIKELY and not _stands_out(e, report))
+    doubtful = tuple(e for e in unlikely if _moves(e) or not _compared(report))
     sensors = tuple(e for e in sensors if e not in doubtful)
     doubtful = tuple(e for e in doubtful if e.evidence.probability >= _SPOKEN_OF)
     shaken = any(e.id == "accel_vibration" for e in sensors)
     found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_jumps(answer, real))
     effects = _with_shares((*found, *sensors))
     unknown = _unknown(report, answer, sensors)
-    warnings = (*said, *map(_withdrawn, shared), *map(_doubtful, doubtful))
+    warnings = (*said, *_shared(shared, "it counts as airframe or air"), *map(_doubtful, doubtful))
     return replace(
         report,
         verdict=_verdict(report, effects, unknown, answer),
@@ -203,12 +205,10 @@ def _without_flight(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> U
     return replace(left, flag=False, share=0.0, shape="") if left.flag and flown else left
 
 
-def _withdrawn(effect: EffectEstimate) -> str:
-    return f"{effect.id} is not a sensor's: the units feel it alike, and not at rest; it counts as airframe or air"
-
-
-def _of_the_flight(effect: EffectEstimate) -> str:
-    return f"{effect.id} is not named: the units feel it alike, and not at rest; the untested airframe may cause it"
+def _shared(effects: Sequence[EffectEstimate], cause: str) -> Iterator[str]:
+    """One warning for all effects that no unit has by itself."""
+    if names := ", ".join(dict.fromkeys(effect.id for effect in effects)):
+        yield f"not a sensor's: {names}; the units feel it alike, and not at rest: {cause}"
 
 
 def _refuted(effect: EffectEstimate) -> str:
@@ -230,6 +230,11 @@ def _moves(effect: EffectEstimate) -> bool:
     """
     known = by_id().get(effect.id)
     return known is None or not (_BY_ITSELF & known.traits or known.term is SensorTerm.BIAS)
+
+
+def _compared(report: GapReport) -> bool:
+    """Whether every effect was compared with what else may be in its place: else its probability is too high."""
+    return not {GapStage.SELECTION, GapStage.RIVALS} & set(report.left_out)
 
 
 def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:

@@ -49,9 +49,9 @@ class ReferenceInfo:
         Up to which it knows how the vehicle accelerates; above, an accelerometer feels more than it tells.
     turns_hz
         The same of how it turns, and a gyroscope.
-    gyro_sd, field_sd
-        Standard deviations of what was estimated inside: the gyroscope's matrix by rows (9), and the Earth's field
-        north, east, down (3), uT. Empty where nothing was.
+    gyro_sd, field_sd, accel_sd
+        Standard deviations of what was estimated inside: the gyroscope's matrix by rows (9), the Earth's field north,
+        east, down (3), uT, and the accelerometer's scales (3). Empty where nothing was.
     """
 
     kind: ReferenceKind
@@ -62,6 +62,7 @@ class ReferenceInfo:
     turns_hz: float = math.inf
     gyro_sd: tuple[float, ...] = ()
     field_sd: tuple[float, ...] = ()
+    accel_sd: tuple[float, ...] = ()
 
     @property
     def useless(self) -> bool:

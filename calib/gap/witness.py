@@ -43,6 +43,11 @@ _BEFORE_S, _LONGEST_S, _FEWEST = 0.5, 30.0, 20
 not measured: a vehicle that waits longer may be carried."""
 
 
+def of_no_sensor(report: GapReport, real: Recording, sim: Recording | None) -> tuple[EffectEstimate, ...]:
+    """Effects that every unit shows alike, and only in flight, or that gravity at rest contradicts."""
+    return (*not_borne_out(report, real), *refuted_at_rest(report, real, sim))
+
+
 def not_borne_out(report: GapReport, real: Recording) -> tuple[EffectEstimate, ...]:
     """Effects of inertial sensors that every unit shows alike, and only in flight."""
     return tuple(

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from mavcal.calib.gap.companion.contacts import without_contacts
 from mavcal.calib.gap.companion.steady_effects import steady_effects
 from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
 from mavcal.calib.gap.problem import GapProblem, MinimumGain, NuisanceEffect, ReferenceInfo, Trace
@@ -40,10 +41,9 @@ def problem_of(
     """
     if sim is not None and is_another_flight(real, sim):
         real, sim = with_common_channels(real, sim)
-        baseline = simulated_baseline_of(build(sim, sim, nominal), alpha, pace)
-        return compared_with_simulator(
-            build(real, sim, nominal, nuisance=baseline.added_to_ideal, companion=sim), baseline
-        )
+        baseline = simulated_baseline_of(without_contacts(build(sim, sim, nominal), sim), alpha, pace)
+        flown = without_contacts(build(real, sim, nominal, nuisance=baseline.added_to_ideal, companion=sim), real)
+        return compared_with_simulator(flown, baseline)
     apart = sim is not None and have_separate_poses(real, sim)
     companions = (sim, *nominal) if sim is not None and apart else tuple(nominal)
     if (sim is None or apart) and (other := companion_with_pose(real, companions)) is not None:
@@ -291,9 +291,16 @@ def _movement_variance(problem: GapProblem) -> dict[Sensor, float]:
 
 def _combined_reference(real: ReferenceInfo, simulated: ReferenceInfo) -> ReferenceInfo:
     """The reference of the real flight; its internal estimates have the errors of both flights together."""
-    pairs = ((real.gyro_sd, simulated.gyro_sd), (real.field_sd, simulated.field_sd))
-    gyro, field = (tuple(map(math.hypot, a, b)) if len(a) == len(b) else a for a, b in pairs)
-    return replace(real, gyro_sd=gyro, field_sd=field)
+    return replace(
+        real,
+        gyro_sd=_combined(real.gyro_sd, simulated.gyro_sd),
+        field_sd=_combined(real.field_sd, simulated.field_sd),
+        accel_sd=_combined(real.accel_sd, simulated.accel_sd),
+    )
+
+
+def _combined(own: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(map(math.hypot, own, other)) if len(own) == len(other) else own
 
 
 def _nuisance_gain(

@@ -52,7 +52,8 @@ class View:
     dof
         Squared numbers that the noise was learned from, an axis; infinite where it is declared.
     inside_sd
-        Standard deviations of what was estimated inside the reference: a gyroscope's matrix, or the Earth's field.
+        Standard deviations of what was estimated inside the reference: a gyroscope's matrix, an accelerometer's scales,
+        or the Earth's field.
     label
         Whose noise it has: blocks of one series share it, and its bands.
     first
@@ -157,7 +158,8 @@ def views_of(
         views += _of_sensor(entries, uncertain=uncertain)
     estimated = problem.reference.kind is ReferenceKind.ESTIMATOR
     sd = math.radians(problem.reference.att_sigma_deg) if estimated else 0.0
-    inside = {Sensor.GYRO: problem.reference.gyro_sd, Sensor.MAG: problem.reference.field_sd}
+    known = problem.reference
+    inside = {Sensor.GYRO: known.gyro_sd, Sensor.MAG: known.field_sd, Sensor.ACCEL: known.accel_sd}
     return tuple(
         replace(view, label=str(v), att_sd=sd, inside_sd=inside.get(view.sensor, ()))
         for v, view in enumerate(views)

@@ -24,6 +24,7 @@ from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
 from mavcal.calib.gap.reference.signals import Signal, interpolated, slow_values
 from mavcal.calib.gap.reference.strapdown import STEPS, Increments, IntervalMotion
 from mavcal.calib.gap.reference.trajectory import (
+    ACCEL_SCALE,
     EARTH,
     GYRO,
     GYRO_BIAS,
@@ -358,5 +359,5 @@ def _reference_info(found: SmoothedTrajectory) -> ReferenceInfo:
         + f"; GPS {found.state.constants[LATE_GPS]:.2f} s late); the log's own attitude is not used as truth."
     )
     att_sd = float(np.degrees(found.state.att_sd))
-    gyro_sd, field_sd = (tuple(map(float, found.state.constants_sd[part])) for part in (GYRO, EARTH))
-    return ReferenceInfo(ReferenceKind.ESTIMATOR, att_sd, 10.0, text, _FOLLOWED_HZ, _TURNS_HZ, gyro_sd, field_sd)
+    inside = (tuple(map(float, found.state.constants_sd[part])) for part in (GYRO, EARTH, ACCEL_SCALE))
+    return ReferenceInfo(ReferenceKind.ESTIMATOR, att_sd, 10.0, text, _FOLLOWED_HZ, _TURNS_HZ, *inside)

@@ -59,17 +59,24 @@ class Increments:
         return cls(t, dt, sums[0], sums[1], sampling, known, _relative_warmth(temperature, len(t) - 1))
 
     def integrated(
-        self, gyro_bias: Array, accel_bias: Array, gyro_matrix: Array | None = None, accel_turn: Rotation | None = None
+        self,
+        gyro_bias: Array,
+        accel_bias: Array,
+        gyro_matrix: Array | None = None,
+        accel_turn: Rotation | None = None,
+        accel_scale: Array | None = None,
     ) -> IntervalMotion:
         """Motion over each interval, with the errors of the unit corrected.
 
-        Biases (K, 3) are subtracted, and gyroscope matrix (3, 3) and accelerometer rotation undone.
+        Biases (K, 3) are subtracted; gyroscope matrix (3, 3), accelerometer scales (3,) and rotation are undone.
         """
         step = self.dt / STEPS
         angle = self.angle - step * gyro_bias[:, None, :]
         if gyro_matrix is not None:
             angle = angle @ np.linalg.inv(gyro_matrix).T
         velocity = self.velocity - step * accel_bias[:, None, :]
+        if accel_scale is not None:
+            velocity = velocity / accel_scale
         if accel_turn is not None:
             velocity = velocity @ accel_turn.as_matrix()
         turn = Rotation.identity(len(angle))

@@ -1,7 +1,7 @@
 """A trajectory re-estimated from a recording: a smoother over gyroscope, accelerometer, GPS velocity and magnetometer.
 
 The candidate effects are inside. Gyroscope and accelerometer have biases that may wander and follow the unit's
-temperature; the gyroscope has scale and axes, the accelerometer a rotation. The magnetometer has an offset, soft iron,
+temperature; the gyroscope has scale and axes, the accelerometer a rotation and scales. The magnetometer has an offset, soft iron,
 a field per ampere and a delay: a compass that averages over its period is late by half of it. The GPS has a delay.
 Without the compass' delay, turns would bend the field. Gauss-Newton over all nodes at once (multiple shooting): the
 error state of a node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by what
@@ -28,13 +28,13 @@ GYRO_BIAS = slice(6, 9)
 """Where it is in the state of a node."""
 OFFSET, PER_AMPERE, EARTH = slice(0, 3), slice(3, 6), slice(6, 9)
 LATE_GPS, LATE_MAG = 9, 10
-SOFT_IRON, GYRO, ACCEL = slice(11, 17), slice(17, 26), slice(26, 29)
+SOFT_IRON, GYRO, ACCEL, ACCEL_SCALE = slice(11, 17), slice(17, 26), slice(26, 29), slice(29, 32)
 """Where the constants are: of the magnetometer offset, field per ampere, Earth's field; delays; its symmetric matrix
-(xx, yy, zz, xy, xz, yz) and the gyroscope's by rows, both less the unit matrix; how the accelerometer is turned.
+(xx, yy, zz, xy, xz, yz) and the gyroscope's by rows, both less the unit matrix; how the accelerometer is turned, and its scales x y z less one.
 """
-GYRO_DRIFT, ACCEL_DRIFT = slice(29, 35), slice(35, 41)
+GYRO_DRIFT, ACCEL_DRIFT = slice(32, 38), slice(38, 44)
 """How biases follow the unit's temperature: with :data:`WARM` kelvin, and with its square, x y z of each."""
-CONSTANTS = 41
+CONSTANTS = 44
 ITERATIONS = 8
 """Iterations at most. Chosen, not measured: it bounds the time; steps become small sooner."""
 _HUBER = 3.0
@@ -66,7 +66,7 @@ m/s leave all of it open."""
 _DRIFT = np.repeat([0.01, 0.003, 0.1, 0.03], 3)
 """Standard deviation of drifts with :data:`WARM` kelvin and with its square, rad/s and m/s2, a priori. Chosen, not
 measured: some times what units that are not calibrated have."""
-CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05], np.full(6, 0.1), np.full(12, 0.03), _DRIFT])
+CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05], np.full(6, 0.1), np.full(15, 0.03), _DRIFT])
 """Standard deviations of what does not change, a priori; the Earth's field has that of its source. Source: decision 8
 for matrices and turns. The others are chosen, not measured: larger than calibrated vehicles have."""
 _NOTHING, _IMPLAUSIBLE = 1e-6, 5.0
@@ -108,9 +108,9 @@ class Aiding:
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryState:
-    """State at the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (41,), noise of the aiding.
+    """State at the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (44,), noise of the aiding.
 
-    `att_sd` (rad) and `constants_sd` (41,) say how well attitude and constants are known, infinite until
+    `att_sd` (rad) and `constants_sd` (44,) say how well attitude and constants are known, infinite until
     :func:`with_accuracy` is asked; `walk` (12,) are the standard deviations of what a node's state does by itself, per
     root second.
     """
@@ -156,7 +156,8 @@ class TrajectoryState:
         gyro, accel = (
             _drift_regressors(imu) @ self.constants[drift].reshape(2, 3) for drift in (GYRO_DRIFT, ACCEL_DRIFT)
         )
-        return imu.integrated(self.gyro_bias[:-1] + gyro, self.accel_bias[:-1] + accel, self.gyro_matrix, turn)
+        scale = 1.0 + self.constants[ACCEL_SCALE]
+        return imu.integrated(self.gyro_bias[:-1] + gyro, self.accel_bias[:-1] + accel, self.gyro_matrix, turn, scale)
 
 
 def _drift_regressors(imu: Increments) -> Array:
@@ -226,7 +227,7 @@ def log_evidence(
 
 
 def _prior_sd(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
-    """Standard deviations of the constants a priori, (41,)."""
+    """Standard deviations of the constants a priori, (44,)."""
     sd = CONSTANT.copy()
     sd[EARTH] = aiding.earth_sd
     if not matrices:
@@ -270,7 +271,7 @@ class _NormalEquations:
         self.cost += float((weight * residual**2).sum() - np.log(np.maximum(weight, 1e-12)).sum())
 
     def solved(self, node_right: Array, constant_right: Array) -> tuple[Array, Array]:
-        """Nodes (n, 12, k) and constants (41, k) for right sides of that shape."""
+        """Nodes (n, 12, k) and constants (44, k) for right sides of that shape."""
         n = len(self.diagonal)
         factor = (self._factor, True)
         flat_border = self.border.reshape(n * NODE, CONSTANTS)
@@ -355,6 +356,7 @@ def _add_inertial(normal: _NormalEquations, imu: Increments, between: IntervalMo
     for i in range(3):
         b[:, i, GYRO.start + 3 * i : GYRO.start + 3 * i + 3] = -turned
     b[:, 3:6, ACCEL] = matrix @ _cross(between.velocity)
+    b[:, 3:6, ACCEL_SCALE] = -matrix * between.velocity[:, None, :]
     for j, power in enumerate(_drift_regressors(imu).T):
         own = slice(3 * j, 3 * j + 3)
         b[:, :3, GYRO_DRIFT][:, :, own] = -dt * power[:, None, None] * np.eye(3)
@@ -459,7 +461,7 @@ def _updated(state: TrajectoryState, normal: _NormalEquations) -> tuple[Trajecto
 
 
 def _standard_deviations(normal: _NormalEquations) -> tuple[float, Array]:
-    """Standard deviations of roll, pitch and yaw, rad, as a median over nodes, and of the constants (41,)."""
+    """Standard deviations of roll, pitch and yaw, rad, as a median over nodes, and of the constants (44,)."""
     n = len(normal.diagonal)
     nodes = np.linspace(0, n - 1, 8).astype(np.intp)
     right = np.zeros((n, NODE, 24 + CONSTANTS))

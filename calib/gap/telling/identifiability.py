@@ -87,9 +87,9 @@ def inseparable_notice(ids: Collection[str]) -> tuple[str, ...]:
     return (f"small, not separable from the reference's error: {names}",) if names else ()
 
 
-_WITHIN = 2.0
-"""Standard deviations of the reference's attitude within which two effects are the same, on every axis. Source:
-decision 32, the same for amplitudes."""
+_WITHIN = 4.0
+"""Standard deviations of the reference within which two effects are the same, on every axis. Source: the wrong one of
+two so far apart is nearer in 2 of 100 (normal distribution)."""
 _LEAST = 1e-3
 """Part of the largest reading across an axis below which none is believed to be known. Chosen, not measured: an
 attitude is off in more than one way."""
@@ -127,17 +127,19 @@ def _series_with_error(model: Model, term: Term) -> View | None:
         return None
     for view in model.setting.views:
         if term.hypothesis.touches(view) and view.reference_error and view.att_sd > 0.0 and not view.first:
-            return view if set(term.hypothesis.instances) == set(view.weights) else None
+            return view if set(view.weights) <= set(term.hypothesis.instances) else None
     return None
 
 
 def _equal_effects(term: Term, view: View) -> Iterator[tuple[CatalogueEffect, float]]:
-    """Linear rivals that equal the effect within the attitude error, and the share of its energy that they imitate."""
+    """Linear rivals that equal the effect within the reference's error, and the share of its energy that they imitate."""
     every = max(1, view.n // _SAMPLES)
     made = predicted(term, view)[::every]
     ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])[::every]
     across = np.sqrt(np.maximum((ideal**2).sum(axis=1, keepdims=True) - ideal**2, 0.0))
-    weight = 1.0 / (view.att_sd * np.maximum(across, _LEAST * float(across.max())))
+    tilted = view.att_sd * np.maximum(across, _LEAST * float(across.max()))
+    scales = np.array(view.inside_sd) if view.sensor is Sensor.ACCEL and view.inside_sd else np.zeros(3)
+    weight = 1.0 / np.hypot(tilted, scales * (ideal - ideal.mean(axis=0)))
     for rival in by_id().values():
         known = rival.id in term.effect.rivals or term.effect.id in rival.rivals
         if not (known and isinstance(rival, MeanEffect) and rival.shape is None and rival.sensor is term.effect.sensor):

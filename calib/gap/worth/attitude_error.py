@@ -1,7 +1,8 @@
 """Errors of amplitudes by the error of a re-estimated trajectory, and effects that are no larger.
 
 A constant tilt reads like a bias of the accelerometer and an offset of the compass, a growing one like a bias of the
-gyroscope. A gyroscope matrix estimated inside the trajectory reads like misalignment of the sensor. The noise of the
+gyroscope. A gyroscope matrix estimated inside the trajectory reads like misalignment of the sensor, an accelerometer's
+scale like a scale. The noise of the
 samples does not contain these errors: a minute of data would state a bias to a thousandth of what the tilt leaves open.
 """
 
@@ -25,9 +26,10 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_TILTS, _MATRIX, _FIELD = slice(0, 6), slice(6, 15), slice(15, 18)
-"""Columns of what can be wrong: rotations that stay and that grow, the gyroscope's matrix, the Earth's field."""
-_ERRORS = 18
+_TILTS, _MATRIX, _FIELD, _SCALES = slice(0, 6), slice(6, 15), slice(15, 18), slice(18, 21)
+"""Columns of what can be wrong: rotations that stay and that grow, the gyroscope's matrix, the Earth's field, the
+accelerometer's scales."""
+_ERRORS = 21
 REFERENCE_CHANCE = 0.005
 """Chance above which an effect is as large as the reference's own error makes it. Source: decision 34."""
 _PRIOR_TILT = float(BIAS[-1]) / STANDARD_GRAVITY
@@ -43,7 +45,10 @@ def variance_from_attitude(model: Model, joint: Joint) -> Array:
 
 
 def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
-    """Effects on the mean that the trajectory's error explains with a chance above `alpha`."""
+    """Effects on the mean that the trajectory's error explains with a chance above `alpha`.
+
+    An error that a change of the shape would fit as well counts as one of the amplitudes: the shape is held.
+    """
     moved = _amplitude_errors(model, joint)
     if not moved.any():
         return frozenset()
@@ -52,8 +57,12 @@ def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
         values = term.values
         free = len(values) - (term.effect.shape is not None and not term.effect.fixed)
         own = slice(rows.start, rows.start + free)
-        covariance = joint.covariance[own, own] + moved[own] @ moved[own].T
-        if moved[own].any() and _chance_of(values[:free], covariance) > alpha:
+        spread, errors = joint.covariance[own, own], moved[own]
+        for shape in range(own.stop, rows.stop):
+            slope = joint.covariance[own, shape] / joint.covariance[shape, shape]
+            spread = spread - np.outer(slope, joint.covariance[shape, own])
+            errors = errors - np.outer(slope, moved[shape])
+        if errors.any() and _chance_of(values[:free], spread + errors @ errors.T) > alpha:
             found.add(term.hypothesis.key)
     return frozenset(found)
 
@@ -140,6 +149,8 @@ def _error_columns(setting: Setting, *, tilts: bool) -> HypothesisColumns:
                 block[_MATRIX] = _matrix_errors(view)
             if view.inside_sd and view.sensor is Sensor.MAG:
                 block[_FIELD] = _field_errors(view)
+            if view.inside_sd and view.sensor is Sensor.ACCEL:
+                block[_SCALES] = _scale_errors(view)
             add_block(parts, v, block, setting.frames[v])
     return HypothesisColumns(_ERRORS, parts)
 
@@ -168,6 +179,13 @@ def _matrix_errors(view: View) -> Array:
         row, column = divmod(k, 3)
         block[k, :, row] = sd * ideal[:, column]
     return block
+
+
+def _scale_errors(view: View) -> Array:
+    """Columns (3, n, 3) of an accelerometer's scales; its bias takes what they do to a steady force."""
+    ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+    moving = (ideal - ideal.mean(axis=0)) * np.array(view.inside_sd)
+    return np.asarray(np.eye(3)[:, None, :] * moving[None])
 
 
 def _field_errors(view: View) -> Array:

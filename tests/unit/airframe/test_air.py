@@ -15,15 +15,19 @@ from tests.unit.airframe.made import HZ, G, airframe, flight, hover, stream
 N = 3000
 
 
-def moving(heading_deg: float = 0.0, **velocity_steps: float) -> FlownFlight:
-    """Swings by 3 m/s with the force that this needs; the estimator's velocity jumps by `at_<s>` m/s besides."""
+def moving(heading_deg: float = 0.0, over_s: float = 0.0, **velocity_steps: float) -> FlownFlight:
+    """Swings by 3 m/s with the force that this needs; besides, the estimator's velocity changes by `at_<s>` m/s.
+
+    `over_s`: the time that each change takes, s.
+    """
     t = np.arange(N) / HZ
     speed = np.column_stack([3.0 * np.sin(0.6 * t), 2.0 * np.cos(0.4 * t), 0.5 * np.sin(0.9 * t)])
     turn = Rotation.from_euler("ZYX", [heading_deg, 10.0, -5.0], degrees=True)
     local = np.gradient(speed, 1.0 / HZ, axis=0) - [0.0, 0.0, G]
     told = speed.copy()
     for name, size in velocity_steps.items():
-        told[t >= float(name.removeprefix("at_"))] += [size * 0.6, size * 0.8, 0.0]
+        part = np.clip((t - float(name.removeprefix("at_"))) / max(over_s, 1e-9), 0.0, 1.0)
+        told += part[:, None] * [size * 0.6, size * 0.8, 0.0]
     q = np.tile(turn.as_quat(scalar_first=True), (N, 1))
     return flight(hover(N / HZ), velocity=told, q=q, force=turn.inv().apply(local))
 
@@ -47,6 +51,13 @@ def test_a_reset_of_the_estimator_is_found_with_its_time_and_size() -> None:
     kept = outside(one, (first, second))
     assert not kept[np.abs(one.t - first.t) < 1.4].any()
     assert kept[np.minimum(np.abs(one.t - first.t), np.abs(one.t - second.t)) > 1.6].all()
+
+
+def test_a_drift_of_the_estimator_is_left_out_and_is_no_reset() -> None:
+    """PX4's corrects its heading in the first fast start; it was told as a reset of 0.8 m/s."""
+    (drift,) = found(moving(40.0, 0.6, at_10=1.1))
+    assert not drift.sudden
+    assert all(reset.sudden for reset in found(moving(40.0, 0.1, at_20=-0.9, at_10=1.5)))
 
 
 def test_what_an_estimator_does_every_day_is_no_jump() -> None:

@@ -103,7 +103,7 @@ def test_without_an_airframe_what_every_unit_feels_is_no_sensors() -> None:
     assert (after.verdict, after.effects, after.airframe) == (GapVerdict.NOT_TESTABLE, (), None)
     assert [w.channel for w in after.where] == ["mag.x"]
     (said,) = after.warnings
-    assert said.startswith("accel_noise is not named: the units feel it alike")
+    assert said.startswith("not a sensor's: accel_noise; the units feel it alike")
     own = units(REST + air, REST + noise(3, 0.02))
     assert [e.id for e in joined(of_noise(air), gone, own).effects] == ["accel_noise"]
 
