@@ -45,10 +45,7 @@ def variance_from_attitude(model: Model, joint: Joint) -> Array:
 
 
 def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
-    """Effects on the mean that the trajectory's error explains with a chance above `alpha`.
-
-    An error that a change of the shape would fit as well counts as one of the amplitudes: the shape is held.
-    """
+    """Effects on the mean that the trajectory's error explains with a chance above `alpha`."""
     moved = _amplitude_errors(model, joint)
     if not moved.any():
         return frozenset()
@@ -57,12 +54,8 @@ def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
         values = term.values
         free = len(values) - (term.effect.shape is not None and not term.effect.fixed)
         own = slice(rows.start, rows.start + free)
-        spread, errors = joint.covariance[own, own], moved[own]
-        for shape in range(own.stop, rows.stop):
-            slope = joint.covariance[own, shape] / joint.covariance[shape, shape]
-            spread = spread - np.outer(slope, joint.covariance[shape, own])
-            errors = errors - np.outer(slope, moved[shape])
-        if errors.any() and _chance_of(values[:free], spread + errors @ errors.T) > alpha:
+        covariance = joint.covariance[own, own] + moved[own] @ moved[own].T
+        if moved[own].any() and _chance_of(values[:free], covariance) > alpha:
             found.add(term.hypothesis.key)
     return frozenset(found)
 

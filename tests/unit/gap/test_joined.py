@@ -13,6 +13,7 @@ from mavcal.calib.airframe.answer import AirframePart, Domain
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundRival, FoundValue, HeldOut, NoAirframe
 from mavcal.calib.airframe.testable import Missing
 from mavcal.calib.gap.joined import joined
+from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.schema import (
     EffectEstimate,
     GapReport,
@@ -118,6 +119,17 @@ def test_a_sensors_effect_beside_a_flight_needs_the_probability_of_an_airframes(
     # a temperature goes with no movement
     assert [e.id for e in after.effects] == ["thrust_scale", "mag_temp_poly", "mag_hard_iron"]
     assert after.warnings == ("mag_low_pass of units 1, 2 is not named: its probability is 0.58, 0.9 is needed",)
+
+
+@pytest.mark.parametrize("stage", [GapStage.SELECTION, GapStage.RIVALS])
+def test_a_search_that_was_cut_short_names_nothing_in_doubt(stage: GapStage) -> None:
+    """A calm flight whose time was over before the rivals were tried had a random walk of probability 0.36."""
+    walk = effect("accel_random_walk", (1,))
+    before = report(replace(walk, evidence=replace(walk.evidence, probability=0.36)))
+    assert [e.id for e in joined(before, answer(thrust()), BARE).effects] == ["thrust_scale", "accel_random_walk"]
+    cut = joined(replace(before, left_out=(stage.value,)), answer(thrust()), BARE)
+    assert [e.id for e in cut.effects] == ["thrust_scale"]
+    assert cut.warnings == ("accel_random_walk of unit 1 is not named: its probability is 0.36, 0.9 is needed",)
 
 
 def test_a_large_effect_of_a_sensor_is_named_though_its_unit_is_in_doubt() -> None:

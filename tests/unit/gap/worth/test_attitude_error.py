@@ -122,7 +122,7 @@ def test_of_two_units_the_one_that_is_off_along_gravity_has_the_bias_and_not_the
 @pytest.mark.long
 def test_a_bias_that_a_tilt_hides_is_on_either_unit_and_the_report_says_so():
     (effect,) = two_at_rest((0.3, -0.2, 0.0)).effects
-    assert effect.evidence.probability <= 0.5
+    assert effect.evidence.probability < 0.7  # the tilt would be two of its standard deviations
     assert effect.confusable_with[0].id == "accel_bias"
     other = 3 - effect.instances[0]
     assert f"instance {other} may have it instead" in effect.confusable_with[0].fix
