@@ -1,11 +1,11 @@
 """A trajectory re-estimated from a recording: a smoother over gyroscope, accelerometer, GPS velocity and magnetometer.
 
 The candidate effects are inside. Gyroscope and accelerometer have biases that may wander and follow the unit's
-temperature; the gyroscope has scale and axes, the accelerometer a rotation and scales. The magnetometer has an offset, soft iron,
-a field per ampere and a delay: a compass that averages over its period is late by half of it. The GPS has a delay.
-Without the compass' delay, turns would bend the field. Gauss-Newton over all nodes at once (multiple shooting): the
-error state of a node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by what
-the unit measured between them, so the normal equations are banded, bordered by the constants.
+temperature; the gyroscope has scale and axes, the accelerometer a rotation and scales. The magnetometer has an offset,
+soft iron, a field per ampere and a delay: a compass that averages over its period is late by half of it. The GPS has a
+delay. Without the compass' delay, turns would bend the field. Gauss-Newton over all nodes at once (multiple shooting):
+the error state of a node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by
+what the unit measured between them, so the normal equations are banded, bordered by the constants.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ OFFSET, PER_AMPERE, EARTH = slice(0, 3), slice(3, 6), slice(6, 9)
 LATE_GPS, LATE_MAG = 9, 10
 SOFT_IRON, GYRO, ACCEL, ACCEL_SCALE = slice(11, 17), slice(17, 26), slice(26, 29), slice(29, 32)
 """Where the constants are: of the magnetometer offset, field per ampere, Earth's field; delays; its symmetric matrix
-(xx, yy, zz, xy, xz, yz) and the gyroscope's by rows, both less the unit matrix; how the accelerometer is turned, and its scales x y z less one.
+(xx, yy, zz, xy, xz, yz) and the gyroscope's by rows, both less the unit matrix; how the accelerometer is turned, and
+its scales x y z less one.
 """
 GYRO_DRIFT, ACCEL_DRIFT = slice(32, 38), slice(38, 44)
 """How biases follow the unit's temperature: with :data:`WARM` kelvin, and with its square, x y z of each."""

@@ -132,7 +132,7 @@ def _series_with_error(model: Model, term: Term) -> View | None:
 
 
 def _equal_effects(term: Term, view: View) -> Iterator[tuple[CatalogueEffect, float]]:
-    """Linear rivals that equal the effect within the reference's error, and the share of its energy that they imitate."""
+    """Linear rivals equal to the effect within the reference's error, and the part of its energy that they imitate."""
     every = max(1, view.n // _SAMPLES)
     made = predicted(term, view)[::every]
     ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])[::every]
