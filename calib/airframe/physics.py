@@ -29,10 +29,8 @@ _PLAIN: Final = (
     "k", "expo", "sag", "c1", "cz", "c2_x", "c2_y", "ch", "climb", "wind_north", "wind_east", "bias_x", "bias_y",
     "bias_z", "lever_x", "lever_y", "lever_z", "gain_x", "gain_y", "gain_z", "damping_x", "damping_y", "damping_z",
     "torque_x", "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "cross_x", "cross_y", "cross_z",
-    "tau", "fall", "delay", "scale", "load", "arm",
+    "tau", "fall", "delay", "scale", "load", "rise",
 )  # fmt: skip
-ARM: Final = 0.25
-"""Length of an arm, m, before a flight is seen. Source: small drones have 0.1 to 0.5 (AIRFRAME 2.1)."""
 _OF_THRUST: Final = ("delay", "tau", "fall", "expo", "sag")
 """Parameters beside those of each motor that thrust depends on: for all others it is remembered."""
 FORCE_ONLY: Final = frozenset(
@@ -52,7 +50,7 @@ FORCE_ONLY: Final = frozenset(
 )
 TORQUE_ONLY: Final = frozenset(
     {*(f"{n}_{a}" for n in ("gain", "damping", "torque", "cross") for a in AXES), "cg_x", "cg_y", "spin_up", "flap_x",
-     "flap_y", "arm"}
+     "flap_y", "rise"}
 )  # fmt: skip
 
 
@@ -66,7 +64,7 @@ class Layout:
     sag                   exponent of V/V0
     c1, cz                drag that is linear in the air velocity, 1/s at hover: in the rotor plane, along the axis
     c2_x, c2_y            drag of the body by the square of its speed, 1/m: along x, along y; their mean along z
-    ch, climb             lift by horizontal speed, 1/m; thrust lost by the square of a rotor's rise, 1/m
+    ch, climb             lift by horizontal speed, 1/m; thrust lost by the square of the climb, 1/m
     gain_x y z            angular acceleration at a full differential command, rad/s2
     damping_x y z         1/s
     torque_x y z          constant, rad/s2
@@ -78,7 +76,7 @@ class Layout:
     delay                 of the commands, s
     scale                 of the accelerometer, relative, about what it reads at rest: there, bias_z is the whole error
     load                  mass that is gained at one moment, relative
-    arm                   length of an arm, m: a turn makes the rotors on one side rise
+    rise                  damping by the inflow that a climb or a tilt in wind adds, over the gain of the axis, s2/m
     weak_1 ..., pulse_1   of one motor beside the others, relative: its thrust, or the pulse that it obeys
     ====================  ==============================================================================================
     """
@@ -100,7 +98,7 @@ class Layout:
     def start(self, hover: float, gravity: float) -> Array:
         """A plain airframe that hovers at the mean command `hover`."""
         theta = np.zeros(len(self.names))
-        plain = {"expo": 0.5, "c1": 0.3, "c2_x": 0.02, "c2_y": 0.02, "damping_x": 1.0, "damping_y": 1.0, "arm": ARM}
+        plain = {"expo": 0.5, "c1": 0.3, "c2_x": 0.02, "c2_y": 0.02, "damping_x": 1.0, "damping_y": 1.0}
         for name, value in plain.items():
             theta[self.place[name]] = value
         theta[self.place["k"]] = gravity / max(0.5 * hover + 0.5 * hover**2, 0.05)
@@ -295,14 +293,13 @@ class Airframe:
         k, v, n = of("k"), self.air_velocity(theta), self.layout.motors
         drive = self._drive(thrust, k)
         across = (-of("c1") / n) * drive
-        along = (-k / n) * thrust - (of("cz") / n) * drive * v[:, 2:] + (of("climb") / n) * self._rise(theta) ** 2
+        climb = of("climb") * self._inflow(theta) ** 2
+        along = (-k / n) * thrust - (of("cz") / n) * drive * v[:, 2:] + climb[:, None] / n
         return across * v[:, :1], across * v[:, 1:2], along
 
-    def _rise(self, theta: Array) -> Array:
-        """How fast each rotor moves through the air towards its own inflow (N, n), m/s; 0 where it falls."""
-        w, arm = self.flight.rate, float(theta[self.layout.place["arm"]])
-        turned = w[:, :1] * self._y - w[:, 1:2] * self._x
-        return np.asarray(np.clip(-self.air_velocity(theta)[:, 2:] - arm * turned, 0.0, None))
+    def _inflow(self, theta: Array) -> Array:
+        """How fast the vehicle moves through the air along its thrust (N,), m/s; 0 where it falls."""
+        return np.clip(-self.air_velocity(theta)[:, 2], 0.0, None)
 
     def _drive(self, thrust: Array, k: float) -> Array:
         """Speed of each rotor over that in hover (N, n); 1 for a vehicle whose drag does not grow with it."""
@@ -343,10 +340,13 @@ class Airframe:
         return np.column_stack([roll, pitch, yaw])
 
     def _by_rates(self, theta: Array) -> Array:
+        """A rotor's thrust falls with the square of its inflow: the faster it is, the more a turn takes off it."""
         of = self._of(theta)
         damping = np.array([of(f"damping_{a}") for a in AXES])
         cross = np.array([of(f"cross_{a}") for a in AXES])
-        return np.asarray(-damping * self.flight.rate + cross * self._products)
+        rising = of("rise") * np.array([of("gain_x"), of("gain_y"), 0.0])
+        damped = damping + self._inflow(theta)[:, None] * rising
+        return np.asarray(-damped * self.flight.rate + cross * self._products)
 
 
 def _limited(flight: FlownFlight, most: float) -> Array:

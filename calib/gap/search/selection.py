@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
 from mavcal.calib.gap.model.hypotheses import Hypothesis, Key
 from mavcal.calib.gap.model.joint import (
     Joint,
@@ -336,21 +336,27 @@ def _second_order_limit(hypothesis: Hypothesis, model: Model, gains: Gains) -> f
 
     Vibration at some frequency has no second order that follows temperature or rotation: only a mean has one of a mean.
     """
-    of = {term.hypothesis.key: term.hypothesis.effect for term in model.members}
-    effect = hypothesis.effect
     near = [
-        gains[k][0]
-        for k, e in of.items()
-        if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared) and _may_be_second_order(effect, e)
+        gains[term.hypothesis.key][0]
+        for term in model.members
+        if term.hypothesis.key in gains and _may_be_second_order(hypothesis, term.hypothesis)
     ]
     far = max((gain for gain, _, _ in gains.values()), default=0.0)
     part = prices.FLIGHT_SECOND_ORDER_SHARE if has_learned_spectrum(model) else prices.SECOND_ORDER_SHARE
     return max(part * max(near, default=0.0), prices.OTHER_SENSOR_SHARE * far)
 
 
-def _may_be_second_order(effect: CatalogueEffect, other: CatalogueEffect) -> bool:
-    """Whether an effect could be a second order of another; a mean is none of stationary noise."""
-    steady = isinstance(other, NoiseEffect) and not other.drifts
+def _may_be_second_order(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether an effect could be a second order of another.
+
+    A mean is none of stationary noise, and what some units have is none of what more units have alike.
+    """
+    effect, large = one.effect, other.effect
+    if not (effect.sensor is large.sensor or effect.shared or large.shared):
+        return False
+    if effect.sensor is large.sensor and set(one.instances) < set(other.instances):
+        return False
+    steady = isinstance(large, NoiseEffect) and not large.drifts
     return not (steady and isinstance(effect, MeanEffect) and not effect.tonal)
 
 
