@@ -11,8 +11,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from mavcal.calib.gap.companion.contacts import without_contacts
 from mavcal.calib.gap.companion.steady_effects import steady_effects
+from mavcal.calib.gap.companion.touch_down import without_touch_down
 from mavcal.calib.gap.effects.replay import with_effects, with_effects_in
 from mavcal.calib.gap.problem import GapProblem, MinimumGain, NuisanceEffect, ReferenceInfo, Trace
 from mavcal.calib.gap.progress import GapPace
@@ -41,8 +41,8 @@ def problem_of(
     """
     if sim is not None and is_another_flight(real, sim):
         real, sim = with_common_channels(real, sim)
-        baseline = simulated_baseline_of(without_contacts(build(sim, sim, nominal), sim), alpha, pace)
-        flown = without_contacts(build(real, sim, nominal, nuisance=baseline.added_to_ideal, companion=sim), real)
+        baseline = simulated_baseline_of(without_touch_down(build(sim, sim, nominal), sim), alpha, pace)
+        flown = without_touch_down(build(real, sim, nominal, nuisance=baseline.added_to_ideal, companion=sim), real)
         return compared_with_simulator(flown, baseline)
     apart = sim is not None and have_separate_poses(real, sim)
     companions = (sim, *nominal) if sim is not None and apart else tuple(nominal)
