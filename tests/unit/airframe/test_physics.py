@@ -36,6 +36,21 @@ def test_a_hover_carries_its_weight() -> None:
     np.testing.assert_allclose(torque, 0.0, atol=1e-9)
 
 
+def test_a_turn_is_damped_more_where_air_streams_into_the_rotors() -> None:
+    """In 7 m/s of wind turns were damped by a quarter more, and the report doubted the inflow."""
+    rate = np.tile([0.5, -0.3, 0.2], (300, 1))
+
+    def damped(climb: float) -> np.ndarray:
+        model = airframe(flight(hover(), rate=rate, velocity=np.tile([0.0, 0.0, -climb], (300, 1))))
+        plain, with_rise = (
+            model.predicted(theta(model, gain_x=1000.0, gain_y=800.0, rise=rise))[1] for rise in (0.0, 2.5e-4)
+        )
+        return np.asarray((with_rise - plain)[150])
+
+    np.testing.assert_allclose(damped(3.0), [-0.25 * 3.0 * 0.5, 0.2 * 3.0 * 0.3, 0.0], atol=1e-9)
+    np.testing.assert_allclose(damped(-3.0), 0.0, atol=1e-12)
+
+
 def test_thrust_goes_with_a_power_of_the_voltage() -> None:
     volts = np.linspace(12.6, 10.5, 300)
     model = airframe(flight(hover(), voltage=volts))

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.diagnose import _setup_of
+from mavcal.calib.gap.diagnose import _setup_of, diagnose
 from mavcal.calib.gap.effects import catalogue, forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm
@@ -154,3 +154,18 @@ def test_what_is_known_of_other_places_says_what_looking_again_would():
             assert a.key == b.key
             assert a.probability == pytest.approx(b.probability, abs=1e-9)
             assert [r.id for r in a.rivals] == [r.id for r in b.rivals]
+
+
+@pytest.mark.long
+def test_what_one_compass_has_is_no_second_order_of_what_all_have():
+    """The motors' field of 200 uT on all compasses hid 2.5 uT of one, which the others show exactly."""
+    problem = problem_of(
+        np.random.default_rng(5), (Sensor.MAG,), lambda t: np.outer(t.current, [10.0, -6.0, 3.0]), instances=3
+    )
+    traces = tuple(
+        dataclasses.replace(t, measured=t.measured - (np.array([2.5, 0.0, 0.0]) if t.instances == (0,) else 0.0))
+        for t in problem.traces
+    )
+    few = tuple(e for e in catalogue() if e.id in ("mag_motor_current", "mag_hard_iron"))
+    report = diagnose(dataclasses.replace(problem, traces=traces), effects=few, nested=False)
+    assert {(e.id, e.instances) for e in report.effects} == {("mag_motor_current", (1, 2, 3)), ("mag_hard_iron", (1,))}
