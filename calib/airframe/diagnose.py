@@ -30,7 +30,15 @@ from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
-from mavcal.calib.airframe.told import doubtful, effects_of, latent, needed_manoeuvres, probabilities, with_rivals
+from mavcal.calib.airframe.told import (
+    EVEN_ODDS,
+    doubtful,
+    effects_of,
+    latent,
+    needed_manoeuvres,
+    probabilities,
+    with_rivals,
+)
 from mavcal.calib.inference.search import Answer, search
 from mavcal.calib.recording import Recording
 
@@ -41,8 +49,6 @@ _FULL: Final = 99.0
 LIKELY: Final = 0.9
 """Probability from which an effect is reported. Chosen, not measured: a name makes its owner replace a part,
 a warning only another flight."""
-_DOUBTFUL: Final = 0.5
-"""Probability from which an effect that is not reported is spoken of. Source: even odds."""
 _SPIN_LOW: Final = 0.1875
 """Where a motor starts, in spans of its command, with ArduPilot's defaults: MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95."""
 _TRACE_HZ: Final = 25.0
@@ -282,8 +288,8 @@ def _answer(
         nameless=chance,
         heldout=parted.nats,
         warnings=(
-            *doubtful(answer, tested, least=_DOUBTFUL, most=LIKELY, beside=beside),
-            *latent(answer, evidence.effects, untestable, least=_DOUBTFUL),
+            *doubtful(answer, tested, least=EVEN_ODDS, most=LIKELY, beside=beside),
+            *latent(answer, evidence.effects, untestable, least=EVEN_ODDS),
         ),
     )
 

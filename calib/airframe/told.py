@@ -29,6 +29,9 @@ slope of the thrust curve. Measured: 1.4 and 3 % on two simulated flights, 0 to 
 RIVAL: Final = 0.01
 """Probability from which another effect in the place of a found one is told. Source: GAP 6, the truth is in the set in
 99 of 100."""
+EVEN_ODDS: Final = 0.5
+"""Probability from which an effect that is not certain is spoken of, and above which the likeliest of several is told,
+one of which is there. Source: even odds."""
 _UNITS: Final = {
     "k": "m/s2", "c1": "1/s", "c2_x": "1/m", "cz": "1/s", "ch": "1/m", "tau": "s", "fall": "s", "delay": "s",
     "expo": "1", "sag": "1", "cg_x": "arms", "cg_y": "arms", "wind_north": "m/s", "wind_east": "m/s",
@@ -62,19 +65,18 @@ def effects_of(
 ) -> tuple[FoundEffect, ...]:
     """Every effect of `tested` whose probability is `least` or more, the one of most evidence first.
 
-    `beside` are effects that were judged on other rows of the flight.
+    Where one of the others is there with that probability, and it is not certain which, the likeliest is told beside
+    its rivals. `beside` are effects that were judged on other rows of the flight.
     """
     by_block = {e.block: e for e in evidence.effects}
-    ids: dict[tuple[str, int | None], list[AirframeEffect]] = {}
-    for effect in tested:
-        if not effect.nameless:
-            ids.setdefault((effect.id, effect.motor), []).append(effect)
+    ids = _by_name(tested)
+    told = _likely(answer, ids, least)
     slow = [g.id for g in GROUPS if g.of_air]
     found = [f for f in beside if f.probability >= least]
     for (id_, motor), forms in ids.items():
         chance = answer.probability(*(f.block for f in forms))
         inside = [f for f in forms if f.block in answer.best.model]
-        if chance < least or not inside:
+        if (id_, motor) not in told or not inside:
             continue
         nats = _nats(answer, [f.block for f in forms])
         values = tuple(v for f in inside for v in _values(answer, evidence, f, slew))
@@ -92,6 +94,34 @@ def effects_of(
             found.append(FoundEffect("gust", by_block[block].domain, (), (size,), nats, len(mean), chance, 0.0))
     total = math.fsum(f.nats for f in found) or 1.0
     return tuple(sorted((replace(f, share=f.nats / total) for f in found), key=lambda f: -f.nats))
+
+
+_Named = Mapping[tuple[str, int | None], list[AirframeEffect]]
+"""Forms of each effect by its name and motor."""
+
+
+def _by_name(effects: Sequence[AirframeEffect]) -> _Named:
+    ids: dict[tuple[str, int | None], list[AirframeEffect]] = {}
+    for effect in effects:
+        if not effect.nameless:
+            ids.setdefault((effect.id, effect.motor), []).append(effect)
+    return ids
+
+
+def _likely(answer: Answer, ids: _Named, least: float) -> set[tuple[str, int | None]]:
+    """Names with a probability of `least`, and the likeliest of the others if one of these is there so probably."""
+    chances = {name: answer.probability(*(f.block for f in forms)) for name, forms in ids.items()}
+    likely = {name for name, chance in chances.items() if chance >= least}
+    rest = {name: chances[name] for name, forms in ids.items() if name not in likely and _of_airframe(forms[0])}
+    if rest and answer.probability(*(f.block for name in rest for f in ids[name])) >= least:
+        first = max(rest, key=lambda name: rest[name])
+        if rest[first] > EVEN_ODDS:
+            likely.add(first)
+    return likely
+
+
+def _of_airframe(effect: AirframeEffect) -> bool:
+    return effect.domain is Domain.AIRFRAME or effect.id == DENSITY
 
 
 def with_rivals(found: Sequence[FoundEffect], ids: Sequence[str]) -> tuple[FoundEffect, ...]:
@@ -117,11 +147,10 @@ def doubtful(
     answer: Answer, effects: Sequence[AirframeEffect], *, least: float, most: float, beside: Sequence[FoundEffect] = ()
 ) -> tuple[str, ...]:
     """Effects whose probability lies between: too likely to be left out, too doubtful to be set."""
-    forms: dict[tuple[str, int | None], list[str]] = {}
-    for effect in effects:
-        if not effect.nameless and (effect.domain is Domain.AIRFRAME or effect.id == DENSITY):
-            forms.setdefault((effect.id, effect.motor), []).append(effect.block)
-    chances = [(id_, motor, answer.probability(*blocks)) for (id_, motor), blocks in forms.items()]
+    ids = _by_name([e for e in effects if _of_airframe(e)])
+    told = _likely(answer, ids, most)
+    left = {name: forms for name, forms in ids.items() if name not in told}
+    chances = [(id_, motor, answer.probability(*(f.block for f in forms))) for (id_, motor), forms in left.items()]
     chances += [(f.id, None, f.probability) for f in beside]
     found = []
     for id_, motor, chance in chances:

@@ -14,7 +14,7 @@ from mavcal.calib.airframe.effects import catalogue
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundRival
 from mavcal.calib.airframe.physics import Layout
 from mavcal.calib.airframe.testable import Missing
-from mavcal.calib.airframe.told import doubtful, latent, needed_manoeuvres, with_rivals
+from mavcal.calib.airframe.told import _by_name, _likely, doubtful, latent, needed_manoeuvres, with_rivals
 from mavcal.calib.airframe.words import FIXES, STANDARD_FLIGHT
 from mavcal.calib.inference.model import Block, Evidence, Model, Posterior
 from mavcal.calib.inference.search import Answer, Visited
@@ -59,19 +59,41 @@ class Nothing:
         return self
 
 
-def test_what_is_likelier_than_not_and_not_named_says_what_would_decide() -> None:
-    effects = catalogue(Layout(4), rotors_damp=True, hover_gain=(300.0, 300.0, 8.0))
-    weights = {"inflow": 0.2, "thrust_scale": 0.25, "thrust_by_mass": 0.4, "motor_pulse_2": 0.15}
+def answered(weights: dict[str, float], *everywhere: str) -> Answer:
+    """Models of one effect each, "" for none, with what all of them have."""
     kept = tuple(
-        Visited(frozenset({name, "wind", "rotor_drag"}), float(np.log(p)), Nothing().posterior(frozenset()))
+        Visited(frozenset({*([name] if name else []), *everywhere}), float(np.log(p)), Nothing().posterior(frozenset()))
         for name, p in weights.items()
     )
-    answer = Answer(kept, (), Nothing(), 4)
-    told = doubtful(answer, effects, least=0.5, most=0.9)
+    return Answer(kept, (), Nothing(), len(kept))
+
+
+EFFECTS = catalogue(Layout(4), rotors_damp=True, hover_gain=(300.0, 300.0, 8.0))
+
+
+def test_what_is_likelier_than_not_and_not_named_says_what_would_decide() -> None:
+    weights = {"thrust_by_mass": 0.4, "thrust_scale": 0.25, "": 0.15, "motor_pulse_2": 0.11, "inflow": 0.09}
+    answer = answered(weights, "wind", "rotor_drag")
+    told = doubtful(answer, EFFECTS, least=0.5, most=0.9)
     assert told == (
         f"thrust_scale has a probability of 65 %, too little to name it; fly {FIXES['thrust_scale']}",
     )  # of both its forms; a certain drag is named, and wind is of the day
-    assert doubtful(answer, effects, least=0.1, most=0.2)[0].startswith("motor_weak of motor 2")
+    (motor,) = doubtful(answer, EFFECTS, least=0.1, most=0.11 + 1e-9)
+    assert motor.startswith("motor_weak of motor 2")
+
+
+@pytest.mark.parametrize(("none", "named"), [(0.05, {"rotor_drag", "thrust_expo"}), (0.15, {"rotor_drag"})])
+def test_of_several_effects_of_which_one_is_there_the_likeliest_is_named(none: float, named: set[str]) -> None:
+    """A mass of 1.1 was thrust or its curve for certain, and the verdict was that there is no gap."""
+    answer = answered({"thrust_expo": 0.55, "thrust_by_mass": 0.45 - none, "": none}, "rotor_drag")
+    likely = _likely(answer, _by_name(EFFECTS), 0.9)
+    assert {id_ for id_, _ in likely} == named
+    assert bool(doubtful(answer, EFFECTS, least=0.5, most=0.9)) is ("thrust_expo" not in named)
+
+
+def test_of_three_effects_none_of_which_is_likelier_than_not_none_is_named() -> None:
+    answer = answered({"thrust_expo": 0.4, "thrust_by_mass": 0.3, "inflow": 0.3})
+    assert _likely(answer, _by_name(EFFECTS), 0.9) == set()
 
 
 def test_what_the_flights_are_too_poor_to_name_is_said() -> None:
