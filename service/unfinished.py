@@ -11,7 +11,7 @@ from mavcal.calib.firmware.values import shown
 from mavcal.service.jobs.core.journal import Sent, as_heard, fold
 from mavcal.service.jobs.core.model import Failure, Job, Outcome, Standing
 from mavcal.service.jobs.core.states import ENDED, PHYSICAL, WRITING
-from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.sql import Store
 
 UNREAD = "not read since the interruption"
 
@@ -44,13 +44,13 @@ class Unfinished:
         return ", ".join(sent.name for sent in self.sent)
 
 
-def unfinished(store: JobStore, job: Job) -> Unfinished:
+def unfinished(store: Store, job: Job) -> Unfinished:
     """The job with what its journal says now."""
     record = fold(store.journal(job.id))
     return Unfinished(job, record.sent, job.standing or as_heard(record, {}, UNREAD), time.time())
 
 
-def left_over(store: JobStore, jobs: Iterable[Job]) -> tuple[Unfinished, ...]:
+def left_over(store: Store, jobs: Iterable[Job]) -> tuple[Unfinished, ...]:
     """Those of `jobs` that still claim their vehicle, oldest first."""
     return tuple(unfinished(store, job) for job in jobs if job.state in PHYSICAL)
 

@@ -29,7 +29,7 @@ from mavcal.service.jobs.core.model import Failure, Job, Result
 from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.jobs.core.tasks import JobTasks
 from mavcal.service.jobs.uploads.computing import NOTHING_WRITTEN
-from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 
@@ -300,7 +300,7 @@ class Campaigns:
         handle.move(JobState.INTERRUPTED, outcome=Failure(code, cause, remedy), progress=None)
 
 
-def uploads_of_campaign(job: Job, store: JobStore) -> set[str]:
+def uploads_of_campaign(job: Job, store: Store) -> set[str]:
     """The uploads that must stay for a campaign: what it still has to go through, and what that is compared with."""
     over = job.state in ENDED - {JobState.INTERRUPTED}
     if over or job.options.get("task") not in {CampaignTask.FIT, CampaignTask.GAP}:

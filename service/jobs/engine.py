@@ -39,8 +39,8 @@ from mavcal.service.jobs.write.steps import check_plan
 from mavcal.service.jobs.write.transaction import Transactions
 from mavcal.service.preflights import History, Preflight, Preflights
 from mavcal.service.rates.ledger import RateLedgers
-from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import EventRow, JobDocument, JobRow
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
 
 

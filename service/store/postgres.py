@@ -24,7 +24,7 @@ from mavcal.service.errors import DiskFull, StoreError
 from mavcal.service.store.database import Row
 from mavcal.service.store.datadir import DataDirLock
 from mavcal.service.store.migrate import Migration, migrations, outstanding
-from mavcal.service.store.sql import SqlStore
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 
@@ -198,7 +198,7 @@ class PostgresDatabase:
         return version
 
 
-class PostgresStore(SqlStore):
+class PostgresStore(Store):
     """Durable state in a PostgreSQL database; None owns no data directory (tests, commands, workers).
 
     Raises

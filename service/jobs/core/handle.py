@@ -19,8 +19,8 @@ from mavcal.service.jobs.core.codec import row_from_job, to_json
 from mavcal.service.jobs.core.journal import JournalStep, WriteRecord, fold
 from mavcal.service.jobs.core.model import Job, advance
 from mavcal.service.jobs.core.states import ENDED, JobState
-from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import EventRow, JournalRow, Json
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 
@@ -45,7 +45,7 @@ class JobHandle:
     def __init__(
         self,
         job: Job,
-        store: JobStore,
+        store: Store,
         publish: Publish,
         *,
         progress_s: float = 0.5,
