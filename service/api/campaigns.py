@@ -8,21 +8,22 @@ from functools import partial
 from typing import Annotated, Literal
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import (
+from mavcal.service.api.jobs import JobDep
+from mavcal.service.api.models.campaigns import (
     CalibrationCampaignRequest,
     FitCampaignRequest,
     GapCampaignRequest,
     ItemModel,
-    JobModel,
     PreflightCampaignRequest,
     RestoreCampaignRequest,
 )
-from mavcal.service.api.security import ActorDep, Scope, require
+from mavcal.service.api.models.jobs import JobModel
+from mavcal.service.api.security import OPERATE, READ, ActorDep, Scope, require
 from mavcal.service.api.views import item_model, job_model
 from mavcal.service.campaigns import outcome as table
 from mavcal.service.campaigns.begin import CalibrationOrder, RestoreOrder
@@ -35,8 +36,6 @@ from mavcal.service.jobs.core.model import Job
 from mavcal.service.vehicle import Vehicle
 
 router = APIRouter(tags=["campaigns"])
-READ = Depends(require(Scope.READ))
-OPERATE = Depends(require(Scope.OPERATE))
 _PAGE = 500
 
 Outcomes = Annotated[list[ItemOutcome] | None, Query(description="only items of these outcomes")]
@@ -105,13 +104,6 @@ async def resume(job_id: str, request: Request, service: ServiceDep) -> JobModel
 async def interrupt(job_id: str, service: ServiceDep) -> JobModel:
     """Stop a running campaign so that it can be resumed; jobs that it has begun go on."""
     return job_model(await service.campaigns.campaigns.interrupt(job_id))
-
-
-def _job(job_id: str, service: ServiceDep) -> Job:
-    return service.jobs.get(job_id)
-
-
-JobDep = Annotated[Job, Depends(_job)]
 
 
 @router.get("/jobs/{job_id}/items", operation_id="list_items", dependencies=[READ])

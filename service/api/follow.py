@@ -11,7 +11,8 @@ import structlog
 from fastapi import Depends, Request
 from fastapi.sse import ServerSentEvent
 
-from mavcal.service.api.models import LinkModel, VehicleModel
+from mavcal.service.api.models.links import LinkModel
+from mavcal.service.api.models.vehicles import VehicleModel
 from mavcal.service.api.sight import Sight
 from mavcal.service.api.views import event_model, link_model, vehicle_model
 from mavcal.service.core import Service

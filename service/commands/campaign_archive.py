@@ -43,14 +43,10 @@ def run_archive(settings: Settings, executor: str, begin: Begin, output: OutputO
 def is_of_folder(data_dir: Path, job_id: str) -> bool:
     """Whether a job is a campaign through files. Raises JobUnknown, StoreError."""
     from mavcal.service.campaigns.archive import FOLDER
-    from mavcal.service.campaigns.campaigns import CAMPAIGN
-    from mavcal.service.errors import JobUnknown
+    from mavcal.service.commands.campaign_items import campaign_among
     from mavcal.service.store.sqlite import jobs_of
 
-    for row in jobs_of(data_dir):
-        if row.id == job_id and row.kind == CAMPAIGN:
-            return FOLDER in (row.body.get("options") or {})
-    raise JobUnknown(f"there is no campaign {job_id} in this data directory")
+    return FOLDER in (campaign_among(jobs_of(data_dir), job_id).body.get("options") or {})
 
 
 async def _run(settings: Settings, given: Workers, begin: Begin, output: OutputOptions, screen: Screen) -> int:

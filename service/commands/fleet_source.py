@@ -100,7 +100,7 @@ class LocalFleet:
         """See FleetSource."""
         from pydantic import ValidationError
 
-        from mavcal.service.api.models import UnitRequest
+        from mavcal.service.api.models.fleet import UnitRequest
         from mavcal.service.fleet.book import renamed
         from mavcal.service.storing import open_store
 

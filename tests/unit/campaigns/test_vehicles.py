@@ -14,9 +14,9 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict
 from mavcal.service.campaigns.begin import CalibrationOrder, CampaignDesk, running_campaigns
 from mavcal.service.campaigns.campaigns import CAMPAIGN, CampaignTask
-from mavcal.service.campaigns.items import Item, ItemOutcome, item_from_row, row_from_item
+from mavcal.service.campaigns.items import BEGUN_BY, Item, ItemOutcome, item_from_row, row_from_item
 from mavcal.service.campaigns.selection import Selection
-from mavcal.service.campaigns.vehicles import BEGUN_BY, of_preflight
+from mavcal.service.campaigns.vehicles import of_preflight
 from mavcal.service.errors import Forbidden, VehicleArmed
 from mavcal.service.jobs.core.codec import from_json, row_from_job
 from mavcal.service.jobs.core.handle import JobHandle
