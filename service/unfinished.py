@@ -69,16 +69,16 @@ def ending(found: Unfinished) -> tuple[str, ...]:
     job = found.job
     if not found.ended:
         why = job.prompt.text if job.prompt is not None else ""
-        why = why or (_said(job.outcome) if isinstance(job.outcome, Failure) else "")
+        why = why or (_outcome_text(job.outcome) if isinstance(job.outcome, Failure) else "")
         state = job.state.value.replace("_", " ")
         return (f"job {job.id} ({job.kind}) is {state}{f': {why}' if why else ''}", *map(_doubt, found.standing))
-    said = _said(job.outcome)
+    text = _outcome_text(job.outcome)
     state = job.state.value if job.state in ENDED else f"in {job.state.value}"
     restored = (_restored(sent) for sent in found.sent if sent.session and sent.confirmed is not None)
-    return (f"job {job.id} ({job.kind}) is {state}{f'. {said}' if said else ''}", *restored)
+    return (f"job {job.id} ({job.kind}) is {state}{f'. {text}' if text else ''}", *restored)
 
 
-def _said(outcome: Outcome | None) -> str:
+def _outcome_text(outcome: Outcome | None) -> str:
     if isinstance(outcome, Failure):
         return " ".join(_sentence(text) for text in (outcome.cause, outcome.remedy) if text)
     return "" if outcome is None else outcome.text

@@ -1,4 +1,4 @@
-"""What a procedure says and hears: prompts and progress as data, answers as data.
+"""Prompts, progress, results and answers of a procedure, as data.
 
 A procedure is fed chunks of raw recording (calibration in force undone) in the order of the vehicle's clock. It never
 looks at another clock, so a live job, a replayed .tlog and a test are one code path.

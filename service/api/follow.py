@@ -30,7 +30,7 @@ State = VehicleModel | LinkModel
 
 
 class ChangeWatch:
-    """Looks at vehicles and links once for all streams, as long as there are any, and wakes them if one has changed."""
+    """Polls vehicles and links once for all open streams, and wakes them when a state has changed."""
 
     def __init__(self, look: Callable[[], list[tuple[str, State]]]) -> None:
         self._ask = look

@@ -44,7 +44,7 @@ def _job(job_id: str, service: ServiceDep) -> Job:
 
 
 JobDep = Annotated[Job, Depends(_job)]
-"""The job of the address. For a stream this is the place where 404 can still be said."""
+"""The job of the address. A stream can answer 404 only here, before it begins."""
 
 
 def _plan_of(job: Job) -> PlanModel:

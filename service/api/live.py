@@ -49,7 +49,7 @@ def _watch(
         str | None, Query(description="a watch of this vehicle; without one it is asked for nothing")
     ] = None,
 ) -> LiveWatch | None:
-    """The watch of the request; this is the place where 404 can still be said."""
+    """The watch of the request. A stream can answer 404 only here, before it begins."""
     return None if watch is None else service.live.watch(watch, found.id)
 
 

@@ -32,7 +32,7 @@ def _vehicle(vehicle_id: str, service: ServiceDep) -> Vehicle:
 
 
 VehicleDep = Annotated[Vehicle, Depends(_vehicle)]
-"""The vehicle of the address. For a stream this is the place where 404 can still be said."""
+"""The vehicle of the address. A stream can answer 404 only here, before it begins."""
 
 
 @router.get("/vehicles", operation_id="list_vehicles", dependencies=[READ])

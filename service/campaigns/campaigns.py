@@ -272,8 +272,8 @@ class Campaigns:
             await handle.store.do(partial(handle.store.save_document, handle.id, document))
         item = _with(item, ended, self._wall())
         await _keep(handle, item)
-        told = {"number": item.number, "subject": item.subject, "outcome": item.outcome.value, "code": item.code}
-        handle.announce("item", {**told, "text": item.text, "job_id": item.job_id})
+        outcome = {"number": item.number, "subject": item.subject, "outcome": item.outcome.value, "code": item.code}
+        handle.announce("item", {**outcome, "text": item.text, "job_id": item.job_id})
         run.count(item.outcome)
 
     async def _end_of(self, handle: JobHandle, work: ItemWork, turn: ItemTurn) -> ItemEnd:
@@ -350,8 +350,8 @@ def _noun(task: CampaignTask) -> str:
 
 
 def _with(item: Item, ended: ItemEnd, at: float) -> Item:
-    told = {name: getattr(ended, name) for name in ("outcome", "text", "code", "job_id", "result")}
-    return dataclasses.replace(item, ended_at=at, **told)
+    changes = {name: getattr(ended, name) for name in ("outcome", "text", "code", "job_id", "result")}
+    return dataclasses.replace(item, ended_at=at, **changes)
 
 
 async def _keep(handle: JobHandle, item: Item) -> None:

@@ -92,5 +92,5 @@ async def _print_outcome(found: Archive, snapshot: CampaignSnapshot, output: Out
     items = [item_from_row(row) for row in rows]
     if output.table is not None:
         write_table(output.table, head() + lines(items), len(items))
-    told = [{n: value for n, value in to_json(item).items() if n not in {"result", "starts"}} for item in items]
-    return print_campaign(snapshot, told, output, screen)
+    documents = [{n: value for n, value in to_json(item).items() if n not in {"result", "starts"}} for item in items]
+    return print_campaign(snapshot, documents, output, screen)

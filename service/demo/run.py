@@ -307,7 +307,7 @@ class _Demo:
                 f"{report.sensor.value}[{report.instance}] true error {report.before:.4g} -> {report.after:.3g} "
                 f"{report.unit}{cross}; largest |error|/sd {abs(report.score.standardised).max(initial=0.0):.2f}"
             )
-        self._screen.detail(_said(job))
+        self._screen.detail(_outcome_text(job))
         self._screen.end(_ended(job), good=job.state == JobState.SUCCEEDED)
 
 
@@ -381,7 +381,7 @@ def _report_document(report: SensorReport) -> Json:
     return {**document, "z": report.score.standardised, "chi2": report.score.chi2, "names": report.score.names}
 
 
-def _said(job: JobModel) -> str:
+def _outcome_text(job: JobModel) -> str:
     """What the job says of its end."""
     if job.outcome is None:
         return "no outcome"
@@ -389,7 +389,7 @@ def _said(job: JobModel) -> str:
 
 
 def _why(job: JobModel) -> str:
-    return f"{job.kind}: {job.state}: {_said(job)}"
+    return f"{job.kind}: {job.state}: {_outcome_text(job)}"
 
 
 @contextmanager
@@ -402,8 +402,8 @@ def _service(connect: str, data_dir: Path) -> Iterator[str]:
         assert process.stdout is not None
         line = process.stdout.readline()
         if not line:
-            said = (data_dir / "service.log").read_text(errors="replace").strip().splitlines()
-            raise DemoError(f"the service did not start: {said[-1] if said else 'it said nothing'}")
+            lines = (data_dir / "service.log").read_text(errors="replace").strip().splitlines()
+            raise DemoError(f"the service did not start: {lines[-1] if lines else 'it lines nothing'}")
         yield str(json.loads(line)["url"])
     finally:
         process.terminate()

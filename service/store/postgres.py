@@ -172,9 +172,9 @@ class PostgresDatabase:
 
     def _warn_of_settings(self) -> None:
         """What the server is set to must not take back what a commit promises."""
-        said = self.execute("SELECT current_setting('synchronous_commit'), current_setting('fsync')")[0]
-        self._keeps_more = said[0] == "remote_apply"
-        if said[1] == "off":
+        setting = self.execute("SELECT current_setting('synchronous_commit'), current_setting('fsync')")[0]
+        self._keeps_more = setting[0] == "remote_apply"
+        if setting[1] == "off":
             log.warning("the database runs with fsync = off: a loss of power loses journals of writes")
 
     def _migrated(self, part: str, steps: tuple[Migration, ...]) -> int:

@@ -157,7 +157,7 @@ def _set_scale(draft: Draft, about: Subject, names: Names, fit: FitResult) -> No
 
 
 def boot_calibration(draft: Draft, *, planned: bool) -> None:
-    """What becomes of the gyro offsets at the next boot; `planned`: some are written, they do not just agree."""
+    """Plan or warn that the next boot estimates gyro offsets anew; `planned`: the plan writes some."""
     if int(draft.parameters.get("INS_GYR_CAL", 1)) == 0:
         return
     if draft.options.keep_gyro_at_boot:

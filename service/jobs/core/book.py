@@ -86,8 +86,8 @@ class JobBook:
                 self._others[row.id] = job_of(row, self._store)
             elif event.kind in UNSTORED and event.job_id in self._others:
                 kind, field = UNSTORED[event.kind]
-                said: dict[str, Any] = {field: from_json(dict(event.data), kind) if event.data else None}
-                self._others[event.job_id] = dataclasses.replace(self._others[event.job_id], **said)
+                change: dict[str, Any] = {field: from_json(dict(event.data), kind) if event.data else None}
+                self._others[event.job_id] = dataclasses.replace(self._others[event.job_id], **change)
         self._feed.publish(event)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What the engine asks of its surroundings: which jobs are ours, and who keeps a record of ended ones."""
+"""Interfaces that the engine needs: ownership of jobs, and a record of jobs that ended."""
 
 from __future__ import annotations
 

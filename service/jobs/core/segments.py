@@ -32,7 +32,7 @@ async def open_span(store: Store, job_id: str, purpose: SegmentPurpose, position
 
 @asynccontextmanager
 async def spanned(handle: JobHandle, vehicle: JobVehicle, purpose: SegmentPurpose) -> AsyncIterator[None]:
-    """A segment of the vehicle's log from here to the end of the block, however that ends; all of it in one file."""
+    """Record a segment of the vehicle's log, in one file, from the start of the block to its end, however that ends."""
     with vehicle.unbroken_tlog():
         row = await open_span(handle.store, handle.id, purpose, vehicle.tlog_position())
         try:
@@ -42,7 +42,7 @@ async def spanned(handle: JobHandle, vehicle: JobVehicle, purpose: SegmentPurpos
 
 
 async def close_span(store: Store, row: SegmentRow, vehicle: JobVehicle | None) -> LogSpan:
-    """End a segment where its log stands now, on the disk, with its digest.
+    """Close a segment at the present end of its log, force it to the disk, and store its digest.
 
     `vehicle` is None, or has another log, if the segment was left open by a crash: it then ends with its file.
     """
