@@ -13,7 +13,7 @@ import numpy as np
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import calibration_names
-from mavcal.calib.firmware.compose.ardupilot import mark_calibrated
+from mavcal.calib.firmware.compose.ardupilot_mark import mark_calibrated
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.px4_memory import Vector, set_vector
 from mavcal.calib.firmware.names import (
@@ -155,7 +155,7 @@ class _Restoration:
         accels = {w.about.instance for w in values if w.about is not None and w.about.sensor == Sensor.ACCEL}
         changed = [change for change in self._draft.changes if change.sensor == Sensor.ACCEL]
         if self._fingerprint.autopilot == "ardupilot" and changed:
-            mark_calibrated(self._draft, accels)
+            mark_calibrated(self._draft, Sensor.ACCEL, accels)
         for text in (*self._wanted.moved, *self._wanted.missing, *self._reasons):
             self._draft.warn(text)
         nothing = not values or (not self._draft.changes and bool(self._reasons))
