@@ -132,8 +132,8 @@ def _register_step(made: Converter, kind: type, name: str) -> None:
 
     def read_step(data: Json, kind: type) -> Any:
         rest = dict(data)
-        if (told := rest.pop("type")) != name:
-            raise InvalidInputError(f"this is no {name} of a procedure but a step of type {told!r}")
+        if (stated := rest.pop("type")) != name:
+            raise InvalidInputError(f"this is no {name} of a procedure but a step of type {stated!r}")
         return known(rest, kind)
 
     made.register_unstructure_hook(kind, lambda step: {"type": name, **written(step)})

@@ -195,9 +195,7 @@ def _instance(settings: Settings, store: Store) -> Instance | None:
     if settings.database_url is None:
         return None
     from mavcal.service.instances.instance import Instance
-    from mavcal.service.store.sql import SqlStore
 
-    assert isinstance(store, SqlStore)
     try:
         return Instance(settings, store)
     except BaseException:

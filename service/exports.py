@@ -16,7 +16,7 @@ from mavcal.calib.report import to_json
 from mavcal.service.errors import ExportUnknown, PlanMissing
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.reviews import reviewed
-from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.sql import Store
 
 PICTURES_A_ROW = 2
 """As many as a sheet of paper is wide."""
@@ -30,7 +30,7 @@ MEDIA_TYPES: Mapping[str, str] = {
 }
 
 
-def export(job: Job, form: str, store: JobStore) -> str:
+def export(job: Job, form: str, store: Store) -> str:
     """The text of the file; a page reads the store, so not for the event loop.
 
     Raises
@@ -79,7 +79,7 @@ def _csv(_job: Job, plan: WritePlan) -> str:
     return text.getvalue()
 
 
-def _html(job: Job, plan: WritePlan, store: JobStore) -> str:
+def _html(job: Job, plan: WritePlan, store: Store) -> str:
     """One self-contained page that prints well."""
     verdicts = {} if job.verification is None else {v.name: v.verdict.value for v in job.verification.parameters}
     review = reviewed(job, plan, store, PICTURES_A_ROW)

@@ -16,7 +16,7 @@ def require_unneeded(link: Link, vehicles: VehicleRegistry, jobs: Iterable[Job])
     """Raise LinkBusy if a write runs over this link, or is in doubt, and no other link leads to that vehicle."""
     for job in jobs:
         if job.state in WRITING and job.vehicle_id is not None and _needed(link, vehicles, job):
-            raise LinkBusy(_said(link, job))
+            raise LinkBusy(_refusal(link, job))
 
 
 def _needed(link: Link, vehicles: VehicleRegistry, job: Job) -> bool:
@@ -28,7 +28,7 @@ def _needed(link: Link, vehicles: VehicleRegistry, job: Job) -> bool:
     return link in vehicle.links and not any(other is not link for other in carrying)
 
 
-def _said(link: Link, job: Job) -> str:
+def _refusal(link: Link, job: Job) -> str:
     stands = f"job {job.id} ({job.kind}) is {job.state.value.replace('_', ' ')} on vehicle {job.vehicle_id}"
     if job.state is JobState.IN_DOUBT:
         return (

@@ -15,8 +15,8 @@ from mavcal.service.link.allowed import Allowed
 from mavcal.service.link.endpoint import SIGNING
 from mavcal.service.settings import MavlinkSettings
 from mavcal.service.signing_keys import DEFAULT, UNSIGNED, SigningKeys
-from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import LinkRow
+from mavcal.service.store.sql import Store
 
 LONGEST_URL = 1000
 LONGEST_PLAIN = 64

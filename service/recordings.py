@@ -18,8 +18,8 @@ from typing import Any
 from mavcal.calib.errors import CalibError
 from mavcal.service.children import INSPECT, SERIES, Children, Limits
 from mavcal.service.errors import DiskFull, RecordingUnknown, UploadError, UploadTooLarge
-from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import RecordingRow
+from mavcal.service.store.sql import Store
 
 
 class Recordings:

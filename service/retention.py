@@ -12,8 +12,8 @@ from pathlib import Path
 import structlog
 
 from mavcal.service.settings import RetentionSettings
-from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import RecordingRow
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 

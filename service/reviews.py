@@ -23,8 +23,8 @@ from mavcal.calib.review import (
 from mavcal.service.errors import PlanMissing
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.store.sql import Store
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Review:
     mounting_choices: tuple[MountingChoice, ...]
 
 
-async def review_of(job: Job, store: JobStore, *, columns: int | None = None) -> Review:
+async def review_of(job: Job, store: Store, *, columns: int | None = None) -> Review:
     """The review of a job's plan, on the parameters that it was composed on; `columns` charts of its picture a row.
 
     Raises
@@ -52,7 +52,7 @@ async def review_of(job: Job, store: JobStore, *, columns: int | None = None) ->
     return await asyncio.to_thread(reviewed, job, job.plan, store, columns)
 
 
-def reviewed(job: Job, plan: WritePlan, store: JobStore, columns: int | None = None) -> Review:
+def reviewed(job: Job, plan: WritePlan, store: Store, columns: int | None = None) -> Review:
     """The same; reads the store, so not for the event loop."""
     kept = store.snapshot(job.id, SnapshotPurpose.COMPOSED_ON)
     parameters = {} if kept is None else kept.body

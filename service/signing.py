@@ -12,7 +12,7 @@ from mavcal.service.link import Link
 from mavcal.service.link.link import OFFER_S, OFFERS
 from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.signing_keys import KnownKey, SigningKeys
-from mavcal.service.store.protocol import Store
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle import VehicleRegistry
 
 

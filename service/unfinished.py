@@ -11,7 +11,7 @@ from mavcal.calib.firmware.values import shown
 from mavcal.service.jobs.core.journal import Sent, as_heard, fold
 from mavcal.service.jobs.core.model import Failure, Job, Outcome, Standing
 from mavcal.service.jobs.core.states import ENDED, PHYSICAL, WRITING
-from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.sql import Store
 
 UNREAD = "not read since the interruption"
 
@@ -44,13 +44,13 @@ class Unfinished:
         return ", ".join(sent.name for sent in self.sent)
 
 
-def unfinished(store: JobStore, job: Job) -> Unfinished:
+def unfinished(store: Store, job: Job) -> Unfinished:
     """The job with what its journal says now."""
     record = fold(store.journal(job.id))
     return Unfinished(job, record.sent, job.standing or as_heard(record, {}, UNREAD), time.time())
 
 
-def left_over(store: JobStore, jobs: Iterable[Job]) -> tuple[Unfinished, ...]:
+def left_over(store: Store, jobs: Iterable[Job]) -> tuple[Unfinished, ...]:
     """Those of `jobs` that still claim their vehicle, oldest first."""
     return tuple(unfinished(store, job) for job in jobs if job.state in PHYSICAL)
 
@@ -69,16 +69,16 @@ def ending(found: Unfinished) -> tuple[str, ...]:
     job = found.job
     if not found.ended:
         why = job.prompt.text if job.prompt is not None else ""
-        why = why or (_said(job.outcome) if isinstance(job.outcome, Failure) else "")
+        why = why or (_outcome_text(job.outcome) if isinstance(job.outcome, Failure) else "")
         state = job.state.value.replace("_", " ")
         return (f"job {job.id} ({job.kind}) is {state}{f': {why}' if why else ''}", *map(_doubt, found.standing))
-    said = _said(job.outcome)
+    text = _outcome_text(job.outcome)
     state = job.state.value if job.state in ENDED else f"in {job.state.value}"
     restored = (_restored(sent) for sent in found.sent if sent.session and sent.confirmed is not None)
-    return (f"job {job.id} ({job.kind}) is {state}{f'. {said}' if said else ''}", *restored)
+    return (f"job {job.id} ({job.kind}) is {state}{f'. {text}' if text else ''}", *restored)
 
 
-def _said(outcome: Outcome | None) -> str:
+def _outcome_text(outcome: Outcome | None) -> str:
     if isinstance(outcome, Failure):
         return " ".join(_sentence(text) for text in (outcome.cause, outcome.remedy) if text)
     return "" if outcome is None else outcome.text

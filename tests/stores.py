@@ -9,19 +9,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from mavcal.service.store import SqliteStore
-from mavcal.service.store.sql import SqlStore
+from mavcal.service.store.sql import Store
 
-_in_memory: Callable[[], SqlStore] = lambda: SqliteStore(None)  # noqa: E731 - it is replaced
+_in_memory: Callable[[], Store] = lambda: SqliteStore(None)  # noqa: E731 - it is replaced
 _make = _in_memory
 
 
-def new_store() -> SqlStore:
+def new_store() -> Store:
     """An empty store of the kind that this test runs on."""
     return _make()
 
 
 @contextmanager
-def made_by(make: Callable[[], SqlStore]) -> Iterator[None]:
+def made_by(make: Callable[[], Store]) -> Iterator[None]:
     """Meanwhile stores are of another kind."""
     global _make
     _make = make

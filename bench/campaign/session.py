@@ -20,7 +20,7 @@ from mavcal.service.link import Link
 from mavcal.service.link_closing import require_unneeded
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from mavcal.service.store import SqliteStore
-from mavcal.service.store.protocol import Store
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
 from mavcal.service.vehicle.job_vehicle import VehicleSource
 

@@ -100,8 +100,8 @@ def fit_six_face(
     g = recognised_gravity(U, gravity, convention)
     if g is None:
         size = float(np.linalg.norm(U, axis=1).mean())
-        said = f"readings of length {size:.4g} {unit} are neither g nor m/s2: state --gravity or the unit"
-        return made.refused(said, movement="state the length of gravity in the unit of the samples, or their unit")
+        message = f"readings of length {size:.4g} {unit} are neither g nor m/s2: state --gravity or the unit"
+        return made.refused(message, movement="state the length of gravity in the unit of the samples, or their unit")
     rows = _Rows(tuple(faces), U, g * sign * directions, g, fixture_sd)
     if np.linalg.cond(_regressors(rows, form)) > _MOST_CONDITION:
         return made.refused(

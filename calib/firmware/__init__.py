@@ -85,7 +85,7 @@ def body_from_sensor(
 
 
 def turning_spoils(parameters: Mapping[str, Value]) -> str:
-    """Why a steady turn makes the vehicle change its gyro offsets, and what helps; empty: it does not.
+    """A warning where the vehicle takes a steady turn for a gyro offset and corrects it; empty: it does not.
 
     What changes its offsets in the middle of a capture spoils it.
     """

@@ -67,7 +67,7 @@ class Parts:
 
 
 def split(fit: FitResult) -> Parts:
-    """Polar decomposition of a fit's matrix, its covariance carried along.
+    """Split a fit's matrix into rotation and symmetric part, with the covariance of offset and symmetric part.
 
     ``S^2 = C^T C`` gives ``S dS + dS S = dC^T C + C^T dC``, solved in the eigenframe of S.
     """

@@ -1,4 +1,4 @@
-"""What every calibration parameter is called, in one table an autopilot.
+"""Names of every calibration parameter, a table for each autopilot.
 
 Names follow a *slot* (a row of parameters on the vehicle), streams follow an *instance*;
 :mod:`calib.firmware.slots` takes one to the other. Sources: FLIGHT_CONTROLLERS 1.1-1.4 (ArduPilot
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Role(StrEnum):
-    """What a calibration parameter means, whatever an autopilot calls it."""
+    """Meaning of a calibration parameter, independent of its name on an autopilot."""
 
     ID = "id"  # device id of the sensor that the slot belongs to
     USE = "use"  # AP: 0/1; by priority for a compass, not by slot

@@ -71,7 +71,7 @@ def parse_key(text: str) -> Key:
 
 
 def unknown_keys(only: Iterable[Key], there: Iterable[Key]) -> str:
-    """What is wrong with `only` where these sensors are `there`, as a sentence; empty if nothing is."""
+    """A sentence that names the sensors of `only` that are not among those `there`; empty: all are."""
     known = sorted(key_text(*key) for key in set(there))
     missing = [key_text(*key) for key in only if key_text(*key) not in known]
     if not missing:
@@ -89,7 +89,7 @@ def how(name: str) -> str:
 
 
 def to_confirm(name: str) -> str:
-    """What the operator is told to do about a blocker that a confirmation removes; the blocker ends with it."""
+    """The end of a blocker that a confirmation removes: how the operator confirms it."""
     return f"Confirm it with {how(name)}"
 
 

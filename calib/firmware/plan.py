@@ -269,11 +269,11 @@ class Verification:
     @property
     def must_go(self) -> str:
         """Why the write has to be taken back, in a sentence; empty if it may stay."""
-        said = []
+        reasons = []
         if self.contradicted:
-            said.append(f"accepted but without effect on the stream: {', '.join(self.contradicted)}")
-        said += [check.text for check in self.refuted]
-        return "; ".join(said)
+            reasons.append(f"accepted but without effect on the stream: {', '.join(self.contradicted)}")
+        reasons += [check.text for check in self.refuted]
+        return "; ".join(reasons)
 
     @property
     def proved(self) -> bool:

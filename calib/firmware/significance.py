@@ -32,7 +32,7 @@ SAME: Final = 1e-6
 
 
 def level_agreement(change: Array, sd: Array) -> Agreement | None:
-    """The same of a level trim: `change` and `sd` of roll and pitch (2,)."""
+    """Whether a level trim changes by no more than its uncertainty: `change` and `sd` of roll and pitch (2,)."""
     return agreed(Sensor.ACCEL, 0, "level", [(change, np.diag(sd**2))])
 
 

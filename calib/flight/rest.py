@@ -170,13 +170,13 @@ def _phase(start: float, running: tuple[TimeSpan, ...]) -> Phase:
 
 def _armed(recording: Recording, begin: float, end: float) -> tuple[TimeSpan, ...] | None:
     """Armed spans; None where arming was never spoken of."""
-    said = sorted((e.t, e.kind == ARMED) for e in recording.events if e.kind in (ARMED, UNARMED))
-    if not said:
+    events = sorted((e.t, e.kind == ARMED) for e in recording.events if e.kind in (ARMED, UNARMED))
+    if not events:
         return None
     # PX4's logs and telemetry begin with a state, soon after the first sample; events on board are changes
     states_first = recording.identity.autopilot == "px4" or telemetry(recording)
-    before = said[0][1] if states_first and said[0][0] - begin < _FIRST_STATE else not said[0][1]
-    states = [(begin, before), *said, (end, said[-1][1])]
+    before = events[0][1] if states_first and events[0][0] - begin < _FIRST_STATE else not events[0][1]
+    states = [(begin, before), *events, (end, events[-1][1])]
     return _merged([TimeSpan(a, max(a, b)) for (a, on), (b, _) in pairwise(states) if on])
 
 

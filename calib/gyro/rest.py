@@ -61,8 +61,8 @@ def fit_gyro_rest(
     if len(gyro) < _LEAST_SAMPLES:
         return made.refused(f"{len(gyro)} finite samples of the gyroscope: {_LEAST_SAMPLES} are needed", OFFSETS)
     if not gyro.t[-1] > gyro.t[0]:
-        said = f"all {len(gyro)} samples carry one time: whether the vehicle rested cannot be told; record again"
-        return made.refused(said, OFFSETS)
+        message = f"all {len(gyro)} samples carry one time: whether the vehicle rested cannot be told; record again"
+        return made.refused(message, OFFSETS)
     estimate = mean_of(gyro)
     reason = _movement_reason(gyro, estimate)
     if reason is None and gyro.unit == "rad/s":
@@ -71,8 +71,8 @@ def fit_gyro_rest(
         return made.refused(f"{reason}; put the vehicle down, leave it alone and try again", OFFSETS)
     silent = np.array(estimate.constant) & (gyro.quantum <= 0.0)  # a constant of unknown resolution
     if silent.all():
-        said = "the gyroscope reads one constant value on every axis: it is stuck or not connected"
-        return made.refused(said, OFFSETS)
+        message = "the gyroscope reads one constant value on every axis: it is stuck or not connected"
+        return made.refused(message, OFFSETS)
     covariance = np.zeros((12, 12))
     covariance[:3, :3] = estimate.covariance
     covariance[:3, :3][silent] = 0.0

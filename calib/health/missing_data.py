@@ -43,7 +43,7 @@ def missing_data(
     recording: Recording, stood: Ground, every: Sequence[Sampled], silent: Collection[Key] = ()
 ) -> Iterator[str]:
     """Data that were not recorded, their use, and how to log them; `silent` are sensors without data."""
-    for sensor, what, name, tells in (
+    for sensor, what, name, use in (
         (
             Sensor.ATTITUDE,
             Logged.ATTITUDE,
@@ -54,7 +54,7 @@ def missing_data(
         (Sensor.TEMPERATURE, Logged.INERTIAL, "temperature of the inertial units", "whether they left their range"),
     ):
         if not recording.find(sensor):
-            yield _line(f"{name}: {tells}", setting(recording, what))
+            yield _line(f"{name}: {use}", setting(recording, what))
     yield from _loads(recording)
     yield from _inertial(recording)
     if not recording.instances(Sensor.MAG) and all(sensor != Sensor.MAG for sensor, _ in silent):
@@ -73,11 +73,11 @@ def _line(text: str, how: str) -> str:
 def _loads(recording: Recording) -> Iterator[str]:
     """Data on the motors' field."""
     currents = recording.find(Sensor.CURRENT)
-    tells = "interference of the motors with the compass"
+    use = "interference of the motors with the compass"
     if not currents and not recording.find(Sensor.THROTTLE):
-        yield _line(f"battery current or throttle: {tells}", setting(recording, Logged.CURRENT))
+        yield _line(f"battery current or throttle: {use}", setting(recording, Logged.CURRENT))
     elif currents and not any(np.nan_to_num(channel.values).any() for channel in currents):
-        yield f"battery current, which reads 0 throughout: {tells}. Fit a current sensor (BATT_MONITOR)"
+        yield f"battery current, which reads 0 throughout: {use}. Fit a current sensor (BATT_MONITOR)"
 
 
 def _inertial(recording: Recording) -> Iterator[str]:

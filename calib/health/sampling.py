@@ -178,19 +178,19 @@ def _turned(recording: Recording, but: Channel, run: Gap) -> bool:
 
 def _distrusted(recording: Recording) -> Iterator[HealthFinding]:
     """Samples that the autopilot itself called unhealthy, or that no such sensor can read."""
-    said = {
+    texts = {
         Oddity.UNHEALTHY: "was called unhealthy by the autopilot",
         Oddity.UNREADABLE: "gave values that no such sensor can read",
     }
     for event in recording.events:
         odd = event.odd
-        if odd is None or odd.what not in said or not odd.total:
+        if odd is None or odd.what not in texts or not odd.total:
             continue
         if odd.what == Oddity.UNHEALTHY and odd.count == odd.total:
             continue  # :mod:`calib.health.dead` has it
         share = odd.count / odd.total
         verdict = judged_value(share, 0.0, limits.UNHEALTHY)
-        text = f"{said[odd.what]} in {odd.count} of {odd.total} samples, first at {event.t:.1f} s"
+        text = f"{texts[odd.what]} in {odd.count} of {odd.total} samples, first at {event.t:.1f} s"
         action = "" if verdict == HealthVerdict.OK else _BUS
         if odd.sensor in SENSORS:
             yield HealthFinding(

@@ -256,8 +256,8 @@ def _gyro_fit(facts: RecordingFacts, poses: Poses, weighed: Weighed, part: _Part
     scales = np.abs(np.linalg.norm(part.model.matrix, axis=0))
     if facts.gyro.unit == "rad/s" and not ((scales > 0.5) & (scales < 2.0)).all():
         factors = ", ".join(f"{1.0 / scale:.3g}" for scale in scales)
-        said = f"the gyroscope reads {factors} times the rate about x, y, z: check its unit (deg/s, counts)"
-        return made.refused(said, movement="state its --unit-gyro")
+        message = f"the gyroscope reads {factors} times the rate about x, y, z: check its unit (deg/s, counts)"
+        return made.refused(message, movement="state its --unit-gyro")
     moves = weighed.problem.moves
     closure = _closure(weighed)
     turning = float(np.sqrt((moves.durations**2).mean())) if len(moves) else 1.0

@@ -315,11 +315,11 @@ def _bounded(name: str, cells: dict[str, Array]) -> str:
         wild = np.abs(cells[name]) > LARGEST
     if name == "segment" or not wild.any():
         return ""
-    said = f"{int(wild.sum())} of {len(wild)} cells of {name} are infinite or beyond {LARGEST:.0e}"
+    what = f"{int(wild.sum())} of {len(wild)} cells of {name} are infinite or beyond {LARGEST:.0e}"
     if wild.all() or name == "t":
-        raise UnreadableError(f"{said}: that is no measurement")
+        raise UnreadableError(f"{what}: that is no measurement")
     cells[name] = np.where(wild, np.nan, cells[name])
-    return f"{said} and were left out"
+    return f"{what} and were left out"
 
 
 def _dated(columns: TableColumns, index: int) -> Array | None:

@@ -80,7 +80,7 @@ class EllipsoidAccumulator:
         return self._fitted
 
     def rough(self) -> Ellipsoid | None:
-        """Whatever shape the samples so far give, an ellipsoid or a sphere; None: they give none."""
+        """A quick ellipsoid of the samples so far, or a sphere; None: they determine neither."""
         if self._count < FEWEST:
             return None
         samples = self._thinned()
@@ -100,7 +100,7 @@ class EllipsoidAccumulator:
         return found.moved(centre, scale)
 
     def coverage(self) -> Coverage:
-        """Directions of the field that were seen, judged by the shape of now."""
+        """Coverage of field directions so far, by the present ellipsoid."""
         shape = self.rough()
         if shape is None:
             return Coverage.empty()
@@ -123,6 +123,6 @@ class EllipsoidAccumulator:
 
 
 def directions_of(samples: Array, shape: Ellipsoid) -> Array:
-    """What `samples` (N, 3) are on the unit sphere by `shape`, (M, 3); one right at its centre has no direction."""
+    """Unit vectors (M, 3) of `samples` (N, 3) mapped by `shape`; a sample at its centre is left out."""
     directions = np.linalg.solve(shape.shape, (samples - shape.offset).T).T
     return np.asarray(directions[np.linalg.norm(directions, axis=1) > 0.0], dtype=np.float64)

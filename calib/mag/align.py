@@ -232,7 +232,7 @@ def _at_lag(
             f"{vertical.gravity:.4g}; its median is {np.median(length):.4g}): {FEWEST} are needed",
             remedy="turn the vehicle more slowly; check the unit and the calibration of the accelerometer",
         )
-    turning = turning_of(at, vertical, force) if search and vertical.timed else None
+    turning = turning_of(at, force, vertical.gyro_t, vertical.gyro) if search and vertical.timed else None
     down = -force[used] / length[used, None]
     field = samples[used]
     centre = field.mean(axis=0)

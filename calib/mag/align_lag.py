@@ -6,7 +6,6 @@ A rate of 1 rad/s turns ten milliseconds into 0.6 degrees, and a steady turn mak
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +21,6 @@ _WIDEST = 16  # samples to either side that a turn is taken over
 _LONGEST_LAG = 1.0  # s: a lag that is open by more is no lag
 
 
-class TurningVertical(Protocol):
-    """What :class:`calib.mag.align.Vertical` holds."""
-
-    @property
-    def gyro_t(self) -> Array | None:
-        """Times (K,) of the gyroscope."""
-
-    @property
-    def gyro(self) -> Array | None:
-        """Rates (K, 3), rad/s."""
-
-
 @dataclass(frozen=True, eq=False)
 class FieldLag:
     """Delay of the field behind the vertical, s, with its derivatives."""
@@ -44,14 +31,15 @@ class FieldLag:
     """(N, 2): derivatives of the whitened residuals."""
 
 
-def turning_of(at: Array, stream: TurningVertical, force: Array) -> Array | None:
+def turning_of(at: Array, force: Array, gyro_t: Array | None, gyro: Array | None) -> Array | None:
     """Rate of change (N, 3) of the unit vector down at the times `at`, 1/s; None: it hardly turns, or cannot be told.
 
-    With a gyroscope ``dg/dt = g x w``; without, the difference of its neighbours, as near as noise allows.
+    With rates `gyro` (K, 3), rad/s, at the times `gyro_t` (K,) it is ``dg/dt = g x w``. Without, it is the difference
+    of its neighbours, as near as noise allows.
     """
     down = -force / np.maximum(np.sqrt(np.einsum("ij,ij->i", force, force)), 1e-12)[:, None]
-    if stream.gyro is not None and stream.gyro_t is not None and len(stream.gyro) > 1:
-        rate = np.cross(down, interpolated(at, stream.gyro_t, stream.gyro))
+    if gyro is not None and gyro_t is not None and len(gyro) > 1:
+        rate = np.cross(down, interpolated(at, gyro_t, gyro))
         return rate if np.vdot(rate, rate) > len(rate) * _MOVES**2 else None
     reach = 1
     while 2 * reach + 1 < len(at) and reach <= _WIDEST:

@@ -121,7 +121,7 @@ def align(
 
 
 def misclosures(unknowns: Array, field: Array, down: Array) -> Array:
-    """What the two conditions leave (N, 2) of `field` and `down` as they are."""
+    """Misclosures (N, 2) of the two conditions, on the sphere and at the dip, for `field` and `down` as measured."""
     w = (field - unknowns[9:12]) @ unknowns[:9].reshape(3, 3).T
     return np.stack([np.sqrt(_dot(w, w)) - 1.0, _dot(down, w) - unknowns[12]], axis=1)
 

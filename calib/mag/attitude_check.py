@@ -23,7 +23,7 @@ _NORMAL = 1.4826  # sd of a normal variable over its median deviation
 
 
 def unusable_attitude(data: FlightInput, found: FlightEstimate, in_force: TriadModel, context: MagContext) -> str:
-    """Why the attitude is at fault, and not the compass; empty if it is not.
+    """A sentence that blames the logged attitude instead of the compass; empty: the attitude is usable.
 
     The Earth's field is as long in any attitude: a compass that reads one length is sound, and its correction too.
     """

@@ -220,7 +220,7 @@ def deblurred(samples: ArrayLike, rates: Rates, model: TriadModel) -> Array:
 
 
 def axes_of_gyro(directions: Array, rates: Rates) -> Array:
-    """Rotation (3, 3) from the gyro's axes to the compass's; the unit matrix where they lie as stated, or is not seen.
+    """Rotation (3, 3) from gyro to compass axes; the unit matrix where the data agree with the stated mounting.
 
     From sample to sample the field turns by ``du = u x (R phi)``, which is linear in R.
 

@@ -58,7 +58,7 @@ class MagContext:
             raise InvalidInputError(f"a quantisation bin cannot be {self.quantum} wide")
 
     def made(self, method: str, n_samples: int, movement: str = "") -> FitBuilder:
-        """What begins the result of a method from so many samples."""
+        """A builder for the result of a method with this number of samples."""
         return FitBuilder(
             method, Sensor.MAG, self.instance, self.unit, n_samples, self.relative, self.temperature, movement
         )

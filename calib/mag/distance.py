@@ -36,7 +36,7 @@ _LONGEST_STEP = 0.3  # of the smallest radius, a step: beyond it the linearisati
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """What one pass over the samples leaves behind; parameters as in :mod:`calib.mag.shape`."""
+    """Normal equations and sums of one pass over the samples; parameters as in :mod:`calib.mag.shape`."""
 
     information: Array
     """Sum of ``w J^T J``, (9, 9)."""
@@ -183,7 +183,7 @@ def _parameters_in_frame(frame: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A converged fit: `last` belongs to a point that is less than a thousandth of an sd away from `ellipsoid`."""
+    """A converged fit: `last` was computed within a thousandth of an sd of `ellipsoid`."""
 
     ellipsoid: Ellipsoid
     last: Pass

@@ -158,9 +158,11 @@ def estimated_soft_iron_sd(found: FlightEstimate) -> float:
     change = found.x[SHAPE] - found.prior.mean[SHAPE]
     values, vectors = np.linalg.eigh(inverse - np.eye(6) / SOFT_IRON_SD**2)
     values = np.clip(values, 0.0, None)
-    said = vectors.T @ (inverse @ change)
+    projected = vectors.T @ (inverse @ change)
     tried = np.geomspace(LEAST_SOFT_IRON_SD, SOFT_IRON_SD, 15)
-    evidence = [float((-0.5 * np.log1p(sd**2 * values) + 0.5 * said**2 / (values + 1.0 / sd**2)).sum()) for sd in tried]
+    evidence = [
+        float((-0.5 * np.log1p(sd**2 * values) + 0.5 * projected**2 / (values + 1.0 / sd**2)).sum()) for sd in tried
+    ]
     return float(tried[int(np.argmax(evidence))])
 
 

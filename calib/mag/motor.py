@@ -55,7 +55,7 @@ _SOFT_IRON_SD = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One way of driving the term: the fit, and what it predicts of the hidden stretches."""
+    """A fit of the motor term against one drive signal, with its prediction errors on held-out stretches."""
 
     drive: Drive | None
     found: FlightEstimate
@@ -71,12 +71,12 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """Over all hidden samples."""
+        """Mean square prediction error over all held-out samples."""
         return self.hidden.rms**2
 
     @property
     def hidden_rms(self) -> float:
-        """The same as a length, in the sensor's unit."""
+        """Root mean square prediction error, in the sensor's unit."""
         return self.hidden.rms
 
     @property
@@ -458,9 +458,9 @@ def _warnings(native: Mapping[str, Any], chosen: Candidate, none: Candidate, con
             "for a compass. Leave it out with --attitude gyro"
         )
     warnings += disagreement(native, context.unit)
-    for kind, told in native["candidates"].items():
+    for kind, candidate in native["candidates"].items():
         if kind != native["drive"] and native["proposed"]:
-            warnings.append(f"against {kind} instead, the motors add {terms_text(told)}")
+            warnings.append(f"against {kind} instead, the motors add {terms_text(candidate)}")
     if chosen.drive is not None and chosen.drive.kind == DriveKind.MOTORS:
         warnings.append("motor by motor: what a firmware can store of it is said with the export")
     return tuple(warnings)

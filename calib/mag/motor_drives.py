@@ -86,6 +86,6 @@ class Drive:
 
     @property
     def range(self) -> Array:
-        """How far each moved (p,), its extreme percents left out."""
+        """Range of each drive signal (p,), without the extreme percents."""
         low, high = np.percentile(self._slow(), (2.0, 98.0), axis=0)
         return np.asarray(high - low)

@@ -34,14 +34,14 @@ _RIDGE = 1e-3  # of the diagonal: keeps field and offset apart on a flight that 
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
-    """Lengths (N,) of the residuals of samples that the fit did not see, each in its block (N,)."""
+    """Lengths (N,) of held-out residuals, with the number of the block of each (N,)."""
 
     lengths: Array
     block: NDArray[np.intp]
 
     @classmethod
     def of(cls, lengths: Array, block: NDArray[np.intp]) -> Hidden:
-        """From all samples; a length far beyond the others counts as :data:`_CLIPPED` times their median."""
+        """Residual lengths of all samples, clipped at :data:`_CLIPPED` times their median."""
         return cls(np.minimum(lengths, _CLIPPED * float(np.median(lengths))), block)
 
     @property
@@ -55,7 +55,7 @@ class Hidden:
         return np.array([float((self.lengths[self.block == b] ** 2).mean()) for b in np.unique(self.block)])
 
     def gains_over(self, plain: Hidden) -> tuple[Array, Array]:
-        """By how much nearer than `plain` every stretch is in the mean (S,), and the sd of that (S,)."""
+        """Mean gain over `plain` in every stretch (S,), and its standard deviation (S,)."""
         nearer = plain.lengths - self.lengths
         gains, sds = [], []
         for blocks in np.array_split(np.unique(self.block), STRETCHES):

@@ -223,9 +223,9 @@ def find_orientation(
     samples = _Samples(down, field, turning, sine, effective)
     verdict, message = _verdict(candidates, order, squares, margin)
     small = _misalignment(samples, best.matrix)
-    fitted, freely, told = _by_any_angles(samples, candidates, squares, stated)
+    fitted, freely, reason = _by_any_angles(samples, candidates, squares, stated)
     if freely is not None:
-        verdict, message = freely, told
+        verdict, message = freely, reason
     matrix = fitted.matrix if fitted is not None and verdict == MountingVerdict.BY_ANGLES else best.matrix
     stated_sine = sine if sine is not None else float(np.median(np.einsum("ni,ij,nj->n", down, matrix, field)))
     if verdict == MountingVerdict.ROTATED and sine is None:

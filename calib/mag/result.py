@@ -41,7 +41,7 @@ _IMPLAUSIBLE: Final = 0.35  # of the Earth's field: as far off the health of a l
 
 @dataclass(frozen=True, eq=False)
 class CompassFit:
-    """A correction that may be used, as its method found it."""
+    """A usable correction with its covariance and diagnostics, before the checks that all methods share."""
 
     method: str
     model: TriadModel

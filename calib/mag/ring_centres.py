@@ -42,7 +42,7 @@ class Ring:
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """A ring in the corrected space: its centre there (3,), radius, and what every sample says of the centre."""
+    """Circle fitted to a ring of corrected samples: centre (3,), radius, and how each sample moves the centre."""
 
     centre: Array
     radius: float

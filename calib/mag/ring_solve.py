@@ -61,7 +61,7 @@ class RingsFit:
 
     @property
     def closure(self) -> Array:
-        """What the centres leave (K, 3): the middles of the three pairs disagree by it."""
+        """Residuals (K, 3) of the ring centres: how far the midpoints of the three pairs disagree."""
         return np.asarray(self.centres - self.offset - self.faces @ self.columns.T, dtype=np.float64)
 
     def residuals_by_ring(self) -> list[Array]:

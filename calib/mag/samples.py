@@ -110,7 +110,7 @@ def still_stretches(samples: Array, step: float) -> NDArray[np.intp]:
 
 
 def counted_as(samples: Array, starts: NDArray[np.intp], step: float) -> Array:
-    """How many independent readings each stretch is worth, (M,): one at least, all of its readings at most.
+    """Number of independent readings in each stretch, (M,): from one to all of its readings.
 
     Rounding is white noise only where something moves the field across the steps. Held still, a sensor repeats one
     rounding error. With noise of sigma steps and the value anywhere within a step, the error that all readings share

@@ -36,7 +36,7 @@ def variance_inflation(series: Array) -> float:
 
 
 def weakened_information(information: Array, rows: Array, residuals: Array) -> tuple[Array, float]:
-    """`information` (p, p) of a least squares fit, less what is correlated in time; and the largest factor.
+    """`information` (p, p) of a least squares fit reduced for serial correlation, and the largest factor.
 
     The error of the estimate is a sum of scores ``J_k r_k``, not of residuals. A misfit that the movement keeps turning
     through the parameters therefore costs less than one that sits still. Each of the p eigenvectors of the information,
@@ -57,7 +57,7 @@ def weakened_information(information: Array, rows: Array, residuals: Array) -> t
 
 
 def widened_scatter(scatter: Array, rows: Array, residuals: Array) -> tuple[Array, float]:
-    """The covariance `scatter` (p, p) of the sum of scores ``rows_k r_k``, widened likewise; and the largest factor."""
+    """Covariance `scatter` (p, p) of the sum of scores ``rows_k r_k`` widened likewise, and the largest factor."""
     values, directions, factors = _score_factors(scatter, rows, residuals)
     widened = (directions * (values * factors)) @ directions.T
     return 0.5 * (widened + widened.T), float(factors.max())

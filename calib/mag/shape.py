@@ -46,7 +46,7 @@ def six_numbers(matrix: Array) -> Array:
 
 
 class MagModel(StrEnum):
-    """What of an ellipsoid is free."""
+    """Which parameters of an ellipsoid are fitted."""
 
     OFFSET = "offset"  # a sphere: offset and one radius
     DIAGONAL = "diagonal"  # three radii along the sensor's axes

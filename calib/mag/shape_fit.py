@@ -43,7 +43,7 @@ class Asked:
 
     @property
     def terms(self) -> ShapeTerms:
-        """What the minimisation needs of it."""
+        """Free parameters and prior for the minimisation."""
         return ShapeTerms(self.model, self.prior_sd, self.cross_sd)
 
 

@@ -38,7 +38,7 @@ _CAUSES: Final = 3  # the blur, and the lag of two axes behind the third
 
 @dataclass(frozen=True, eq=False)
 class TurningField:
-    """How the field turned in a compass that was read too slowly, at those samples whose neighbours tell it."""
+    """Rotation of the field between readings of a slowly sampled compass, where neighbouring samples determine it."""
 
     rows: NDArray[np.intp]
     """Which of the samples these are, (M,)."""

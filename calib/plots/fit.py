@@ -65,8 +65,8 @@ def plotted(fit: PlottedFit, channel: PlottedChannel | None, temperature: ArrayL
     """The picture of :meth:`calib.fit.FitResult.plot`."""
     if channel is not None:
         _check(fit, channel)
-    said = "" if "adev" in fit.native else ": before and after"
-    return sheet(_panels(fit, channel, temperature), f"{name_of(fit.sensor, fit.instance)} by {fit.method}{said}")
+    suffix = "" if "adev" in fit.native else ": before and after"
+    return sheet(_panels(fit, channel, temperature), f"{name_of(fit.sensor, fit.instance)} by {fit.method}{suffix}")
 
 
 def _panels(fit: PlottedFit, channel: PlottedChannel | None, temperature: ArrayLike | None) -> list[Picture]:

@@ -85,9 +85,9 @@ def _effect_names(series: PlottedSeries) -> str:
     """The effects, as many as there is room for."""
     names = list(series.parts) or ["no effect"]
     for count in range(len(names), 1, -1):
-        told = ", ".join(names[:count]) + (f" and {len(names) - count} more" if count < len(names) else "")
-        if len(told) <= _LONGEST:
-            return told
+        text = ", ".join(names[:count]) + (f" and {len(names) - count} more" if count < len(names) else "")
+        if len(text) <= _LONGEST:
+            return text
     return names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
 
 

@@ -144,8 +144,8 @@ class Report:
         named = {v: [c.id.value for c in self.checks if c.verdict == v] for v in Verdict}
         if self.verdict == Verdict.PASS:
             return f"All {len(self.checks)} checks pass: this vehicle would arm now."
-        said = [f"{', '.join(ids)} {one if len(ids) == 1 else more}" for v, one, more in _WORDS if (ids := named[v])]
-        return f"{len(named[Verdict.PASS])} of {len(self.checks)} checks pass; {'; '.join(said)}."
+        phrases = [f"{', '.join(ids)} {one if len(ids) == 1 else more}" for v, one, more in _WORDS if (ids := named[v])]
+        return f"{len(named[Verdict.PASS])} of {len(self.checks)} checks pass; {'; '.join(phrases)}."
 
     def check(self, of: CheckId) -> Check:
         """The check of that id."""
@@ -172,7 +172,7 @@ def judged(of: CheckId, measures: Sequence[Measure], *, good: str, remedy: str, 
     worst = max(measures, key=_badness)
     verdict = worst.verdict
     evidence = (*(m.text for m in measures), *notes)
-    said = {
+    reasons = {
         Verdict.PASS: good,
         Verdict.WARN: f"{_number(worst)}: beyond the limit of {worst.limit:g} {worst.unit}, not beyond doubt.",
         Verdict.FAIL: f"{_number(worst)}: beyond the limit of {worst.limit:g} {worst.unit}.",
@@ -180,7 +180,7 @@ def judged(of: CheckId, measures: Sequence[Measure], *, good: str, remedy: str, 
     }
     bad = verdict in (Verdict.WARN, Verdict.FAIL)
     help_ = "" if verdict == Verdict.PASS else worst.remedy or remedy
-    reason = f"{said[verdict]} {worst.witness}" if bad and worst.witness else said[verdict]
+    reason = f"{reasons[verdict]} {worst.witness}" if bad and worst.witness else reasons[verdict]
     suspects = worst.suspects if bad else ()
     return Check(of, verdict, worst.value, worst.sd, worst.limit, worst.unit, reason, help_, evidence, suspects)
 

@@ -137,8 +137,8 @@ def compass_direction(
     measures = blamed(headings, followed=followed)
     if not measures:
         why = "Nothing is left to compare with." if judgeable else "Every compass is left out."
-        said = notes[len(compasses) :]
-        return unknown(of, f"{why} {'; '.join(said)}.", _MAGNET, notes)
+        texts = notes[len(compasses) :]
+        return unknown(of, f"{why} {'; '.join(texts)}.", _MAGNET, notes)
     good = _agreed(len(judgeable), max(installed, len(compasses)), field, upright)
     return judged(of, measures, good=good, remedy=_MOUNT, notes=notes)
 

@@ -81,12 +81,12 @@ def ids_changed(snapshot: Snapshot) -> dict[Sensor, tuple[str, ...]]:
         if not then:
             there = then  # ArduPilot keeps an id only once the calibration is stored: none was known yet
         gone = sorted(then - there) if there and snapshot.complete else []  # an id that was not read is not gone
-        said = [f"{sensor} {device} was verified and is gone" for device in gone]
-        said += [f"{sensor} {device} was never verified" for device in sorted(there - then)]
+        texts = [f"{sensor} {device} was verified and is gone" for device in gone]
+        texts += [f"{sensor} {device} was never verified" for device in sorted(there - then)]
         if None not in (entry.uid, snapshot.identity.uid) and entry.uid != snapshot.identity.uid:
-            said.append(f"{sensor} was verified on the autopilot {entry.uid}, and this is {snapshot.identity.uid}")
-        if said:
-            found[sensor] = tuple(said)
+            texts.append(f"{sensor} was verified on the autopilot {entry.uid}, and this is {snapshot.identity.uid}")
+        if texts:
+            found[sensor] = tuple(texts)
     return found
 
 
@@ -101,17 +101,17 @@ def sensor_check(snapshot: Snapshot) -> Check:
     """Device ids against those of the last verified calibration."""
     if not last_of_each(snapshot.history):
         return unknown(CheckId.SENSOR_IDS, _NONE_KNOWN, _CALIBRATE)
-    said = [line for lines in ids_changed(snapshot).values() for line in lines]
+    texts = [line for lines in ids_changed(snapshot).values() for line in lines]
     good = _UNCHANGED.get(snapshot.identity.autopilot or "", "Every sensor is the one that was calibrated.")
     remedy = "Calibrate the sensors that are new: the calibration of another part does not fit them."
     ids = sensor_ids(snapshot.identity.autopilot, snapshot.parameters)
     notes = [f"{sensor} {i + 1} has the device id {device}" for (sensor, i), device in sorted(ids.items())]
     notes.append(f"unique id of the autopilot: {snapshot.identity.uid or 'not said'}")
     notes += _compared(snapshot)
-    if not said and not snapshot.complete:
+    if not texts and not snapshot.complete:
         reason = "The device ids could not all be read in time, and those that were are as verified."
         return unknown(CheckId.SENSOR_IDS, reason, "Check again on a faster link.", notes)
-    return _counted(CheckId.SENSOR_IDS, said, "sensors", good, remedy, notes)
+    return _counted(CheckId.SENSOR_IDS, texts, "sensors", good, remedy, notes)
 
 
 def changes(snapshot: Snapshot) -> tuple[Changed, ...]:
@@ -142,22 +142,22 @@ def parameters_changed(snapshot: Snapshot) -> Check:
     if not last_of_each(snapshot.history):
         return unknown(CheckId.PARAMETERS_CHANGED, _NONE_KNOWN, _CALIBRATE)
     found = changes(snapshot)
-    said = [change.text for change in found]
+    texts = [change.text for change in found]
     wanted = _expected(snapshot)
     notes = (f"{len(wanted.values)} parameters compared", *wanted.moved, *wanted.missing, *_compared(snapshot))
-    if not said and not snapshot.complete:
+    if not texts and not snapshot.complete:
         reason = "The parameters could not all be read in time, and those that were are as verified."
         return unknown(CheckId.PARAMETERS_CHANGED, reason, "Check again on a faster link.", notes)
     if found and _levelled(found):
-        reason = f"The level was saved on the vehicle since it was verified: {'; '.join(said)}."
+        reason = f"The level was saved on the vehicle since it was verified: {'; '.join(texts)}."
         return Check(
-            *(CheckId.PARAMETERS_CHANGED, Verdict.WARN, float(len(said)), 0.0, 0.0, "", reason),
+            *(CheckId.PARAMETERS_CHANGED, Verdict.WARN, float(len(texts)), 0.0, 0.0, "", reason),
             "Calibrate the level here to have it verified, or restore the last verified calibration.",
-            (*said, *notes),
+            (*texts, *notes),
         )
     good = "Every calibration parameter is as it was verified."
     remedy = "Restore the last verified calibration, or calibrate again."
-    return _counted(CheckId.PARAMETERS_CHANGED, said, "parameters", good, remedy, notes)
+    return _counted(CheckId.PARAMETERS_CHANGED, texts, "parameters", good, remedy, notes)
 
 
 def _levelled(found: Sequence[Changed]) -> bool:
@@ -165,11 +165,11 @@ def _levelled(found: Sequence[Changed]) -> bool:
     return all(change.name.startswith(LEVEL) for change in found) and any(change.now for change in found)
 
 
-def _counted(of: CheckId, said: Sequence[str], what: str, good: str, remedy: str, notes: Sequence[str]) -> Check:
-    if not said:
+def _counted(of: CheckId, texts: Sequence[str], what: str, good: str, remedy: str, notes: Sequence[str]) -> Check:
+    if not texts:
         return Check(of, Verdict.PASS, 0.0, 0.0, 0.0, "", good, evidence=tuple(notes))
-    reason = f"{len(said)} {what} are not as verified: {'; '.join(said[:3])}{' …' if len(said) > 3 else ''}."
-    return Check(of, Verdict.FAIL, float(len(said)), 0.0, 0.0, "", reason, remedy, (*said, *notes))
+    reason = f"{len(texts)} {what} are not as verified: {'; '.join(texts[:3])}{' …' if len(texts) > 3 else ''}."
+    return Check(of, Verdict.FAIL, float(len(texts)), 0.0, 0.0, "", reason, remedy, (*texts, *notes))
 
 
 def _compared(snapshot: Snapshot) -> tuple[str, ...]:

@@ -123,10 +123,10 @@ def sensors_heard(found: Census, announced: Mapping[Key, Announced], *, complete
     notes += [f"{name} is announced, and neither firmware streams so many" for name in found.beyond]
     notes += [*found.thin.values(), *found.left_over.values()]
     if found.dead:
-        said = list(found.dead.values())
-        reason = f"{'; '.join(f'{line[:1].upper()}{line[1:]}' for line in said)}."
+        texts = list(found.dead.values())
+        reason = f"{'; '.join(f'{line[:1].upper()}{line[1:]}' for line in texts)}."
         suspects = tuple(_name(key) for key in sorted(found.dead))
-        return Check(of, Verdict.FAIL, float(len(said)), 0.0, 0.0, "", reason, _POWER, (*said, *notes), suspects)
+        return Check(of, Verdict.FAIL, float(len(texts)), 0.0, 0.0, "", reason, _POWER, (*texts, *notes), suspects)
     if found.thin:
         reason = f"The link brought too little: {'; '.join(found.thin.values())}. This says nothing of the sensors."
         return unknown(of, reason, _LINK, notes)
@@ -135,10 +135,10 @@ def sensors_heard(found: Census, announced: Mapping[Key, Announced], *, complete
         return unknown(of, reason, _LINK, notes)
     settled = {key: why for key, why in found.left_over.items() if not announced[key].presumed}
     if settled:
-        said = list(settled.values())
-        reason = f"{'; '.join(f'{line[:1].upper()}{line[1:]}' for line in said)}: it is dead, or its row is left over."
+        texts = list(settled.values())
+        reason = f"{'; '.join(f'{line[:1].upper()}{line[1:]}' for line in texts)}: it is dead, or its row is left over."
         suspects = tuple(_name(key) for key in sorted(settled))
-        return Check(of, Verdict.WARN, float(len(said)), 0.0, 0.0, "", reason, _ROW, (*said, *notes), suspects)
+        return Check(of, Verdict.WARN, float(len(texts)), 0.0, 0.0, "", reason, _ROW, (*texts, *notes), suspects)
     if not found.alive:
         return unknown(of, "No sensor is announced, and none was heard.", "Look at the link.", notes)
     still = sorted(key for key in found.constant if key[0] == Sensor.MAG)

@@ -13,7 +13,7 @@ import numpy as np
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import calibration_names
-from mavcal.calib.firmware.compose.ardupilot import mark_calibrated
+from mavcal.calib.firmware.compose.ardupilot_mark import mark_calibrated
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.px4_memory import Vector, set_vector
 from mavcal.calib.firmware.names import (
@@ -136,7 +136,7 @@ class _Restoration:
         self._wanted, self._parameters, self._kinds = wanted, parameters, kinds
         self._fingerprint, self._options = fingerprint, options
         self._draft = Draft(parameters, options)
-        self._said: list[str] = []
+        self._reasons: list[str] = []
         asked = options.only
         self._left_out = {
             Subject(out.sensor, out.instance): out.reason
@@ -155,12 +155,12 @@ class _Restoration:
         accels = {w.about.instance for w in values if w.about is not None and w.about.sensor == Sensor.ACCEL}
         changed = [change for change in self._draft.changes if change.sensor == Sensor.ACCEL]
         if self._fingerprint.autopilot == "ardupilot" and changed:
-            mark_calibrated(self._draft, accels)
-        for text in (*self._wanted.moved, *self._wanted.missing, *self._said):
+            mark_calibrated(self._draft, Sensor.ACCEL, accels)
+        for text in (*self._wanted.moved, *self._wanted.missing, *self._reasons):
             self._draft.warn(text)
-        nothing = not values or (not self._draft.changes and bool(self._said))
+        nothing = not values or (not self._draft.changes and bool(self._reasons))
         if nothing and not self._draft.changes:
-            why = "; ".join((*self._wanted.missing, *self._said)) or "none of these sensors was verified"
+            why = "; ".join((*self._wanted.missing, *self._reasons)) or "none of these sensors was verified"
             self._draft.block(f"nothing can be restored: {why}")
         left = sorted(self._left_out.items(), key=lambda item: (item[0].sensor, item[0].instance))
         out = [LeftOut(about.sensor, about.instance, reason) for about, reason in left]
@@ -178,7 +178,7 @@ class _Restoration:
         for about, absent in lost.items():
             whole = f"{about} is left out" if about in out else f"{', '.join(absent)} cannot be put back"
             why = f"the vehicle does not have {', '.join(absent[:3])} any more"
-            self._said.append(f"{whole}: {why}")
+            self._reasons.append(f"{whole}: {why}")
             if about is not None:
                 self._left_out.setdefault(about, why if about in out else f"{whole}: {why}")
         for wanted in self._wanted.values:
@@ -194,7 +194,7 @@ class _Restoration:
                     "no device ids say which one is which, then or now. Restart the vehicle, so that it registers its "
                     "sensors, and try again"
                 )
-                self._said.append(f"every {sensor} is left out: {why}")
+                self._reasons.append(f"every {sensor} is left out: {why}")
                 for each in about:
                     self._left_out.setdefault(each, why)
             yield from about

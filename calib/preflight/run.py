@@ -93,7 +93,7 @@ def preflight(snapshot: Snapshot) -> Report:
 
 def _without_sensor(there: Census, found: list[Check]) -> list[Check]:
     """Checks without a sensor: a link failure counts for no sensor, and a dead sensor is reported once."""
-    told: dict[CheckId, tuple[str, str]] = {}
+    reasons: dict[CheckId, tuple[str, str]] = {}
     for kind, checks in _ABOUT.items():
         dead = [why for (of, _), why in there.dead.items() if of == kind]
         thin = [why for (of, _), why in there.thin.items() if of == kind]
@@ -101,11 +101,11 @@ def _without_sensor(there: Census, found: list[Check]) -> list[Check]:
             continue
         reason = f"No {WORDS[kind][0]} could be judged: {'; '.join([*dead, *thin])}."
         if dead:
-            said = (f"{reason} This follows from {CheckId.SENSORS_HEARD}, which failed.", _MEND)
+            cause = (f"{reason} This follows from {CheckId.SENSORS_HEARD}, which failed.", _MEND)
         else:
-            said = (f"{reason} That is the link's fault.", "Check again over a better link.")
-        told |= dict.fromkeys(checks, said)
-    return [unknown(c.id, *told[c.id]) if c.id in told and c.verdict == Verdict.UNKNOWN else c for c in found]
+            cause = (f"{reason} That is the link's fault.", "Check again over a better link.")
+        reasons |= dict.fromkeys(checks, cause)
+    return [unknown(c.id, *reasons[c.id]) if c.id in reasons and c.verdict == Verdict.UNKNOWN else c for c in found]
 
 
 def _still(there: Census, found: list[Check]) -> list[Check]:
@@ -135,13 +135,13 @@ def _followed(autopilot: str, parameters: Mapping[str, Value], installed: Mappin
 
 def _undisturbed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
     """A sensor that was recalibrated during the check, say by PX4 at rest, gets no verdict."""
-    said: dict[CheckId, str] = {}
+    changed: dict[CheckId, str] = {}
     for name in snapshot.rewritten:
         sensor = history.sensor_of(name)
         if sensor is not None:
-            said |= dict.fromkeys(_ABOUT[sensor], f"{name} changed while the vehicle was looked at.")
+            changed |= dict.fromkeys(_ABOUT[sensor], f"{name} changed while the vehicle was looked at.")
     bad = (Verdict.FAIL, Verdict.WARN, Verdict.UNKNOWN)
-    return [unknown(c.id, said[c.id], "Check again.") if c.id in said and c.verdict in bad else c for c in found]
+    return [unknown(c.id, changed[c.id], "Check again.") if c.id in changed and c.verdict in bad else c for c in found]
 
 
 def _attributed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
@@ -185,7 +185,7 @@ class _Kind:
 def _means(snapshot: Snapshot, there: Census, sensor: Sensor) -> _Kind:
     """What every living instance read, and sentences on the others."""
     means: dict[int, Mean] = {}
-    silent = [why for said in (there.dead, there.thin) for (kind, _), why in sorted(said.items()) if kind == sensor]
+    silent = [why for texts in (there.dead, there.thin) for (kind, _), why in sorted(texts.items()) if kind == sensor]
     for instance in sorted(there.of(sensor)):
         mean = mean_at_rest(snapshot.recording, sensor, instance)
         if isinstance(mean, Silent):

@@ -81,10 +81,10 @@ def arming_checks(autopilot: str, parameters: Mapping[str, Value], *, complete: 
     known = [name for name in PARAMETERS.get(autopilot, ()) if name in parameters]
     if not known:
         return unknown(of, "No parameter tells whether the vehicle checks itself before arming.")
-    said, read = switched_off(autopilot, parameters), [f"{name} = {shown(parameters[name], 6)}" for name in known]
-    if said:
-        reason = f"The vehicle does not check all of itself before arming: {'; '.join(said)}. Disabled is not pass."
-        return Check(of, Verdict.WARN, None, None, None, "", reason, "Switch the checks on again.", (*said, *read))
+    off, read = switched_off(autopilot, parameters), [f"{name} = {shown(parameters[name], 6)}" for name in known]
+    if off:
+        reason = f"The vehicle does not check all of itself before arming: {'; '.join(off)}. Disabled is not pass."
+        return Check(of, Verdict.WARN, None, None, None, "", reason, "Switch the checks on again.", (*off, *read))
     if not complete and len(known) < len(PARAMETERS[autopilot]):
         return unknown(of, "Not every arming parameter could be read in time.", "Check again on a faster link.", read)
     return Check(of, Verdict.PASS, None, None, None, "", "No arming check is switched off.", evidence=tuple(read))
@@ -93,22 +93,22 @@ def arming_checks(autopilot: str, parameters: Mapping[str, Value], *, complete: 
 def switched_off(autopilot: str, parameters: Mapping[str, Value]) -> list[str]:
     """Sentences on every check that a parameter switches off."""
     value = {name: int(parameters[name]) for name in PARAMETERS.get(autopilot, ()) if name in parameters}
-    said = []
+    off = []
     if autopilot == "ardupilot":
         if value.get("ARMING_CHECK", _ALL_CHECKS) != _ALL_CHECKS:
-            said.append(f"ARMING_CHECK is {value['ARMING_CHECK']}, 1 is everything")
+            off.append(f"ARMING_CHECK is {value['ARMING_CHECK']}, 1 is everything")
         if value.get("ARMING_SKIPCHK", 0) != 0:
-            said.append(f"ARMING_SKIPCHK is {value['ARMING_SKIPCHK']}, 0 skips nothing")
+            off.append(f"ARMING_SKIPCHK is {value['ARMING_SKIPCHK']}, 0 skips nothing")
         if value.get("COMPASS_ENABLE", 1) == 0:
-            said.append("COMPASS_ENABLE is 0")
+            off.append("COMPASS_ENABLE is 0")
     else:
         if value.get("COM_ARM_MAG_STR", 1) == 0:
-            said.append("COM_ARM_MAG_STR is 0: the strength of the field is not checked")
+            off.append("COM_ARM_MAG_STR is 0: the strength of the field is not checked")
         if value.get("COM_ARM_MAG_ANG", 60) < 0:
-            said.append("COM_ARM_MAG_ANG is negative: compasses are not compared")
+            off.append("COM_ARM_MAG_ANG is negative: compasses are not compared")
         if value.get("SYS_HAS_MAG", 1) == 0:
-            said.append("SYS_HAS_MAG is 0")
-    return said
+            off.append("SYS_HAS_MAG is 0")
+    return off
 
 
 def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value], failed: Sequence[CheckId]) -> Check:
@@ -135,8 +135,8 @@ def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value
 
 def agrees_soon(autopilot: str, prearm: Check, texts: Sequence[str]) -> bool:
     """Whether waiting may help: ArduPilot calls its IMUs inconsistent, and no check of ours explains that."""
-    said = any(words in text.lower() for text in texts for words in _AGREEING)
-    return autopilot == "ardupilot" and prearm.verdict == Verdict.FAIL and said
+    disagrees = any(words in text.lower() for text in texts for words in _AGREEING)
+    return autopilot == "ardupilot" and prearm.verdict == Verdict.FAIL and disagrees
 
 
 def _bits(view: OwnView) -> tuple[str, ...]:

@@ -108,7 +108,7 @@ class AccelProcedure(TickedProcedure):
             self._update_prompt(verdict, direction)
 
     def _direction(self) -> Array | None:
-        """The body direction that points down, as the first accelerometer has it."""
+        """Direction of down in the body (3,), from the first accelerometer that shows gravity; None: none does."""
         return down_direction(self._watch, self._body, self.present(Sensor.ACCEL))
 
     def _on_movement(self, verdict: StillnessVerdict) -> None:

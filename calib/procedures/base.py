@@ -106,7 +106,7 @@ class TickedProcedure(ABC):
 
     @abstractmethod
     def _on_start(self, present: set[Instance]) -> None:
-        """The roster is settled."""
+        """Called once, when the sensors that take part are known."""
 
     @abstractmethod
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
@@ -114,16 +114,16 @@ class TickedProcedure(ABC):
 
     @abstractmethod
     def _missing(self) -> tuple[str, str]:
-        """What is missing for the goal, and how to get it."""
+        """Cause and remedy, in words, while the goal is not reached."""
 
     def _at_end(self) -> None:  # noqa: B027 - most have nothing to do then
-        """The data end: finish with what there is, where that is enough."""
+        """Called at the end of the samples: finish if they are enough."""
 
     def _on_answer(self, value: str) -> None:
         raise ProcedureError(f"the {self.spec.kind} procedure takes no answers")
 
     def _on_dropout(self, instance: Instance) -> None:
-        """An instance fell out; the operator is warned already."""
+        """Called when a sensor stops taking part; the operator is warned already."""
         self._watch.drop(instance)
 
     # -- what a procedure says -------------------------------------------------------------------------------------

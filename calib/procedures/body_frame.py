@@ -59,7 +59,7 @@ def in_sensor(fit: FitResult, body_from_sensor: Array, **changes: Any) -> FitRes
 
 
 def _turned_names(fit: FitResult, R: Array) -> dict[str, str]:
-    """What is undetermined in the sensor's axes: every entry that an undetermined one of the body's reaches."""
+    """Undetermined parameters in sensor axes: all to which an undetermined one of the body contributes."""
     found: dict[str, str] = {}
     for name in fit.undetermined:
         text = fit.movements.get(name, "")

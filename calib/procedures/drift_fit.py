@@ -47,7 +47,7 @@ class DriftPool:
                 self._cells[sensor, unit].add(channel, span)
 
     def data(self, sensor: Sensor, instance: int) -> tuple[DriftData, NDArray[np.intp]]:
-        """What a fit of that sensor takes, and the still span of each of its rows."""
+        """Drift data of one sensor, and the number of the still span of each row."""
         cells, thermometer = self._cells[sensor, instance], self._thermometers[instance]
         table = cells.table()
         data = cells.data(thermometer.at(table.time))
@@ -96,7 +96,7 @@ def fit_posed(
 
 @dataclass(frozen=True, eq=False)
 class PoseOffsets:
-    """Samples without the offset of each pose, and the covariance that the unknown offsets add."""
+    """Samples with each pose's offset removed, and the covariance that estimating these offsets adds."""
 
     lowered: DriftData
     steps: Array  # (K, 3) offset of each pose less that of the last
@@ -124,7 +124,7 @@ class PoseOffsets:
 
     @property
     def loss(self) -> float:
-        """Largest factor by which the unknown poses raise the variance of a combination of the curve's terms."""
+        """Largest factor by which unknown poses increase the variance of a combination of the coefficients."""
         half = np.linalg.solve(np.linalg.cholesky(self.plain), np.linalg.cholesky(self.posed))
         return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]))
 

@@ -12,7 +12,7 @@ from mavcal.calib.triad import TriadModel
 
 
 def in_force(context: ProcedureContext, sensor: Sensor, instance: int) -> TriadModel | None:
-    """The correction that the vehicle applies, raw to corrected body frame. None: parameters are missing.
+    """Correction in force, from raw sensor frame to corrected body frame; None: its parameters are missing.
 
     Without parameters, or of an unknown autopilot, raw and corrected are taken as the same.
     """

@@ -177,7 +177,7 @@ class GyroProcedure(TickedProcedure):
 
     @property
     def _offset_sd(self) -> float:
-        """Standard deviation of the worst offset, rad/s: what its spread allows, or the last fit if that is worse."""
+        """Standard deviation of the worst offset, rad/s: by the scatter, or by the last fit if that is larger."""
         return max(self._quick, self._best) if math.isfinite(self._best) else self._quick
 
     def _missing(self) -> tuple[str, str]:
@@ -219,7 +219,7 @@ class Spread:
 
 
 class FieldWatch:
-    """The compasses' view of a turn: a field that has changed since the rest began."""
+    """Detects a turn by compass: a mean field that has changed since the rest began."""
 
     def __init__(self) -> None:
         self.seen = False

@@ -38,7 +38,7 @@ LEAST_NOISE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """How the body moved at the times of a chunk of compass samples: rates over their window, force and rate then."""
+    """Motion of the body at the times of compass samples: rates over their window, specific force, and rate."""
 
     rates: Rates
     force: Array  # (N, 3) corrected specific force, body

@@ -127,7 +127,7 @@ class StillnessVerdict:
 
 
 class _Excess(NamedTuple):
-    """How far beyond its bound something is (above 1: not still), and in words."""
+    """Ratio of a disturbance to its bound (above 1: not still), with its text and kind."""
 
     ratio: float
     why: str
@@ -145,7 +145,7 @@ class StillWatch:
         """Statistics of the last tick."""
 
     def drop(self, instance: Instance) -> None:
-        """Look at this instance no more."""
+        """Stop judging this sensor."""
         self._references.pop(instance, None)
         self.latest.pop(instance, None)
 

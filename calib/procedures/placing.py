@@ -32,12 +32,12 @@ class Facing:
 
     @property
     def square(self) -> bool:
-        """Whether it may be meant to be this face."""
+        """Whether the vehicle lies square enough to count as on this face."""
         return self.off <= SQUARE_WITHIN
 
 
 def down_direction(watch: StillWatch, body: Mapping[int, Array], instances: Iterable[int]) -> Array | None:
-    """The body direction (3,) that points down, as the first of `instances` has it; None: none shows gravity.
+    """Direction of down in the body (3,), from the first of `instances` that shows gravity; None: none does.
 
     `body` are the rotations from the raw frame of every accelerometer to the body.
     """

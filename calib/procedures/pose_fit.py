@@ -1,4 +1,4 @@
-"""The accelerometer fits of a set of poses, and what they say: enough, another pose, or which one to take again."""
+"""Fits the accelerometers to a set of poses, and decides: enough, another pose, or which pose to repeat."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses: recognised from gravity, counted, and the next one that would tell most."""
+"""Poses: recognised from gravity, counted, and the next one that carries most information."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a procedure says and hears: prompts and progress as data, answers as data.
+"""Prompts, progress, results and answers of a procedure, as data.
 
 A procedure is fed chunks of raw recording (calibration in force undone) in the order of the vehicle's clock. It never
 looks at another clock, so a live job, a replayed .tlog and a test are one code path.
@@ -10,11 +10,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.fit import FitResult
-from mavcal.calib.recording import Recording
 
 
 class Pose(StrEnum):
@@ -166,21 +165,3 @@ class GaveUp:
 
 
 Step = Prompt | Progress | Done | GaveUp
-
-
-class Procedure(Protocol):
-    """One run of one procedure; fed until it says :class:`Done` or :class:`GaveUp`."""
-
-    def feed(self, chunk: Recording) -> tuple[Step, ...]:
-        """Take the next raw samples; return what changed (a prompt only when it differs from the last one)."""
-        ...
-
-    def answer(self, value: str) -> tuple[Step, ...]:
-        """Take an operator's answer, one of the last prompt's `answers`.
-
-        Raises
-        ------
-        ProcedureError
-            If the present prompt does not accept it.
-        """
-        ...

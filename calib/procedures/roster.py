@@ -1,4 +1,4 @@
-"""Which channel speaks for which sensor instance, and which instances fall out on the way."""
+"""Chooses the channel of every sensor instance, and detects instances that stop or freeze."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ NAMES = {Sensor.ACCEL: "accelerometer", Sensor.GYRO: "gyro", Sensor.MAG: "compas
 
 
 def label(sensor: Sensor, instance: int) -> str:
-    """How an operator calls it: instances count from 1 on every ground station's screen.
+    """Name of a sensor for operators, whose ground stations count from 1.
 
     >>> label(Sensor.MAG, 0)
     'compass 1'

@@ -1,4 +1,4 @@
-"""What a procedure is before it runs: its options, what it needs, ends on, writes and cannot represent.
+"""Specification of a procedure: its options, needs, goal, what it writes, and what it cannot represent.
 
 The specifications are the one place of these facts: the service validates options with them, a panel shows them, and
 ``docs/procedures.md`` is generated from them (:mod:`calib.procedures.table`).

@@ -253,8 +253,8 @@ def _chi2(
     chi2 = float(solution.residuals @ solution.residuals + off @ inner @ off + pulled.sum())
     free = [i for i in range(len(off)) if i not in unknown]
     known_before = int((problem.prior[free] > 0).sum())
-    told_within = 3 * problem.degree if problem.within.n else 0
-    return chi2, len(problem.means) + known_before + told_within - len(free)
+    within_poses = 3 * problem.degree if problem.within.n else 0
+    return chi2, len(problem.means) + known_before + within_poses - len(free)
 
 
 def _model(

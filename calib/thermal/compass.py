@@ -140,8 +140,8 @@ def _message(found: Sequence[_Pose], repeats: NDArray[np.bool_], slopes: Array, 
     where = f"over {low:.1f} to {high:.1f} degC in {len(found)} pose{'s' if len(found) > 1 else ''}"
     listed = ", ".join(f"{a} {k:.3g} +- {s:.1g}" for a, k, s in zip(AXES, slopes, sd, strict=True))
     kept = ", ".join(a for a, ok in zip(AXES, repeats, strict=True) if ok)
-    said = f"{kept} repeat" if kept else "no axis is shown to repeat"
-    return f"slopes {where}: {listed} {unit}/degC; {said}"
+    which = f"{kept} repeat" if kept else "no axis is shown to repeat"
+    return f"slopes {where}: {listed} {unit}/degC; {which}"
 
 
 def _warnings(found: Sequence[_Pose], repeats: NDArray[np.bool_], unit: str) -> list[str]:

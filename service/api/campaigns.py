@@ -8,35 +8,32 @@ from functools import partial
 from typing import Annotated, Literal
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import (
+from mavcal.service.api.jobs import JobDep
+from mavcal.service.api.models.campaigns import (
     CalibrationCampaignRequest,
     FitCampaignRequest,
     GapCampaignRequest,
     ItemModel,
-    JobModel,
     PreflightCampaignRequest,
     RestoreCampaignRequest,
 )
-from mavcal.service.api.security import ActorDep, Scope, require
+from mavcal.service.api.models.jobs import JobModel
+from mavcal.service.api.security import OPERATE, READ, ActorDep, Scope, require
 from mavcal.service.api.views import item_model, job_model
 from mavcal.service.campaigns import outcome as table
 from mavcal.service.campaigns.begin import CalibrationOrder, RestoreOrder
 from mavcal.service.campaigns.items import Item, ItemOutcome, item_from_row
-from mavcal.service.campaigns.selection import Selection
 from mavcal.service.campaigns.vehicles import newest_of_item
 from mavcal.service.core import Service
 from mavcal.service.errors import JobUnknown
 from mavcal.service.jobs.core.model import Job
-from mavcal.service.vehicle import Vehicle
 
 router = APIRouter(tags=["campaigns"])
-READ = Depends(require(Scope.READ))
-OPERATE = Depends(require(Scope.OPERATE))
 _PAGE = 500
 
 Outcomes = Annotated[list[ItemOutcome] | None, Query(description="only items of these outcomes")]
@@ -47,8 +44,8 @@ async def preflight(
     body: PreflightCampaignRequest, request: Request, response: Response, service: ServiceDep
 ) -> JobModel:
     """Check many vehicles as one job. A vehicle that is armed, silent or busy is skipped, and its item says so."""
-    vehicles, chosen = await _vehicles(service, body.vehicles, body.tag)
-    begun = service.campaigns.preflight(vehicles, chosen, at_once=body.at_once)
+    chosen = await _vehicles(service, body.vehicles, body.tag)
+    begun = service.campaigns.preflight(chosen, at_once=body.at_once)
     return _begun(await begun, request, response)
 
 
@@ -61,8 +58,8 @@ async def calibrate(
         await require(Scope.WRITE_PARAMS)(request)
     given = body.plan_options.given()
     order = CalibrationOrder(body.kind, body.options, given, body.apply, body.reboot, actor)
-    vehicles, chosen = await _vehicles(service, body.vehicles, body.tag)
-    return _begun(await service.campaigns.calibrate(vehicles, chosen, order, at_once=body.at_once), request, response)
+    chosen = await _vehicles(service, body.vehicles, body.tag)
+    return _begun(await service.campaigns.calibrate(chosen, order, at_once=body.at_once), request, response)
 
 
 @router.post("/campaigns/restore", operation_id="start_restore_campaign", status_code=202, dependencies=[OPERATE])
@@ -73,14 +70,14 @@ async def restore(
     if body.apply:
         await require(Scope.WRITE_PARAMS)(request)
     order = RestoreOrder(body.plan_options.given(), body.apply, body.reboot, actor)
-    vehicles, chosen = await _vehicles(service, body.vehicles, body.tag)
-    return _begun(await service.campaigns.restore(vehicles, chosen, order, at_once=body.at_once), request, response)
+    chosen = await _vehicles(service, body.vehicles, body.tag)
+    return _begun(await service.campaigns.restore(chosen, order, at_once=body.at_once), request, response)
 
 
 @router.post("/campaigns/fit", operation_id="start_fit_campaign", status_code=202, dependencies=[OPERATE])
 async def fit(body: FitCampaignRequest, request: Request, response: Response, service: ServiceDep) -> JobModel:
     """Run one method on many uploads as one job; the fits are in its items."""
-    uploads, chosen = service.recordings.all(), _selection(body.recordings)
+    uploads, chosen = service.recordings.all(), _named(body.recordings)
     begun = service.campaigns.fit(uploads, chosen, body.method, body.options, at_once=body.at_once)
     return _begun(await begun, request, response)
 
@@ -88,7 +85,7 @@ async def fit(body: FitCampaignRequest, request: Request, response: Response, se
 @router.post("/campaigns/gap", operation_id="start_gap_campaign", status_code=202, dependencies=[OPERATE])
 async def gap(body: GapCampaignRequest, request: Request, response: Response, service: ServiceDep) -> JobModel:
     """Diagnose the sim-to-real gap of many uploads as one job; the reports are documents of its items."""
-    uploads, chosen = service.recordings.all(), _selection(body.recordings)
+    uploads, chosen = service.recordings.all(), _named(body.recordings)
     begun = service.campaigns.gap(uploads, chosen, body.sim, body.nominal, at_once=body.at_once)
     return _begun(await begun, request, response)
 
@@ -105,13 +102,6 @@ async def resume(job_id: str, request: Request, service: ServiceDep) -> JobModel
 async def interrupt(job_id: str, service: ServiceDep) -> JobModel:
     """Stop a running campaign so that it can be resumed; jobs that it has begun go on."""
     return job_model(await service.campaigns.campaigns.interrupt(job_id))
-
-
-def _job(job_id: str, service: ServiceDep) -> Job:
-    return service.jobs.get(job_id)
-
-
-JobDep = Annotated[Job, Depends(_job)]
 
 
 @router.get("/jobs/{job_id}/items", operation_id="list_items", dependencies=[READ])
@@ -172,18 +162,21 @@ def _job_of(item: Item, campaign_id: str, service: Service) -> Job | None:
     return None
 
 
-async def _vehicles(service: Service, asked: Sequence[str], tag: str | None) -> tuple[Sequence[Vehicle], Selection]:
-    """The vehicles that are heard, and which of them are meant."""
-    vehicles, chosen = service.vehicles.all(), _selection(asked)
+async def _vehicles(service: Service, asked: Sequence[str], tag: str | None) -> Sequence[str]:
+    """Ids of the vehicles that are named, or of all that are heard; with a `tag`: of those that carry it.
+
+    One that is named and not heard stays: it may be heard later, and else its item says that it was not.
+    """
+    named = _named(asked)
+    chosen = tuple(vehicle.id for vehicle in service.vehicles.all()) if named is None else named
     if tag is None:
-        return vehicles, chosen
+        return chosen
     carrying = await service.fleet.tagged(tag)
-    ids = None if chosen.ids is None else tuple(i for i in chosen.ids if i in carrying)
-    return [vehicle for vehicle in vehicles if vehicle.id in carrying], Selection(ids)
+    return tuple(vehicle for vehicle in chosen if vehicle in carrying)
 
 
-def _selection(asked: Sequence[str]) -> Selection:
-    return Selection(None if asked == "all" else tuple(asked))
+def _named(asked: Sequence[str]) -> tuple[str, ...] | None:
+    return None if asked == "all" else tuple(asked)
 
 
 def _begun(job: Job, request: Request, response: Response) -> JobModel:

@@ -1,4 +1,4 @@
-"""Ends the work of a request when its client has disconnected."""
+"""Cancels the work of a request whose client has disconnected."""
 
 from __future__ import annotations
 

@@ -9,7 +9,9 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel, Field, TypeAdapter
 
-from mavcal.service.api.models import LiveMessage, Message, ReadingOptions
+from mavcal.service.api.models.events import Message
+from mavcal.service.api.models.live import LiveMessage
+from mavcal.service.api.models.recordings import ReadingOptions
 from mavcal.service.api.problems import codes, explanations
 
 Json = dict[str, Any]

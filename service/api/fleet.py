@@ -12,8 +12,8 @@ from fastapi.responses import PlainTextResponse
 
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.fleet_views import fleet_unit_model, unit_history_model
-from mavcal.service.api.models import FleetUnitModel, UnitHistoryModel, UnitRequest
-from mavcal.service.api.security import Scope, SightDep, require
+from mavcal.service.api.models.fleet import FleetUnitModel, UnitHistoryModel, UnitRequest
+from mavcal.service.api.security import OPERATE, READ, SightDep
 from mavcal.service.api.sight import Sight
 from mavcal.service.core import Service
 from mavcal.service.errors import Forbidden, UnitUnknown
@@ -22,8 +22,6 @@ from mavcal.service.fleet.table import fleet_csv
 from mavcal.service.fleet.view import Choice, FleetOrder, FleetUnit, Presence, chosen, fleet_units, page_of_units
 
 router = APIRouter(tags=["fleet"])
-READ = Depends(require(Scope.READ))
-OPERATE = Depends(require(Scope.OPERATE))
 CSV = "text/csv"
 
 

@@ -10,7 +10,7 @@ from mavcal.calib.fleet.record import SensorRecord
 from mavcal.calib.fleet.standing import SensorStanding
 from mavcal.calib.fleet.trend import DAY_S, Slope
 from mavcal.calib.report import to_json
-from mavcal.service.api.models import FleetUnitModel, SensorRecordModel, UnitHistoryModel
+from mavcal.service.api.models.fleet import FleetUnitModel, SensorRecordModel, UnitHistoryModel
 from mavcal.service.fleet.view import FleetUnit
 
 Json = dict[str, Any]

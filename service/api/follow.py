@@ -11,7 +11,8 @@ import structlog
 from fastapi import Depends, Request
 from fastapi.sse import ServerSentEvent
 
-from mavcal.service.api.models import LinkModel, VehicleModel
+from mavcal.service.api.models.links import LinkModel
+from mavcal.service.api.models.vehicles import VehicleModel
 from mavcal.service.api.sight import Sight
 from mavcal.service.api.views import event_model, link_model, vehicle_model
 from mavcal.service.core import Service
@@ -29,7 +30,7 @@ State = VehicleModel | LinkModel
 
 
 class ChangeWatch:
-    """Looks at vehicles and links once for all streams, as long as there are any, and wakes them if one has changed."""
+    """Polls vehicles and links once for all open streams, and wakes them when a state has changed."""
 
     def __init__(self, look: Callable[[], list[tuple[str, State]]]) -> None:
         self._ask = look

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import GapModel, GapRequest, GapSummary
-from mavcal.service.api.security import Scope, SightDep, require
+from mavcal.service.api.models.gaps import GapModel, GapRequest, GapSummary
+from mavcal.service.api.security import OPERATE, READ, SightDep
 from mavcal.service.api.views import document_response, gap_model, gap_summary
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.core import Service
@@ -17,8 +17,6 @@ from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.uploads.computing import GAP
 
 router = APIRouter(tags=["gaps"])
-READ = Depends(require(Scope.READ))
-OPERATE = Depends(require(Scope.OPERATE))
 
 
 @router.post("/gaps", operation_id="diagnose_gap", status_code=202, dependencies=[OPERATE])

@@ -6,12 +6,13 @@ import asyncio
 import sys
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
 from mavcal import calib
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import (
+from mavcal.service.api.models.base import Json
+from mavcal.service.api.models.host import (
     AuditCheck,
     AuditPage,
     HealthModel,
@@ -20,14 +21,11 @@ from mavcal.service.api.models import (
     RegistrationModel,
     TicketModel,
 )
-from mavcal.service.api.models.base import Json
 from mavcal.service.api.problems import explanations
-from mavcal.service.api.security import TICKET_S, RequestGuard, Scope, require
+from mavcal.service.api.security import ADMIN, READ, TICKET_S, RequestGuard
 from mavcal.service.hosts import cockpit_manifest, registration
 
 router = APIRouter(tags=["host"])
-READ = Depends(require(Scope.READ))
-ADMIN = Depends(require(Scope.ADMIN))
 
 
 @router.get("/healthz", operation_id="get_health")

@@ -14,18 +14,11 @@ from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.follow import WatchDep, everything
-from mavcal.service.api.models import (
-    AnswerRequest,
-    ApplyRequest,
-    JobModel,
-    JobRequest,
-    JobSummary,
-    PlanModel,
-    PlanRequest,
-    ProcedureModel,
-)
+from mavcal.service.api.models.jobs import AnswerRequest, JobModel, JobRequest, JobSummary
+from mavcal.service.api.models.plans import ApplyRequest, PlanModel, PlanRequest
+from mavcal.service.api.models.steps import ProcedureModel
 from mavcal.service.api.paging import page_of
-from mavcal.service.api.security import ActorDep, Scope, SightDep, require
+from mavcal.service.api.security import OPERATE, READ, WRITE, ActorDep, SightDep
 from mavcal.service.api.views import (
     document_response,
     event_model,
@@ -40,9 +33,6 @@ from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.states import JobState
 
 router = APIRouter(tags=["jobs"])
-READ = Depends(require(Scope.READ))
-OPERATE = Depends(require(Scope.OPERATE))
-WRITE = Depends(require(Scope.WRITE_PARAMS))
 
 LastEventId = Annotated[
     int | None, Header(alias="Last-Event-ID", ge=0, le=2**62, description="id of the last message that was heard")
@@ -54,7 +44,7 @@ def _job(job_id: str, service: ServiceDep) -> Job:
 
 
 JobDep = Annotated[Job, Depends(_job)]
-"""The job of the address. For a stream this is the place where 404 can still be said."""
+"""The job of the address. A stream can answer 404 only here, before it begins."""
 
 
 def _plan_of(job: Job) -> PlanModel:

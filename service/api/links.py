@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import LinkModel, LinkRequest
-from mavcal.service.api.security import Scope, SightDep, require
+from mavcal.service.api.models.links import LinkModel, LinkRequest
+from mavcal.service.api.security import OPERATE, READ, SightDep
 from mavcal.service.api.views import link_model
 from mavcal.service.errors import LinkUnknown
 
 router = APIRouter(tags=["links"])
-READ = Depends(require(Scope.READ))
-OPERATE = Depends(require(Scope.OPERATE))
 
 
 @router.get("/links", operation_id="list_links", dependencies=[READ])

@@ -13,8 +13,8 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from mavcal.calib.recording import Channel
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import LiveModel, SamplesModel, WatchModel, WatchRequest
-from mavcal.service.api.security import Scope, require
+from mavcal.service.api.models.live import LiveModel, SamplesModel, WatchModel, WatchRequest
+from mavcal.service.api.security import OPERATE, READ
 from mavcal.service.api.vehicles import VehicleDep
 from mavcal.service.live import LiveBatch, live_batches
 from mavcal.service.rates.watching import LiveStatus
@@ -27,7 +27,7 @@ router = APIRouter(tags=["vehicles"])
     "/vehicles/{vehicle_id}/watches",
     operation_id="watch_vehicle",
     status_code=201,
-    dependencies=[Depends(require(Scope.OPERATE))],
+    dependencies=[OPERATE],
 )
 async def watch_vehicle(
     found: VehicleDep, body: WatchRequest, request: Request, response: Response, service: ServiceDep
@@ -49,7 +49,7 @@ def _watch(
         str | None, Query(description="a watch of this vehicle; without one it is asked for nothing")
     ] = None,
 ) -> LiveWatch | None:
-    """The watch of the request; this is the place where 404 can still be said."""
+    """The watch of the request. A stream can answer 404 only here, before it begins."""
     return None if watch is None else service.live.watch(watch, found.id)
 
 
@@ -57,7 +57,7 @@ def _watch(
     "/vehicles/{vehicle_id}/samples",
     operation_id="follow_samples",
     response_class=EventSourceResponse,
-    dependencies=[Depends(require(Scope.READ))],
+    dependencies=[READ],
 )
 async def samples(
     found: VehicleDep, service: ServiceDep, watch: Annotated[LiveWatch | None, Depends(_watch)]

@@ -102,7 +102,7 @@ def _reader_left(error: Exception) -> bool:
 
 
 def _until(ending: asyncio.Event, receive: Receive) -> Receive:
-    """An event stream sees its reader go when the service ends: it would last for ever otherwise."""
+    """End event streams when the service stops: each sees its client disconnect."""
 
     async def waited() -> Message:
         message, end = asyncio.ensure_future(receive()), asyncio.ensure_future(ending.wait())
@@ -117,7 +117,7 @@ def _until(ending: asyncio.Event, receive: Receive) -> Receive:
 
 
 def _steady(receive: Receive, window_s: float) -> Receive:
-    """A body that trickles does not hold a place for ever."""
+    """Limit how slowly a request body may arrive; slower ones end with 408."""
     complete, received, began = False, 0, time.monotonic()
 
     async def steady() -> Message:

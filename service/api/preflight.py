@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import JobModel, PreflightModel, PreflightRequest, RestoreRequest
-from mavcal.service.api.security import ActorDep, Scope, require
+from mavcal.service.api.models.jobs import JobModel
+from mavcal.service.api.models.preflight import PreflightModel, PreflightRequest, RestoreRequest
+from mavcal.service.api.security import OPERATE, ActorDep, Scope, require
 from mavcal.service.api.views import job_model, preflight_model
 from mavcal.service.fixing import Fix, Fixable, fixed
 
 router = APIRouter(tags=["vehicles"])
-OPERATE = Depends(require(Scope.OPERATE))
 
 
 @router.post("/vehicles/{vehicle_id}/preflight", operation_id="run_preflight", dependencies=[OPERATE])

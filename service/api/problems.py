@@ -15,8 +15,7 @@ from starlette.exceptions import HTTPException
 
 from mavcal.calib.errors import CalibError
 from mavcal.service.api.addresses import relative
-from mavcal.service.errors import AuthError, ServiceError, TooManyAttempts, TooManyStreams
-from mavcal.service.errors.base import kinds
+from mavcal.service.errors import AuthError, ServiceError, TooManyAttempts, TooManyStreams, kinds
 
 log = structlog.get_logger(__name__)
 

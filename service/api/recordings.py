@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import ValidationError
 
 from mavcal.calib.errors import InvalidInputError
@@ -13,23 +13,19 @@ from mavcal.calib.report import to_json
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.disconnect import Body, while_connected
-from mavcal.service.api.models import (
-    FitJobRequest,
-    FitRequest,
-    FitsModel,
-    JobModel,
+from mavcal.service.api.models.fits import FitJobRequest, FitRequest, FitsModel
+from mavcal.service.api.models.jobs import JobModel
+from mavcal.service.api.models.recordings import (
     MethodModel,
     ReadingOptions,
     RecordingJobRequest,
     RecordingModel,
     SeriesModel,
 )
-from mavcal.service.api.security import Scope, SightDep, require
+from mavcal.service.api.security import OPERATE, READ, SightDep
 from mavcal.service.api.views import job_model, job_summary, recording_model
 
 router = APIRouter(tags=["recordings"])
-READ = Depends(require(Scope.READ))
-OPERATE = Depends(require(Scope.OPERATE))
 BYTES = {"type": "string", "format": "binary"}
 """Schema of a file as it is: generators of clients leave an operation out whose body has none."""
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Response
+from fastapi import APIRouter, Query, Response
 
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.jobs import JobDep
-from mavcal.service.api.models import ReviewModel
-from mavcal.service.api.security import Scope, require
+from mavcal.service.api.models.reviews import ReviewModel
+from mavcal.service.api.security import READ
 from mavcal.service.api.views import review_model
 from mavcal.service.errors import PlanMissing
 from mavcal.service.reviews import review_of
 
 router = APIRouter(tags=["jobs"])
-READ = Depends(require(Scope.READ))
 Columns = Annotated[int | None, Query(ge=1, le=9, description="charts a row; none: all in one row")]
 
 

@@ -185,6 +185,11 @@ def require(scope: Scope, *, noted: bool = True) -> Callable[[Request], Awaitabl
     return check
 
 
+READ, OPERATE = Depends(require(Scope.READ)), Depends(require(Scope.OPERATE))
+WRITE, ADMIN = Depends(require(Scope.WRITE_PARAMS)), Depends(require(Scope.ADMIN))
+"""What a route names among its `dependencies`: the scope that a key must have."""
+
+
 def _actor(request: Request) -> str:
     guard: RequestGuard = request.app.state.guard
     key = guard.authenticate(request)

@@ -1,4 +1,4 @@
-"""What a key that is bound to tags may see: the one place that decides it, for every route and stream.
+"""Decides what an API key that is bound to tags may see, for every route and stream.
 
 A vehicle is seen by such a key if one of its tags is one of the key's. Jobs are seen with their vehicle, links with one
 that is on them. Uploads and what is computed of them have no vehicle and are not seen. What is not seen answers as if
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Final
 
-from mavcal.service.api.models import LinkModel
+from mavcal.service.api.models.links import LinkModel
 from mavcal.service.core import Service
 from mavcal.service.errors import (
     Forbidden,

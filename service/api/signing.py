@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import LinkModel, SigningKeyModel, SigningKeyRequest, SigningRequest
-from mavcal.service.api.security import ActorDep, Scope, require
+from mavcal.service.api.models.links import LinkModel, SigningKeyModel, SigningKeyRequest, SigningRequest
+from mavcal.service.api.security import ADMIN, ActorDep
 from mavcal.service.api.views import link_model
 
 router = APIRouter(tags=["links"])
-ADMIN = Depends(require(Scope.ADMIN))
 
 
 @router.get("/signing-keys", operation_id="list_signing_keys", dependencies=[ADMIN])

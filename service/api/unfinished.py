@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter
 
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import UnfinishedModel
-from mavcal.service.api.security import Scope, SightDep, require
+from mavcal.service.api.models.jobs import UnfinishedModel
+from mavcal.service.api.security import READ, SightDep
 from mavcal.service.api.views import unfinished_model
 from mavcal.service.unfinished import unfinished
 
 router = APIRouter(tags=["jobs"])
-READ = Depends(require(Scope.READ))
 
 
 @router.get("/unfinished", operation_id="list_unfinished", dependencies=[READ])

@@ -10,14 +10,19 @@ from fastapi import APIRouter, Depends
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import HandRequest, ParameterModel, TurnRequest, VehicleModel, VehicleSensorsModel
-from mavcal.service.api.security import Scope, SightDep, require
+from mavcal.service.api.models.vehicles import (
+    HandRequest,
+    ParameterModel,
+    TurnRequest,
+    VehicleModel,
+    VehicleSensorsModel,
+)
+from mavcal.service.api.security import OPERATE, READ, Scope, SightDep, require
 from mavcal.service.api.views import parameter_model, sensors_model, vehicle_model
 from mavcal.service.standing import states_of
 from mavcal.service.vehicle import Vehicle
 
 router = APIRouter(tags=["vehicles"])
-READ = Depends(require(Scope.READ))
 
 STATE_PERIOD_S = 1.0
 
@@ -27,7 +32,7 @@ def _vehicle(vehicle_id: str, service: ServiceDep) -> Vehicle:
 
 
 VehicleDep = Annotated[Vehicle, Depends(_vehicle)]
-"""The vehicle of the address. For a stream this is the place where 404 can still be said."""
+"""The vehicle of the address. A stream can answer 404 only here, before it begins."""
 
 
 @router.get("/vehicles", operation_id="list_vehicles", dependencies=[READ])
@@ -56,7 +61,7 @@ async def sensors(vehicle_id: str, service: ServiceDep) -> VehicleSensorsModel:
     return sensors_model(await states_of(service, vehicle_id))
 
 
-@router.post("/vehicles/{vehicle_id}/hand", operation_id="choose_hand", dependencies=[Depends(require(Scope.OPERATE))])
+@router.post("/vehicles/{vehicle_id}/hand", operation_id="choose_hand", dependencies=[OPERATE])
 async def choose_hand(found: VehicleDep, body: HandRequest, service: ServiceDep) -> VehicleModel:
     """Say who moves a simulated vehicle: it follows prompts by itself, a person turns it, or it stays as it is."""
     service.hands.choose(found, body.hand)

@@ -13,26 +13,16 @@ from mavcal.calib.preflight.states import SensorState, summary
 from mavcal.calib.procedures.protocol import Prompt
 from mavcal.calib.procedures.spec import ProcedureSpec
 from mavcal.calib.review.effect import text_of
-from mavcal.service.api.models import (
-    GapModel,
-    GapSummary,
-    ItemModel,
-    JobModel,
-    JobSummary,
-    LinkModel,
-    MountingChoiceModel,
-    OptionModel,
-    ParameterModel,
-    PlanModel,
-    PreflightModel,
-    ProcedureModel,
-    RecordingModel,
-    ReviewModel,
-    SensorEffectModel,
-    UnfinishedModel,
-    VehicleModel,
-    VehicleSensorsModel,
-)
+from mavcal.service.api.models.campaigns import ItemModel
+from mavcal.service.api.models.gaps import GapModel, GapSummary
+from mavcal.service.api.models.jobs import JobModel, JobSummary, UnfinishedModel
+from mavcal.service.api.models.links import LinkModel
+from mavcal.service.api.models.plans import PlanModel
+from mavcal.service.api.models.preflight import PreflightModel
+from mavcal.service.api.models.recordings import RecordingModel
+from mavcal.service.api.models.reviews import MountingChoiceModel, ReviewModel, SensorEffectModel
+from mavcal.service.api.models.steps import OptionModel, ProcedureModel
+from mavcal.service.api.models.vehicles import ParameterModel, VehicleModel, VehicleSensorsModel
 from mavcal.service.campaigns.items import Item
 from mavcal.service.fixing import Fix
 from mavcal.service.jobs.core.codec import from_json, to_json

@@ -14,16 +14,14 @@ from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.methods import METHODS
-from mavcal.service.campaigns.campaigns import CAMPAIGN, Campaigns, CampaignTask, ItemTurn, ItemWork
+from mavcal.service.campaigns.campaigns import Campaigns, CampaignTask, ItemTurn, ItemWork
 from mavcal.service.campaigns.executors import Workers
 from mavcal.service.campaigns.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
 from mavcal.service.campaigns.worker import computed
 from mavcal.service.children import DIAGNOSE, FIT, Limits
 from mavcal.service.computations import PAGE, REPORT
-from mavcal.service.errors import JobUnknown
 from mavcal.service.jobs.core.admission import require_finite
 from mavcal.service.jobs.core.book import JobBook
-from mavcal.service.jobs.core.codec import job_from_row
 from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.ports import Alone
@@ -174,14 +172,6 @@ async def archive(data_dir: Path, given: Workers, of_fits: Limits, of_gaps: Limi
             await campaigns.interrupt(job_id)
         book.close()
         store.close()
-
-
-def campaign_of(store: Store, job_id: str) -> Job:
-    """The campaign of that id in a store that nothing runs. Raises JobUnknown."""
-    row = store.job(job_id)
-    if row is None or row.kind != CAMPAIGN:
-        raise JobUnknown(f"there is no campaign {job_id} in this data directory")
-    return job_from_row(row)
 
 
 def _whole(path: Path) -> str:

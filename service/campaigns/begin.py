@@ -11,7 +11,6 @@ from typing import Any
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.service.campaigns.campaigns import CAMPAIGN, Campaigns, CampaignTask, ItemWork
-from mavcal.service.campaigns.selection import Selectable, Selection, selected
 from mavcal.service.campaigns.uploads import UploadFits, UploadGaps
 from mavcal.service.campaigns.vehicles import VEHICLES_AT_ONCE, CalibrationWork, Patience, PreflightWork, RestoreWork
 from mavcal.service.errors import Forbidden
@@ -78,20 +77,11 @@ class CampaignDesk:
     attended: bool = False
     """A command runs the campaigns of vehicles, and only its `resume` goes on with them."""
 
-    async def preflight(
-        self, vehicles: Iterable[Selectable], selection: Selection, *, at_once: int | None = None
-    ) -> Job:
-        """A preflight of each vehicle. Raises InvalidInputError, CampaignsBusy."""
-        return await self._of_vehicles(CampaignTask.PREFLIGHT, {}, selected(vehicles, selection), at_once)
+    async def preflight(self, vehicles: Sequence[str], *, at_once: int | None = None) -> Job:
+        """A preflight of each vehicle, by id. Raises InvalidInputError, CampaignsBusy."""
+        return await self._begin(CampaignTask.PREFLIGHT, {}, vehicles, at_once, self.attended)
 
-    async def calibrate(
-        self,
-        vehicles: Iterable[Selectable],
-        selection: Selection,
-        order: CalibrationOrder,
-        *,
-        at_once: int | None = None,
-    ) -> Job:
+    async def calibrate(self, vehicles: Sequence[str], order: CalibrationOrder, *, at_once: int | None = None) -> Job:
         """A calibration of each vehicle.
 
         Raises
@@ -106,19 +96,12 @@ class CampaignDesk:
         writing = self._writing(order)
         require_sensors_of(spec, order.plan_options)
         options = {"kind": spec.kind, "options": dict(validate_options(order.kind, order.options)), **writing}
-        return await self._of_vehicles(CampaignTask.CALIBRATE, options, selected(vehicles, selection), at_once)
+        return await self._begin(CampaignTask.CALIBRATE, options, vehicles, at_once, self.attended)
 
-    async def restore(
-        self,
-        vehicles: Iterable[Selectable],
-        selection: Selection,
-        order: RestoreOrder,
-        *,
-        at_once: int | None = None,
-    ) -> Job:
+    async def restore(self, vehicles: Sequence[str], order: RestoreOrder, *, at_once: int | None = None) -> Job:
         """The last verified calibration of each vehicle put back. Raises as :meth:`calibrate`."""
         options = self._writing(order)
-        return await self._of_vehicles(CampaignTask.RESTORE, options, selected(vehicles, selection), at_once)
+        return await self._begin(CampaignTask.RESTORE, options, vehicles, at_once, self.attended)
 
     def _writing(self, order: CalibrationOrder | RestoreOrder) -> dict[str, Any]:
         """What a campaign keeps of its plans. Raises InvalidInputError, Forbidden."""
@@ -137,50 +120,51 @@ class CampaignDesk:
     async def fit(
         self,
         uploads: Iterable[RecordingRow],
-        selection: Selection,
+        wanted: Sequence[str] | None,
         method: str,
         options: Mapping[str, Any],
         *,
         at_once: int | None = None,
     ) -> Job:
-        """A method on each upload. Raises RecordingUnknown, InvalidInputError, CampaignsBusy."""
+        """A method on each upload; `wanted` None: on all of them.
+
+        Raises RecordingUnknown, InvalidInputError, CampaignsBusy.
+        """
         require_finite(options)
         order = {"method": method, "options": dict(options)}
-        return await self._of_uploads(CampaignTask.FIT, order, uploads, selection, at_once)
+        return await self._of_uploads(CampaignTask.FIT, order, uploads, wanted, at_once)
 
     async def gap(
         self,
         uploads: Iterable[RecordingRow],
-        selection: Selection,
+        wanted: Sequence[str] | None,
         sim: str | None,
         nominal: Sequence[str],
         *,
         at_once: int | None = None,
     ) -> Job:
-        """A diagnosis of each upload. Raises RecordingUnknown, InvalidInputError, CampaignsBusy."""
+        """A diagnosis of each upload; `wanted` None: of all but those that it compares them with.
+
+        Raises RecordingUnknown, InvalidInputError, CampaignsBusy.
+        """
         beside = (*(() if sim is None else (sim,)), *nominal)
         for upload in beside:
             self.computations.check(upload)
         order = {"sim": sim, "nominal": list(nominal)}
-        others = [row for row in uploads if selection.ids is not None or row.id not in beside]
-        return await self._of_uploads(CampaignTask.GAP, order, others, selection, at_once)
-
-    async def _of_vehicles(
-        self, task: CampaignTask, order: Mapping[str, Any], chosen: Sequence[str], at_once: int | None
-    ) -> Job:
-        return await self._begin(task, order, chosen, at_once, self.attended)
+        others = [row for row in uploads if wanted is not None or row.id not in beside]
+        return await self._of_uploads(CampaignTask.GAP, order, others, wanted, at_once)
 
     async def _of_uploads(
         self,
         task: CampaignTask,
         order: Mapping[str, Any],
         uploads: Iterable[RecordingRow],
-        selection: Selection,
+        wanted: Sequence[str] | None,
         at_once: int | None,
     ) -> Job:
         names = {row.id: row.name for row in uploads}
-        chosen = tuple(names) if selection.ids is None else selection.ids
-        for upload in chosen[:1] if selection.ids is None else chosen:
+        chosen = tuple(names) if wanted is None else wanted
+        for upload in chosen[:1] if wanted is None else chosen:
             self.computations.check(upload, order.get("method"))
         return await self._begin(task, order, chosen, at_once, attended=False, names=names)
 

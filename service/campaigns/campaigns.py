@@ -29,7 +29,7 @@ from mavcal.service.jobs.core.model import Failure, Job, Result
 from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.jobs.core.tasks import JobTasks
 from mavcal.service.jobs.uploads.computing import NOTHING_WRITTEN
-from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 
@@ -272,8 +272,8 @@ class Campaigns:
             await handle.store.do(partial(handle.store.save_document, handle.id, document))
         item = _with(item, ended, self._wall())
         await _keep(handle, item)
-        told = {"number": item.number, "subject": item.subject, "outcome": item.outcome.value, "code": item.code}
-        handle.announce("item", {**told, "text": item.text, "job_id": item.job_id})
+        outcome = {"number": item.number, "subject": item.subject, "outcome": item.outcome.value, "code": item.code}
+        handle.announce("item", {**outcome, "text": item.text, "job_id": item.job_id})
         run.count(item.outcome)
 
     async def _end_of(self, handle: JobHandle, work: ItemWork, turn: ItemTurn) -> ItemEnd:
@@ -300,7 +300,7 @@ class Campaigns:
         handle.move(JobState.INTERRUPTED, outcome=Failure(code, cause, remedy), progress=None)
 
 
-def uploads_of_campaign(job: Job, store: JobStore) -> set[str]:
+def uploads_of_campaign(job: Job, store: Store) -> set[str]:
     """The uploads that must stay for a campaign: what it still has to go through, and what that is compared with."""
     over = job.state in ENDED - {JobState.INTERRUPTED}
     if over or job.options.get("task") not in {CampaignTask.FIT, CampaignTask.GAP}:
@@ -350,8 +350,8 @@ def _noun(task: CampaignTask) -> str:
 
 
 def _with(item: Item, ended: ItemEnd, at: float) -> Item:
-    told = {name: getattr(ended, name) for name in ("outcome", "text", "code", "job_id", "result")}
-    return dataclasses.replace(item, ended_at=at, **told)
+    changes = {name: getattr(ended, name) for name in ("outcome", "text", "code", "job_id", "result")}
+    return dataclasses.replace(item, ended_at=at, **changes)
 
 
 async def _keep(handle: JobHandle, item: Item) -> None:

@@ -86,6 +86,15 @@ class ItemEnd:
     """Kept with the campaign, under names that are the item's own."""
 
 
+BEGUN_BY = "campaign"
+"""Key of a job's context: the campaign that began it, and the number of its item."""
+
+
+def begun_by(campaign_id: str, item: Item) -> dict[str, Any]:
+    """What the context of a job has under :data:`BEGUN_BY` that was begun for this item."""
+    return {"id": campaign_id, "item": item.number}
+
+
 _COLUMNS = ("number", "subject", "outcome")
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from mavcal.calib.preflight.check import Verdict
 from mavcal.service.campaigns.campaigns import ItemTurn
-from mavcal.service.campaigns.items import Item, ItemEnd, ItemOutcome
+from mavcal.service.campaigns.items import BEGUN_BY, Item, ItemEnd, ItemOutcome, begun_by
 from mavcal.service.errors import ServiceError, VehicleUnknown
 from mavcal.service.jobs.core.codec import to_json
 from mavcal.service.jobs.core.model import Accept, Failure, Job, Unwritten
@@ -28,8 +28,6 @@ _LOOK_S = 0.1
 _FOR_A_PERSON = frozenset({JobState.WAITING_FOR_OPERATOR, JobState.WAITING_FOR_REBOOT})
 _LOST = frozenset({JobState.CANCELLED, JobState.INTERRUPTED})
 """A job that a stopped service left in one of these states came to nothing: the item begins again."""
-BEGUN_BY = "campaign"
-"""Key of a job's context: the campaign that began it, and the number of its item."""
 
 _OUTCOMES = {Verdict.PASS: ItemOutcome.DONE, Verdict.FAIL: ItemOutcome.REFUSED}
 """Outcome by the verdict of a preflight; any other verdict warns."""
@@ -171,12 +169,12 @@ class RestoreWork(CalibrationWork):
 
 def newest_of_item(jobs: Sequence[Job], campaign_id: str, item: Item) -> Job | None:
     """The newest of `jobs` (oldest first) that was begun for an item; None: there is none."""
-    ours = {"id": campaign_id, "item": item.number}
+    ours = begun_by(campaign_id, item)
     return next((job for job in reversed(jobs) if job.context.get(BEGUN_BY) == ours), None)
 
 
 def _begun_by(turn: ItemTurn) -> dict[str, Any]:
-    return {BEGUN_BY: {"id": turn.campaign.id, "item": turn.item.number}}
+    return {BEGUN_BY: begun_by(turn.campaign.id, turn.item)}
 
 
 def of_job(job: Job, reason: str = "") -> ItemEnd:

@@ -115,9 +115,9 @@ class ForkServer:
         if not chunk:
             self._close(name)
             return
-        said = chunk.decode("utf-8", "replace").strip().rpartition("\n")[2][:LONGEST_LINE]
-        if said:
-            _say({"id": name, "progress": said})
+        line = chunk.decode("utf-8", "replace").strip().rpartition("\n")[2][:LONGEST_LINE]
+        if line:
+            _say({"id": name, "progress": line})
 
     def _close(self, name: str) -> None:
         pipe = self._pipes.pop(name, None)
@@ -180,12 +180,12 @@ def _work(task: str, folder: Path, progress: int) -> int:
     function = getattr(importlib.import_module(module), name)
     order = json.loads((folder / "order.json").read_bytes())
 
-    def tell(text: str) -> None:
+    def on_progress(text: str) -> None:
         os.write(progress, (text.replace("\n", " ")[:LONGEST_LINE] + "\n").encode("utf-8", "replace"))
 
     result: Json
     try:
-        result = {"done": function(order, tell)}
+        result = {"done": function(order, on_progress)}
     except CalibError as error:
         result = {"refused": {"kind": type(error).__name__, "text": str(error)}}
     fresh = folder / "result.new"

@@ -186,17 +186,17 @@ class Children:
         """Dispatch the messages of the fork server; its end is the end of every child."""
         assert fork_server.stdout is not None
         while line := await fork_server.stdout.readline():
-            said = json.loads(line)
-            running = self._running.get(said["id"])
+            message = json.loads(line)
+            running = self._running.get(message["id"])
             if running is None:
                 continue
-            if "progress" in said:
+            if "progress" in message:
                 if running.progress is not None:
-                    running.progress(said["progress"])
+                    running.progress(message["progress"])
                 continue
-            del self._running[said["id"]]
+            del self._running[message["id"]]
             if not running.ended.done():
-                running.ended.set_result(said)
+                running.ended.set_result(message)
         await fork_server.wait()
         if self._fork_server is fork_server:
             self._fork_server = None

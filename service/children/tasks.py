@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mavcal.calib.gap import GapProgress
 
 Json = dict[str, Any]
-Tell = Callable[[str], None]
+OnProgress = Callable[[str], None]
 
 INSPECT = "mavcal.service.children.tasks:inspect"
 FIT = "mavcal.service.children.tasks:fit"
@@ -44,43 +44,43 @@ _EVERY_S = 0.5
 """Least time between two lines about one stage of a diagnosis."""
 
 
-def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
+def inspect(order: Mapping[str, Any], on_progress: OnProgress) -> Json:
     """The contents of the recording ``{path, reading}``."""
     from mavcal.calib import logs
     from mavcal.calib.methods.overview import overview
     from mavcal.calib.report import to_json
 
-    tell("reading")
+    on_progress("reading")
     found: Json = to_json(overview(logs.read(Path(order["path"]), **order["reading"])))
     return found
 
 
-def fit(order: Mapping[str, Any], tell: Tell) -> Json:
+def fit(order: Mapping[str, Any], on_progress: OnProgress) -> Json:
     """Fits by a method, ``{path, reading, method, options, origin}``; with `origin` also whose sensors they are."""
     from mavcal.calib import logs
     from mavcal.calib.firmware.in_force.origin import origin_of
     from mavcal.calib.methods import METHODS
     from mavcal.calib.report import to_json
 
-    tell("reading")
+    on_progress("reading")
     recording = logs.read(Path(order["path"]), **order["reading"])
-    tell("fitting")
+    on_progress("fitting")
     fits = METHODS[order["method"]].run(recording, order["options"])
     origin = to_json(origin_of(recording, fits)) if order["origin"] else None
     return {"fits": to_json(fits), "origin": origin}
 
 
-def series(order: Mapping[str, Any], tell: Tell) -> Json:
+def series(order: Mapping[str, Any], on_progress: OnProgress) -> Json:
     """The sensors of the recording ``{path, reading}`` as series for a picture."""
     from mavcal.calib import logs
     from mavcal.calib.flight.series import series_of
     from mavcal.calib.report import to_json
 
-    tell("reading")
+    on_progress("reading")
     return {"series": to_json(series_of(logs.read(Path(order["path"]), **order["reading"])))}
 
 
-def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
+def diagnose(order: Mapping[str, Any], on_progress: OnProgress) -> Json:
     """The gap of ``{real, sim, nominal}``, each ``{path, reading, sha256}`` or None: a sentence and the report.
 
     With `title` also its page; `without` leaves effects out, `nested` is as in :func:`calib.gap.run`. `limit_s` is the
@@ -97,12 +97,12 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
     def read(part: Mapping[str, Any]) -> Any:
         return logs.read(Path(part["path"]), **part.get("reading", {}))
 
-    tell("reading")
+    on_progress("reading")
     real = read(order["real"])
     sim = None if order["sim"] is None else read(order["sim"])
     nominal = tuple(read(part) for part in order["nominal"])
     hashes = {role: part["sha256"] for role in ("real", "sim") if "sha256" in (part := order[role] or {})}
-    tell("diagnosing")
+    on_progress("diagnosing")
     began = time.perf_counter()
     limit = order.get("limit_s", gap.DEFAULT_LIMIT_S)
     limit = math.inf if limit is None else limit
@@ -115,7 +115,7 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
         by_clock = (time.monotonic() - asked) * (limit / wall) if math.isfinite(wall) else 0.0
         return max(time.process_time() - spent, by_clock)
 
-    pace = gap.GapPace(elapsed, limit, _seldom(tell))
+    pace = gap.GapPace(elapsed, limit, _seldom(on_progress))
     report = gap.run(
         real,
         sim,
@@ -134,7 +134,7 @@ def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
     }
 
 
-def _seldom(tell: Tell) -> Callable[[GapProgress], None]:
+def _seldom(on_progress: OnProgress) -> Callable[[GapProgress], None]:
     """Tells every stage of a diagnosis, and of its steps no more than a few a second."""
     reported_at: dict[str, float] = {}
 
@@ -143,6 +143,6 @@ def _seldom(tell: Tell) -> Callable[[GapProgress], None]:
         if now - reported_at.get(standing.stage, -math.inf) < _EVERY_S:
             return
         reported_at[standing.stage] = now
-        tell(format_line(ProgressLine(standing.text, standing.share, standing.left_s)))
+        on_progress(format_line(ProgressLine(standing.text, standing.share, standing.left_s)))
 
     return show

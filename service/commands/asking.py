@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from mavcal.client import ApiProblem, AsyncClient
 from mavcal.client.exchange import Query
 from mavcal.service.commands.output import refused
-from mavcal.service.errors.base import error_of
+from mavcal.service.errors import error_of
 
 if TYPE_CHECKING:
     import httpx

@@ -86,9 +86,9 @@ async def _hands_free(kind: str, door: Door, vehicle: VehicleModel, screen: Scre
 
     came = await mended(door, vehicle.id, kind, screen, look=True)
     job, ready = came.job, came.job.readiness
-    told = {"job": job.id, "kind": kind, "state": job.state.value, "text": came.text}
+    about = {"job": job.id, "kind": kind, "state": job.state.value, "text": came.text}
     text = f"{kind}: {job.state.value}: {came.text}" + ("" if ready is None else f" {ready.text}")
-    document = {**told, "readiness": None if ready is None else ready.model_dump(mode="json")}
+    document = {**about, "readiness": None if ready is None else ready.model_dump(mode="json")}
     return Acted(job.state == JobState.SUCCEEDED, text, document, in_part=came.in_part)
 
 

@@ -43,14 +43,10 @@ def run_archive(settings: Settings, executor: str, begin: Begin, output: OutputO
 def is_of_folder(data_dir: Path, job_id: str) -> bool:
     """Whether a job is a campaign through files. Raises JobUnknown, StoreError."""
     from mavcal.service.campaigns.archive import FOLDER
-    from mavcal.service.campaigns.campaigns import CAMPAIGN
-    from mavcal.service.errors import JobUnknown
+    from mavcal.service.commands.campaign_items import campaign_among
     from mavcal.service.store.sqlite import jobs_of
 
-    for row in jobs_of(data_dir):
-        if row.id == job_id and row.kind == CAMPAIGN:
-            return FOLDER in (row.body.get("options") or {})
-    raise JobUnknown(f"there is no campaign {job_id} in this data directory")
+    return FOLDER in (campaign_among(jobs_of(data_dir), job_id).body.get("options") or {})
 
 
 async def _run(settings: Settings, given: Workers, begin: Begin, output: OutputOptions, screen: Screen) -> int:
@@ -96,5 +92,5 @@ async def _print_outcome(found: Archive, snapshot: CampaignSnapshot, output: Out
     items = [item_from_row(row) for row in rows]
     if output.table is not None:
         write_table(output.table, head() + lines(items), len(items))
-    told = [{n: value for n, value in to_json(item).items() if n not in {"result", "starts"}} for item in items]
-    return print_campaign(snapshot, told, output, screen)
+    documents = [{n: value for n, value in to_json(item).items() if n not in {"result", "starts"}} for item in items]
+    return print_campaign(snapshot, documents, output, screen)

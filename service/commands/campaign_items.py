@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mavcal.client import AsyncClient
     from mavcal.client.models import ItemModel
     from mavcal.service.commands.whom import Whom
+    from mavcal.service.store.rows import JobRow
 
 PAGE = 1000
 """Items of a page, at most."""
@@ -69,19 +70,37 @@ async def items_of(client: AsyncClient, job_id: str, outcomes: Sequence[str] = (
     return found
 
 
-def _of_directory(data_dir: Path, job_id: str, outcomes: Sequence[str]) -> Listing:
+def campaign_among(rows: Sequence[JobRow], job_id: str) -> JobRow:
+    """The campaign of that id among the jobs of a data directory. Raises JobUnknown."""
     from mavcal.service.campaigns.campaigns import CAMPAIGN
-    from mavcal.service.campaigns.items import item_from_row
-    from mavcal.service.campaigns.outcome import head, lines
     from mavcal.service.errors import JobUnknown
+
+    found = next((row for row in rows if row.id == job_id and row.kind == CAMPAIGN), None)
+    if found is None:
+        raise JobUnknown(f"there is no campaign {job_id} in this data directory")
+    return found
+
+
+def _of_directory(data_dir: Path, job_id: str, outcomes: Sequence[str]) -> Listing:
+    from mavcal.service.campaigns.items import BEGUN_BY, Item, ItemOutcome, begun_by, item_from_row
+    from mavcal.service.campaigns.outcome import head, lines
     from mavcal.service.jobs.core.codec import to_json
     from mavcal.service.store.sqlite import items_of as rows_of
     from mavcal.service.store.sqlite import jobs_of
 
-    if not any(row.id == job_id and row.kind == CAMPAIGN for row in jobs_of(data_dir)):
-        raise JobUnknown(f"there is no campaign {job_id} in this data directory")
+    jobs = jobs_of(data_dir)
+    campaign_among(jobs, job_id)
     found = [item_from_row(row) for row in rows_of(data_dir, job_id, outcomes or None)]
-    return Listing([to_json(item) for item in found], head() + lines(found))
+
+    def present_job(item: Item) -> str | None:
+        """The item itself names its job only once that has ended."""
+        if item.outcome is not ItemOutcome.RUNNING:
+            return item.job_id
+        ours = begun_by(job_id, item)
+        begun = (row.id for row in reversed(jobs) if (row.body.get("context") or {}).get(BEGUN_BY) == ours)
+        return next(begun, item.job_id)
+
+    return Listing([{**to_json(item), "job_id": present_job(item)} for item in found], head() + lines(found))
 
 
 async def _of_service(client: AsyncClient, job_id: str, outcomes: Sequence[str], *, table: bool) -> Listing:

@@ -68,8 +68,8 @@ def print_campaign(
             screen.line(f"    {more} more are not done: `mavcal campaign items {snapshot.id}` lists them")
     outcome = snapshot.outcome or {"kind": "result", "text": ""}
     failed = outcome["kind"] != "result"
-    said = f"{outcome['cause']} {outcome['remedy']}" if failed else outcome["text"]
-    screen.line(f"{snapshot.state}: {said}", bold=True)
+    text = f"{outcome['cause']} {outcome['remedy']}" if failed else outcome["text"]
+    screen.line(f"{snapshot.state}: {text}", bold=True)
     return EXIT_NO if failed else exit_code(snapshot.options, outcomes)
 
 

@@ -68,16 +68,16 @@ async def _run(at: Door, *, whom: Whom, begin: Begin, output: OutputOptions, scr
 
 async def _snapshot(client: AsyncClient, job_id: str) -> CampaignSnapshot:
     job = await client.get_job(job_id)
-    told = job.model_dump(mode="json", include={"outcome", "progress"})
-    return CampaignSnapshot(job.id, job.state.value, job.options, told["outcome"], told["progress"])
+    document = job.model_dump(mode="json", include={"outcome", "progress"})
+    return CampaignSnapshot(job.id, job.state.value, job.options, document["outcome"], document["progress"])
 
 
 async def _print_outcome(client: AsyncClient, snapshot: CampaignSnapshot, output: OutputOptions, screen: Screen) -> int:
     items = await items_of(client, snapshot.id)
     if output.table is not None:
         write_table(output.table, await client.export_items(snapshot.id, "csv"), len(items))
-    told = [item.model_dump(mode="json", exclude=OF_HTTP) for item in items]
-    return print_campaign(snapshot, told, output, screen)
+    documents = [item.model_dump(mode="json", exclude=OF_HTTP) for item in items]
+    return print_campaign(snapshot, documents, output, screen)
 
 
 async def _heard(door: Door, whom: Whom, screen: Screen) -> list[str]:

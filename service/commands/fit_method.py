@@ -65,7 +65,7 @@ def command_of(method: Method) -> click.Command:
         except (click.ClickException, CalibError) as error:
             failed = str(error)
         finally:  # whatever became of the export, the fit is told
-            _tell(fits, as_form, failed, as_json=as_json)
+            _print_fits(fits, as_form, failed, as_json=as_json)
         return EXIT_NO if failed or any(fit.status == FitStatus.REFUSED for fit in fits) else 0
 
     made = click.command(method.name, help=f"{method.summary}\n\nNeeds: {method.needs}")(run)
@@ -85,7 +85,7 @@ def _parameter_type(kind: Any) -> Any:
     return click.Choice(list(kind)) if isinstance(kind, tuple) else kind
 
 
-def _tell(fits: tuple[FitResult, ...], convention: str | None, failed: str, *, as_json: bool) -> None:
+def _print_fits(fits: tuple[FitResult, ...], convention: str | None, failed: str, *, as_json: bool) -> None:
     """Show the fits; `failed` says why they were not exported."""
     if failed:
         click.echo(f"mavcal: {failed}", err=True)

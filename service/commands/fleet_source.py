@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -39,38 +39,6 @@ class FleetQuery:
     descending: bool = False
 
 
-class FleetSource(Protocol):
-    """What the command needs; units are the documents of REST."""
-
-    def units(self, query: FleetQuery) -> list[Json]:
-        """The units that are wanted."""
-        ...
-
-    def csv(self, query: FleetQuery) -> str:
-        """The same as a table."""
-        ...
-
-    def unit(self, unit_id: str) -> Json:
-        """One unit. Raises UnitUnknown."""
-        ...
-
-    def change(self, unit_id: str, *, name: str | None = None, tags: Sequence[str] | None = None) -> Json:
-        """Give it a name or tags. Raises UnitUnknown."""
-        ...
-
-
-@contextmanager
-def opened(data_dir: Path | None, url: str | None, key_file: Path | None) -> Iterator[FleetSource]:
-    """The source that the options name."""
-    if url is None:
-        yield LocalFleet(load_settings(data_dir=data_dir))
-        return
-    if data_dir is not None:
-        raise click.UsageError("give --data-dir or --url, not both")
-    with service_at(url, key_file) as client:
-        yield RemoteFleet(client)
-
-
 class LocalFleet:
     """A data directory. Reading goes on beside a running service; changing does not."""
 
@@ -78,29 +46,29 @@ class LocalFleet:
         self._settings = settings
 
     def units(self, query: FleetQuery) -> list[Json]:
-        """See FleetSource."""
+        """The documents of REST of the units that are wanted."""
         from mavcal.service.api.fleet_views import fleet_unit_model
 
         return [fleet_unit_model(row).model_dump(mode="json") for row in self._chosen(query)]
 
     def csv(self, query: FleetQuery) -> str:
-        """See FleetSource."""
+        """The same as a table."""
         from mavcal.service.fleet.table import fleet_csv
 
         return fleet_csv(self._chosen(query))
 
     def unit(self, unit_id: str) -> Json:
-        """See FleetSource."""
+        """One unit. Raises UnitUnknown."""
         found = [unit for unit in self.units(FleetQuery()) if unit["unit"] == unit_id]
         if not found:
             raise UnitUnknown(f"there is no unit {unit_id}: `mavcal fleet` lists them")
         return found[0]
 
     def change(self, unit_id: str, *, name: str | None = None, tags: Sequence[str] | None = None) -> Json:
-        """See FleetSource."""
+        """Give it a name or tags. Raises UnitUnknown."""
         from pydantic import ValidationError
 
-        from mavcal.service.api.models import UnitRequest
+        from mavcal.service.api.models.fleet import UnitRequest
         from mavcal.service.fleet.book import renamed
         from mavcal.service.storing import open_store
 
@@ -138,13 +106,13 @@ class LocalFleet:
 
 
 class RemoteFleet:
-    """A running service."""
+    """A running service; its methods are those of :class:`LocalFleet`."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
 
     def units(self, query: FleetQuery) -> list[Json]:
-        """See FleetSource."""
+        """The documents of REST of the units that are wanted."""
         found: list[Json] = []
         after = None
         while True:
@@ -155,17 +123,32 @@ class RemoteFleet:
             after = page[-1].unit
 
     def csv(self, query: FleetQuery) -> str:
-        """See FleetSource."""
+        """The same as a table."""
         return str(self._client.export_fleet(**_asked(query)))
 
     def unit(self, unit_id: str) -> Json:
-        """See FleetSource."""
+        """One unit. Raises UnitUnknown."""
         return dict(self._client.get_unit(unit_id).model_dump(mode="json"))
 
     def change(self, unit_id: str, *, name: str | None = None, tags: Sequence[str] | None = None) -> Json:
-        """See FleetSource."""
+        """Give it a name or tags. Raises UnitUnknown."""
         given = None if tags is None else list(tags)
         return dict(self._client.change_unit(unit_id, name=name, tags=given).model_dump(mode="json"))
+
+
+FleetSource = LocalFleet | RemoteFleet
+
+
+@contextmanager
+def opened(data_dir: Path | None, url: str | None, key_file: Path | None) -> Iterator[FleetSource]:
+    """The source that the options name."""
+    if url is None:
+        yield LocalFleet(load_settings(data_dir=data_dir))
+        return
+    if data_dir is not None:
+        raise click.UsageError("give --data-dir or --url, not both")
+    with service_at(url, key_file) as client:
+        yield RemoteFleet(client)
 
 
 def _asked(query: FleetQuery) -> Json:

@@ -56,15 +56,15 @@ async def followed(client: AsyncClient, job_id: str, screen: Screen) -> JobModel
     job = await client.get_job(job_id)
     if rests(job):
         return job
-    told = None
+    shown = None
     async with keyboard(answering(client, job_id, screen)):
         async for message in client.follow_job(job_id):
             event = message.data
             show_event(event.kind, event.data.model_dump(mode="json"), screen)
             if isinstance(event, StateEvent):
-                if event.data.state != told:  # a state is said once
-                    told = event.data.state
-                    screen.line(f"    {told.value}")
+                if event.data.state != shown:  # a state is said once
+                    shown = event.data.state
+                    screen.line(f"    {shown.value}")
                 job = await client.get_job(job_id)  # the event may be an old one
                 if rests(job):
                     break
@@ -83,11 +83,11 @@ def show_came_of(job: JobModel, screen: Screen) -> None:
     """Where the job stands, and why."""
     outcome = job.outcome
     if outcome is None:
-        said = f"its plan waits: `mavcal accept {job.id}` writes it" if job.plan is not None else ""
+        text = f"its plan waits: `mavcal accept {job.id}` writes it" if job.plan is not None else ""
     elif outcome.kind == "result":
-        said = outcome.text
+        text = outcome.text
     else:
-        said = f"{outcome.cause} {outcome.remedy}"
-    screen.line(f"{job.state.value}: {said}" if said else job.state.value, bold=True)
+        text = f"{outcome.cause} {outcome.remedy}"
+    screen.line(f"{job.state.value}: {text}" if text else job.state.value, bold=True)
     for out in job.left_out:
         screen.line(f"left out: {out.sensor.value} {out.instance + 1}: {out.reason}")

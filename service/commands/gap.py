@@ -262,8 +262,8 @@ def effect_lines(effect: EffectEstimate) -> list[str]:
     sure = f"{effect.id}, probability {chance(effect.evidence.probability)}{likelier}; {held_out(effect)}"
     lines += wrapped(sure, "    ")
     for claim in claims(effect):
-        said = f"{claim.label}: {claim.difference}" + (f" ({claim.interval})" if claim.interval else "")
-        lines += wrapped(f"{said}; {claim.sides}" if claim.sides else said, "    ")
+        text = f"{claim.label}: {claim.difference}" + (f" ({claim.interval})" if claim.interval else "")
+        lines += wrapped(f"{text}; {claim.sides}" if claim.sides else text, "    ")
     for rival in effect.confusable_with:
         lines += wrapped(f"could also be {rival_phrase(rival)}", "    ")
     return lines
@@ -278,8 +278,8 @@ def remainder_lines(left: Left) -> Iterator[str]:
         nothing, what = (1.0, "real by new") if one.ratio else (0.0, "real less new")
         within = f"within two standard errors of {nothing:g}" if one.within else "not closed"
         unseen = "; the new flight does not show the effect" if left.again is None else ""
-        said = f"{left.id}{motor}: {name}, {what} {nothing + one.value:.4g} ± {number(one.se)}, {within}{unseen}"
-        yield from wrapped(said)
+        text = f"{left.id}{motor}: {name}, {what} {nothing + one.value:.4g} ± {number(one.se)}, {within}{unseen}"
+        yield from wrapped(text)
 
 
 def flight_lines(part: AirframePart) -> Iterator[str]:

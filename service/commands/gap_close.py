@@ -200,8 +200,8 @@ def _show(result: RoundResult) -> None:
 def _answer(result: ClosingResult, *, as_json: bool) -> None:
     from mavcal.service.closing.report import sentence
 
-    said = sentence(result)
+    text = sentence(result)
     if as_json:
-        write_json({"outcome": result.outcome.value, "said": said, "rounds": [r.as_json() for r in result.rounds]})
+        write_json({"outcome": result.outcome.value, "said": text, "rounds": [r.as_json() for r in result.rounds]})
     else:
-        click.echo(said)
+        click.echo(text)

@@ -162,8 +162,8 @@ def write_exports(report: GapReport, files: Files, outs: Sequence[Path], remedy:
             click.echo(f"{out} cannot hold {text}", err=True)
         for text in made.doubtful:
             click.echo(f"{out} holds what is doubtful: {text}", err=True)
-        said = {"not_held": list(made.not_held), "doubtful": list(made.doubtful)}
-        written.append({"file": out.name, "for": wanted.value, "written": True, **said})
+        limits = {"not_held": list(made.not_held), "doubtful": list(made.doubtful)}
+        written.append({"file": out.name, "for": wanted.value, "written": True, **limits})
     return written
 
 

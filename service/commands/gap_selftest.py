@@ -149,8 +149,8 @@ def _show(document: dict[str, Any]) -> None:
         if rows:
             click.echo(f"\nfailures, {tier}")
         for row in rows:
-            said = ", ".join(f"{text} x{n}" if n > 1 else text for text, n in row["said"])
-            click.echo(f"  {row['wrong']:3}/{row['n']:<3} {row['type']}: {said}; seeds {row['seeds']}")
+            answers_text = ", ".join(f"{text} x{n}" if n > 1 else text for text, n in row["said"])
+            click.echo(f"  {row['wrong']:3}/{row['n']:<3} {row['type']}: {answers_text}; seeds {row['seeds']}")
     for text, n in document["errors"]:
         click.echo(f"error x{n}: {text}")
 
@@ -168,8 +168,8 @@ def _show_tables(document: dict[str, Any]) -> None:
     if document.get("by_probability"):
         click.echo("\nby probability: mean of what was said, share that is right")
     for row in document.get("by_probability", ()):
-        said = "-" if row["mean"] is None else f"{row['mean']:.3f}"
-        click.echo(f"  {row['p'][0]:.1f} - {row['p'][1]:.1f}  {said}  {_cells(row, 'right')}")
+        stated = "-" if row["mean"] is None else f"{row['mean']:.3f}"
+        click.echo(f"  {row['p'][0]:.1f} - {row['p'][1]:.1f}  {stated}  {_cells(row, 'right')}")
 
 
 def _cells(row: dict[str, Any], *names: str) -> str:

@@ -58,7 +58,7 @@ async def mended(door: Door, vehicle_id: str, kind: str, screen: Screen, *, look
             await wait_for_job(client, job.id)
     await door.wait_for_cleanup(written=job.id if look else None)
     job = await client.get_job(job.id)  # what the vehicle says after a write is known only now
-    text = " ".join(filter(None, ("Nothing was written." if left.all else said(job), left.text)))
+    text = " ".join(filter(None, ("Nothing was written." if left.all else outcome_text(job), left.text)))
     return Mended(job, text, bool(job.left_out or left.keys))
 
 
@@ -72,7 +72,7 @@ async def wait_for_job(client: AsyncClient, job_id: str) -> JobModel:
     return job
 
 
-def said(job: JobModel) -> str:
+def outcome_text(job: JobModel) -> str:
     """What came of a job, or what stands against its plan."""
     if job.outcome is not None and job.outcome.kind == "result":
         return job.outcome.text

@@ -39,19 +39,19 @@ async def heard(door: Door, url: str, wait: float, screen: Screen) -> VehicleMod
     from mavcal.service.errors import VehicleSilent
 
     link_id = await door.open(url)
-    telling = asyncio.create_task(_tell_wait(door.client, link_id, url, wait, screen))
+    announcing = asyncio.create_task(_announce_wait(door.client, link_id, url, wait, screen))
     try:
         async with asyncio.timeout(wait):
             while not (found := await on_link(door.client, link_id)):  # noqa: ASYNC110 - a service is asked
                 await asyncio.sleep(LOOK_S)
             return found[0]
     except TimeoutError:
-        said = await _reason(door.client, link_id)
+        reason = await _reason(door.client, link_id)
         raise VehicleSilent(
-            f"no vehicle was heard on {url} within {wait:g} s{said}: check its power and the link"
+            f"no vehicle was heard on {url} within {wait:g} s{reason}: check its power and the link"
         ) from None
     finally:
-        telling.cancel()
+        announcing.cancel()
 
 
 async def on_link(client: AsyncClient, link_id: str) -> list[VehicleModel]:
@@ -66,13 +66,13 @@ async def _reason(client: AsyncClient, link_id: str) -> str:
     return f" ({reason})" if reason else ""
 
 
-async def _tell_wait(client: AsyncClient, link_id: str, url: str, wait: float, screen: Screen) -> None:
+async def _announce_wait(client: AsyncClient, link_id: str, url: str, wait: float, screen: Screen) -> None:
     """Say that a vehicle is waited for, once for every reason."""
-    told: set[str] = set()
+    shown: set[str] = set()
     while True:
         await asyncio.sleep(QUIET_S)
-        if (why := await _reason(client, link_id)) not in told:
-            told.add(why)
+        if (why := await _reason(client, link_id)) not in shown:
+            shown.add(why)
             screen.line(f"waiting up to {wait:g} s for a vehicle on {url}{why}")
 
 
@@ -101,7 +101,7 @@ async def follow(
     from mavcal.service.jobs.core.states import JobState
 
     loop = asyncio.get_running_loop()
-    told: set[str] = set()
+    shown: set[str] = set()
     job = await client.get_job(job_id)
     with suppress(TimeoutError):
         async with asyncio.timeout(None) as limit, aclosing(client.follow_job(job_id)) as events:  # type: ignore[type-var]
@@ -121,9 +121,9 @@ async def follow(
                     limit.reschedule(None)
                 elif limit.when() is None:
                     for sentence in (await client.get_unfinished(job_id)).ending:
-                        if sentence not in told:  # a busy machine puts a job in doubt again and again
+                        if sentence not in shown:  # a busy machine puts a job in doubt again and again
                             screen.line(sentence, bold=True)
-                        told.add(sentence)
+                        shown.add(sentence)
                     limit.reschedule(loop.time() + doubt_s)
     return await client.get_job(job_id)
 
@@ -170,7 +170,7 @@ async def recovered(
 
     `left` is what they left, as it was when the service began: it goes on by itself once the vehicle is heard.
     """
-    client, told = door.client, []
+    client, ended = door.client, []
     for found in left:
         job = found.job
         if not await is_of(client, job, vehicle):
@@ -183,8 +183,8 @@ async def recovered(
         now = await client.get_unfinished(job.id)
         for sentence in now.ending:
             screen.line(f"    {sentence}")
-        told.append(now)
-    return tuple(told)
+        ended.append(now)
+    return tuple(ended)
 
 
 async def is_of(client: AsyncClient, job: JobSummary | JobModel, vehicle: VehicleModel) -> bool:

@@ -75,8 +75,8 @@ def _show_table(files: Sequence[str], reading: Mapping[str, Any], *, as_json: bo
         try:
             _, found = _judged(file, reading)
         except (CalibError, click.ClickException) as error:
-            said = error.message if isinstance(error, click.ClickException) else str(error)
-            rows.append({"file": name, "verdict": "unreadable", "summary": said})
+            reason = error.message if isinstance(error, click.ClickException) else str(error)
+            rows.append({"file": name, "verdict": "unreadable", "summary": reason})
             continue
         verdict, summary = ("bench", "Labelled by hand.") if found is None else (found.verdict.value, found.summary)
         rows.append({"file": name, "verdict": verdict, "summary": summary})

@@ -129,8 +129,8 @@ def _document(row: JobRow) -> dict[str, Any]:
 def _cells(job: Mapping[str, Any]) -> tuple[str, ...]:
     outcome = job["outcome"] or {}
     begun = datetime.fromtimestamp(job["created_at"], UTC).strftime("%Y-%m-%d %H:%M")
-    said = outcome.get("text") or outcome.get("cause") or ""
-    return job["id"], job["kind"], job["state"], _about(job), begun, said
+    text = outcome.get("text") or outcome.get("cause") or ""
+    return job["id"], job["kind"], job["state"], _about(job), begun, text
 
 
 def _about(job: Mapping[str, Any]) -> str:

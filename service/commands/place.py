@@ -33,18 +33,18 @@ class CommandPlace:
         return _NAMED.sub(lambda named: f"`mavcal {self._with_options(named[1])}`", text)
 
     def _with_options(self, words: str) -> str:
-        told = words.split()
-        taken = _flags(told)
+        given = words.split()
+        taken = _flags(given)
         if self.url is not None and "--url" in taken:
             values: dict[str, object] = {"--url": self.url, "--key-file": self.key_file, "--vehicle": self.vehicle}
         elif self.url is not None:
             values = {}  # what a service keeps is in no data directory of this machine
         else:
             values = {"--connect": self.connect, "--data-dir": self.data_dir}
-        if "--all" in told:
+        if "--all" in given:
             values = {flag: v for flag, v in values.items() if flag not in {"--connect", "--vehicle"}}
         more = [f"{flag} {shlex.quote(str(v))}" for flag, v in values.items() if v is not None and flag in taken]
-        return " ".join([words, *(text for text in more if text.split()[0] not in told)])
+        return " ".join([words, *(text for text in more if text.split()[0] not in given)])
 
 
 NO_OPTIONS = CommandPlace()

@@ -58,8 +58,8 @@ def all_plan_options(command: Command) -> Command:
 
 def given(options: dict[str, Any]) -> dict[str, Any]:
     """Those that were given, as plain data. Takes them out of `options`."""
-    said = {name: options.pop(name) for name in (*NAMES, *OF_RECORDINGS) if name in options}
-    found = {n: v for n, v in said.items() if v is not None and (v is not False or n in _TWO_WAYS)}
+    named = {name: options.pop(name) for name in (*NAMES, *OF_RECORDINGS) if name in options}
+    found = {n: v for n, v in named.items() if v is not None and (v is not False or n in _TWO_WAYS)}
     if "only" in found:
         found["only"] = [part for part in found["only"].split(",") if part]
     for name in ("mountings", "device_ids", "accel_temperature"):

@@ -115,8 +115,8 @@ async def _fixed(door: Door, vehicle: VehicleModel, kinds: Sequence[str], screen
 def _said_meanwhile(screen: Screen) -> Iterator[None]:
     """Say every few seconds that the preflight goes on."""
     loop = asyncio.get_running_loop()
-    said = "    still looking, for 30 s at most: the link is slow, or the vehicle has just started"
-    reminders = [loop.call_later(after, screen.line, said) for after in STILL_LOOKING_S]
+    text = "    still looking, for 30 s at most: the link is slow, or the vehicle has just started"
+    reminders = [loop.call_later(after, screen.line, text) for after in STILL_LOOKING_S]
     try:
         yield
     finally:
@@ -132,15 +132,15 @@ def _exit_code(found: list[PreflightModel | Refusal]) -> int:
 
 def _document(done: list[Answer], *, alone: bool) -> dict[str, Any]:
     """One report; of several vehicles, all of them by endpoint."""
-    told = []
+    documents = []
     for where, one in done:
         if not isinstance(one, Refusal):
-            told.append({"connect": where.connect, **one.model_dump()})
+            documents.append({"connect": where.connect, **one.model_dump()})
         else:
-            told.append({**where.document, "error": {"code": one.code, "detail": str(one)}})
+            documents.append({**where.document, "error": {"code": one.code, "detail": str(one)}})
     if not alone:
-        return {"vehicles": told}
-    return {name: value for name, value in told[0].items() if name != "connect"}
+        return {"vehicles": documents}
+    return {name: value for name, value in documents[0].items() if name != "connect"}
 
 
 def show(found: PreflightModel | Refusal, title: str = "", place: CommandPlace = NO_OPTIONS) -> None:

@@ -73,11 +73,13 @@ async def _all_writes(door: Door, vehicle: VehicleModel, _screen: Screen, *, wai
         done.append(await wait_for_job(client, job.id))
         if not taken_back(done[-1]):
             break  # an older one must not put values back over what is in doubt
-    told = [{"job": job.id, "kind": job.kind, "state": job.state.value, "text": _said(job)} for job in done]
-    lines = [f"job {job.id} ({job.kind}) is {job.state.value}: {_said(job)}" for job in done]
+    documents = [
+        {"job": job.id, "kind": job.kind, "state": job.state.value, "text": _outcome_text(job)} for job in done
+    ]
+    lines = [f"job {job.id} ({job.kind}) is {job.state.value}: {_outcome_text(job)}" for job in done]
     waiting = [f"job {job.id} ({job.kind}) was not tried" for job in ours[len(done) :]]
-    return Acted(taken_back(done[-1]), " ".join([*lines, *waiting]), {"jobs": told})
+    return Acted(taken_back(done[-1]), " ".join([*lines, *waiting]), {"jobs": documents})
 
 
-def _said(job: JobModel) -> str:
+def _outcome_text(job: JobModel) -> str:
     return "" if job.outcome is None else getattr(job.outcome, "text", "") or getattr(job.outcome, "cause", "")

@@ -28,10 +28,10 @@ class Screen:
     ) -> None:
         self.place = place
         self._quiet, self._clock = quiet, clock
-        self._said_at = -math.inf
+        self._shown_at = -math.inf
         self._terminal = sys.stderr.isatty()
         self._open = False
-        self._told: tuple[object, ...] = ()
+        self._shown: tuple[object, ...] = ()
         self._asked = ""
 
     def line(self, text: str = "", *, bold: bool = False) -> None:
@@ -39,7 +39,7 @@ class Screen:
         if self._quiet:
             return
         self._close()
-        self._said_at = self._clock()
+        self._shown_at = self._clock()
         click.secho(self.place.completed(text), err=True, bold=bold)
 
     def prompt(self, text: str) -> None:
@@ -58,8 +58,8 @@ class Screen:
         eta = "" if progress["eta"] is None else f"  {progress['eta']:.0f} s left"
         if not self._terminal:
             key = (int(share * 4), progress["unit"])
-            if key != self._told or self._clock() - self._said_at >= SAY_EVERY_S:
-                self._told, self._said_at = key, self._clock()
+            if key != self._shown or self._clock() - self._shown_at >= SAY_EVERY_S:
+                self._shown, self._shown_at = key, self._clock()
                 click.echo(f"    {share:4.0%}  {progress['text']}", err=True)
             return
         bar = "#" * round(share * BAR)

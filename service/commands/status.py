@@ -50,8 +50,8 @@ async def _one(door: Door, found: Found) -> dict[str, Any]:
     if found.vehicle is None:
         return found.document
     done = await jobs_of(door.client, vehicle_id=found.vehicle.id, state=JobState.SUCCEEDED)
-    told = {job.kind: {"job": job.id, "at": job.updated_at} for job in done}
-    return {"connect": found.connect, **found.vehicle.model_dump(mode="json"), "calibrated": told}
+    calibrated = {job.kind: {"job": job.id, "at": job.updated_at} for job in done}
+    return {"connect": found.connect, **found.vehicle.model_dump(mode="json"), "calibrated": calibrated}
 
 
 def _show(one: dict[str, Any]) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.fit import FitResult
@@ -24,7 +24,7 @@ from mavcal.client.events import ProgressEvent, PromptEvent, StateEvent
 from mavcal.client.jobs import JobModel, PlanModel, PromptModel, ResultModel, SegmentModel
 from mavcal.client.problems import VehicleArmed, VehicleSilent
 from mavcal.service.demo.judge import DemoJudgement, SensorReport, judge
-from mavcal.service.demo.screen import called
+from mavcal.service.demo.screen import DemoScreen, called
 from mavcal.service.lifetime import ending_with_us
 from mavcal.service.simvehicle import Operator, SimulatedVehicle, SimulatedVehicleError
 
@@ -67,38 +67,6 @@ ENDED = frozenset(
 )
 
 
-class Narrator(Protocol):
-    """Who is told how it goes."""
-
-    def line(self, text: str = "", *, bold: bool = False) -> None:
-        """A line that stays."""
-        ...
-
-    def detail(self, text: str) -> None:
-        """A line for those who want to see every step."""
-        ...
-
-    def begin(self, name: str) -> None:
-        """A calibration begins."""
-        ...
-
-    def end(self, text: str, *, good: bool) -> None:
-        """It has ended, with this result."""
-        ...
-
-    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Columns under their names."""
-        ...
-
-    def prompt(self, text: str) -> None:
-        """What is done with the vehicle now."""
-        ...
-
-    def progress(self, progress: Mapping[str, Any]) -> None:
-        """How far a job is."""
-        ...
-
-
 class DemoError(Exception):
     """A calibration of the demonstration did not end as it should."""
 
@@ -112,7 +80,7 @@ class DemoResult:
     document: Json
 
 
-def run(autopilot: str, *, seed: int, screen: Narrator, keep_open: bool = False, speed: float = SPEED) -> DemoResult:
+def run(autopilot: str, *, seed: int, screen: DemoScreen, keep_open: bool = False, speed: float = SPEED) -> DemoResult:
     """Calibrate a simulated vehicle and judge the result.
 
     Raises
@@ -126,7 +94,7 @@ def run(autopilot: str, *, seed: int, screen: Narrator, keep_open: bool = False,
         raise DemoError(f"{type(error).__name__}: {error}") from error
 
 
-def _run(autopilot: str, *, seed: int, screen: Narrator, keep_open: bool, speed: float) -> DemoResult:
+def _run(autopilot: str, *, seed: int, screen: DemoScreen, keep_open: bool, speed: float) -> DemoResult:
     began = time.monotonic()
     config = {"temperature": START_C, "parameters": BARE.get(autopilot, {})}
     with (
@@ -149,7 +117,9 @@ def _run(autopilot: str, *, seed: int, screen: Narrator, keep_open: bool, speed:
 
 
 class _Demo:
-    def __init__(self, vehicle: SimulatedVehicle, client: Client, screen: Narrator, speed: float, tlogs: Path) -> None:
+    def __init__(
+        self, vehicle: SimulatedVehicle, client: Client, screen: DemoScreen, speed: float, tlogs: Path
+    ) -> None:
         self._speed = speed
         self._tlogs = tlogs
         self._vehicle = vehicle
@@ -307,7 +277,7 @@ class _Demo:
                 f"{report.sensor.value}[{report.instance}] true error {report.before:.4g} -> {report.after:.3g} "
                 f"{report.unit}{cross}; largest |error|/sd {abs(report.score.standardised).max(initial=0.0):.2f}"
             )
-        self._screen.detail(_said(job))
+        self._screen.detail(_outcome_text(job))
         self._screen.end(_ended(job), good=job.state == JobState.SUCCEEDED)
 
 
@@ -381,7 +351,7 @@ def _report_document(report: SensorReport) -> Json:
     return {**document, "z": report.score.standardised, "chi2": report.score.chi2, "names": report.score.names}
 
 
-def _said(job: JobModel) -> str:
+def _outcome_text(job: JobModel) -> str:
     """What the job says of its end."""
     if job.outcome is None:
         return "no outcome"
@@ -389,7 +359,7 @@ def _said(job: JobModel) -> str:
 
 
 def _why(job: JobModel) -> str:
-    return f"{job.kind}: {job.state}: {_said(job)}"
+    return f"{job.kind}: {job.state}: {_outcome_text(job)}"
 
 
 @contextmanager
@@ -402,8 +372,8 @@ def _service(connect: str, data_dir: Path) -> Iterator[str]:
         assert process.stdout is not None
         line = process.stdout.readline()
         if not line:
-            said = (data_dir / "service.log").read_text(errors="replace").strip().splitlines()
-            raise DemoError(f"the service did not start: {said[-1] if said else 'it said nothing'}")
+            lines = (data_dir / "service.log").read_text(errors="replace").strip().splitlines()
+            raise DemoError(f"the service did not start: {lines[-1] if lines else 'it lines nothing'}")
         yield str(json.loads(line)["url"])
     finally:
         process.terminate()

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from mavcal.service.errors import ServiceError
 from mavcal.service.fleet.view import FleetUnit, fleet_units
-from mavcal.service.store.protocol import Store
+from mavcal.service.store.sql import Store
 
 START_S = 20.0
 PERIOD_S = 30.0

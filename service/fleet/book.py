@@ -15,8 +15,8 @@ from mavcal.service.fleet.records import preflight_row, records_of_job, records_
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.preflights import Preflight
-from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import UnitRow
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle import VehicleRegistry
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
 

@@ -21,8 +21,8 @@ from mavcal.service.jobs.calibrate.history import history_of
 from mavcal.service.jobs.core.model import Job, Result
 from mavcal.service.jobs.core.proof import ProofLevel
 from mavcal.service.preflights import Preflight
-from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import PreflightRow, SensorRow
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 

@@ -98,9 +98,9 @@ class Choice:
 
     def takes(self, row: FleetUnit) -> bool:
         """Whether the row matches."""
-        said = "none" if row.verdict is None else row.verdict.value
+        verdict = "none" if row.verdict is None else row.verdict.value
         return (
-            (not self.verdict or said in self.verdict)
+            (not self.verdict or verdict in self.verdict)
             and (self.tag is None or self.tag in row.tags)
             and (self.min_age_d is None or row.age is None or row.age >= self.min_age_d)
             and (self.sensor is None or any(_is(s, self.sensor.lower()) for s in row.standing.sensors))

@@ -9,8 +9,8 @@ import structlog
 
 from mavcal.service.errors import StoreError
 from mavcal.service.jobs.core.book import JobBook
-from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import EventRow, JobRow
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 

@@ -16,7 +16,7 @@ from mavcal.service.instances.ownership import LeasedJobs, link_subject
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.settings import Settings
-from mavcal.service.store.sql import SqlStore
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle import VehicleRegistry
 
 FILE = "instance"
@@ -31,7 +31,7 @@ class Instance:
         If the database cannot be reached or used.
     """
 
-    def __init__(self, settings: Settings, store: SqlStore) -> None:
+    def __init__(self, settings: Settings, store: Store) -> None:
         assert settings.database_url is not None
         self._settings, self._store = settings, store
         url = settings.database_url.get_secret_value()

@@ -19,7 +19,7 @@ from mavcal.service.instances.ownership import job_subject, link_subject, vehicl
 from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.link_registry import LinkRegistry, link_id_of
-from mavcal.service.store.protocol import Store
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle import VehicleRegistry
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
 

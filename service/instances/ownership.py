@@ -10,8 +10,7 @@ from mavcal.service.errors import LeaseLost, StoreError
 from mavcal.service.instances.leases import Leases
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import ENDED
-from mavcal.service.store.protocol import JobStore
-from mavcal.service.store.sql import SqlStore
+from mavcal.service.store.sql import Store
 
 
 def vehicle_subject(vehicle_id: str) -> str:
@@ -44,7 +43,7 @@ class LeasedJobs:
 
     shared = True
 
-    def __init__(self, leases: Leases, store: SqlStore, news: Callable[[], None]) -> None:
+    def __init__(self, leases: Leases, store: Store, news: Callable[[], None]) -> None:
         self._leases, self._store = leases, store
         self.changed = news
         self._ending: set[asyncio.Task[None]] = set()
@@ -55,7 +54,7 @@ class LeasedJobs:
         if job.vehicle_id is None and not await asyncio.to_thread(self._leases.acquire, subject):
             raise LeaseLost(f"{subject} is owned by another instance")
 
-    def store_of(self, job: Job) -> JobStore:
+    def store_of(self, job: Job) -> Store:
         """See Ownership."""
         return self._store.fenced(self._leases.fence(job_subject(job)))
 

@@ -39,8 +39,8 @@ from mavcal.service.jobs.write.steps import check_plan
 from mavcal.service.jobs.write.transaction import Transactions
 from mavcal.service.preflights import History, Preflight, Preflights
 from mavcal.service.rates.ledger import RateLedgers
-from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import EventRow, JobDocument, JobRow
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
 
 
@@ -179,7 +179,7 @@ class JobEngine:
         return self.book.job(job_id)
 
     def claim(self, vehicle_id: str) -> str | None:
-        """Who has the message rates of a vehicle, in a sentence for whoever would like to watch; None: nobody."""
+        """A sentence on the job or preflight that sets the message rates of a vehicle; None: none does."""
         if self.tasks.resuming:
             return STARTING
         jobs = with_present_vehicles(self.list(), self._vehicles)
@@ -219,7 +219,7 @@ class JobEngine:
         *,
         begun_by: Mapping[str, Any] | None = None,
     ) -> Job:
-        """A job that plans to put the last verified calibration back, mapped by device id; then in review or failed.
+        """Start a job that plans to restore the last verified calibration, by device id; it ends in review or failed.
 
         `begun_by` goes to its context: the campaign that began it.
 
@@ -373,9 +373,9 @@ class JobEngine:
         admission.require_ready(vehicle, busy=True)
         await check_plan(self._transactions.attempt(dataclasses.replace(handle.job, accept=accept), handle))
         self._require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
-        said = {"plan_sha256": accept.plan_sha256, "confirmed": confirmed(handle.job.context.get("plan_options", {}))}
+        detail = {"plan_sha256": accept.plan_sha256, "confirmed": confirmed(handle.job.context.get("plan_options", {}))}
         with self._acceptance.claimed(job_id):
-            await self._acceptance.note(accept.actor, "apply", job_id, said)
+            await self._acceptance.note(accept.actor, "apply", job_id, detail)
             # First the journal: from the new state on the job has a task, whatever the store does.
             await handle.record(
                 JournalStep.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot

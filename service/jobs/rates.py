@@ -25,7 +25,7 @@ STARTING = "The service is finishing what was interrupted at its last stop; the 
 
 @dataclasses.dataclass(frozen=True)
 class JournalOwed:
-    """What a job owes to its vehicle, in its journal; see :class:`service.rates.ledger.Owed`."""
+    """Message intervals that a job has to restore, kept in its journal; see :class:`service.rates.ledger.Owed`."""
 
     handle: JobHandle
 
@@ -108,7 +108,7 @@ class JobRates:
                 await asyncio.wait(waited)
 
     async def before_capture(self, vehicle_id: str) -> None:
-        """Wait until every earlier user of this vehicle has returned its rates, and no longer for an accept."""
+        """Wait until earlier users have returned the vehicle's rates; none waits for an accept any more."""
         await self._ledgers.of(vehicle_id).returned(RateUser.PREFLIGHT)
         await self.before_preflight(vehicle_id)
 
@@ -129,7 +129,7 @@ class JobRates:
             await self.before_preflight(vehicle_id)
 
     def user(self, vehicle_id: str, jobs: Iterable[Job], running: Collection[str], *, looked_at: bool) -> str | None:
-        """Who has the rates of a vehicle, in a sentence for whoever would like to watch; None: nobody.
+        """A sentence on the job or preflight that sets the message rates of a vehicle; None: none does.
 
         `running` are the ids of jobs whose task is not over, whatever their state says.
         """
@@ -152,7 +152,7 @@ class JobRates:
 
 
 def with_present_vehicles(jobs: Iterable[Job], vehicles: VehicleSource) -> Iterator[Job]:
-    """Jobs; those that claim a vehicle with its present id: another link may have named it before."""
+    """The jobs, with the present id of their vehicle: another link may have given it another one."""
     for job in jobs:
         if job.vehicle_id is None or job.state not in PHYSICAL:
             yield job

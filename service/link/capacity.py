@@ -80,19 +80,19 @@ class Arrivals:
         less of it by themselves.
         """
         comes = max(1.0 - self.loss, _LEAST_COMES)
-        shares = [self.own_hz[key] / rate / comes for key, rate in self._telling(requested_hz)]
+        shares = [self.own_hz[key] / rate / comes for key, rate in self._informative(requested_hz)]
         return max(shares) if shares else None
 
     def short(self, requested_hz: Mapping[int, float]) -> float:
         """Share of all samples asked for that the link did not carry: they were not sent, or wait in a buffer."""
-        telling = self._telling(requested_hz)
-        if not telling:
+        informative = self._informative(requested_hz)
+        if not informative:
             return 0.0
-        came = sum(self.own_hz[key] for key, _ in telling) / sum(rate for _, rate in telling)
-        queued = min(self.queued.get(key, 0.0) for key, _ in telling)
+        came = sum(self.own_hz[key] for key, _ in informative) / sum(rate for _, rate in informative)
+        queued = min(self.queued.get(key, 0.0) for key, _ in informative)
         return max(1.0 - came / max(1.0 - self.loss, _LEAST_COMES), 0.0) + queued
 
-    def _telling(self, requested_hz: Mapping[int, float]) -> list[tuple[int, float]]:
+    def _informative(self, requested_hz: Mapping[int, float]) -> list[tuple[int, float]]:
         return [
             (key, rate)
             for key, rate in requested_hz.items()

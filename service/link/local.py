@@ -184,8 +184,8 @@ class SimTransport(UdpTransport):
             except (OSError, ValueError, KeyError) as exc:
                 self.close()
                 complaints.seek(0)
-                said = complaints.read(1000).decode("utf-8", "replace").strip() or str(exc)
-                raise EndpointError(f"{self._endpoint}: the simulated vehicle did not start: {said}") from exc
+                complaint = complaints.read(1000).decode("utf-8", "replace").strip() or str(exc)
+                raise EndpointError(f"{self._endpoint}: the simulated vehicle did not start: {complaint}") from exc
 
     def receive(self) -> list[Chunk]:
         """Take datagrams, as long as the child lives."""

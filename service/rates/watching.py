@@ -284,7 +284,7 @@ class Attendant:
                     await self._return()
                 elif not rate and not self._owed.intervals():
                     return
-                self._tell(rate, against)
+                self._update_status(rate, against)
             except ServiceError as error:
                 self.status = LiveStatus(LiveState.WAITING, str(error), rate)
                 pause = self._times.again_s
@@ -299,7 +299,7 @@ class Attendant:
             await self._return()
         return await self._owed.hand_over(message_ids)
 
-    def _tell(self, rate: float, against: str | None) -> None:
+    def _update_status(self, rate: float, against: str | None) -> None:
         if rate and self._requested_hz == rate:
             self.status = LiveStatus(LiveState.GRANTED, self._text, rate)
         elif rate and against is not None:

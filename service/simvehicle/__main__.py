@@ -44,9 +44,9 @@ def described(of: argparse.ArgumentParser | None = None) -> list[tuple[str, str]
         if action.dest == "help":
             continue
         values = f"[{'|'.join(action.choices)}]" if action.choices else action.metavar or ""
-        said = f"{(action.help or '')[:1].upper()}{(action.help or '')[1:]}"
+        text = f"{(action.help or '')[:1].upper()}{(action.help or '')[1:]}"
         repeated = "; repeated" if isinstance(action.default, list) else ""
-        found.append((f"{action.option_strings[0]} {values}".strip(), f"{said}{repeated}."))
+        found.append((f"{action.option_strings[0]} {values}".strip(), f"{text}{repeated}."))
     return found
 
 

@@ -154,7 +154,7 @@ class ArduPilotCommands:
             return ["Compass calibration running"]
         if any(not self._accel_calibrated(k) for k in range(len(self._sensors.chips))):
             return ["3D Accel calibration needed"]
-        unhealthy = [said for kind, said in UNHEALTHY.items() if self._sensors.unhealthy(kind)]
+        unhealthy = [text for kind, text in UNHEALTHY.items() if self._sensors.unhealthy(kind)]
         return unhealthy or self._inconsistencies()
 
     def _accel_calibrated(self, instance: int) -> bool:

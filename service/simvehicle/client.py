@@ -130,12 +130,12 @@ class SimulatedVehicle:
         command += ["--params", str(params)] if params else []
         command += ["--sitl"] if sitl else []
         # A file, not a pipe: nobody reads it while the vehicle runs, and a full pipe would stop it.
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed by stop()
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed by stop()
         self.process = subprocess.Popen(  # noqa: S603 - our own module
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._said,
+            stderr=self._stderr,
             cwd=Path(__file__).parents[3],
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
@@ -157,9 +157,9 @@ class SimulatedVehicle:
         if not line:
             self.process.kill()
             self.process.wait()
-            self._said.seek(0)
-            said = self._said.read().decode(errors="replace").strip()
-            raise StartError(f"the simulated vehicle did not come up: {said or 'it said nothing'}")
+            self._stderr.seek(0)
+            complaint = self._stderr.read().decode(errors="replace").strip()
+            raise StartError(f"the simulated vehicle did not come up: {complaint or 'it complaint nothing'}")
         ready: dict[str, Any] = json.loads(line)
         return ready
 
@@ -216,7 +216,7 @@ class SimulatedVehicle:
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()
-        for pipe in (self.process.stdin, self.process.stdout, self._said):
+        for pipe in (self.process.stdin, self.process.stdout, self._stderr):
             if pipe is not None:
                 pipe.close()
 

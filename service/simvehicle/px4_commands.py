@@ -109,10 +109,10 @@ class Px4Commands:
 
     def arming_faults(self) -> list[str]:
         """What HealthAndArmingChecks report; empty where arming is allowed."""
-        said = [f"Preflight Fail: {what} uncalibrated" for what in self._sensors.uncalibrated()]
+        faults = [f"Preflight Fail: {what} uncalibrated" for what in self._sensors.uncalibrated()]
         if self.calibrating:
-            said.append("Preflight Fail: Calibration in progress")
-        return said or ([] if self.ready else ["Preflight Fail: system is not ready yet"])
+            faults.append("Preflight Fail: Calibration in progress")
+        return faults or ([] if self.ready else ["Preflight Fail: system is not ready yet"])
 
     def _run_checks(self, _channel: MavlinkChannel, _p: Parameters) -> int:
         if self._vehicle.armed:

@@ -13,7 +13,7 @@ Read = Callable[[str, Row], list[Row]]
 
 
 class FleetTables(SqlRows):
-    """The part of a store that holds the fleet; see :class:`service.store.protocol.FleetStore`."""
+    """Units, what was measured of their sensors, and their last preflights."""
 
     def fleet(self, unit_id: str | None = None) -> FleetRows:
         """Everything about every unit, or about one."""

@@ -24,7 +24,7 @@ from mavcal.service.errors import DiskFull, StoreError
 from mavcal.service.store.database import Row
 from mavcal.service.store.datadir import DataDirLock
 from mavcal.service.store.migrate import Migration, migrations, outstanding
-from mavcal.service.store.sql import SqlStore
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 
@@ -172,9 +172,9 @@ class PostgresDatabase:
 
     def _warn_of_settings(self) -> None:
         """What the server is set to must not take back what a commit promises."""
-        said = self.execute("SELECT current_setting('synchronous_commit'), current_setting('fsync')")[0]
-        self._keeps_more = said[0] == "remote_apply"
-        if said[1] == "off":
+        setting = self.execute("SELECT current_setting('synchronous_commit'), current_setting('fsync')")[0]
+        self._keeps_more = setting[0] == "remote_apply"
+        if setting[1] == "off":
             log.warning("the database runs with fsync = off: a loss of power loses journals of writes")
 
     def _migrated(self, part: str, steps: tuple[Migration, ...]) -> int:
@@ -198,7 +198,7 @@ class PostgresDatabase:
         return version
 
 
-class PostgresStore(SqlStore):
+class PostgresStore(Store):
     """Durable state in a PostgreSQL database; None owns no data directory (tests, commands, workers).
 
     Raises

@@ -1,4 +1,9 @@
-"""Everything durable, in statements that every database takes."""
+"""Everything durable, in statements that every database takes.
+
+Every method that changes something returns only when the change would survive a loss of power, except those that say
+otherwise: events, and what has become of a campaign's items. Methods may be called from any thread;
+from an event loop those that write go through :meth:`Store.do` or :meth:`Store.soon`, which keep their order.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +22,8 @@ ENDED = ("succeeded", "reverted", "failed", "cancelled", "interrupted")
 """States of jobs in which nothing goes on by itself; as in :mod:`service.jobs.core.states`, which a test compares."""
 
 
-class SqlStore(SqlJobs, SqlItems, FleetTables):
-    """See :class:`service.store.protocol.Store`."""
+class Store(SqlJobs, SqlItems, FleetTables):
+    """Jobs, campaigns, fleet, uploads, links and audit trail in one database."""
 
     # --- uploads and what is forgotten in time
 

@@ -20,7 +20,7 @@ from mavcal.service.store.datadir import DataDirLock, require_database
 from mavcal.service.store.fleet import read_fleet
 from mavcal.service.store.migrate import migrate, migrations
 from mavcal.service.store.rows import FleetRows, ItemRow, JobRow
-from mavcal.service.store.sql import SqlStore, checked
+from mavcal.service.store.sql import Store, checked
 from mavcal.service.store.sqlitems import item_row, select_items
 from mavcal.service.store.sqlrows import JOB, job_row
 
@@ -120,7 +120,7 @@ class SqliteDatabase(_Executes):
             self.connection.close()
 
 
-class SqliteStore(SqlStore):
+class SqliteStore(Store):
     """Durable state of one data directory; None keeps it in memory (for tests and one-off commands).
 
     Raises

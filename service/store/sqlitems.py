@@ -17,7 +17,7 @@ _ITEM = "job_id, number, subject, outcome, body"
 
 
 class SqlItems(SqlRows):
-    """See :class:`service.store.protocol.JobStore`."""
+    """The items of campaigns."""
 
     def add_items(self, rows: Sequence[ItemRow]) -> None:
         """Keep the items of a campaign, all or none."""
@@ -26,7 +26,7 @@ class SqlItems(SqlRows):
                 db.execute(f"INSERT INTO campaign_items ({_ITEM}) VALUES (?, ?, ?, ?, ?)", _values(row))
 
     def save_item(self, row: ItemRow) -> None:
-        """Keep what has become of an item. Not forced to the disk."""
+        """Keep what has become of an item. Not forced to the disk: a loss of power may take the last ones back."""
         sql = "UPDATE campaign_items SET outcome = ?, body = ? WHERE job_id = ? AND number = ?"
         with self._write(durable=False) as db:
             db.execute(sql, (row.outcome, dump(row.body), row.job_id, row.number))
@@ -43,7 +43,7 @@ class SqlItems(SqlRows):
         return {str(outcome): int(count) for outcome, count in self._read(sql, (job_id,))}
 
     def change_outcomes(self, job_id: str, outcomes: Collection[str], to: str) -> None:
-        """Give all items of these outcomes another one."""
+        """Give all items of these outcomes another one. Not forced to the disk."""
         chosen = sorted(outcomes)
         sql = f"UPDATE campaign_items SET outcome = ? WHERE job_id = ? AND outcome IN ({', '.join('?' * len(chosen))})"
         with self._write(durable=False) as db:

@@ -38,7 +38,7 @@ _NEEDED = ("jobs", "job_events", "journal", "snapshots", "plans", "segments", "a
 
 
 class SqlJobs(SqlRows):
-    """See :class:`service.store.protocol.JobStore`."""
+    """Jobs, their events, and what was done to vehicles on their behalf."""
 
     def obstacle(self) -> str | None:
         """Why nothing may be written to a vehicle: a table is not there; None: all are."""
@@ -89,7 +89,7 @@ class SqlJobs(SqlRows):
         return tuple(map(job_row, rows))
 
     def each_job(self) -> Iterator[JobRow]:
-        """See :class:`service.store.protocol.JobStore`."""
+        """Every job in the order of creation, read in small parts: those of years need not be held at once."""
         self._line.caught_up()
         ids = [row[0] for row in self._read("SELECT id FROM jobs ORDER BY created_at, rowid")]
         for first in range(0, len(ids), _JOBS_AT_ONCE):
@@ -141,7 +141,7 @@ class SqlJobs(SqlRows):
         return tuple(JournalRow(r[0], r[1], r[2], r[3], json.loads(r[4])) for r in rows)
 
     def add_snapshot(self, job_id: str, at: float, purpose: SnapshotPurpose, sha256: str, body: Json) -> SnapshotRow:
-        """Store a snapshot of parameters."""
+        """Keep parameters as they were read."""
         row = self._run(
             "INSERT INTO snapshots (job_id, at, purpose, sha256, body) VALUES (?, ?, ?, ?, ?) RETURNING id",
             (job_id, at, purpose.value, sha256, dump(body)),
@@ -170,7 +170,7 @@ class SqlJobs(SqlRows):
         return json.loads(rows[0][0]) if rows else None
 
     def open_segment(self, job_id: str, purpose: SegmentPurpose, path: Path, start_byte: int) -> SegmentRow:
-        """Insert an open segment."""
+        """Begin a segment."""
         row = self._run(
             f"INSERT INTO segments (job_id, purpose, path, start_byte) VALUES (?, ?, ?, ?) RETURNING {SEGMENT}",
             (job_id, purpose.value, str(path), start_byte),

@@ -11,7 +11,7 @@ from mavcal.service.vehicle.waits import Waits
 
 
 class Addressee(Protocol):
-    """A vehicle to whom one speaks, whose answers can be waited for, and whose silence can be seen."""
+    """A vehicle that messages can be sent to, with its pending answers and its state."""
 
     @property
     def system(self) -> int:

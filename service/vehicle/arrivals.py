@@ -1,4 +1,4 @@
-"""What comes of streams: rates by the vehicle's own time stamps, from the first sample on, and what is lost on the way.
+"""Measured streams: rates by the vehicle's own time stamps, from the first sample on, and losses.
 
 A vehicle may begin a second after it was asked, and this process may be held up by others. Neither says anything of
 the link, so neither may count: the stamps do, the sequence numbers, and how old the youngest samples are.
@@ -59,7 +59,7 @@ class Meter:
         return (self.count - 1) / span if self.count > 2 and span > 0 else wall_rate
 
     def queued(self) -> float:
-        """By how many s in each s the samples come later and later: a buffer fills; 0: none does.
+        """Growth of the delay, s per s: above 0 a buffer on the way fills.
 
         The youngest of the first third are compared with those of the last third: a process that is held up sees some
         samples late, but never all of them.

@@ -73,7 +73,7 @@ class BootClock:
         self._stamps: deque[tuple[float, float]] = deque(maxlen=_KEPT)
 
     def see(self, stamp: float, at: float) -> bool:
-        """Take note of a stamp that came at `at`; True if the vehicle has restarted: the clock stays behind.
+        """Record a time stamp that arrived at `at`; True if it shows a restart.
 
         A single late message is no restart: several in a row must come from before.
         """
@@ -92,12 +92,12 @@ class BootClock:
         return restarted
 
     def forget(self) -> None:
-        """Take the next stamp as the first one: after so long a silence the vehicle may have restarted."""
+        """Start anew with the next time stamp: after a long silence the vehicle may have restarted."""
         self.latest, self._backwards = None, 0
         self._stamps.clear()
 
     def ahead_of(self, other: BootClock) -> float | None:
-        """By how many seconds of ours this clock is ahead of another one that runs beside it.
+        """Lead of this clock over another one of the same vehicle, s of our clock.
 
         None: too little was heard of one of them. The delay of the other link counts as well.
         """

@@ -67,8 +67,8 @@ def watch_calibration(
         return _goes_on(running, CalibrationSign.POSE, "an accelerometer calibration asks for poses", now)
     if kind == "MAG_CAL_PROGRESS":
         if message.cal_status in _MAG_RUNNING:
-            said = f"a compass calibration is at {message.completion_pct} %"
-            return _goes_on(running, CalibrationSign.MAG, said, now)
+            what = f"a compass calibration is at {message.completion_pct} %"
+            return _goes_on(running, CalibrationSign.MAG, what, now)
         return None if running and running.sign is CalibrationSign.MAG else running
     if kind == "MAG_CAL_REPORT":
         return _report(running, message, now)
@@ -90,13 +90,13 @@ def _heartbeat(running: OnboardCalibration | None, message: Message, now: float)
 
 
 def _text(running: OnboardCalibration | None, text: StatusText, now: float) -> OnboardCalibration | None:
-    said = text.text
-    if not said.startswith("[cal]"):
+    what = text.text
+    if not what.startswith("[cal]"):
         return running
-    if any(word in said for word in ("calibration done", "calibration failed", "calibration cancelled")):
+    if any(word in what for word in ("calibration done", "calibration failed", "calibration cancelled")):
         return None
-    if "started" in said or "progress" in said or "orientation detected" in said or "side done" in said:
-        return _goes_on(running, CalibrationSign.TEXT, f"it said '{said}'", now)
+    if "started" in what or "progress" in what or "orientation detected" in what or "side done" in what:
+        return _goes_on(running, CalibrationSign.TEXT, f"it said '{what}'", now)
     return running
 
 
@@ -109,5 +109,5 @@ def _report(running: OnboardCalibration | None, message: Message, now: float) ->
         return running
     if message.autosaved:
         return None if running and running.sign in (CalibrationSign.MAG, CalibrationSign.REPORT) else running
-    said = "a compass calibration has ended and waits to be accepted or cancelled"
-    return _goes_on(running, CalibrationSign.REPORT, said, now)
+    what = "a compass calibration has ended and waits to be accepted or cancelled"
+    return _goes_on(running, CalibrationSign.REPORT, what, now)

@@ -48,7 +48,7 @@ class LinkChannel:
         self.last_heard = at
 
     def missed(self, restarts: int) -> None:
-        """The vehicle has restarted without this link: its next stamp is of the new boot."""
+        """Note that the vehicle restarted while this link was silent: its next time stamp belongs to the new boot."""
         self.clock.forget()
         self.clock.restarts = restarts
 
@@ -105,7 +105,7 @@ class Channels:
         return bool(others)
 
     def prefer(self) -> bool:
-        """Use a link that carries more than the one in use, while nobody would notice; True if there was one."""
+        """Switch to a link with more capacity, only while no exchange is under way; True if it switched."""
         if len(self._all) == 1:
             return False
         best = self._best(list(self.alive) or [self.in_use])
@@ -139,7 +139,7 @@ class Channels:
             raise error
 
     def restarted(self, restarts: int) -> None:
-        """A restart was counted: what is silent now will not see it."""
+        """Note a restart on every link that is silent now and cannot see it."""
         now = self._clock()
         for channel in self._all:
             if channel.silent(now) and channel.clock.restarts < restarts:

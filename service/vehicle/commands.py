@@ -164,8 +164,8 @@ def _match(vehicle: Addressee, command_id: int) -> Callable[[Frame], int | None]
 
 def _judge(command_id: int, result: int) -> None:
     if result != ACCEPTED:
-        said = _RESULTS.get(result, f"result {result}")
-        raise CommandRefused(f"Command {command_id} was {said}.", command=command_id, result=result)
+        meaning = _RESULTS.get(result, f"result {result}")
+        raise CommandRefused(f"Command {command_id} was {meaning}.", command=command_id, result=result)
 
 
 def _unanswered(vehicle: Addressee, command_id: int, why: str) -> CommandTimeout | VehicleSilent:

@@ -121,10 +121,10 @@ class _Together:
         self._refused = 0
         for message_id in self.left:
             if self._intervals_us is not None:
-                self._vehicle.tell(commands.SET_MESSAGE_INTERVAL, message_id, self._intervals_us[message_id])
+                self._vehicle.send_command(commands.SET_MESSAGE_INTERVAL, message_id, self._intervals_us[message_id])
             questions = _questions(self._vehicle, message_id)
             self._question, params = questions[number % len(questions)]
-            self._vehicle.tell(self._question, *params)
+            self._vehicle.send_command(self._question, *params)
 
     def _match(self, frame: Frame) -> tuple[int, int] | None:
         """An interval of a message, or (-1, result) for a question that was refused."""

@@ -52,7 +52,7 @@ TELLING = {
 
 
 class Kinship(StrEnum):
-    """What two identities say of each other."""
+    """How two identities relate: the same unit, different units, or undecided."""
 
     SAME = "same"  # one unique id
     OTHER = "other"
@@ -60,7 +60,7 @@ class Kinship(StrEnum):
 
 
 def kinship(one: VehicleIdentity, other: VehicleIdentity) -> Kinship:
-    """By what AUTOPILOT_VERSION says; both must be known."""
+    """Compare two identities by AUTOPILOT_VERSION, which both must have sent."""
     if _kind(one) != _kind(other) or one.uid2 != other.uid2:
         return Kinship.OTHER
     return Kinship.OPEN if one.uid2 is None else Kinship.SAME
@@ -72,7 +72,7 @@ def _kind(identity: VehicleIdentity) -> tuple[object, ...]:
 
 
 def clocks_agree(one: BootClock, other: BootClock, within_s: float) -> bool | None:
-    """Whether both may be the clock of one vehicle; None: too little was heard of them to say."""
+    """Whether both clocks can belong to one vehicle; None: too few time stamps to decide."""
     ahead = one.ahead_of(other)
     return None if ahead is None else abs(ahead) <= within_s
 
@@ -90,7 +90,7 @@ class Kin:
         others = [other for other in units if _comparable(vehicle, other, units)]
         if not vehicle.identity.known:
             waiting = self._clock() - vehicle.found_at < WAIT_S
-            vehicle.undecided = _said(vehicle, others[0]) if others and waiting else ""
+            vehicle.undecided = _undecided_text(vehicle, others[0]) if others and waiting else ""
             return None
         open_ones = []
         for other in others:
@@ -100,7 +100,7 @@ class Kin:
             if same is None:
                 open_ones.append(other)
         if open_ones:
-            vehicle.undecided = _said(vehicle, open_ones[0])
+            vehicle.undecided = _undecided_text(vehicle, open_ones[0])
             return None
         return vehicle
 
@@ -161,7 +161,7 @@ class Kin:
         return found
 
     def close(self) -> None:
-        """Compare nothing any more."""
+        """Stop every comparison."""
         for task in list(self._reading.values()):
             task.cancel()
 
@@ -180,7 +180,7 @@ def _comparable(vehicle: Vehicle, other: Vehicle, units: Sequence[Vehicle]) -> b
     return other.settled or other.found_at < vehicle.found_at or units.index(other) < units.index(vehicle)
 
 
-def _said(vehicle: Vehicle, other: Vehicle) -> str:
+def _undecided_text(vehicle: Vehicle, other: Vehicle) -> str:
     return (
         f"It is not decided yet whether system id {vehicle.system} on link {vehicle.way} is the vehicle {other.id}: "
         "that takes a few seconds."

@@ -29,7 +29,7 @@ class Pace:
         self._trips: deque[bool] = deque(maxlen=_TRIPS)
 
     def answered(self, seconds: float) -> None:
-        """An answer took so long. Leave out a question that was asked twice: nobody knows which was answered."""
+        """Record the delay of an answer. Not for a question asked twice: which one was answered is unknown."""
         if self._mean is None:
             self._mean, self._spread = seconds, seconds / 2
             return
@@ -55,7 +55,7 @@ class Pace:
         self._trips.append(answered)
 
     def silences(self) -> int:
-        """How many unanswered questions prove absence: loss alone explains that many less than once in 200 times.
+        """Number of unanswered questions that proves absence: by loss alone it happens less than once in 200 times.
 
         Nothing but the questions so far tells the share lost: any was equally likely before them. The chance of
         k losses in a row is then the product of (lost + 1 + i) / (asked + 2 + i) for i below k.

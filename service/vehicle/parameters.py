@@ -383,5 +383,5 @@ def _refusal(vehicle: Addressee, frame: Frame, name: str) -> ParameterError | No
         return None
     if message.error == _DOES_NOT_EXIST:
         return ParameterMissing(f"This vehicle has no parameter {name}.", name=name)
-    said = _ERRORS.get(message.error, f"error {message.error}")
-    return ParameterRejected(f"The vehicle refuses {name}: {said}.", name=name)
+    meaning = _ERRORS.get(message.error, f"error {message.error}")
+    return ParameterRejected(f"The vehicle refuses {name}: {meaning}.", name=name)

@@ -110,7 +110,7 @@ class RateLedger:
                 await asyncio.wait({found.task})
 
     async def kept_for(self, owner: str) -> bool:
-        """End a return of this job's rates, which are needed again; False: there is none."""
+        """Stop returning the rates of this job, which it needs again; False: none were being returned."""
         found = self._under_way(RateUser.JOB)
         if found is None or found.owner != owner:
             return False
@@ -119,7 +119,7 @@ class RateLedger:
         return True
 
     def taken_over(self, user: RateUser) -> dict[int, int]:
-        """End a return of this user's rates; what it owes is the caller's from now on."""
+        """Stop returning the rates of this user; the caller takes over what still has to be returned."""
         found = self._under_way(user)
         if found is None:
             return {}

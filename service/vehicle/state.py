@@ -89,8 +89,8 @@ class VehicleState:
         if self.last_heartbeat is None:
             lines.append("no HEARTBEAT heard yet")
         else:
-            says = "armed" if self.armed else "disarmed"
-            lines.append(f"HEARTBEAT {now - self.last_heartbeat:.1f} s ago: {says}, status {self.system_status}")
+            word = "armed" if self.armed else "disarmed"
+            lines.append(f"HEARTBEAT {now - self.last_heartbeat:.1f} s ago: {word}, status {self.system_status}")
         if self.disarmed_since is not None:
             lines.append(f"disarmed for {now - self.disarmed_since:.1f} s")
         if self.landed_at is not None:

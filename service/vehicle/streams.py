@@ -1,4 +1,4 @@
-"""Streams: asked for, measured, and put back as they were.
+"""Streams: request them, measure them, and restore the earlier rates.
 
 An acknowledgement does not mean that a stream comes (PX4 accepts some and never sends them), nor at which rate
 (intervals are rounded): what counts is what is measured.
@@ -59,7 +59,7 @@ REMEMBERED_S = 600.0
 
 @dataclass(frozen=True)
 class StreamRate:
-    """One stream as asked for and as it comes.
+    """Requested and measured rate of one stream.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class StreamRate:
 
 @dataclass
 class StreamReport:
-    """What became of a request for streams; ``await restore()`` puts the old intervals back.
+    """Result of a request for streams; ``await restore()`` sets the old intervals again.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Those who are handed the frames of one vehicle."""
+"""Subscribers to the frames of one vehicle."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class _Subscriber:
 
 
 class Subscribers:
-    """Has every link hand on what they need, and hands each its frames."""
+    """Passes each subscriber its frames, and has every link deliver the messages that are needed."""
 
     def __init__(self) -> None:
         self._all: dict[object, _Subscriber] = {}
@@ -52,18 +52,18 @@ class Subscribers:
         return remove
 
     def join(self, link: Link) -> None:
-        """The vehicle is heard over this link too."""
+        """Receive frames over this link too."""
         for subscriber in self._all.values():
             if subscriber.over is None:
                 subscriber.ask(link)
 
     def leave(self, link: Link) -> None:
-        """It is heard over this link no more."""
+        """Receive nothing over this link any more."""
         for subscriber in self._all.values():
             subscriber.asked.pop(link.id, _nothing)()
 
     def hand_on(self, frames: Sequence[Frame], batch: Batch, link: Link, *, used: bool) -> None:
-        """Hand on what came over a link; `used`: the one in use."""
+        """Pass on the frames of a link; `used`: it is the one in use."""
         loop = asyncio.get_running_loop()
         for key, subscriber in list(self._all.items()):
             wanted = used if subscriber.over is None else subscriber.over is link
@@ -77,7 +77,7 @@ class Subscribers:
             subscriber.callback(frames, batch)
 
     def close(self) -> None:
-        """Nobody is handed anything any more."""
+        """End every subscription."""
         for subscriber in self._all.values():
             _forget(subscriber)
         self._all.clear()

@@ -140,7 +140,7 @@ class Vehicle:
 
     @property
     def own(self) -> OwnIdentity:
-        """The ids that it is spoken to with."""
+        """Our own MAVLink ids in messages to it."""
         return self.link.ids
 
     def send(self, message: Message | RawMessage) -> None:
@@ -178,9 +178,9 @@ class Vehicle:
     def demand(self, command_id: int, *params: float) -> None:
         """Send a command whose acknowledgement is not waited for; where the link is down it is lost."""
         with suppress(LinkDown):
-            self.tell(command_id, *params)
+            self.send_command(command_id, *params)
 
-    def tell(self, command_id: int, *params: float) -> None:
+    def send_command(self, command_id: int, *params: float) -> None:
         """Send a command whose acknowledgement does not matter, since its effect is seen. Raises LinkDown."""
         self.send(self._command_message(command_id, *params))
 
@@ -197,9 +197,9 @@ class Vehicle:
         with self.waits.expect({VERSION_ID}, decode) as answer:
             for attempt in range(2 * _IDENTIFY_TRIES):
                 if attempt % 2 == 0:
-                    self.tell(commands.REQUEST_MESSAGE, VERSION_ID)
+                    self.send_command(commands.REQUEST_MESSAGE, VERSION_ID)
                 else:
-                    self.tell(commands.REQUEST_CAPABILITIES, 1)
+                    self.send_command(commands.REQUEST_CAPABILITIES, 1)
                 if await answer.within(1.0) is not None:
                     await answer.within(_SECOND_ANSWER_S)
                     return self.identity
@@ -286,8 +286,8 @@ class Vehicle:
             return
         self.identity = identity
         if identity != before:
-            said = f"{identity.autopilot} {identity.version_text}, unique id {identity.uid2 or 'unknown'}"
-            self._tell(VehicleEventKind.IDENTIFIED, said)
+            text = f"{identity.autopilot} {identity.version_text}, unique id {identity.uid2 or 'unknown'}"
+            self._emit(VehicleEventKind.IDENTIFIED, text)
 
     def _contradicted(self, uid2: str, channel: LinkChannel, now: float) -> None:
         """Handle an answer of another unit at our address on this link."""
@@ -310,21 +310,21 @@ class Vehicle:
             self._subscribers.join(channel.link)
         other.joined = self
         other.close(VehicleBusy(f"This is the vehicle {self.id}, heard over one more link: ask again."))
-        self._tell(VehicleEventKind.LINKS, f"It is heard over {', '.join(link.id for link in self.links)}.")
+        self._emit(VehicleEventKind.LINKS, f"It is heard over {', '.join(link.id for link in self.links)}.")
 
     def decide_again(self) -> None:
-        """Reopen the question which unit this is."""
+        """Decide again which unit this is."""
         self.settled, self.found_at = False, self.clock()
 
     def leave(self, link: Link, why: str) -> None:
-        """Be heard over this link no more, which is not the only one."""
+        """Remove a link, which must not be the only one."""
         used = link is self.link
         self.channels.leave(link)
         self._subscribers.leave(link)
         self.rates.forget_link(link.id)
         if used:
             self._moved(why)
-        self._tell(VehicleEventKind.LINKS, f"It is not heard over {link.id} any more: {why}.")
+        self._emit(VehicleEventKind.LINKS, f"It is not heard over {link.id} any more: {why}.")
 
     def _fail_over(self, why: str) -> bool:
         """Use another link over which the vehicle is heard; False: there is none."""
@@ -336,7 +336,7 @@ class Vehicle:
     def _moved(self, why: str) -> None:
         """Another link is in use: what was learnt of the old one says nothing of it."""
         self.pace, self.carried = Pace(), None
-        self._tell(VehicleEventKind.MOVED, f"It is spoken to over {self.way} now: {why}.")
+        self._emit(VehicleEventKind.MOVED, f"It is spoken to over {self.way} now: {why}.")
 
     def link_event(self, event: LinkEvent) -> None:
         """Take an event of the link into account if it concerns this vehicle."""
@@ -344,13 +344,13 @@ class Vehicle:
         if event.kind is LinkEventKind.OWN_IDS_HEARD or (ours and event.kind is LinkEventKind.DUPLICATE_SYSTEM):
             self._conflict(event.kind, event.text, self.clock())
         elif ours and event.kind is LinkEventKind.PEER_CHANGED:
-            self._tell(VehicleEventKind.PEER_CHANGED, event.text)
+            self._emit(VehicleEventKind.PEER_CHANGED, event.text)
 
     def _conflict(self, kind: str, text: str, now: float) -> None:
         announced = kind in self._conflicts and now - self._conflicts[kind][1] < CONFLICT_S
         self._conflicts[kind] = (text, now)
         if not announced:
-            self._tell(VehicleEventKind.CONFLICT, text)
+            self._emit(VehicleEventKind.CONFLICT, text)
 
     # --- state ------------------------------------------------------------------------------------------------------
 
@@ -398,7 +398,7 @@ class Vehicle:
             refuse(found, name, sent)
 
     def tick(self) -> None:
-        """Let time pass: deadlines, silence, and asking again for a state that has grown old."""
+        """Check deadlines and silence at this instant, and ask again for a state that is too old."""
         if self.channels.overdue():
             self._fail_over(f"no heartbeat over link {self.way} for 3 s")
         elif not (self._subscribers or self.waits.any or self.rates.requested_us) and self.channels.prefer():
@@ -410,7 +410,7 @@ class Vehicle:
         if silent != self._silent:
             self._silent = silent
             kind = VehicleEventKind.SILENT if silent else VehicleEventKind.HEARD_AGAIN
-            self._tell(kind, "No heartbeat for 3 s." if silent else "Its heartbeat is back.")
+            self._emit(kind, "No heartbeat for 3 s." if silent else "Its heartbeat is back.")
         if not silent:
             self._poll_when_due(now)
 
@@ -474,17 +474,17 @@ class Vehicle:
         if state.rebooted != before.rebooted:
             self.parameters.forget()
             self.listed = False
-            self._tell(VehicleEventKind.REBOOTED, "The vehicle has restarted.")
+            self._emit(VehicleEventKind.REBOOTED, "The vehicle has restarted.")
         if state.armed != before.armed and state.armed is not None:
             kind = VehicleEventKind.ARMED if state.armed else VehicleEventKind.DISARMED
-            self._tell(kind, f"The vehicle is {kind}.")
+            self._emit(kind, f"The vehicle is {kind}.")
         if state.landed != before.landed:
-            self._tell(VehicleEventKind.LANDED, f"The vehicle is {state.landed}.")
+            self._emit(VehicleEventKind.LANDED, f"The vehicle is {state.landed}.")
         if state.onboard_calibration is not None and before.onboard_calibration is None:
-            self._tell(VehicleEventKind.CALIBRATING, f"It calibrates by itself: {state.onboard_calibration.text}.")
+            self._emit(VehicleEventKind.CALIBRATING, f"It calibrates by itself: {state.onboard_calibration.text}.")
         if state.texts is not before.texts:
             for text in (text for text in state.texts if text not in before.texts):
-                self._tell(VehicleEventKind.TEXT, text.text)
+                self._emit(VehicleEventKind.TEXT, text.text)
 
-    def _tell(self, kind: VehicleEventKind, text: str) -> None:
+    def _emit(self, kind: VehicleEventKind, text: str) -> None:
         self._announce(self, kind, text)

@@ -1,4 +1,4 @@
-"""Waiting for frames, with deadlines on a clock that is handed in.
+"""Waits for frames, with deadlines on a given clock.
 
 Nothing sleeps: a wait is a future that a frame resolves, or a tick once its deadline has passed.
 """
@@ -90,13 +90,13 @@ class Waits:
             await nothing.within(seconds)
 
     def add(self, expectation: Expectation[T]) -> None:
-        """Begin to notice; raises if the vehicle has been closed."""
+        """Register a wait; raises if the vehicle has been closed."""
         if self._error is not None:
             raise self._error
         self._expectations.append(expectation)  # type: ignore[arg-type] # only fed and ticked from here on
 
     def remove(self, expectation: Expectation[T]) -> None:
-        """Notice no longer."""
+        """Remove a wait."""
         self._expectations.remove(expectation)  # type: ignore[arg-type]
 
     def feed(self, frame: Frame, *, beside: bool = False) -> None:

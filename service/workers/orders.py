@@ -81,7 +81,7 @@ class Orders:
         )
         return Computation(rows[0][0], rows[0][1], json.loads(rows[0][2]), int(rows[0][3])) if rows else None
 
-    def tell(self, order_id: str, worker: str, said: str) -> None:
+    def report_progress(self, order_id: str, worker: str, said: str) -> None:
         """Store the progress of a computation."""
         self._run(
             "UPDATE computations SET said = ? WHERE id = ? AND worker = ?", (said, order_id, worker), durable=False

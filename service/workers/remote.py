@@ -74,16 +74,16 @@ class RemoteChildren:
             await asyncio.shield(self._forget(order_id, queued))
 
     async def _ended(self, order_id: str, progress: ProgressCallback | None) -> Json:
-        said = None
+        last = None
         while True:
             try:
                 now = await asyncio.to_thread(self._orders.look, order_id)
             except StoreError as error:  # the database is away: the order is there when it comes back
                 log.warning("a computation was not looked for", reason=str(error))
             else:
-                if now.said is not None and now.said != said and progress is not None:
+                if now.said is not None and now.said != last and progress is not None:
                     progress(now.said)
-                said = now.said
+                last = now.said
                 if now.result is not None:
                     return now.result
             await asyncio.sleep(LOOK_S)

@@ -97,7 +97,7 @@ class Worker:
         loop = asyncio.get_running_loop()
 
         def report(text: str) -> None:
-            loop.run_in_executor(None, partial(self._orders.tell, order.id, self.name, text))
+            loop.run_in_executor(None, partial(self._orders.report_progress, order.id, self.name, text))
 
         body = moved(order.body["order"], None, self._settings.uploads)
         running = asyncio.create_task(

@@ -15,7 +15,7 @@ import pytest
 import structlog
 from pydantic import TypeAdapter
 
-from mavcal.service.api.models import JobEvent
+from mavcal.service.api.models.events import JobEvent
 from mavcal.service.api.security import digest
 from mavcal.service.logs import configure_logging
 from mavcal.service.settings import ApiKey

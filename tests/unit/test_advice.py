@@ -14,7 +14,9 @@ import pytest
 from mavcal.calib.firmware.options import PLAN_OPTIONS
 from mavcal.calib.methods import METHODS
 from mavcal.calib.procedures.registry import PROCEDURES
-from mavcal.service.api.models import JobRequest, PlanOptions, PlanRequest, RecordingJobRequest
+from mavcal.service.api.models.jobs import JobRequest
+from mavcal.service.api.models.plans import PlanOptions, PlanRequest
+from mavcal.service.api.models.recordings import RecordingJobRequest
 from mavcal.service.cli import COMMANDS, cli
 from mavcal.service.commands import plan_options as command_line
 

@@ -50,7 +50,7 @@ class MotorOutput:
     reversed: bool = False
 
     def drive(self, pulse: Array) -> Array:
-        """0..1, or -1..1 of a reversible one; 0 where there is no pulse."""
+        """Drive that each pulse (us) means: 0..1, or -1..1 of a reversible output; 0 where there is no pulse."""
         given = (pulse >= LEAST_US) & (pulse <= MOST_US)
         if self.neutral is None:
             share = (pulse - self.low) / (self.high - self.low)
@@ -63,7 +63,7 @@ class MotorOutput:
 
 
 def kind_of_vehicle(stated: int | None, parameters: Mapping[str, float]) -> int | None:
-    """MAV_TYPE: as `stated`, else as parameters that only one kind of firmware has say; None: not known."""
+    """MAV_TYPE as `stated`, else inferred from parameters that only one kind of firmware has; None: not known."""
     if stated is not None:
         return stated
     return next((kind for kind, names in _BY_PARAMETERS if any(name in parameters for name in names)), None)

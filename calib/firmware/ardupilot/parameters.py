@@ -98,14 +98,14 @@ def mounting(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> 
 
 
 def field_scale(value: float) -> float:
-    """What COMPASS_SCALE = `value` really multiplies by: itself inside its window, 1 elsewhere."""
+    """Factor that the firmware applies for COMPASS_SCALE = `value`: the value inside its window, else 1."""
     return float(value) if 1.0 / FIELD_SCALE_MAX <= value <= FIELD_SCALE_MAX else 1.0
 
 
 def motor_term(
     parameters: Mapping[str, Value], instance: int, throttle: Array | None, current: Array | None
 ) -> Array | None:
-    """What ArduPilot adds to compass `instance` for its motors, uT, shape (N, 3); None: it adds nothing.
+    """Motor compensation that ArduPilot adds to compass `instance`, uT, shape (N, 3); None: it adds nothing.
 
     `throttle` (N,) in 0..1 is needed for COMPASS_MOTCT = 1, `current` (N,) in A for COMPASS_MOTCT = 2.
 

@@ -10,7 +10,7 @@ ask for a restart. If a firmware needed one, the physical check would show it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
@@ -21,6 +21,7 @@ from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.ardupilot.learning import learning_warnings
 from mavcal.calib.firmware.compose.announce import lose_accel, lose_gyro_matrix, offsets_usable, scale_usable
+from mavcal.calib.firmware.compose.ardupilot_mark import mark_calibrated
 from mavcal.calib.firmware.compose.ardupilot_thermal import set_thermal, thermal_in_force
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair, offset_at
@@ -36,8 +37,6 @@ Names = Mapping[Role, str]
 CALTEMP_UNKNOWN: Final = -300.0
 REPEATABILITY: Final = MappingProxyType({Sensor.ACCEL: 0.005, Sensor.GYRO: np.radians(0.01)})
 """How well an offset in force may be known, m/s2 and rad/s: the uncertainty at which the jobs end."""
-PREFLIGHT_CALIBRATION: Final = 241
-STORE_AS_CALIBRATED: Final = 76.0
 
 
 def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
@@ -61,7 +60,9 @@ def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
             _set_scale(draft, pair.about, names, absolute)
         else:
             lose_gyro_matrix(draft, pair.about, absolute)
-    _check_other_instances(draft, pairs)
+    fitted = {p.about.instance for p in pairs if p.about.sensor == Sensor.ACCEL and p.at_rest is not None}
+    if fitted:
+        mark_calibrated(draft, Sensor.ACCEL, fitted)
 
 
 def _set_offsets(draft: Draft, about: Subject, names: Names, fit: FitResult) -> None:
@@ -157,7 +158,7 @@ def _set_scale(draft: Draft, about: Subject, names: Names, fit: FitResult) -> No
 
 
 def boot_calibration(draft: Draft, *, planned: bool) -> None:
-    """What becomes of the gyro offsets at the next boot; `planned`: some are written, they do not just agree."""
+    """Plan or warn that the next boot estimates gyro offsets anew; `planned`: the plan writes some."""
     if int(draft.parameters.get("INS_GYR_CAL", 1)) == 0:
         return
     if draft.options.keep_gyro_at_boot:
@@ -174,43 +175,3 @@ def boot_calibration(draft: Draft, *, planned: bool) -> None:
             f"boot. Keep them with {how('keep_gyro_at_boot')}, which sets INS_GYR_CAL to 0",
             first=True,
         )
-
-
-def _check_other_instances(draft: Draft, pairs: Sequence[Pair]) -> None:
-    """Code 76 marks every accelerometer, so it is sent only if every used one deserves it (1.1, DESIGN 6)."""
-    fitted = {p.about.instance for p in pairs if p.about.sensor == Sensor.ACCEL and p.at_rest is not None}
-    if fitted:
-        mark_calibrated(draft, fitted)
-
-
-def mark_calibrated(draft: Draft, fitted: Collection[int]) -> None:
-    """Plan code 76 if every accelerometer in use is among `fitted`, or was calibrated before; else say why not."""
-    doubtful = [i for i in _used_accels(draft) if i not in fitted and not _accel_was_valid(draft, i)]
-    if doubtful:
-        numbers = ", ".join(str(i + 1) for i in doubtful)
-        draft.warn(
-            f"accelerometer {numbers} is in use but was never calibrated, and not by this plan either; code 76 would "
-            "mark it as calibrated, so it is not sent and the vehicle may refuse to arm. Calibrate it, or set its "
-            "INS_USE to 0"
-        )
-    elif draft.options.mark_calibrated:
-        draft.after(
-            PREFLIGHT_CALIBRATION,
-            (0.0, 0.0, 0.0, 0.0, STORE_AS_CALIBRATED, 0.0, 0.0),
-            "store the accelerometers' ids, so that the vehicle takes them as calibrated and arms",
-        )
-
-
-def _used_accels(draft: Draft) -> list[int]:
-    ids = ardupilot.sensor_ids(draft.parameters)
-    found = [i for (sensor, i) in ids if sensor == Sensor.ACCEL]
-    use = {i: ardupilot.calibration_names(draft.parameters, Sensor.ACCEL, i)[Role.USE] for i in found}
-    return sorted(i for i in found if int(draft.parameters.get(use[i], 1)) == 1)
-
-
-def _accel_was_valid(draft: Draft, instance: int) -> bool:
-    """The firmware's own criterion: an offset that is not exactly zero, a scale that is not zero."""
-    names = ardupilot.calibration_names(draft.parameters, Sensor.ACCEL, instance)
-    offsets = [float(draft.parameters.get(names[role], 0.0)) for role in OFFSET]
-    scales = [float(draft.parameters.get(names[role], 1.0)) for role in SCALE]
-    return any(offsets) and all(scales)

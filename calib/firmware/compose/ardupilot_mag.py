@@ -12,7 +12,6 @@ before it trusts its table of the Earth's field.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from mavcal.calib.firmware import losses, names
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.ardupilot.parameters import UT_PER_MGAUSS
 from mavcal.calib.firmware.compose.announce import lose_compass_mounting
+from mavcal.calib.firmware.compose.ardupilot_mark import mark_calibrated
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair, body_from_raw, keeps_matrix
 from mavcal.calib.firmware.compose.mounting import (
@@ -40,9 +40,6 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-PREFLIGHT_CALIBRATION: Final = 241
-STORE_AS_CALIBRATED: Final = 76.0
-
 
 def compose_compasses(draft: Draft, pairs: Sequence[Pair]) -> None:
     """Plan every compass that was fitted."""
@@ -59,7 +56,7 @@ def compose_compasses(draft: Draft, pairs: Sequence[Pair]) -> None:
             "learning would overwrite the offsets (ArduPilot's own calibration switches it off too)",
             kind=ParameterKind.INT8,
         )
-    _mark_calibrated(draft, {about.instance for about, _ in fitted})
+    mark_calibrated(draft, Sensor.MAG, {about.instance for about, _ in fitted})
 
 
 def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
@@ -249,31 +246,3 @@ def _carry_motors(
             f"{about}: the field of the idle current ({np.linalg.norm(new):.2g} mGauss per A) is part of the new "
             "offset and is compensated a second time; calibrate without load"
         )
-
-
-def _mark_calibrated(draft: Draft, fitted: set[int]) -> None:
-    """Code 76 marks every compass, so it is sent only if every used one deserves it (1.1, DESIGN 6)."""
-    doubtful = [i for i in _used(draft) if i not in fitted and not _was_valid(draft, i)]
-    if doubtful:
-        draft.warn(
-            f"compass {', '.join(str(i + 1) for i in doubtful)} is in use but was never calibrated, and not by this "
-            "plan either; code 76 would mark it as calibrated, so it is not sent and the vehicle may refuse to arm. "
-            "Calibrate it, or set its COMPASS_USE to 0"
-        )
-    elif draft.options.mark_calibrated:
-        draft.after(
-            PREFLIGHT_CALIBRATION,
-            (0.0, STORE_AS_CALIBRATED, 0.0, 0.0, 0.0, 0.0, 0.0),
-            "store the compasses' ids, so that the vehicle takes them as calibrated and arms",
-        )
-
-
-def _used(draft: Draft) -> list[int]:
-    found = [i for (sensor, i) in ardupilot.sensor_ids(draft.parameters) if sensor == Sensor.MAG]
-    use = {i: names.ardupilot_compass_names(i, i)[Role.USE] for i in found}
-    return sorted(i for i in found if int(draft.parameters.get(use[i], 1)) == 1)
-
-
-def _was_valid(draft: Draft, instance: int) -> bool:
-    roles = ardupilot.calibration_names(draft.parameters, Sensor.MAG, instance)
-    return any(float(draft.parameters.get(roles[role], 0.0)) for role in names.OFFSET)

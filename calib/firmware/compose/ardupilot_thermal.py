@@ -34,7 +34,7 @@ ENABLED: Final = 1
 
 
 def recentre(degree: int, shift: float) -> Array:
-    """Matrix (degree, degree) from coefficients of ``d^j`` to those of ``t^i``, ``d = t + shift``, without constant.
+    """Matrix (degree, degree) that moves a polynomial without constant to another reference, ``d = t + shift``.
 
     ``(t + s)^j = sum_i binom(j, i) s^(j-i) t^i``.
     """
@@ -48,7 +48,7 @@ def recentre(degree: int, shift: float) -> Array:
 
 
 def thermal_in_force(draft: Draft, names: Names) -> bool:
-    """Whether the correction runs once the draft is written."""
+    """Whether the temperature compensation is switched on once the draft is written."""
     return int(draft.get(names[Role.THERMAL_ENABLE], 0.0)) == ENABLED
 
 
@@ -154,7 +154,7 @@ def _common_range(
 
 
 def ardupilot_coefficients(polynomial: ThermalPolynomial) -> Array:
-    """Coefficients about 35 degC in units of 1e-6, shape (3, k)."""
+    """The polynomial in ArduPilot's parameters: about 35 degC, in units of 1e-6, shape (3, k)."""
     degree = polynomial.coefficients.shape[1]
     return np.asarray(polynomial.coefficients @ recentre(degree, T_REF - polynomial.t_ref).T / THERMAL_SCALE)
 

@@ -102,7 +102,7 @@ class Draft:
         needs_reboot: bool = False,
         hidden: bool = False,
     ) -> None:
-        """Plan a float parameter as the vehicle holds it after a restart; no change if it holds that already.
+        """Plan a float parameter, rounded as the vehicle stores it; no change if it holds that value already.
 
         `hidden`: the firmware does not list the name but takes it (members of a group that is switched off).
         """
@@ -231,16 +231,16 @@ class Draft:
 
     @property
     def left_out(self) -> dict[Subject, str]:
-        """Those of :attr:`dropped` that lack something."""
+        """Sensors of :attr:`dropped` that are missing a part of their calibration."""
         return {about: text for about, text in self._dropped.items() if about not in self._needless}
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """What was announced so far."""
+        """The losses announced so far."""
         return tuple(self._losses)
 
     def losses_of(self, losses: Sequence[Loss]) -> None:
-        """Take over what was announced of sensors that are left out."""
+        """Add losses that an earlier draft has announced for sensors that are now left out."""
         self._losses += [loss for loss in losses if loss not in self._losses]
 
     @property

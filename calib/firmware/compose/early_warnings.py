@@ -35,13 +35,13 @@ _MEASURED: Final = ThermalPolynomial(35.0, 10.0, 60.0, np.full((3, 3), [1e-2, 1e
 
 
 def unknown_sensors(identity: Identity, parameters: Mapping[str, Value], options: ComposeOptions) -> str:
-    """What is wrong with the sensors that a plan is asked for; empty if nothing is, or no sensor is known."""
+    """Why the option `only` names sensors that this vehicle lacks; empty: it does not, or no sensor is known."""
     known = _ids(identity, parameters)
     return unknown_keys(options.only, known) if known else ""
 
 
 def foreseen(identity: Identity, parameters: Mapping[str, Value], options: ComposeOptions) -> tuple[str, ...]:
-    """What could not be written of a measured drift of every inertial sensor, and what the vehicle does meanwhile."""
+    """Warnings before a warm-up: drifts that this vehicle cannot store, and recalibrations of its own meanwhile."""
     known = [key for key in sorted(_ids(identity, parameters)) if key[0] != Sensor.MAG]
     asked = [key for key in known if not options.only or key in options.only]
     announced = [

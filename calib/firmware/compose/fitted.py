@@ -42,7 +42,7 @@ class Pair:
 
 
 def is_shape_only(fit: FitResult) -> bool:
-    """Whether a thermal fit has the change of the offset only, and not its value.
+    """Whether a thermal fit determines only how the offset changes with temperature, and not its value.
 
     An accelerometer that lay in one pose all the time cannot tell its offset from the tilt of the pose; such a fit
     holds the matrix fixed.
@@ -54,7 +54,7 @@ def is_shape_only(fit: FitResult) -> bool:
 
 
 def keeps_matrix(fit: FitResult) -> bool:
-    """Whether what a compass fit leaves open are entries of the matrix that it kept near the ones in force."""
+    """Whether a compass fit left only matrix entries open, which it holds near those in force."""
     return bool(fit.quality.get("soft_iron_kept")) and all(name.startswith("matrix") for name in fit.undetermined)
 
 

@@ -49,7 +49,7 @@ def is_motor(fit: FitResult) -> bool:
 
 
 def compensated(autopilot: str, parameters: Mapping[str, Value], instance: int) -> bool:
-    """Whether the motors' field at compass `instance` is compensated by what is in force."""
+    """Whether the parameters in force compensate compass `instance` for the motors' field."""
     module = ardupilot if autopilot == "ardupilot" else px4
     try:
         roles = module.calibration_names(parameters, Sensor.MAG, instance)
@@ -60,7 +60,7 @@ def compensated(autopilot: str, parameters: Mapping[str, Value], instance: int) 
 
 
 def corrupt_compensation(autopilot: str | None, timeline: ParameterTimeline, instance: int) -> str:
-    """What is corrupt among the parameters that correct compass `instance`, in a sentence; empty if nothing is.
+    """A sentence that names the corrupt parameters of compass `instance`; empty: none is corrupt.
 
     A compensation that is not a number makes the compass nothing, or zero, as soon as the motors run.
     """

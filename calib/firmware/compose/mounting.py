@@ -35,7 +35,7 @@ TOLERATED = 20.0
 
 @dataclass(frozen=True, eq=False)
 class MountingRotation:
-    """Rotation (3, 3) that is missing between the stated and the true body frame."""
+    """Correction of a mounting: rotation (3, 3) from the stated body frame to the true one."""
 
     name: str
     matrix: Array
@@ -51,7 +51,7 @@ class MountingRotation:
 
     @property
     def tolerance(self) -> float:
-        """Angle, rad, up to which a rotation that the firmware has by number means the same mounting."""
+        """Largest angle, rad, to a numbered rotation of the firmware that still counts as the same mounting."""
         return EXACT if self.covariance is None else ASKEW
 
     def number(self, autopilot: str, body_from_sensor: Array) -> int | None:
@@ -113,7 +113,7 @@ def ask_for_mounting(
 def mounting_turn(
     draft: Draft, autopilot: str, about: Subject, fit: FitResult, stated: Array, *, follows: str
 ) -> MountingRotation | None:
-    """The rotation to put right; None: the mounting stays as stated, or nothing was found out about it.
+    """The rotation by which the stated mounting is wrong; None: it is right, or the data do not show it.
 
     `stated` (3, 3) takes the sensor to the body. `follows`: the parameter of the board that an internal compass
     follows; empty: the compass has its own.

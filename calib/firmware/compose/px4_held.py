@@ -31,7 +31,7 @@ NODES: Final = 201
 
 @dataclass(frozen=True, eq=False)
 class HeldDrift:
-    """A drift whose every coefficient PX4 holds, and what that costs."""
+    """A temperature drift that PX4 can store completely, and the error that the change causes."""
 
     fit: FitResult
     """With the covariance of the free coefficients; fixed ones have none."""
@@ -53,7 +53,7 @@ class HeldDrift:
 
 
 def held_drift(fit: FitResult) -> HeldDrift:
-    """`fit` with coefficients that survive a restart; the same fit and a cost of zero if all of them do."""
+    """The fit with the coefficients that PX4 keeps over a restart, and its cost: 0 if it keeps all of them."""
     polynomial = fit.model.polynomial
     assert polynomial is not None
     grid = np.linspace(polynomial.t_min, polynomial.t_max, NODES) - polynomial.t_ref

@@ -47,7 +47,7 @@ class Vector:
 
 
 def placed(draft: Draft, about: Subject, parameters: Mapping[str, Value]) -> Subject:
-    """Who has by order in `parameters` the row of `about`, which may be another one.
+    """The sensor that corrects with the row of `about`: PX4 assigns rows by order, so it may be another one.
 
     An id that is planned changes the order of the filled rows. A magnetometer has the row of the device id that was
     told, because its stream is raw; what was taken out of the others' by order is in their fits.
@@ -64,13 +64,13 @@ def row_of(draft: Draft, about: Subject) -> Mapping[Role, str]:
 
 
 def held_by(draft: Draft, about: Subject) -> px4.Px4Calibration:
-    """PX4's values in memory for `about` after a restart."""
+    """The calibration that PX4 applies to `about` after a restart."""
     here = placed(draft, about, draft.parameters)
     return px4.Px4Calibration.load(draft.parameters, about.sensor, here.instance)
 
 
 def model_after(draft: Draft, about: Subject) -> TriadModel:
-    """As :func:`neutral_model`, once the draft is written."""
+    """As :func:`neutral_model`, with the parameters of the draft."""
     after = draft.predicted
     return neutral_model(after, placed(draft, about, after))
 
@@ -83,7 +83,7 @@ def neutral_model(parameters: Mapping[str, Value], about: Subject) -> TriadModel
 
 
 def survives_restart(about: Subject, triple: Triple, values: Array) -> bool:
-    """Whether a boot with `values` (3,) puts them into memory."""
+    """Whether PX4 applies the stored `values` (3,) after a boot; vectors below its threshold it ignores."""
     if about.sensor == Sensor.GYRO and triple == names.OFFSET:
         return True  # the threshold is waived for the first load
     limits = px4.THRESHOLDS[about.sensor]
@@ -93,7 +93,7 @@ def survives_restart(about: Subject, triple: Triple, values: Array) -> bool:
 
 
 def representable(vector: Vector) -> Array:
-    """What a restart makes of the wanted values: themselves, or the neutral vector."""
+    """Values in effect after a restart with `values` stored: these, or the neutral vector."""
     if survives_restart(vector.about, vector.triple, vector.values):
         return _single(vector.values)
     return np.full(3, NEUTRAL[vector.triple])

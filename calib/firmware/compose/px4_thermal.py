@@ -35,7 +35,7 @@ DEGREE: Final = 3
 
 
 def thermal_term(draft: Draft, about: Subject, temperature: float | None) -> Array | None:
-    """``TC(T)`` (3,) once the draft is written; zero where it does not run, None if it runs and T is not known."""
+    """``TC(T)`` (3,) with the draft written; zero where TC is off, None if it is on and T is not known."""
     model = model_after(draft, about)
     if model.polynomial is None:
         return np.zeros(3)
@@ -201,7 +201,7 @@ def _silent_first(draft: Draft, rows: Sequence[str]) -> None:
 def add_constant(
     draft: Draft, about: Subject, more: Array, sd: Array, why: str = "too fine a change for PX4's calibration memory"
 ) -> None:
-    """Move `more` (3,) of an offset into X0, which has no threshold."""
+    """Add `more` (3,) of an offset to the constant X0, which PX4 applies however small it is."""
     roles = row_of(draft, about)
     for axis, role in enumerate(names.THERMAL[0]):
         draft.set_real(

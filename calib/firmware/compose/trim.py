@@ -56,12 +56,12 @@ def trim_from_force(force: Array) -> tuple[float, float]:
 
 
 def force_when_level(roll: float, pitch: float) -> Array:
-    """What a board that is turned by `roll` and `pitch` (rad) in a level vehicle reads, m/s2 (3,)."""
+    """Specific force, m/s2 (3,), that a board mounted at `roll` and `pitch` (rad) reads in a level vehicle."""
     return -STANDARD_GRAVITY * np.array([-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)])
 
 
 def trim_under(roll: float, pitch: float, old: TriadModel, new: TriadModel, temperature: float | None) -> Array:
-    """The trim (roll, pitch) under the correction `new` of the attitude that is level by a trim under `old`.
+    """The trim (roll, pitch) that keeps the same attitude level when the accelerometer correction changes to `new`.
 
     Both models take the raw sensor frame to the board frame.
     """

@@ -95,7 +95,7 @@ def matters(name: str, sensors: Collection[Sensor]) -> bool:
 
 
 def means_the_same(name: str, before: Value, after: Value) -> bool:
-    """Whether two values of a parameter say the same of a stream: PX4's priority of -1 is the default one.
+    """Whether two values of a parameter have the same effect: PX4's priority -1 means the default.
 
     That is 50, and 75 for a sensor outside the board (``Gyroscope::ParametersLoad``); 0 would switch it off.
     """
@@ -103,7 +103,7 @@ def means_the_same(name: str, before: Value, after: Value) -> bool:
 
 
 def calibration_snapshot(parameters: Mapping[str, Value]) -> dict[str, Value]:
-    """Everything that decides what a streamed number means, and the settings."""
+    """The parameters that decide how streamed numbers are corrected, and the settings."""
     prefixes = tuple(p for group in CALIBRATION_PREFIXES.values() for p in group)
     return {name: value for name, value in parameters.items() if name.startswith(prefixes) or name in SETTINGS}
 

@@ -91,12 +91,12 @@ def differences(origin: Origin, identity: Identity, parameters: Mapping[str, Val
 def unproved(origin: Origin, identity: Identity) -> str:
     """Why nothing shows that a recording is of this very vehicle, as a sentence; empty: the boards' ids do."""
     if not origin.uid:
-        said = "the recording does not say which board it is of (no AUTOPILOT_VERSION in it)"
+        reason = "the recording does not say which board it is of (no AUTOPILOT_VERSION in it)"
     elif not identity.uid:
-        said = "this vehicle does not say which board it is (no AUTOPILOT_VERSION)"
+        reason = "this vehicle does not say which board it is (no AUTOPILOT_VERSION)"
     else:
         return ""
-    return f"{said}, and equal builds share the device ids of their sensors"
+    return f"{reason}, and equal builds share the device ids of their sensors"
 
 
 def _without_padding(uid: str) -> str:

@@ -33,7 +33,7 @@ _OFFSETS: Final = re.compile(r"^(?:CAL_MAG(?P<px4>\d)_[XYZ]OFF|COMPASS_OFS(?P<ar
 
 
 class CertainOffsets:
-    """Leaves samples out between the last sight of an offset and that of its next value.
+    """Drops samples between the last reading of an old offset and the first reading of the new one.
 
     Where the offsets are not read regularly (a log of somebody else) it leaves this to
     :class:`~calib.firmware.in_force.undo.Undo`, which trusts what the firmware tells.
@@ -122,8 +122,8 @@ def compass_offset_changes(recording: Recording) -> dict[int, tuple[float, ...]]
     """By instance of a compass, the moments at which its offset in force changed, s, ascending."""
     found: dict[int, set[float]] = {}
     for event in recording.events:
-        if said := _PX4_SAYS.match(event.text):
-            found.setdefault(int(said[1]), set()).add(event.t)
+        if match := _PX4_SAYS.match(event.text):
+            found.setdefault(int(match[1]), set()).add(event.t)
     for entry in recording.parameters.changes(("CAL_MAG", "COMPASS_OFS")):
         if named := _OFFSETS.match(entry.name):
             instance = int(named["px4"]) if named["px4"] is not None else int(named["ardupilot"] or 1) - 1

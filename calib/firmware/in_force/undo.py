@@ -62,11 +62,11 @@ class Piece:
     _models: dict[Key, TriadModel] = field(default_factory=dict, repr=False)
 
     def concerns(self, sensor: Sensor) -> bool:
-        """Whether a parameter that changed at its start may be of a sensor of that kind."""
+        """Whether one of the changes that begin this span may affect a sensor of that kind."""
         return any(_may_concern(name, sensor) for name in self.changes)
 
     def completed(self, autopilot: str, first: Parameters) -> Piece:
-        """The same span with parameters that had not been seen before; they held all along."""
+        """The same span with parameters that were first seen later and have held all along."""
         parameters = self.parameters | first
         memory = dict(self.memory)
         if autopilot == "px4":
@@ -109,7 +109,7 @@ class Piece:
         return self._models[key]
 
     def same(self, autopilot: str, other: Piece, key: Key) -> bool:
-        """Whether one sensor is corrected alike in both spans."""
+        """Whether both spans correct a sensor in the same way."""
         try:
             ours, theirs = self.model(autopilot, key), other.model(autopilot, key)
         except FirmwareError:

@@ -70,7 +70,7 @@ class Corrections:
         return self._models[refused]
 
     def possible(self, refused: Hypothesis, readings: Sequence[StillMean]) -> bool:
-        """Whether a vehicle can hold that combination, and `readings` can be undone by it."""
+        """Whether the firmware can hold this combination of values, and its correction of `readings` can be undone."""
         return not self.why_impossible(refused, readings)
 
     def why_impossible(self, refused: Hypothesis, readings: Sequence[StillMean]) -> str:
@@ -127,7 +127,7 @@ class StreamCheck:
         return {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s"}.get(self.capture.sensor, "uT")
 
     def without(self, name: str) -> Hypothesis:
-        """The least that did not take effect if `name` did not; empty: its old value fits beside no other."""
+        """Smallest set of changes, `name` among them, that may have failed together; empty: there is none."""
         return self.judgement.alone.get(name, ALL_APPLIED)
 
     def effect(self, name: str) -> float:
@@ -151,7 +151,7 @@ class StreamCheck:
         return covariance(capture, self.corrections.model(ALL_APPLIED), undo, equality=equality)
 
     def distance_in(self, name: str, readings: tuple[StillMean, ...]) -> float:
-        """How many standard deviations `name` would be worth with other readings, compared with lengths alone."""
+        """Standard deviations by which other readings would show `name`, comparing their lengths alone."""
         capture = dataclasses.replace(self.capture, before=None, raw_before=None, after=readings, invariant=readings)
         root = np.linalg.cholesky(self.covariance(capture, equality=False))
         shift = discrepancy(capture, self._undo(self.without(name)), equality=False)
@@ -236,7 +236,7 @@ def within(polynomial: ThermalPolynomial | None, readings: tuple[StillMean, ...]
 
 
 def out_of_range(about: Subject, force: Force, pair: Pair | None, now: StreamEvidence) -> str:
-    """In words, that every reading of `about` was taken where its drift is not known; empty if not.
+    """A sentence if every reading of `about` was taken outside the range of its drift; else empty.
 
     Waiting there proves nothing, so the range is said in which it will be provable.
     """

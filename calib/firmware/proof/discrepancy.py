@@ -51,7 +51,7 @@ _ANY_FIELD: Final = 100.0  # uT, sd of a field strength that is not known
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What the sensor's true correction is, as far as the fits know it, and how well."""
+    """The sensor's true correction as fitted, with its covariance."""
 
     model: TriadModel
     covariance: Array
@@ -90,7 +90,7 @@ def expected_of(
 
 
 def true_magnitude(sensor: Sensor) -> float | None:
-    """Length of what the sensor truly sees at rest."""
+    """Magnitude that an ideal sensor reads at rest: gravity, or 0 for a gyroscope; None: not known, as of a field."""
     return {Sensor.ACCEL: STANDARD_GRAVITY, Sensor.GYRO: 0.0}.get(sensor)
 
 
@@ -116,7 +116,7 @@ class BeforeAfter:
 
     @property
     def lengths(self) -> bool:
-        """Whether the length of what the sensor reads after the write can be judged."""
+        """Whether the magnitude of the readings after the write can be compared with a known one."""
         return self.expected is not None and bool(self.invariant)
 
     @property

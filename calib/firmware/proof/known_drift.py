@@ -53,7 +53,7 @@ class KnownDrift:
         return result
 
     def allowance(self, then: Temperature, now: Sequence[Temperature]) -> Array:
-        """Standard deviation (K,) of an axis whose drift is open."""
+        """Standard deviation (K,) to allow for an axis whose drift is not known."""
         change = [UNKNOWN_TEMPERATURE if then is None or t is None else abs(t - then) for t in now]
         return DRIFT_PER_DEGC[self.sensor] * np.array(change)
 

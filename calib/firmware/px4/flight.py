@@ -1,4 +1,4 @@
-"""What a PX4 log tells beside its inertial sensors: pose, place, current, throttle, motors, arming, and the flight.
+"""Channels of a PX4 log beside its inertial sensors: pose, place, current, throttle, motors, arming, flight.
 
 ==========================  ==========================================================================================
 vehicle_acceleration        specific force after ``IMU_ACCEL_CUTOFF``

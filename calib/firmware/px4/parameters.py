@@ -271,8 +271,8 @@ def without_row(events: Iterable[Event], entries: Iterable[ParameterEntry] = ())
     [(<Sensor.MAG: 'mag'>, 1)]
     """
     since = _last_change_of_ids(entries)
-    said = [(event.t, match) for event in events for match in _SAID.finditer(event.text)]
-    found = [(t, _SENSORS[match[1]], int(match[2])) for t, match in said]
+    matches = [(event.t, match) for event in events for match in _SAID.finditer(event.text)]
+    found = [(t, _SENSORS[match[1]], int(match[2])) for t, match in matches]
     return frozenset((sensor, instance) for t, sensor, instance in found if t >= since.get(sensor, -math.inf))
 
 

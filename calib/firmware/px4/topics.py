@@ -86,7 +86,7 @@ def inertial_channels(topics: Topics, parameters: Parameters) -> tuple[list[Chan
 
 
 class Rows:
-    """Which instance each device of the log is."""
+    """Instance number of each device id in the log."""
 
     def __init__(self, topics: Topics, parameters: Parameters) -> None:
         self._parameters = parameters

@@ -93,8 +93,8 @@ class DataFlash(Mapping[str, Table]):
         labels = dict(self._pairs("UNIT", "Id", "Label"))
         factors = dict(self._pairs("MULT", "Id", "Mult"))
         found = {}
-        said = (self._column("FMTU", column) for column in ("FmtType", "UnitIds", "MultIds"))
-        for type_, units, multipliers in zip(*said, strict=False):
+        columns = (self._column("FMTU", column) for column in ("FmtType", "UnitIds", "MultIds"))
+        for type_, units, multipliers in zip(*columns, strict=False):
             format_ = self.index.formats.get(type_)
             if format_ is not None:
                 found[type_] = _units_of(format_, str(units), str(multipliers), labels, factors)

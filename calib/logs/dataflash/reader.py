@@ -110,7 +110,7 @@ def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Re
     log = {name: table for name, table in log.items() if _types_match(table)}
     clock = Clock(log)
     identity = identity_of(log)
-    parameters, said = _parameters(log, clock, identity, whole=whole)
+    parameters, parameter_events = _parameters(log, clock, identity, whole=whole)
     kind = kind_of_vehicle(identity.vehicle_type, parameters.final())
     identity = dataclasses.replace(identity, vehicle_type=kind)
     sensors = SensorChannels(log, clock)
@@ -127,7 +127,7 @@ def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Re
         )
     reference = tuple(reference_channels(log, clock))
     events = [*damage, *_date(log, clock), *spoken_events(log, clock), *counted_events(log, clock), *clock.events]
-    events += [*said, *sensors.events]
+    events += [*parameter_events, *sensors.events]
     if clock.doubted:
         text = f"{clock.doubted} messages say a time that those around them contradict, and were left out"
         events.append(Event(0.0, "damage", text))

@@ -117,8 +117,8 @@ class MissionItem:
     @property
     def name(self) -> str:
         """Number and command, as one says them."""
-        said = _NAMES.get(self.command, f"command {self.command}")
-        return f"item {self.number} ({said})" if self.number >= 0 else f"added {said}"
+        name = _NAMES.get(self.command, f"command {self.command}")
+        return f"item {self.number} ({name})" if self.number >= 0 else f"added {name}"
 
 
 @dataclass(frozen=True)

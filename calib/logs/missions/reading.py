@@ -121,8 +121,8 @@ def _flight_start(log: Log) -> int | None:
         armed = _first(log, "EV", "Id", ARMED_EVENT)
     number = "ModeNum" if "ModeNum" in log.get("MODE", ()) else "Mode"
     auto = _first(log, "MODE", number, _AUTO)
-    said = [place for place in (armed, auto) if place is not None]
-    return max(said) if said else None
+    known = [place for place in (armed, auto) if place is not None]
+    return max(known) if known else None
 
 
 def _first(log: Log, name: str, column: str, value: int) -> int | None:

@@ -109,8 +109,8 @@ def _attribute_docstrings(found: ast.ClassDef | None) -> Iterator[tuple[str, str
 
 def _description(text: str) -> str:
     """A docstring as a phrase: without its full stop, and with a small first letter unless a name begins it."""
-    said = _null_for_none(" ".join(text.split())).removesuffix(".")
-    return said if said[1:2].isupper() else said[:1].lower() + said[1:]
+    sentence = _null_for_none(" ".join(text.split())).removesuffix(".")
+    return sentence if sentence[1:2].isupper() else sentence[:1].lower() + sentence[1:]
 
 
 def _null_for_none(text: str) -> str:

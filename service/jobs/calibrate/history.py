@@ -15,8 +15,8 @@ from mavcal.calib.report import from_json
 from mavcal.service.jobs.calibrate.planning import stated_device_ids
 from mavcal.service.jobs.core.model import RESTORE, Job
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.store.sql import Store
 
 
 def verified_jobs(jobs: Iterable[Job], vehicle_id: str, identity: Identity) -> tuple[Job, ...]:
@@ -44,12 +44,12 @@ def _same_address(job: Job, identity: Identity) -> bool:
     return identity.system is not None and (of.autopilot, of.system, of.component) == ours
 
 
-def history_of(jobs: Iterable[Job], store: JobStore) -> tuple[VerifiedCalibration, ...]:
+def history_of(jobs: Iterable[Job], store: Store) -> tuple[VerifiedCalibration, ...]:
     """The calibrations that these jobs have verified. Reads the store: not for the event loop."""
     return tuple(_verified(job, store) for job in jobs)
 
 
-def _verified(job: Job, store: JobStore) -> VerifiedCalibration:
+def _verified(job: Job, store: Store) -> VerifiedCalibration:
     assert job.plan is not None
     kept = store.snapshot(job.id, SnapshotPurpose.COMPOSED_ON)
     parameters: Mapping[str, Value] = {} if kept is None else kept.body

@@ -116,7 +116,7 @@ def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping
 
 
 def held_device_ids(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[Key, int]:
-    """Device ids by sensor that were stated for a job that was written to this vehicle, if its rows still hold them.
+    """Device ids that an earlier write to this vehicle was given, by sensor, where its rows still hold them.
 
     Without them the next job would take the rows by order again, and write into that of another sensor.
     """
@@ -188,7 +188,7 @@ def keys_without_row(context: Mapping[str, Any]) -> tuple[Key, ...]:
 
 
 def move_to_review(handle: JobHandle, plan: WritePlan, nothing: Result, **changes: Any) -> None:
-    """Bring a job that has planned to review, or to its end with the outcome `nothing` if there is nothing to write."""
+    """Move a planned job to review, or end it with the outcome `nothing` if there is nothing to write."""
     done = plan.nothing_to_write
     handle.move(
         JobState.SUCCEEDED if done else JobState.REVIEW,

@@ -104,7 +104,7 @@ class CaptureWatch:
         self._last_time = last_time
 
     def look(self, digest: LiveDigest | None) -> None:
-        """Raise CaptureEnded or CaptureLost if the capture has to end here; None: no samples are expected."""
+        """Raise CaptureEnded or CaptureLost if the capture must end now; `digest` None: no samples are expected."""
         now = self.vehicle.condition()
         self._check_same_boot(digest)
         self._check_state(now)

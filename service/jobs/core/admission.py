@@ -22,7 +22,7 @@ from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import PHYSICAL, JobState
-from mavcal.service.store.protocol import Store
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle.job_vehicle import JobVehicle
 
 WAY = "way"

@@ -15,8 +15,8 @@ from mavcal.service.jobs.core.codec import from_json, job_of
 from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.ports import Ownership
-from mavcal.service.store.protocol import JobStore, Store
 from mavcal.service.store.rows import EventRow, JobDocument, JobRow
+from mavcal.service.store.sql import Store
 
 UNSTORED: Mapping[str, tuple[Any, str]] = {
     "progress": (Progress | None, "progress"),
@@ -86,8 +86,8 @@ class JobBook:
                 self._others[row.id] = job_of(row, self._store)
             elif event.kind in UNSTORED and event.job_id in self._others:
                 kind, field = UNSTORED[event.kind]
-                said: dict[str, Any] = {field: from_json(dict(event.data), kind) if event.data else None}
-                self._others[event.job_id] = dataclasses.replace(self._others[event.job_id], **said)
+                change: dict[str, Any] = {field: from_json(dict(event.data), kind) if event.data else None}
+                self._others[event.job_id] = dataclasses.replace(self._others[event.job_id], **change)
         self._feed.publish(event)
 
     def close(self) -> None:
@@ -180,7 +180,7 @@ RECENT = 1000
 class EventFeed:
     """Serves events from the store, and the newest from memory, so that idle readers cost nothing."""
 
-    def __init__(self, store: JobStore) -> None:
+    def __init__(self, store: Store) -> None:
         self._store = store
         self._news: dict[str | None, asyncio.Event] = {}
         """One for the readers of each job, and one for those of all jobs (None): who waits is woken by its own."""

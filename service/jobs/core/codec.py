@@ -18,8 +18,8 @@ from mavcal.service.jobs.core.journal import JournalStep, as_heard, fold
 from mavcal.service.jobs.core.model import Failure, Job, Outcome, Result, Standing, Unwritten
 from mavcal.service.jobs.core.proof import ProofLevel
 from mavcal.service.jobs.core.states import ENDED, WRITING, JobState
-from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import JobRow
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 
@@ -104,7 +104,7 @@ _CONVERTER = _made()
 CODE = "job-unreadable"
 
 
-def job_of(row: JobRow, store: JobStore) -> Job:
+def job_of(row: JobRow, store: Store) -> Job:
     """The job of a row; if the body cannot be read, what the journal and the plan say of it.
 
     A job that was writing keeps its plan, which the journal names: the write can be finished or taken back. Without a
@@ -128,7 +128,7 @@ def job_of(row: JobRow, store: JobStore) -> Job:
     return _bare(row, JobState.IN_DOUBT, outcome=Failure(CODE, text, remedy), standing=known)
 
 
-def _sent(job_id: str, store: JobStore) -> tuple[Standing, ...]:
+def _sent(job_id: str, store: Store) -> tuple[Standing, ...]:
     """Every parameter that the journal says was sent, or may have been, if the store can still read it."""
     try:
         return as_heard(fold(store.journal(job_id)), {}, "before the service was interrupted")
@@ -141,7 +141,7 @@ def _bare(row: JobRow, state: JobState, **known: Any) -> Job:
     return Job(row.id, row.vehicle_id, row.kind, {}, state, row.created_at, row.updated_at, **known)
 
 
-def _accepted_plan(job_id: str, store: JobStore) -> WritePlan | None:
+def _accepted_plan(job_id: str, store: Store) -> WritePlan | None:
     """The plan of the newest accept, if the store can still read it."""
     try:
         accepted = [r.data["plan_sha256"] for r in store.journal(job_id) if r.step == JournalStep.ACCEPTED]

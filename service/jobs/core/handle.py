@@ -19,8 +19,8 @@ from mavcal.service.jobs.core.codec import row_from_job, to_json
 from mavcal.service.jobs.core.journal import JournalStep, WriteRecord, fold
 from mavcal.service.jobs.core.model import Job, advance
 from mavcal.service.jobs.core.states import ENDED, JobState
-from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import EventRow, JournalRow, Json
+from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
 
@@ -45,7 +45,7 @@ class JobHandle:
     def __init__(
         self,
         job: Job,
-        store: JobStore,
+        store: Store,
         publish: Publish,
         *,
         progress_s: float = 0.5,
@@ -86,7 +86,7 @@ class JobHandle:
         self._keep(changed, "state", data)
 
     async def kept(self) -> None:
-        """Return when every change of the job is on the disk. Raises DiskFull."""
+        """Wait until every change of the job is on the disk. Raises DiskFull."""
         await self.store.do(self._save_owed)
 
     @property
@@ -95,7 +95,7 @@ class JobHandle:
         return bool(self._owed or self._owed_steps)
 
     async def kept_at_last(self, limit_s: float) -> bool:
-        """Retry unsaved changes for at most `limit_s`; whether all are stored."""
+        """Retry unsaved changes for at most `limit_s`; returns whether all are stored."""
         deadline = self._clock() + limit_s
         while True:
             try:
@@ -124,7 +124,7 @@ class JobHandle:
         """
         if prompt != self.job.prompt and self.job.state not in ENDED:
             self.job = dataclasses.replace(self.job, prompt=prompt)
-            self._tell("prompt", {} if prompt is None else to_json(prompt))
+            self._emit("prompt", {} if prompt is None else to_json(prompt))
 
     def progress(self, progress: Progress) -> None:
         """Announce progress; not durable, and not more often than the settings say."""
@@ -132,7 +132,7 @@ class JobHandle:
         now = self._clock()
         if now >= self._progress_due:
             self._progress_due = now + self.progress_s
-            self._tell("progress", to_json(progress))
+            self._emit("progress", to_json(progress))
 
     async def record(self, step: JournalStep, **data: Any) -> None:
         """Append to the journal; it and every change before it are on the disk when this returns. Raises DiskFull."""
@@ -160,7 +160,7 @@ class JobHandle:
     def announce(self, kind: str, data: Json) -> None:
         """Announce an event that repeats the job's state; it is lost if the store fails."""
         with suppress(Exception):
-            self._tell(kind, data)
+            self._emit(kind, data)
 
     def write_record(self) -> WriteRecord:
         """What the journal says, unsaved steps included."""
@@ -170,16 +170,16 @@ class JobHandle:
         late = [JournalRow(0, self.id, at, step.value, data) for at, step, data in owed]
         return fold((*rows, *(row for row in late if (row.at, row.step, row.data.get("name")) not in kept)))
 
-    def _tell(self, kind: str, data: Json) -> None:
+    def _emit(self, kind: str, data: Json) -> None:
         at = self._wall()
 
-        def tell() -> None:
+        def add() -> None:
             try:
                 self._publish(self.store.add_event(self.id, at, kind, data))
             except Exception as error:  # noqa: BLE001 - not durable: who watches sees the next one
                 log.warning("an event of a job is lost", job=self.id, kind=kind, reason=str(error))
 
-        self.store.soon(tell)
+        self.store.soon(add)
 
     def _keep(self, job: Job, kind: str, data: Json) -> None:
         self.job = job
@@ -235,19 +235,19 @@ async def waiting(
     """Report progress while the block runs: what is awaited, for how long, and how much longer or at most."""
     began = time.monotonic()
 
-    async def tell() -> None:
+    async def report() -> None:
         while True:
             spent = time.monotonic() - began
             left = None if expected_s is None or spent > expected_s else expected_s - spent
             handle.progress(Progress(spent, max(spent, expected_s or limit_s), "s", what, left))
             await asyncio.sleep(handle.progress_s)
 
-    telling = asyncio.create_task(tell(), name=f"progress of {handle.id}")
+    reporting = asyncio.create_task(report(), name=f"progress of {handle.id}")
     try:
         yield
     finally:
-        telling.cancel()
-        await asyncio.gather(telling, return_exceptions=True)
+        reporting.cancel()
+        await asyncio.gather(reporting, return_exceptions=True)
 
 
 def counting(handle: JobHandle, what: str) -> Callable[[int, int], None]:

@@ -28,7 +28,7 @@ RESTART_MARGIN = 0.05
 
 
 class JournalStep(StrEnum):
-    """What a journal row says. Rows that announce are written before the act, the others after it."""
+    """Kind of a journal row. An announcement is written before the act, any other row after it."""
 
     ACCEPTED = "accepted"  # the operator's accept; begins a transaction
     STREAMS = "streams"  # announces changed message intervals, with the old ones
@@ -224,7 +224,7 @@ def _in_place(change: Change, record: WriteRecord, values: Mapping[str, Value]) 
 
 
 def holds(sent: Sent, values: Mapping[str, Value], which: str) -> bool:
-    """Whether the vehicle holds our ``new`` or the ``old`` value."""
+    """Whether the vehicle holds the value that `which` names: the ``new`` or the ``old`` one."""
     return sent.name in values and same(values[sent.name], sent.new if which == "new" else sent.old, sent.kind)
 
 
@@ -237,7 +237,7 @@ def same(a: Value, b: Value, kind: ParameterKind) -> bool:
 
 
 def holding(value: Value | None, old: Value, new: Value, kind: ParameterKind) -> Holds:
-    """Which value a parameter holds; `old` where both are one."""
+    """Whether a parameter holds the old, the new or another value; `old` where old and new are equal."""
     if value is None:
         return Holds.UNKNOWN
     if same(value, old, kind):
@@ -283,7 +283,7 @@ def who_sets(name: str) -> str:
 
 
 def who_else(record: WriteRecord, plan: WritePlan) -> str:
-    """Who may have set a value that is neither old nor new.
+    """A phrase for who may have set a value that is neither the old nor the new one.
 
     PX4 rewrites its gyro offsets at rest. After a restart the vehicle may have calibrated itself, also once a session
     setting was put back that kept it from that. Nobody listened while the service was away.

@@ -1,4 +1,4 @@
-"""What the engine asks of its surroundings: which jobs are ours, and who keeps a record of ended ones."""
+"""Interfaces that the engine needs: ownership of jobs, and a record of jobs that ended."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Protocol
 
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.preflights import Preflight
-from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.sql import Store
 
 
 class Ownership(Protocol):
@@ -19,7 +19,7 @@ class Ownership(Protocol):
         """Make a new job ours before anything of it is kept. Raises LeaseLost if that cannot be."""
         ...
 
-    def store_of(self, job: Job) -> JobStore:
+    def store_of(self, job: Job) -> Store:
         """The store in which this job is changed: it refuses once the job is not ours any more. Raises LeaseLost."""
         ...
 
@@ -37,13 +37,13 @@ class Alone:
 
     shared = False
 
-    def __init__(self, store: JobStore) -> None:
+    def __init__(self, store: Store) -> None:
         self._store = store
 
     async def begin(self, job: Job) -> None:
         """Do nothing: every job is ours."""
 
-    def store_of(self, _job: Job) -> JobStore:
+    def store_of(self, _job: Job) -> Store:
         """The store itself."""
         return self._store
 

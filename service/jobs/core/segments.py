@@ -11,28 +11,28 @@ from pathlib import Path
 from mavcal.service.errors import CaptureEnded
 from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Job, LogSpan
-from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import SegmentPurpose, SegmentRow
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle.job_vehicle import JobVehicle, TlogPosition
 
 SET_ASIDE = "set_aside"
 """In a job's context: the id of the newest segment that its fit does not use."""
 
 
-def captured(job: Job, store: JobStore) -> tuple[SegmentRow, ...]:
+def captured(job: Job, store: Store) -> tuple[SegmentRow, ...]:
     """The segments that the job's fit is made of, oldest first; without those that were set aside."""
     rows = store.segments(job.id, SegmentPurpose.CAPTURE)
     return tuple(row for row in rows if row.id > int(job.context.get(SET_ASIDE, 0)))
 
 
-async def open_span(store: JobStore, job_id: str, purpose: SegmentPurpose, position: TlogPosition) -> SegmentRow:
+async def open_span(store: Store, job_id: str, purpose: SegmentPurpose, position: TlogPosition) -> SegmentRow:
     """Begin a segment at a place of the vehicle's log."""
     return await store.do(lambda: store.open_segment(job_id, purpose, position.path, position.byte))
 
 
 @asynccontextmanager
 async def spanned(handle: JobHandle, vehicle: JobVehicle, purpose: SegmentPurpose) -> AsyncIterator[None]:
-    """A segment of the vehicle's log from here to the end of the block, however that ends; all of it in one file."""
+    """Record a segment of the vehicle's log, in one file, from the start of the block to its end, however that ends."""
     with vehicle.unbroken_tlog():
         row = await open_span(handle.store, handle.id, purpose, vehicle.tlog_position())
         try:
@@ -41,8 +41,8 @@ async def spanned(handle: JobHandle, vehicle: JobVehicle, purpose: SegmentPurpos
             await asyncio.shield(close_span(handle.store, row, vehicle))
 
 
-async def close_span(store: JobStore, row: SegmentRow, vehicle: JobVehicle | None) -> LogSpan:
-    """End a segment where its log stands now, on the disk, with its digest.
+async def close_span(store: Store, row: SegmentRow, vehicle: JobVehicle | None) -> LogSpan:
+    """Close a segment at the present end of its log, force it to the disk, and store its digest.
 
     `vehicle` is None, or has another log, if the segment was left open by a crash: it then ends with its file.
     """

@@ -190,7 +190,7 @@ class Computing:
             ended = defect
             raise
         finally:
-            self._tell(handle.id, ended)
+            self._notify(handle.id, ended)
         self._forget_old_fits()
 
     async def _fitted(self, handle: JobHandle) -> None:
@@ -229,11 +229,11 @@ class Computing:
 
         def report(text: str) -> None:
             self._note_started(handle)
-            said, step = parse_line(text), next(steps)
-            if said.share is None:
-                handle.progress(Progress(float(min(step, STEPS)), float(STEPS), "steps", said.text))
+            line, step = parse_line(text), next(steps)
+            if line.share is None:
+                handle.progress(Progress(float(min(step, STEPS)), float(STEPS), "steps", line.text))
             else:
-                handle.progress(Progress(100.0 * said.share, 100.0, "%", said.text, said.left_s))
+                handle.progress(Progress(100.0 * line.share, 100.0, "%", line.text, line.left_s))
 
         return report
 
@@ -243,7 +243,7 @@ class Computing:
             starts = handle.job.context.get("starts", 0) + 1
             handle.move(JobState.FITTING, context={**handle.job.context, "starts": starts})
 
-    def _tell(self, job_id: str, ended: Job | Exception) -> None:
+    def _notify(self, job_id: str, ended: Job | Exception) -> None:
         future = self._waited_for.get(job_id)
         if future is None or future.done():
             return

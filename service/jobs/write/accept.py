@@ -12,7 +12,7 @@ from typing import Any
 from mavcal.service.errors import IdempotencyConflict, IllegalTransition, PlanBlocked, PlanChanged, PlanMissing
 from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.store.protocol import Store
+from mavcal.service.store.sql import Store
 
 
 class Acceptance:

@@ -24,7 +24,7 @@ from mavcal.service.vehicle.job_vehicle import JobVehicle, ParameterReading
 
 
 class Settling(StrEnum):
-    """What is waited for before values are read back, in words."""
+    """A phrase for what is waited for before values are read back."""
 
     SAVED = "waiting until the vehicle has saved"
     """Before a restart, which also ends whatever could rewrite a value later."""
@@ -92,7 +92,7 @@ class WriteContext:
                 setting.exception()  # said already, or overtaken by a stronger reason
 
     async def confirm_identity(self) -> None:
-        """Ask the vehicle who it is, because a value is neither ours nor the old one.
+        """Ask the vehicle for its identity, because a value is neither the new nor the old one.
 
         It may be another vehicle's at the same address, or this one's after a restart that its clock has not shown yet.
 

@@ -97,7 +97,7 @@ class WriteGuard:
         return self._vehicle.condition().silent
 
     def doubt(self) -> str | None:
-        """Why confirmed values may have changed since; None: no reason is known."""
+        """Why confirmed values may have changed since they were read; None: no reason is known."""
         now = self._vehicle.condition()
         before = self._before
         if now.reboots != before.reboots:
@@ -114,7 +114,7 @@ class WriteGuard:
             raise WriteStopped(reason)
 
     def expect_restart(self) -> None:
-        """Take the state after the restart as the reference."""
+        """Expect a restart: the state after it becomes the reference."""
         self._before = self._vehicle.condition()
         self._peers = {self._before.way: self._before.peer}
 

@@ -111,12 +111,12 @@ class FlyingVehicle:
             return True
         fault = arming_fault(self.parameters, self.time)
         if fault:
-            self._tell(2, f"Arm: {fault}")
+            self._send_text(2, f"Arm: {fault}")
             return False
         self.armed, self._spool, self._since = True, 0.0, 0.0
         self.control.reset(self.estimate.euler[2])
         self._log.armed(self.time_us, armed=True)
-        self._tell(6, "Arming motors")
+        self._send_text(6, "Arming motors")
         return True
 
     def disarm(self, *, forced: bool = False) -> bool:
@@ -127,7 +127,7 @@ class FlyingVehicle:
             self.armed, self.guidance = False, Guidance.HOLD
             self.control.reset(self.estimate.euler[2])
             self._log.armed(self.time_us, armed=False)
-            self._tell(6, "Disarming motors")
+            self._send_text(6, "Disarming motors")
         return True
 
     def set_mode(self, number: int) -> bool:
@@ -136,7 +136,7 @@ class FlyingVehicle:
             return False
         fault = mission_fault(self.auto.items, flying=self.flying) if number == Mode.AUTO else ""
         if fault:
-            self._tell(2, f"Auto: {fault}")
+            self._send_text(2, f"Auto: {fault}")
             return False
         self.mode = Mode(number)
         self.guidance, self._since = Guidance.HOLD, 0.0
@@ -193,7 +193,7 @@ class FlyingVehicle:
         self._log.parameter(self.time_us, name, self.parameters[name])
         return True
 
-    def _tell(self, severity: int, text: str) -> None:
+    def _send_text(self, severity: int, text: str) -> None:
         self._log.text(self.time_us, text)
         self.say(severity, text)
 

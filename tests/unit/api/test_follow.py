@@ -9,7 +9,7 @@ import pytest
 
 from mavcal.service.api import follow
 from mavcal.service.api.follow import ChangeWatch, State
-from mavcal.service.api.models import LinkModel
+from mavcal.service.api.models.links import LinkModel
 
 STREAMS = 40
 

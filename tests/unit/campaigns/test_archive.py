@@ -12,7 +12,7 @@ import pytest
 from mavcal.calib.errors import InvalidInputError
 from mavcal.service.campaigns import archive as module
 from mavcal.service.campaigns import uploads, worker
-from mavcal.service.campaigns.archive import FolderFits, FolderGaps, archive, campaign_of
+from mavcal.service.campaigns.archive import FolderFits, FolderGaps, archive
 from mavcal.service.campaigns.campaigns import CAMPAIGN, ItemTurn
 from mavcal.service.campaigns.executors import Workers
 from mavcal.service.campaigns.items import Item, ItemOutcome, item_from_row
@@ -23,8 +23,7 @@ from mavcal.service.errors import ChildEnded, ChildrenBusy, JobUnknown
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.uploads.computations import Diagnosis
-from mavcal.service.store import SqliteStore
-from mavcal.service.store.rows import JobDocument, JobRow
+from mavcal.service.store.rows import JobDocument
 from tests.unit.api import samples
 
 LIMITS = Limits(1 << 30, 10.0, 10.0)
@@ -127,9 +126,7 @@ async def test_a_campaign_goes_through_every_file_of_its_folder(tmp_path, logs) 
             ("a.bin", ItemOutcome.DONE),
             ("b.bin", ItemOutcome.FAILED),
         ]
-        assert campaign_of(found.store, job.id).options["folder"] == str(logs)
-        with pytest.raises(JobUnknown):
-            campaign_of(found.store, "gone")
+        assert found.book.handle(job.id).job.options["folder"] == str(logs)
 
 
 @pytest.mark.parametrize(
@@ -161,14 +158,6 @@ async def test_a_campaign_that_is_left_can_be_resumed_later(tmp_path, logs) -> N
         assert len(answering.asked) == 2
         with pytest.raises(JobUnknown):
             await found.resume("gone")
-
-
-def test_what_is_no_campaign_is_none() -> None:
-    store = SqliteStore(None)
-    store.save_job(JobRow("j", None, "gyro", "failed", 0.0, 0.0, {}))
-    with pytest.raises(JobUnknown, match="no campaign j"):
-        campaign_of(store, "j")
-    store.close()
 
 
 class Computes:

@@ -2,11 +2,9 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
 
 from mavcal.service.campaigns.items import Item, ItemOutcome
 from mavcal.service.campaigns.outcome import COLUMNS, head, lines
-from mavcal.service.campaigns.selection import Selection, selected
 from mavcal.service.commands.campaign import OUTCOMES
 from mavcal.service.commands.campaign_output import exit_code
 
@@ -33,17 +31,6 @@ def test_no_cell_is_a_formula() -> None:
     texts = ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1"]
     rows = read(head() + lines([Item(1, text, text) for text in texts]))
     assert [(row["subject"], row["name"]) for row in rows] == [(f"'{text}", f"'{text}") for text in texts]
-
-
-@dataclass(frozen=True)
-class Vehicle:
-    id: str
-
-
-def test_all_or_those_that_are_named() -> None:
-    vehicles = [Vehicle("x"), Vehicle("y")]
-    assert selected(vehicles, Selection()) == ("x", "y")
-    assert selected(vehicles, Selection(("y", "z"))) == ("y", "z")  # z may be heard later
 
 
 def test_exit_codes() -> None:

@@ -14,9 +14,8 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict
 from mavcal.service.campaigns.begin import CalibrationOrder, CampaignDesk, running_campaigns
 from mavcal.service.campaigns.campaigns import CAMPAIGN, CampaignTask
-from mavcal.service.campaigns.items import Item, ItemOutcome, item_from_row, row_from_item
-from mavcal.service.campaigns.selection import Selection
-from mavcal.service.campaigns.vehicles import BEGUN_BY, of_preflight
+from mavcal.service.campaigns.items import BEGUN_BY, Item, ItemOutcome, item_from_row, row_from_item
+from mavcal.service.campaigns.vehicles import of_preflight
 from mavcal.service.errors import Forbidden, VehicleArmed
 from mavcal.service.jobs.core.codec import from_json, row_from_job
 from mavcal.service.jobs.core.handle import JobHandle
@@ -90,7 +89,7 @@ class Life:
     applies: Applies
 
     async def calibrate(self, order: CalibrationOrder = GYRO, **more: Any) -> Job:
-        return await self.desk.calibrate(self.vehicles.values(), Selection(), order, **more)
+        return await self.desk.calibrate(tuple(self.vehicles), order, **more)
 
     async def ended(self, job: Job) -> list[Item]:
         await until(lambda: self.engine.get(job.id).state != JobState.RUNNING)
@@ -289,9 +288,9 @@ async def test_what_makes_no_sense_is_refused_before_anything_begins() -> None:
                 await at.calibrate(order)
         never = CampaignDesk(at.desk.campaigns, at.engine._computations, read_only=True)
         with pytest.raises(Forbidden, match="--read-only"):
-            await never.calibrate(at.vehicles.values(), Selection(), APPLY)
+            await never.calibrate(tuple(at.vehicles), APPLY)
         with pytest.raises(InvalidInputError, match="no vehicle is selected"):
-            await at.desk.preflight([], Selection())
+            await at.desk.preflight([])
         assert at.engine.list() == ()
 
 

@@ -13,7 +13,7 @@ from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict
 from mavcal.client.models import ItemModel
 from mavcal.service.api.views import item_model
 from mavcal.service.campaigns.campaigns import CAMPAIGN
-from mavcal.service.campaigns.items import Item, ItemOutcome, item_from_row, row_from_item
+from mavcal.service.campaigns.items import BEGUN_BY, Item, ItemOutcome, item_from_row, row_from_item
 from mavcal.service.campaigns.outcome import head, lines
 from mavcal.service.campaigns.vehicles import of_preflight
 from mavcal.service.commands import campaign_items
@@ -122,6 +122,20 @@ def test_the_json_of_a_service_lacks_nothing_but_what_http_does_not_tell(listed)
         del preflight[untold]
     assert there == here
     assert [item["result"] is None for item in there["items"]] == [False, True, True, False, False]
+
+
+def test_a_data_directory_names_the_newest_job_of_an_item_that_runs(folder):
+    store = SqliteStore(folder)
+    items = (Item(1, "v1", outcome=ItemOutcome.RUNNING), Item(2, "v2", outcome=ItemOutcome.RUNNING), Item(3, "v3"))
+    store.save_job(JobRow("r", None, CAMPAIGN, "running", 3.0, 3.0, {"options": {}}))
+    store.add_items([row_from_item("r", item) for item in items])
+    for name, campaign, number in (("old", "r", 1), ("new", "r", 1), ("other", "c", 2), ("waits", "r", 3)):
+        body = {"context": {BEGUN_BY: {"id": campaign, "item": number}}}
+        store.save_job(JobRow(name, "v1", "gyro", "running", 4.0, 4.0, body))
+    store.close()
+    words = ["items", "r", "--json", "--data-dir", str(folder)]
+    done = CliRunner().invoke(command, words, standalone_mode=False, catch_exceptions=False)
+    assert [item["job_id"] for item in json.loads(done.stdout)["items"]] == ["new", None, None]
 
 
 @pytest.mark.parametrize("name", ["gone", "j"])

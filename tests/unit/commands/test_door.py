@@ -15,8 +15,7 @@ from mavcal.service.commands import door as module
 from mavcal.service.commands.door import Door, door, through_door
 from mavcal.service.commands.output import AnsweredNo
 from mavcal.service.commands.whom import Whom
-from mavcal.service.errors import AuthError, EndpointError, JobUnknown, TooManyAttempts
-from mavcal.service.errors.base import error_of
+from mavcal.service.errors import AuthError, EndpointError, JobUnknown, TooManyAttempts, error_of
 
 
 @pytest.fixture

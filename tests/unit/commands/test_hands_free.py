@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from mavcal.calib.recording import Sensor
-from mavcal.service.commands.hands_free import mended, said, wait_for_job
+from mavcal.service.commands.hands_free import mended, outcome_text, wait_for_job
 from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import of_service, plain
@@ -79,7 +79,7 @@ async def test_a_sensor_that_fell_out_makes_it_a_part(calibrate):
     ],
 )
 def test_what_came_of_it_is_said(job, text):
-    assert said(of_service(job)) == text
+    assert outcome_text(of_service(job)) == text
 
 
 @pytest.mark.parametrize(

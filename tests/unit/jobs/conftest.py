@@ -31,7 +31,7 @@ from mavcal.service.jobs.write.guard import WriteGuard
 from mavcal.service.jobs.write.transaction import Transaction
 from mavcal.service.store.postgres import PostgresStore
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.store.sql import SqlStore
+from mavcal.service.store.sql import Store
 from mavcal.service.vehicle.job_vehicle import ParameterReading
 from tests.patience import scaled
 from tests.postgres import Server
@@ -136,7 +136,7 @@ class Bench:
     """A job that was accepted, its vehicle, and a way to run or to resume its write."""
 
     vehicle: FakeVehicle
-    store: SqlStore
+    store: Store
     plan: WritePlan
     handle: JobHandle
     accept: Accept
@@ -188,7 +188,7 @@ MakeBench = Callable[..., Bench]
 
 @pytest.fixture
 def make_bench() -> Iterator[MakeBench]:
-    stores: list[SqlStore] = []
+    stores: list[Store] = []
 
     def make(
         *,
@@ -196,7 +196,7 @@ def make_bench() -> Iterator[MakeBench]:
         reboot: bool = False,
         command: bool = True,
         accept_reboot: bool = True,
-        store: SqlStore | None = None,
+        store: Store | None = None,
     ) -> Bench:
         vehicle = FakeVehicle.with_floats(OLD)
         store = store or new_store()

@@ -35,7 +35,7 @@ from mavcal.service.jobs.core.model import Accept, Failure, Job, WriteResult
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.store.sql import SqlStore
+from mavcal.service.store.sql import Store
 from tests.stores import new_store
 from tests.unit.jobs.computations import FakeComputations
 from tests.unit.jobs.conftest import OLD, QUICK, make_plan, until
@@ -49,7 +49,7 @@ async def running(
     vehicle: FakeVehicle,
     *jobs: Job,
     read_only: bool = False,
-    store: SqlStore | None = None,
+    store: Store | None = None,
     computations: FakeComputations | None = None,
     before: Callable[[JobEngine], None] = lambda _: None,
 ) -> AsyncIterator[JobEngine]:
@@ -75,7 +75,7 @@ def reviewed(vehicle: FakeVehicle, **changes: Any) -> Job:
     return replace(job, **changes)
 
 
-def sent_one(store: SqlStore, vehicle: FakeVehicle, job: Job) -> None:
+def sent_one(store: Store, vehicle: FakeVehicle, job: Job) -> None:
     """The journal of a service that ended behind the first parameter."""
     assert job.plan is not None
     first = job.plan.changes[0]

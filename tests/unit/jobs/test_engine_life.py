@@ -19,7 +19,7 @@ from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.store.sql import SqlStore
+from mavcal.service.store.sql import Store
 from tests.stores import new_store
 from tests.unit.jobs.computations import FakeComputations
 from tests.unit.jobs.conftest import OLD, QUICK, until
@@ -43,7 +43,7 @@ def vehicle() -> FakeVehicle:
     return FakeVehicle.with_floats(OLD)
 
 
-def kept(vehicle: FakeVehicle, *jobs: Job) -> SqlStore:
+def kept(vehicle: FakeVehicle, *jobs: Job) -> Store:
     store = new_store()
     for job in jobs:
         store.save_job(row_from_job(job))
@@ -58,7 +58,7 @@ Prepare = Callable[[JobEngine], None]
 
 @asynccontextmanager
 async def started(
-    store: SqlStore,
+    store: Store,
     vehicle: FakeVehicle,
     prepare: Prepare = lambda _: None,
     settings: JobSettings = QUICK,

@@ -10,7 +10,6 @@ import pytest
 from mavcal.service.errors import StoreError
 from mavcal.service.store import SqliteStore, Store
 from mavcal.service.store.rows import JobDocument, JobRow, LinkRow, RecordingRow, SegmentPurpose, SnapshotPurpose
-from mavcal.service.store.sql import SqlStore
 
 DIGEST = "a" * 64
 
@@ -171,7 +170,7 @@ def test_reopened_store_has_everything(open_store: Callable[[], Store]) -> None:
     again.close()
 
 
-def test_a_journal_and_an_audit_trail_cannot_be_rewritten(store: SqlStore) -> None:
+def test_a_journal_and_an_audit_trail_cannot_be_rewritten(store: Store) -> None:
     store.save_job(row())
     store.add_journal("j1", 1.0, "send", {"name": "A"})
     store.add_audit(1.0, "key 7", "apply", "j1", {})
@@ -182,7 +181,7 @@ def test_a_journal_and_an_audit_trail_cannot_be_rewritten(store: SqlStore) -> No
     assert store.check_audit().intact
 
 
-def test_a_failed_write_leaves_nothing_and_the_next_one_works(store: SqlStore) -> None:
+def test_a_failed_write_leaves_nothing_and_the_next_one_works(store: Store) -> None:
     def broken(second: str) -> None:
         with store._write() as db:
             db.execute("INSERT INTO links (id, url, at) VALUES ('l1', 'u', 1.0)")
@@ -207,7 +206,7 @@ def test_old_keys_are_dropped_by_age_and_number(store: Store) -> None:
     assert [store.idempotency_key(f"k{i}") is not None for i in range(6)] == [False] * 5 + [True]
 
 
-def test_an_audit_trail_that_lost_its_end_is_noticed(store: SqlStore) -> None:
+def test_an_audit_trail_that_lost_its_end_is_noticed(store: Store) -> None:
     for i in range(3):
         store.add_audit(float(i), "key 7", "apply", f"j{i}", {"n": i / 3})
     assert store.check_audit().intact

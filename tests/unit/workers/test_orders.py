@@ -34,7 +34,7 @@ def test_a_computation_goes_from_who_asks_to_who_computes_and_back(orders: Order
     orders.put("o1", "fit", BODY)
     assert orders.look("o1") == HowFar(None, None)
     assert orders.take("o1", "w1") == Computation("o1", "fit", BODY, 1)
-    orders.tell("o1", "w1", "half")
+    orders.report_progress("o1", "w1", "half")
     assert orders.look("o1") == HowFar("half", None)
     assert orders.wanted("o1", "w1")
     orders.finish("o1", "w1", {"done": {"x": 1 / 3}})
@@ -53,7 +53,7 @@ def test_a_worker_that_was_given_up_neither_tells_nor_ends_what_another_has_begu
     assert again is not None
     assert again.starts == 2
     assert (orders.wanted("o1", "w1"), orders.wanted("o1", "w2")) == (False, True)
-    orders.tell("o1", "w1", "late")
+    orders.report_progress("o1", "w1", "late")
     orders.finish("o1", "w1", {"done": "late"})
     assert orders.look("o1") == HowFar(None, None)
     orders.finish("o1", "w2", {"done": "in time"})
