@@ -60,6 +60,18 @@ class SimulatorSilent(SimulatorError):
     code = "simulator-silent"
 
 
+class NoSimulator(SimulatorError):
+    """The vehicle that answers does not show that it is a simulator. Nothing else is ever flown."""
+
+    code = "no-simulator"
+
+
+class OtherVehicle(SimulatorError):
+    """More than one vehicle speaks at the simulator's address."""
+
+    code = "other-vehicle"
+
+
 class SimulatorUnarmed(SimulatorError):
     """The simulated vehicle refuses to arm."""
 

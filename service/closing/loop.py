@@ -15,11 +15,12 @@ from mavcal.service.closing.command import FRAME, PARAMETERS, SimulatorCommand
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import SimulatorError, WrongCommand
 from mavcal.service.closing.follower import Follower
-from mavcal.service.closing.link import VehicleLink
+from mavcal.service.closing.link import VehicleLink, require_nobody
 from mavcal.service.closing.logged import LogMission
 from mavcal.service.closing.logs import find_log, logged_bytes, read_log
 from mavcal.service.closing.mission import Mission, standard_mission
 from mavcal.service.closing.pilot import Pilot
+from mavcal.service.closing.proof import SimulatorProof
 from mavcal.service.closing.rounds import Outcome, RoundResult, WorkFolder, measured, outcome_of
 from mavcal.service.closing.settings import SimSettings
 from mavcal.service.closing.simulator import Simulator, free_port
@@ -167,10 +168,13 @@ class Closing:
         self._reported_at = 0.0
         slower = "" if self._speedup == plan.speedup else f" at {self._speedup:g} times real time"
         self._report(f"starting the simulator{slower}", 0.0, None)
+        if PORT not in plan.connect:  # nobody can listen on a port that was free a moment ago
+            require_nobody(endpoint)
         with Simulator(arguments, folder) as simulator:
             try:
                 with VehicleLink(endpoint) as link:
                     link.connect(plan.heartbeat_s, simulator.check)
+                    SimulatorProof(link, simulator.check).require()
                     flight = _FlightClock(plan.mission.seconds, self._report)
                     vehicle = Conversation(link, simulator.check, flight.report)
                     by_link = {} if plan.command.has("params") else settings.parameters
