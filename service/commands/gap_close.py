@@ -56,7 +56,7 @@ _PAGE = "diagnosis.html"
     type=click.Choice(MISSIONS),
     default=MISSIONS[0],
     show_default=True,
-    help="What is flown: manoeuvres that show every effect, or the mission of --real (DataFlash), moved to the "
+    help="What is flown: manoeuvres that show every effect, or the mission that --real holds, moved to the "
     "simulator's home.",
 )
 @click.option(
