@@ -20,6 +20,7 @@ from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict, NotTe
 from mavcal.calib.gap_report.airframe_effects import phrase
 from mavcal.calib.report import to_json
 from mavcal.service.closing.errors import OtherClosing
+from mavcal.service.closing.logs import Flown
 from mavcal.service.closing.mission import MissionKind
 from mavcal.service.closing.settings import SimSettings
 
@@ -58,6 +59,8 @@ class RoundResult:
     log: str
     not_tested: tuple[str, ...] = ()
     """Why the airframe, or anything at all, could not be compared."""
+    notes: tuple[str, ...] = ()
+    """What its log lacked, and how it was flown again."""
 
     @property
     def left(self) -> tuple[str, ...]:
@@ -80,6 +83,7 @@ class RoundResult:
             "not_set": list(self.not_set),
             "log": self.log,
             "not_tested": list(self.not_tested),
+            "notes": list(self.notes),
         }
 
 
@@ -130,7 +134,15 @@ def _unmoved(before: Mapping[tuple[str, ...], float], now: Mapping[tuple[str, ..
     )
 
 
-def measured(number: int, report: GapReport, settings: SimSettings, log: str, *, with_frame: bool) -> RoundResult:
+def measured(
+    number: int,
+    report: GapReport,
+    settings: SimSettings,
+    log: str,
+    *,
+    with_frame: bool,
+    notes: tuple[str, ...] = (),
+) -> RoundResult:
     """The round's result from its diagnosis; without a frame file only parameters can be set."""
     wanted = settings.patched(effect for effect in report.effects if is_material(effect))
     to_set = wanted if with_frame else SimSettings(wanted.parameters, settings.frame)
@@ -156,6 +168,7 @@ def measured(number: int, report: GapReport, settings: SimSettings, log: str, *,
         not_set,
         log,
         tuple(f"{n.id}: {n.reason}; needed: {n.need}" for n in report.not_testable if _matters(n, report)),
+        notes,
     )  # fmt: skip
 
 
@@ -230,16 +243,17 @@ class WorkFolder:
             not_set=tuple(kept["not_set"]),
             log=kept["log"],
             not_tested=tuple(kept.get("not_tested", ())),
+            notes=tuple(kept.get("notes", ())),
         )
 
-    def flown(self, number: int, settings: SimSettings) -> Path | None:
-        """The log of a round whose flight is whole and had `settings`."""
+    def flown(self, number: int, settings: SimSettings) -> Flown | None:
+        """The flight of a round, if it is whole and had `settings`."""
         folder = self.round_folder(number)
         kept = read_json(folder / FLOWN)
         if kept is None or kept["settings"] != to_json(_settings_json(settings)):
             return None
         log = folder / str(kept["log"])
-        return log if log.is_file() else None
+        return Flown(log, tuple(kept.get("notes", ()))) if log.is_file() else None
 
     def begin_round(self, number: int) -> Path:
         """An empty folder for a round: nothing of an earlier flight may be taken for this one's."""
@@ -248,10 +262,11 @@ class WorkFolder:
         folder.mkdir(parents=True)
         return folder
 
-    def keep_flown(self, number: int, settings: SimSettings, log: Path) -> None:
+    def keep_flown(self, number: int, settings: SimSettings, flown: Flown) -> None:
         """The flight of a round is whole."""
         folder = self.round_folder(number)
-        kept = {"log": str(log.relative_to(folder)), "settings": _settings_json(settings)}
+        log = str(flown.log.relative_to(folder))
+        kept = {"log": log, "settings": _settings_json(settings), "notes": list(flown.notes)}
         write_json(folder / FLOWN, kept)
 
     def keep(self, result: RoundResult, diagnosis: Json) -> None:

@@ -22,7 +22,7 @@ from mavcal.calib.gap.schema import (
     Shrink,
 )
 from mavcal.service.closing.errors import LogUnusable, OtherClosing
-from mavcal.service.closing.logs import find_log
+from mavcal.service.closing.logs import Flown, find_log
 from mavcal.service.closing.loop import ClosingResult
 from mavcal.service.closing.report import page, round_lines, sentence
 from mavcal.service.closing.rounds import Outcome, RoundResult, WorkFolder, measured, outcome_of, read_json
@@ -112,12 +112,13 @@ def test_a_round_is_kept_and_found_again_with_its_settings_only(tmp_path: Path) 
     log = made / "logs" / "1.BIN"
     log.parent.mkdir()
     log.write_bytes(b"\xa3\x95")
-    folder.keep_flown(0, START, log)
+    flown = Flown(log, ("at 4 times real time its log lacked 5 % of its samples",))
+    folder.keep_flown(0, START, flown)
     result = measured(0, report(SCALE), START, "logs/1.BIN", with_frame=True)
     folder.keep(result, {"verdict": "explained"})
 
     again = WorkFolder(tmp_path / "w", {"real": "a"})
-    assert again.flown(0, START) == log
+    assert again.flown(0, START) == flown
     assert again.result(0, START) == result
     other = SimSettings({"A": 2.0})
     assert again.flown(0, other) is None
