@@ -25,6 +25,12 @@ class OtherClosing(ClosingError):
     code = "other-closing"
 
 
+class WorkFolderUnusable(ClosingError):
+    """The folder of the rounds cannot be written. Choose another one with --work."""
+
+    code = "work-folder"
+
+
 class NoMission(ClosingError):
     """The log holds no mission that a simulator can fly. Fly the standard one with --mission standard."""
 

@@ -21,9 +21,10 @@ from mavcal.service.closing.logs import Flown, find_log, logged_bytes, read_log
 from mavcal.service.closing.mission import Mission, standard_mission
 from mavcal.service.closing.pilot import Pilot
 from mavcal.service.closing.proof import SimulatorProof
-from mavcal.service.closing.rounds import Outcome, RoundResult, WorkFolder, measured, outcome_of
+from mavcal.service.closing.rounds import Outcome, RoundResult, measured, outcome_of
 from mavcal.service.closing.settings import SimSettings
 from mavcal.service.closing.simulator import Simulator, free_port
+from mavcal.service.closing.work import WorkFolder
 from mavcal.service.errors import EndpointError
 from mavcal.service.link import parse_endpoint
 
@@ -92,6 +93,8 @@ class Closing:
         If command and endpoint do not fit together.
     OtherClosing
         If the work folder belongs to another loop.
+    WorkFolderUnusable
+        If it cannot be made.
     """
 
     def __init__(
@@ -107,7 +110,7 @@ class Closing:
             "real_sha256": plan.real_sha256,
             "command": plan.command.text,
             "mission": plan.mission.kind.value,
-            "start": {"parameters": dict(plan.start.parameters), "frame": dict(plan.start.frame)},
+            "start": plan.start.as_json(),
         }
         self._folder = WorkFolder(plan.work, identity)
         self._speedup = plan.speedup
@@ -121,7 +124,15 @@ class Closing:
         ------
         SimulatorError
             If the simulator cannot be flown; the rounds before are kept.
+        OtherClosing
+            If another process closes this loop now.
+        WorkFolderUnusable
+            If the work folder cannot be written.
         """
+        with self._folder.owned():
+            return self._run()
+
+    def _run(self) -> ClosingResult:
         results: list[RoundResult] = []
         settings = self._plan.start
         while True:
