@@ -24,7 +24,7 @@ from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
 from mavcal.calib.gap.joined import joined
-from mavcal.calib.gap.progress import DEFAULT_LIMIT_S, GapPace, GapProgress, GapStage
+from mavcal.calib.gap.progress import DEFAULT_LIMIT_S, GapPace, GapProgress, GapStage, unsearched
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.gap.witness import of_no_sensor
@@ -114,6 +114,7 @@ def run(
         if isinstance(flown, AirframeAnswer) and (right := without_matrix_errors(real, report)) is not None:
             flown = airframe_gap(right, sim, without=without, frame=frame)  # a search cut short would take names away
             report = joined(sensors, flown, real, sim)
+        report = unsearched(report, pace)
     elif sim is None and _is_flight(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
         report = dataclasses.replace(report, airframe=alone)
     base, vehicle = simulator_of(real, sim), real.parameters.final()

@@ -219,6 +219,13 @@ def with_limit(report: GapReport, pace: GapPace) -> GapReport:
     return replace(report, verdict=verdict, warnings=(text, *report.warnings), left_out=left_out)
 
 
+def unsearched(report: GapReport, pace: GapPace) -> GapReport:
+    """The report of sensors and airframe: that nothing differs is not said where not everything was looked for."""
+    cut = {GapStage.AIRFRAME, GapStage.SELECTION} & pace.left_out.keys()
+    nothing = report.verdict is GapVerdict.NO_GAP
+    return replace(report, verdict=GapVerdict.NOT_TESTABLE) if cut and nothing else report
+
+
 _NOT_COMPARED = {GapVerdict.EXPLAINED: GapVerdict.PARTLY_EXPLAINED, GapVerdict.NO_GAP: GapVerdict.NOT_TESTABLE}
 _NOT_SEARCHED = {**_NOT_COMPARED, GapVerdict.UNKNOWN: GapVerdict.NOT_TESTABLE}
 """What is said in place of verdicts that claim that all was tried: in the place of what was found, or at all."""

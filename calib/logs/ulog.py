@@ -14,7 +14,7 @@ from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware.px4.flight import arming_events, dynamics_channels, flight_channels, truth_channels
-from mavcal.calib.firmware.px4.topics import US, WANTED, inertial_channels
+from mavcal.calib.firmware.px4.topics import US, WANTED, Topic, inertial_channels
 from mavcal.calib.logs.time_order import in_order, moving
 from mavcal.calib.logs.zeros import without_zeros
 from mavcal.calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
@@ -89,7 +89,7 @@ def read_ulog(path: Path | str) -> Recording:
         If the file cannot be opened, is encrypted, is no ULog, or holds no topic that says anything of a sensor.
     """
     file = Path(path)
-    log = _parsed(file)
+    log = _parsed(file, WANTED)
     topics = {(d.name, int(d.multi_id)): d.data for d in log.data_list if len(d.data.get("timestamp", ()))}
     start = log.start_timestamp * US
     timeline = _parameters(log, start)
@@ -133,7 +133,18 @@ def _ordered(channels: Iterable[Channel], start: float, events: list[Event]) -> 
     return tuple(kept)
 
 
-def _parsed(file: Path) -> ULog:
+def parse_ulog(file: Path, names: Iterable[str]) -> dict[str, Topic]:
+    """The first instance of each of these topics that the log holds, in the order of time. Raises UnreadableError."""
+    found: dict[str, Topic] = {}
+    for one in _parsed(file, names).data_list:
+        stamps = one.data.get("timestamp", ())
+        if len(stamps) and not one.multi_id:
+            order = np.argsort(stamps, kind="stable")
+            found[one.name] = {name: values[order] for name, values in one.data.items()}
+    return found
+
+
+def _parsed(file: Path, names: Iterable[str]) -> ULog:
     try:
         with file.open("rb") as opened:
             head = opened.read(16)
@@ -143,7 +154,7 @@ def _parsed(file: Path) -> ULog:
                 raise UnreadableError(f"{file.name} is no ULog: its header is {head[:8]!r}")
             size = opened.seek(0, 2)
             opened.seek(0)
-            return _Bounded(_Metered(opened, size), sorted(WANTED))
+            return _Bounded(_Metered(opened, size), sorted(names))
     except OSError as error:
         raise UnreadableError(f"{file.name} cannot be read: {error.strerror or error}") from error
     except ULogIncompatibleFlagException as error:

@@ -1,11 +1,13 @@
-"""How each firmware is flown by a program: ArduPilot in GUIDED, or AUTO with a mission; PX4 in offboard.
+"""How each firmware is flown by a program: ArduPilot in GUIDED and AUTO, PX4 in offboard and AUTO.MISSION.
 
 ArduPilot takes the thrust of SET_ATTITUDE_TARGET as a climb rate about 0.5, PX4 as thrust. PX4 enters offboard only
-while targets arrive, and has no take-off there: it is flown up.
+while targets arrive, and has no take-off there: it is flown up. Item 0 of a mission is home to ArduPilot, and the first
+one to PX4. ArduPilot refuses a number that is none; to PX4 it says that the heading of an item is free.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -13,11 +15,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from mavcal.calib.logs.missions import LoggedMission, MissionItem
+
 VELOCITY_AND_YAW = 0b1001_1100_0111
 """type_mask: position, acceleration and yaw rate are to be ignored."""
 ATTITUDE_ONLY = 0b0000_0111
 """type_mask: body rates are to be ignored."""
-_PX4_MAIN_OFFBOARD = 6
+_PX4_MAIN_AUTO, _PX4_MAIN_OFFBOARD, _PX4_SUB_MISSION = 4, 6, 4
 _BY_FORCE = 21196.0
 """Param 2 of MAV_CMD_COMPONENT_ARM_DISARM that skips the firmware's checks. Source: MAVLink's common.xml."""
 _CUSTOM = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -54,10 +58,18 @@ def command(to: Target, number: int, *parameters: float) -> Any:
 class Autopilot(ABC):
     """One firmware's way; every method gives the message to send."""
 
+    name: str
+    """As `LoggedMission.autopilot` has it."""
+    called: str
+    """As one says it."""
     guided: int
     """Custom mode of its heartbeat while a program flies it."""
-    auto: int | None
-    """Custom mode while it flies a mission; None: no log's mission is flown by it."""
+    auto: int
+    """Custom mode while it flies a mission."""
+    first: int
+    """Number of a mission's first item behind home."""
+    speed: tuple[str, float]
+    """Parameter of the speed of missions, and the m/s of its unit."""
     climbs_by_itself: bool
     """Whether a command takes it off; else a velocity does."""
     hover_thrust: float
@@ -83,10 +95,17 @@ class Autopilot(ABC):
         """Take off to `height`, m; only where it :attr:`climbs_by_itself`."""
         return command(to, dialect.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)
 
+    @abstractmethod
     def follow_mission(self, to: Target) -> Any:
-        """Change to the mode that flies a mission; only where there is :attr:`auto`."""
-        assert self.auto is not None
-        return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, self.auto)
+        """Change to the mode that flies a mission."""
+
+    @abstractmethod
+    def ready(self, to: Target) -> Any:
+        """Change to the mode in which it is armed for a mission."""
+
+    @abstractmethod
+    def items(self, mission: LoggedMission) -> tuple[MissionItem, ...]:
+        """What is uploaded, from item 0 on."""
 
     def start_mission(self, to: Target) -> Any:
         """Begin the mission with its first item."""
@@ -100,7 +119,9 @@ class Autopilot(ABC):
 class ArduPilot(Autopilot):
     """ArduCopter."""
 
-    guided, auto = 4, 3
+    name, called = "ardupilot", "ArduPilot"
+    guided, auto, first = 4, 3, 1
+    speed = ("WPNAV_SPEED", 0.01)
     climbs_by_itself = True
     hover_thrust, thrust_parameter = 0.5, ""
     quiet: Mapping[str, float] = {"LOG_DISARMED": 0.0}
@@ -109,11 +130,26 @@ class ArduPilot(Autopilot):
         """GUIDED."""
         return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, self.guided)
 
+    def follow_mission(self, to: Target) -> Any:
+        """AUTO."""
+        return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, self.auto)
+
+    def ready(self, to: Target) -> Any:
+        """GUIDED: it does not arm in AUTO."""
+        return self.guide(to)
+
+    def items(self, mission: LoggedMission) -> tuple[MissionItem, ...]:
+        """Home and the items, with a number everywhere."""
+        return (mission.home, *map(_with_numbers, mission.items))
+
 
 class Px4(Autopilot):
     """PX4's multicopters."""
 
-    guided, auto = _PX4_MAIN_OFFBOARD << 16, None
+    name, called = "px4", "PX4"
+    guided, first = _PX4_MAIN_OFFBOARD << 16, 0
+    auto = _PX4_MAIN_AUTO << 16 | _PX4_SUB_MISSION << 24
+    speed = ("MPC_XY_CRUISE", 1.0)
     climbs_by_itself = False
     hover_thrust, thrust_parameter = 0.5, "MPC_THR_HOVER"
     quiet: Mapping[str, float] = {}  # it logs from arming to disarming
@@ -121,6 +157,23 @@ class Px4(Autopilot):
     def guide(self, to: Target) -> Any:
         """Offboard."""
         return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, _PX4_MAIN_OFFBOARD)
+
+    def follow_mission(self, to: Target) -> Any:
+        """AUTO.MISSION."""
+        return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, _PX4_MAIN_AUTO, _PX4_SUB_MISSION)
+
+    def ready(self, to: Target) -> Any:
+        """AUTO.MISSION: once it is armed it begins."""
+        return self.follow_mission(to)
+
+    def items(self, mission: LoggedMission) -> tuple[MissionItem, ...]:
+        """The items; home is where it was armed."""
+        return mission.items
+
+
+def _with_numbers(item: MissionItem) -> MissionItem:
+    first, second, third, heading = item.parameters
+    return dataclasses.replace(item, parameters=(first, second, third, 0.0 if math.isnan(heading) else heading))
 
 
 CLIMB = 1.5

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.calib.wire import Message
 from mavcal.service.closing import autopilot as ways
 from mavcal.service.closing.errors import MissionLeft, SimulatorSilent, SimulatorUnarmed
-from mavcal.service.closing.link import VehicleLink
+from mavcal.service.closing.link import VehicleLink, text_of
 from mavcal.service.errors import LinkDown
 
 ATTITUDE_HZ, POSITION_HZ = 50.0, 25.0
@@ -126,9 +126,9 @@ class Conversation:
             if self.flying:
                 self._still_ours()
         elif name == "STATUSTEXT":
-            self._texts.append(_text(message.text))
+            self._texts.append(text_of(message.text))
         elif name == "PARAM_VALUE":
-            self._parameters[_text(message.param_id)] = float(message.param_value)
+            self._parameters[text_of(message.param_id)] = float(message.param_value)
         for listen in self.listeners:
             listen(message)
 
@@ -209,8 +209,3 @@ class Conversation:
                 f"the vehicle did not take {name} {value:g} over MAVLink (it answered {answer}). Has this simulator "
                 "such a parameter? Where it reads a file, give it {params}"
             )
-
-
-def _text(value: bytes | str) -> str:
-    raw = value.encode() if isinstance(value, str) else value
-    return raw.split(b"\0")[0].decode("utf-8", "replace")

@@ -25,6 +25,12 @@ class OtherClosing(ClosingError):
     code = "other-closing"
 
 
+class WorkFolderUnusable(ClosingError):
+    """The folder of the rounds cannot be written. Choose another one with --work."""
+
+    code = "work-folder"
+
+
 class NoMission(ClosingError):
     """The log holds no mission that a simulator can fly. Fly the standard one with --mission standard."""
 
@@ -58,6 +64,18 @@ class SimulatorSilent(SimulatorError):
     """The simulator says nothing over MAVLink, or nothing more."""
 
     code = "simulator-silent"
+
+
+class NoSimulator(SimulatorError):
+    """The vehicle that answers does not show that it is a simulator. Nothing else is ever flown."""
+
+    code = "no-simulator"
+
+
+class OtherVehicle(SimulatorError):
+    """More than one vehicle speaks at the simulator's address."""
+
+    code = "other-vehicle"
 
 
 class SimulatorUnarmed(SimulatorError):

@@ -1,4 +1,4 @@
-"""Has a vehicle fly the mission of a log in AUTO, and follows it item by item by its own clock."""
+"""Has a vehicle fly the mission of a log by itself, and follows it item by item by its own clock."""
 
 from __future__ import annotations
 
@@ -22,8 +22,11 @@ _CURRENT_HZ = 5.0
 _LIFTED_M = 0.5
 _LIFT_S = 30.0
 _STARTS = 3
-_SPEED_NAME, _CM, _SLOWEST = "WPNAV_SPEED", 0.01, 0.1
-"""cm/s; slower than 0.1 m/s ArduPilot does not fly to a place (``AC_WPNav.cpp``)."""
+_SLOWEST = 0.1
+"""m/s; slower ArduPilot does not fly to a place (``AC_WPNav.cpp``)."""
+_NONE = -1
+"""Index of no item."""
+_CALLED = {way.name: way.called for way in (ways.ArduPilot, ways.Px4)}
 _HOME_ASK = dialect.MAVLINK_MSG_ID_HOME_POSITION
 
 
@@ -34,7 +37,8 @@ class Follower:
         self._vehicle, self._mission = vehicle, mission
         self._home: Place | None = None
         self._items: tuple[MissionItem, ...] = ()
-        self._current, self._reached, self._complete = 0, 0, False
+        self._last = 0
+        self._current, self._reached, self._complete = _NONE, _NONE, False
 
     def fly(self, settings: Mapping[str, float] | None = None) -> None:
         """The whole mission; `settings` are parameters that are set first, over MAVLink.
@@ -51,17 +55,19 @@ class Follower:
             If it does something else, or takes too long.
         """
         vehicle = self._vehicle
-        begin(vehicle, settings)
-        if vehicle.way.auto is None:
+        way = vehicle.way
+        if way.name != self._mission.flown.autopilot:
             raise MissionRefused(
-                "only ArduPilot's simulator flies a log's mission, and this is PX4. Fly the standard one: "
-                "--mission standard."
+                f"the mission is that of a log of {_CALLED[self._mission.flown.autopilot]}, and the simulator is "
+                f"{way.called}, which would fly other ways. Fly the standard one: --mission standard."
             )
+        begin(vehicle, settings)
         vehicle.listeners.append(self._listen)
         flown = self._moved(self._find_home())
-        Upload(vehicle, (flown.home, *flown.items)).run()
-        self._items = flown.items
-        speed = min(max(_CM * vehicle.parameter(_SPEED_NAME, SPEED / _CM), _SLOWEST), SPEED)
+        Upload(vehicle, way.items(flown)).run()
+        self._items, self._last = flown.items, flown.last
+        name, unit = way.speed
+        speed = min(max(unit * vehicle.parameter(name, SPEED / unit), _SLOWEST), SPEED)
         vehicle.doing = "resting"
         vehicle.run(self._mission.rest_s)
         self._start()
@@ -97,7 +103,7 @@ class Follower:
         current = dialect.MAVLINK_MSG_ID_MISSION_CURRENT
         vehicle.send(ways.command(vehicle.to, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, current, hz))
         for _ in range(_STARTS):
-            arm(vehicle)
+            arm(vehicle, way.ready(vehicle.to))
             vehicle.doing, began = "starting the mission", vehicle.state.t
             while vehicle.state.armed and not self._lifted and vehicle.state.t - began < _LIFT_S:
                 if vehicle.state.mode != way.auto:
@@ -105,7 +111,6 @@ class Follower:
                     vehicle.send(way.start_mission(vehicle.to))
                 vehicle.run(TRY_S, until=lambda: self._lifted or not vehicle.state.armed)
             if self._lifted:
-                assert way.auto is not None
                 vehicle.obeys, vehicle.flying = way.auto, True
                 self._begun()
                 return
@@ -126,23 +131,23 @@ class Follower:
         vehicle = self._vehicle
         limits = [LONGER * seconds + MORE_S for seconds in durations(flown, speed)]
         began = since = vehicle.state.t
-        number = 0
-        while not self._done(flown):
+        at = _NONE
+        while not self._done:
             now = vehicle.state.t
-            if self._current != number:
-                number, since = self._current, now
-            if number and now - since > limits[number - 1]:
-                self._stands(self._items[number - 1].name, now - since, limits[number - 1])
+            if self._current != at:
+                at, since = self._current, now
+            if at != _NONE and now - since > limits[at]:
+                self._stands(flown.items[at].name, now - since, limits[at])
             if now - began > sum(limits):
                 self._stands("the mission", now - began, sum(limits))
             vehicle.pump()
 
-    def _done(self, flown: LoggedMission) -> bool:
-        last = flown.last
+    @property
+    def _done(self) -> bool:
         if not self._vehicle.state.armed:
             return True
-        landing = flown.items[last].command in LANDINGS
-        return not landing and (self._complete or self._reached > last)
+        landing = self._items[self._last].command in LANDINGS
+        return not landing and (self._complete or self._reached >= self._last)
 
     def _stands(self, what: str, seconds: float, limit: float) -> None:
         vehicle = self._vehicle
@@ -154,23 +159,30 @@ class Follower:
     def _listen(self, message: Message) -> None:
         name = message.get_type()
         if name == "MISSION_CURRENT":
-            self._is_at(int(message.seq))
+            self._is_at(int(message.seq) - self._vehicle.way.first)
             self._complete = message.mission_state == dialect.MISSION_STATE_COMPLETE
         elif name == "MISSION_ITEM_REACHED":
-            self._reached = max(self._reached, int(message.seq))
+            self._has_reached(int(message.seq) - self._vehicle.way.first)
         elif name == "HOME_POSITION":
             self._home = Place(1e-7 * message.latitude, 1e-7 * message.longitude, 1e-3 * message.altitude)
 
-    def _is_at(self, number: int) -> None:
+    def _is_at(self, index: int) -> None:
         """At once, not when all that has arrived is taken in: a vehicle that lands may disarm right behind it."""
-        if number != self._current and 0 < number <= len(self._items):
-            self._current = number
+        if index != self._current and 0 <= index < len(self._items):
+            self._current = index
             if self._vehicle.flying:
                 self._begun()
 
+    def _has_reached(self, index: int) -> None:
+        """Behind its last item PX4 holds its place, and before a return it says no more: other modes, both of them."""
+        self._reached = max(self._reached, index)
+        left = [item for item in self._items[self._reached + 1 :] if item.flies]
+        if self._items and (not left or left[0].command in LANDINGS):
+            self._vehicle.flying = False
+
     def _begun(self) -> None:
         """Name the present item as what is being done; a vehicle may disarm only in a landing."""
-        if self._current > 0:
-            item = self._items[self._current - 1]
+        if self._current != _NONE:
+            item = self._items[self._current]
             self._vehicle.doing = f"flying {item.name}"
             self._vehicle.flying = item.command not in LANDINGS

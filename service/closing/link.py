@@ -11,18 +11,21 @@ from typing import Self
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire import FrameParser, Message, decode, encode
-from mavcal.service.closing.errors import SimulatorSilent
+from mavcal.service.closing.errors import OtherVehicle, SimulatorSilent
 from mavcal.service.errors import LinkDown, ServiceError
 from mavcal.service.link import Address, Endpoint, OwnIdentity
 from mavcal.service.link.link import transport_of
 from mavcal.service.link.transports import Disconnected, Transport
 
 HEARTBEAT_S = 1.0
+NOBODY_S = 2.5
+"""Wall seconds in which nobody may be heard before the simulator is started: two heartbeats of a vehicle."""
 _AGAIN_S = 0.2
 _WAIT_S = 0.05
 IDS = frozenset(
     {
         dialect.MAVLINK_MSG_ID_HEARTBEAT,
+        dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
         dialect.MAVLINK_MSG_ID_ATTITUDE,
         dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         dialect.MAVLINK_MSG_ID_COMMAND_ACK,
@@ -40,10 +43,14 @@ IDS = frozenset(
 
 
 class VehicleLink:
-    """A connection to the vehicle behind `endpoint`; a context manager that closes it."""
+    """A connection to the vehicle behind `endpoint`; a context manager that closes it.
+
+    It is that of the first heartbeat: whoever else is heard there ends the conversation, since what is sent might reach
+    the wrong one.
+    """
 
     def __init__(self, endpoint: Endpoint) -> None:
-        self._endpoint = endpoint
+        self.endpoint = endpoint
         self._own = OwnIdentity()
         self._transport: Transport | None = None
         self._selector = selectors.DefaultSelector()
@@ -79,7 +86,7 @@ class VehicleLink:
             check()
             if time.monotonic() > end:
                 raise SimulatorSilent(
-                    f"no heartbeat at {self._endpoint} within {limit_s:g} s ({why}). Does the simulator serve MAVLink "
+                    f"no heartbeat at {self.endpoint} within {limit_s:g} s ({why}). Does the simulator serve MAVLink "
                     "there? Give its port by {port}, or its address by --connect"
                 )
             try:
@@ -93,21 +100,21 @@ class VehicleLink:
                 raise SimulatorSilent(str(error)) from error
 
     def _open(self) -> None:
-        made = transport_of(self._endpoint)
+        made = transport_of(self.endpoint)
         made.open(self._selector)
         self._transport, self._parser = made, FrameParser()
 
     def send(self, message: Message) -> None:
         """Send one message. Raises LinkDown if the connection has broken."""
         if self._transport is None:
-            raise LinkDown(f"{self._endpoint}: not connected")
+            raise LinkDown(f"{self.endpoint}: not connected")
         frame = encode(message, self._own.system, self._own.component, self._sequence)
         self._sequence = (self._sequence + 1) % 256
         try:
             self._transport.send(frame, self._peer)
         except Disconnected as error:
             self._close()
-            raise LinkDown(f"{self._endpoint}: {error}") from error
+            raise LinkDown(f"{self.endpoint}: {error}") from error
 
     def poll(self) -> list[Message]:
         """The vehicle's messages of :data:`IDS` that have arrived within a short wait; our heartbeat goes out.
@@ -116,6 +123,8 @@ class VehicleLink:
         ------
         LinkDown
             If the connection has broken.
+        OtherVehicle
+            If a second vehicle is heard.
         """
         now = time.monotonic()
         if now - self._beat >= HEARTBEAT_S:
@@ -127,7 +136,7 @@ class VehicleLink:
             chunks = self._transport.receive()
         except Disconnected as error:
             self._close()
-            raise LinkDown(f"{self._endpoint}: {error}") from error
+            raise LinkDown(f"{self.endpoint}: {error}") from error
         feed = self._parser.feed_datagram if self._transport.datagrams else self._parser.feed
         found = []
         for chunk in chunks:
@@ -136,13 +145,48 @@ class VehicleLink:
                 if frame.message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
                     if message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
                         continue  # a ground station, a gimbal, ourselves
-                    self.heartbeat, self.target = message, (frame.system, frame.component)
-                if frame.system == self.target[0]:
-                    self._peer = chunk.peer
+                    self._meet(message, (frame.system, frame.component), chunk.peer)
+                if frame.system == self.target[0] and chunk.peer == self._peer:
                     found.append(message)
         return found
+
+    def _meet(self, heartbeat: Message, sender: tuple[int, int], peer: Address) -> None:
+        """Keep to the vehicle that was heard first. Raises OtherVehicle at another one."""
+        if self.heartbeat is None:
+            self.target, self._peer = sender, peer
+        elif sender[0] != self.target[0] or peer != self._peer:
+            where = "" if self._peer is None or peer == self._peer else f" ({_named(self._peer)} and {_named(peer)})"
+            raise OtherVehicle(
+                f"two vehicles speak at {self.endpoint}{where}: system {self.target[0]} and system {sender[0]}. Take "
+                "the other one off this address, or give the simulator an address of its own by --connect"
+            )
+        if sender == self.target:  # not that of a companion computer of the same vehicle
+            self.heartbeat = heartbeat
 
     def _close(self) -> None:
         if self._transport is not None:
             self._transport.close()
             self._transport = None
+
+
+def require_nobody(endpoint: Endpoint) -> None:
+    """Listen where the simulator is going to be. Raises OtherVehicle if a vehicle is there already."""
+    with VehicleLink(endpoint) as link:
+        try:
+            link.connect(NOBODY_S, lambda: None)
+        except SimulatorSilent:
+            return
+        raise OtherVehicle(
+            f"system {link.target[0]} speaks at {endpoint} although the simulator is not started yet. End what runs "
+            "there, take the vehicle off this address, or give the simulator an address of its own by --connect"
+        )
+
+
+def text_of(value: bytes | str) -> str:
+    """What a field of characters says."""
+    raw = value.encode() if isinstance(value, str) else value
+    return raw.split(b"\0")[0].decode("utf-8", "replace")
+
+
+def _named(peer: Address) -> str:
+    return f"{peer[0]}:{peer[1]}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from mavcal.calib import logs
@@ -13,6 +14,14 @@ from mavcal.service.closing.errors import LogUnusable
 _BEGINNINGS = (b"\xa3\x95", b"ULog")
 """DataFlash, ULog. An `eeprom.bin` of ArduPilot begins with neither."""
 _ENDINGS = (".bin", ".ulg")
+
+
+@dataclass(frozen=True)
+class Flown:
+    """The log of a flight that is whole, and what is to be said of it."""
+
+    log: Path
+    notes: tuple[str, ...] = ()
 
 
 def find_log(folder: Path) -> Path:

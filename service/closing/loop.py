@@ -15,14 +15,16 @@ from mavcal.service.closing.command import FRAME, PARAMETERS, SimulatorCommand
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import SimulatorError, WrongCommand
 from mavcal.service.closing.follower import Follower
-from mavcal.service.closing.link import VehicleLink
+from mavcal.service.closing.link import VehicleLink, require_nobody
 from mavcal.service.closing.logged import LogMission
-from mavcal.service.closing.logs import find_log, logged_bytes, read_log
+from mavcal.service.closing.logs import Flown, find_log, logged_bytes, read_log
 from mavcal.service.closing.mission import Mission, standard_mission
 from mavcal.service.closing.pilot import Pilot
-from mavcal.service.closing.rounds import Outcome, RoundResult, WorkFolder, measured, outcome_of
+from mavcal.service.closing.proof import SimulatorProof
+from mavcal.service.closing.rounds import Outcome, RoundResult, measured, outcome_of
 from mavcal.service.closing.settings import SimSettings
 from mavcal.service.closing.simulator import Simulator, free_port
+from mavcal.service.closing.work import WorkFolder
 from mavcal.service.errors import EndpointError
 from mavcal.service.link import parse_endpoint
 
@@ -91,6 +93,8 @@ class Closing:
         If command and endpoint do not fit together.
     OtherClosing
         If the work folder belongs to another loop.
+    WorkFolderUnusable
+        If it cannot be made.
     """
 
     def __init__(
@@ -106,7 +110,7 @@ class Closing:
             "real_sha256": plan.real_sha256,
             "command": plan.command.text,
             "mission": plan.mission.kind.value,
-            "start": {"parameters": dict(plan.start.parameters), "frame": dict(plan.start.frame)},
+            "start": plan.start.as_json(),
         }
         self._folder = WorkFolder(plan.work, identity)
         self._speedup = plan.speedup
@@ -120,7 +124,15 @@ class Closing:
         ------
         SimulatorError
             If the simulator cannot be flown; the rounds before are kept.
+        OtherClosing
+            If another process closes this loop now.
+        WorkFolderUnusable
+            If the work folder cannot be written.
         """
+        with self._folder.owned():
+            return self._run()
+
+    def _run(self) -> ClosingResult:
         results: list[RoundResult] = []
         settings = self._plan.start
         while True:
@@ -135,29 +147,37 @@ class Closing:
             settings = result.to_set
 
     def _round(self, settings: SimSettings) -> RoundResult:
-        log = self._folder.flown(self._number, settings)
-        if log is None:
-            log = self._fly(settings)
-            while self._hurried(log):
-                self._speedup = max(0.5 * self._speedup, _SLOWEST)
-                log = self._fly(settings)
-            self._folder.keep_flown(self._number, settings, log)
+        flown = self._folder.flown(self._number, settings)
+        if flown is None:
+            flown = self._fly_whole(settings)
+            self._folder.keep_flown(self._number, settings, flown)
         folder = self._folder.round_folder(self._number)
-        sim = read_log(log)
+        sim = read_log(flown.log)
         self._reported_at = 0.0
         report = self._diagnose(self._plan.real, sim, frame=settings.frame, folder=folder, on_progress=self._report)
         result = measured(
-            self._number, report, settings, str(log.relative_to(folder)), with_frame=self._plan.command.has("frame")
-        )
+            self._number, report, settings, str(flown.log.relative_to(folder)),
+            with_frame=self._plan.command.has("frame"), notes=flown.notes,
+        )  # fmt: skip
         self._folder.keep(result, as_json(report))
         return result
 
-    def _hurried(self, log: Path) -> bool:
-        """Whether the simulator ran too fast for its logger, and can be flown more slowly."""
-        slower = self._plan.command.has("speedup") and self._speedup > _SLOWEST
-        return slower and dropped(read_log(log)) > _MOST_DROPPED
+    def _fly_whole(self, settings: SimSettings) -> Flown:
+        """Fly, again at half the speed where the simulator ran too fast for its logger, down to real time."""
+        notes: list[str] = []
+        log = self._fly(settings, "starting the simulator")
+        while (lost := dropped(read_log(log))) > _MOST_DROPPED:
+            said = f"{_speed(self._speedup)} its log lacked {100.0 * lost:.0f} % of its samples"
+            if not self._plan.command.has("speedup"):
+                return Flown(log, (*notes, f"{said}; write {{speedup}} into the command, and it is flown more slowly"))
+            if self._speedup <= _SLOWEST:
+                return Flown(log, (*notes, f"{said}; take load off the machine, or choose --speedup 1"))
+            self._speedup = max(0.5 * self._speedup, _SLOWEST)
+            notes.append(f"{said}: flown again {_speed(self._speedup)}")
+            log = self._fly(settings, f"starting the simulator {_speed(self._speedup)}, since {said}")
+        return Flown(log, tuple(notes))
 
-    def _fly(self, settings: SimSettings) -> Path:
+    def _fly(self, settings: SimSettings, doing: str) -> Path:
         """Start the simulator, fly the mission, end the simulator; the log that it left."""
         plan, folder = self._plan, self._folder.begin_round(self._number)
         settings.write(folder / PARAMETERS, folder / FRAME)
@@ -165,12 +185,14 @@ class Closing:
         endpoint = parse_endpoint(plan.connect.replace(PORT, str(port)))
         arguments = plan.command.arguments(port=port, speedup=self._speedup, here=plan.here)
         self._reported_at = 0.0
-        slower = "" if self._speedup == plan.speedup else f" at {self._speedup:g} times real time"
-        self._report(f"starting the simulator{slower}", 0.0, None)
+        self._report(doing, 0.0, None)
+        if PORT not in plan.connect:  # nobody can listen on a port that was free a moment ago
+            require_nobody(endpoint)
         with Simulator(arguments, folder) as simulator:
             try:
                 with VehicleLink(endpoint) as link:
                     link.connect(plan.heartbeat_s, simulator.check)
+                    SimulatorProof(link, simulator.check).require()
                     flight = _FlightClock(plan.mission.seconds, self._report)
                     vehicle = Conversation(link, simulator.check, flight.report)
                     by_link = {} if plan.command.has("params") else settings.parameters
@@ -191,6 +213,10 @@ class Closing:
         self._reported_at = now
         self._folder.keep_progress(self._number, doing, share, left_s)
         self._on_progress(self._number, doing, share, left_s)
+
+
+def _speed(speedup: float) -> str:
+    return f"at {speedup:g} times real time" if speedup > 0.0 else "as fast as it goes"
 
 
 def _pilot(vehicle: Conversation, mission: Mission | LogMission) -> Pilot | Follower:

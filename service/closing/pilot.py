@@ -60,9 +60,10 @@ class Pilot:
 
     def _arm(self) -> None:
         """Have it obey, then arm, again and again."""
-        by_itself = self._vehicle.way.climbs_by_itself
-        arm(self._vehicle, None if by_itself else lambda: self._velocity(0.0, 0.0, 0.0))  # else it obeys nobody
-        self._heading = self._vehicle.state.euler[2]
+        vehicle, way = self._vehicle, self._vehicle.way
+        still = None if way.climbs_by_itself else lambda: self._velocity(0.0, 0.0, 0.0)  # else it obeys nobody
+        arm(vehicle, way.guide(vehicle.to), still)
+        self._heading = vehicle.state.euler[2]
 
     def _take_off(self) -> None:
         vehicle, way, height = self._vehicle, self._vehicle.way, self._mission.height
@@ -131,8 +132,8 @@ def begin(vehicle: Conversation, settings: Mapping[str, float] | None) -> None:
         vehicle.set_parameter(name, value)
 
 
-def arm(vehicle: Conversation, still: Callable[[], Message] | None = None) -> None:
-    """Have it obey, then arm, again and again; `still` is a target that it needs before it obeys.
+def arm(vehicle: Conversation, ready: Message, still: Callable[[], Message] | None = None) -> None:
+    """Change its mode by `ready`, then arm, again and again; `still` is a target that it needs before it obeys.
 
     Raises
     ------
@@ -148,7 +149,7 @@ def arm(vehicle: Conversation, still: Callable[[], Message] | None = None) -> No
                 "--params, or in the simulator's own defaults"
             )
         vehicle.run(0.0 if still is None else TRY_S, still, VELOCITY_EVERY_S)
-        vehicle.send(way.guide(vehicle.to))
+        vehicle.send(ready)
         vehicle.run(_OBEY_S, still, VELOCITY_EVERY_S)
         vehicle.send(way.arm(vehicle.to))
         vehicle.run(TRY_S, still, VELOCITY_EVERY_S, lambda: vehicle.state.armed)

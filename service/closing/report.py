@@ -40,7 +40,7 @@ def round_lines(result: RoundResult) -> list[str]:
     """What a round measured, and what it sets."""
     error = "" if result.velocity_error is None else f", error after 1 s {number(result.velocity_error)} m/s"
     lines = [f"round {result.number}: {result.verdict}{error}{_closes(result)}"]
-    lines += [f"  {one}" for one in _effects(result)]
+    lines += [f"  {one}" for one in (*result.notes, *_effects(result))]
     lines += [f"  set {one}" for one in _changes(result)]
     lines += [f"  not tested: {one}" for one in result.not_tested[:_MOST_UNTESTED]]
     return lines + [f"  cannot be set by this command: {one}" for one in result.not_set]
@@ -107,6 +107,7 @@ def _rows(rounds: Sequence[RoundResult]) -> list[dict[str, Any]]:
             "effects": _effects(r),
             "changes": _changes(r),
             "not_set": r.not_set,
+            "notes": r.notes,
         }
         for r in rounds
     ]

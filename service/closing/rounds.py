@@ -1,36 +1,22 @@
-"""What is kept of every round, so that a loop that was interrupted goes on where it was.
-
-``progress.json`` in the work folder says whose loop it is and how far it is; ``round-N/flown.json`` that its flight is
-whole, ``round-N/round.json`` what its diagnosis measured.
-"""
+"""What a round measured, and whether there is another one."""
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 from typing import Any
 
 from mavcal.calib.airframe.answer import Domain, Quantity
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict, NotTestable
 from mavcal.calib.gap_report.airframe_effects import phrase
-from mavcal.calib.report import to_json
-from mavcal.service.closing.errors import OtherClosing
-from mavcal.service.closing.mission import MissionKind
 from mavcal.service.closing.settings import SimSettings
 
 Json = dict[str, Any]
 
-SCHEMA = "closing/1"
-PROGRESS, FLOWN, ROUND, DIAGNOSIS = "progress.json", "flown.json", "round.json", "diagnosis.json"
-_UNSAID = {"mission": MissionKind.STANDARD.value}
-"""What folders of earlier versions do not say of their loop."""
 _AIRFRAME = "airframe"
 """Id under which a report says that no airframe could be compared."""
+_MOST_DOUBTS = 3
 PREDICTED_S = 1.0
 """Length of the predicted flights whose error sums a round up."""
 
@@ -58,6 +44,8 @@ class RoundResult:
     log: str
     not_tested: tuple[str, ...] = ()
     """Why the airframe, or anything at all, could not be compared."""
+    notes: tuple[str, ...] = ()
+    """What its log lacked and how it was flown again, and what is in doubt where nothing is named."""
 
     @property
     def left(self) -> tuple[str, ...]:
@@ -75,11 +63,12 @@ class RoundResult:
             "closed": self.closed,
             "rollout": list(self.rollout),
             "velocity_error": self.velocity_error,
-            "settings": _settings_json(self.settings),
-            "to_set": _settings_json(self.to_set),
+            "settings": self.settings.as_json(),
+            "to_set": self.to_set.as_json(),
             "not_set": list(self.not_set),
             "log": self.log,
             "not_tested": list(self.not_tested),
+            "notes": list(self.notes),
         }
 
 
@@ -130,7 +119,15 @@ def _unmoved(before: Mapping[tuple[str, ...], float], now: Mapping[tuple[str, ..
     )
 
 
-def measured(number: int, report: GapReport, settings: SimSettings, log: str, *, with_frame: bool) -> RoundResult:
+def measured(
+    number: int,
+    report: GapReport,
+    settings: SimSettings,
+    log: str,
+    *,
+    with_frame: bool,
+    notes: tuple[str, ...] = (),
+) -> RoundResult:
     """The round's result from its diagnosis; without a frame file only parameters can be set."""
     wanted = settings.patched(effect for effect in report.effects if is_material(effect))
     to_set = wanted if with_frame else SimSettings(wanted.parameters, settings.frame)
@@ -155,8 +152,27 @@ def measured(number: int, report: GapReport, settings: SimSettings, log: str, *,
         to_set,
         not_set,
         log,
-        tuple(f"{n.id}: {n.reason}; needed: {n.need}" for n in report.not_testable if _matters(n, report)),
+        (*_cut_short(report), *(_untold(n) for n in report.not_testable if _matters(n, report))),
+        (*notes, *map(_in_doubt, _doubts(report))),
     )  # fmt: skip
+
+
+def _cut_short(report: GapReport) -> tuple[str, ...]:
+    """That the limit ended a diagnosis that found nothing: the first of its warnings."""
+    return report.warnings[:1] if report.left_out and report.verdict is GapVerdict.NOT_TESTABLE else ()
+
+
+def _doubts(report: GapReport) -> tuple[str, ...]:
+    """What a diagnosis that names nothing material warns of: nobody is to believe that the flights are alike."""
+    return () if any(map(is_material, report.effects)) else report.warnings[len(_cut_short(report)) :][:_MOST_DOUBTS]
+
+
+def _in_doubt(warning: str) -> str:
+    return f"in doubt: {warning}"
+
+
+def _untold(untested: NotTestable) -> str:
+    return f"{untested.id}: {untested.reason}; needed: {untested.need}"
 
 
 def _matters(untested: NotTestable, report: GapReport) -> bool:
@@ -183,100 +199,3 @@ def _effect_json(effect: EffectEstimate) -> Json:
         "params": {p.name: {"value": p.value, "unit": p.unit, "ci95": list(p.ci95)} for p in effect.params},
         "sim_patch": dict(effect.sim_patch),
     }
-
-
-def _settings_json(settings: SimSettings) -> Json:
-    return {"parameters": dict(settings.parameters), "frame": dict(settings.frame)}
-
-
-class WorkFolder:
-    """The folder of one loop. Raises OtherClosing if it is that of another one.
-
-    `identity` is what must be the same for its rounds to hold: flight, command, mission, settings at the start.
-    """
-
-    def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:
-        self.path = path
-        self._identity = to_json(dict(identity))
-        path.mkdir(parents=True, exist_ok=True)
-        kept = read_json(path / PROGRESS)
-        before, now = {**_UNSAID, **(kept or {}).get("of", {})}, {**_UNSAID, **self._identity}
-        if kept is not None and before != now:
-            other = [name for name, value in now.items() if before.get(name) != value]
-            raise OtherClosing(
-                f"{path} holds the rounds of another loop ({', '.join(other)} differ): choose another folder by "
-                "--work, or remove this one"
-            )
-
-    def round_folder(self, number: int) -> Path:
-        """Where a round's files are."""
-        return self.path / f"round-{number}"
-
-    def result(self, number: int, settings: SimSettings) -> RoundResult | None:
-        """What a round measured, if it is done and flew with `settings`."""
-        kept = read_json(self.round_folder(number) / ROUND)
-        if kept is None or kept.get("settings") != to_json(_settings_json(settings)):
-            return None
-        return RoundResult(
-            number=kept["round"],
-            verdict=kept["verdict"],
-            tested=kept["tested"],
-            effects=tuple(kept["effects"]),
-            closed=kept["closed"],
-            rollout=tuple(kept["rollout"]),
-            velocity_error=kept["velocity_error"],
-            settings=SimSettings(**kept["settings"]),
-            to_set=SimSettings(**kept["to_set"]),
-            not_set=tuple(kept["not_set"]),
-            log=kept["log"],
-            not_tested=tuple(kept.get("not_tested", ())),
-        )
-
-    def flown(self, number: int, settings: SimSettings) -> Path | None:
-        """The log of a round whose flight is whole and had `settings`."""
-        folder = self.round_folder(number)
-        kept = read_json(folder / FLOWN)
-        if kept is None or kept["settings"] != to_json(_settings_json(settings)):
-            return None
-        log = folder / str(kept["log"])
-        return log if log.is_file() else None
-
-    def begin_round(self, number: int) -> Path:
-        """An empty folder for a round: nothing of an earlier flight may be taken for this one's."""
-        folder = self.round_folder(number)
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        return folder
-
-    def keep_flown(self, number: int, settings: SimSettings, log: Path) -> None:
-        """The flight of a round is whole."""
-        folder = self.round_folder(number)
-        kept = {"log": str(log.relative_to(folder)), "settings": _settings_json(settings)}
-        write_json(folder / FLOWN, kept)
-
-    def keep(self, result: RoundResult, diagnosis: Json) -> None:
-        """Write the diagnosis of a round and what came of it."""
-        folder = self.round_folder(result.number)
-        write_json(folder / DIAGNOSIS, diagnosis)
-        write_json(folder / ROUND, result.as_json())
-
-    def keep_progress(self, number: int, doing: str, share: float, left_s: float | None) -> None:
-        """Write how far the loop is."""
-        standing = {"round": number, "doing": doing, "share": share, "left_s": left_s}
-        write_json(self.path / PROGRESS, {"schema": SCHEMA, "of": self._identity, "standing": standing})
-
-
-def read_json(file: Path) -> Json | None:
-    """The object in `file`; None if it is not there or not whole."""
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None
-
-
-def write_json(file: Path, document: Mapping[str, Any]) -> None:
-    """Write an object so that the file is always whole."""
-    beside = file.with_name(f".{file.name}")
-    beside.write_text(json.dumps(to_json(document), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(beside, file)

@@ -47,6 +47,10 @@ class SimSettings:
         now = {**self.parameters, **self.frame}
         return {name: (before.get(name), value) for name, value in now.items() if before.get(name) != value}
 
+    def as_json(self) -> dict[str, Any]:
+        """Both, as data."""
+        return {"parameters": dict(self.parameters), "frame": dict(self.frame)}
+
     def write(self, parameters: Path, frame: Path) -> None:
         """Both files, as ArduPilot's simulator reads them."""
         lines = [f"{name} {value:.9g}" for name, value in {**LOGGING, **self.parameters}.items()]

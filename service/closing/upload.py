@@ -20,7 +20,7 @@ _DEGREE = 1e7
 
 
 class Upload:
-    """Gives the vehicle of a conversation `items`; the first one is home."""
+    """Gives the vehicle of a conversation `items`, numbered from 0."""
 
     def __init__(self, vehicle: Conversation, items: Sequence[MissionItem]) -> None:
         self._vehicle, self._items = vehicle, items

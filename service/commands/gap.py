@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mavcal.service.commands.gap_close import command as close
-from mavcal.service.commands.gap_options import LIMIT_S, layout_option, mass_option, sim_frame_option
+from mavcal.service.commands.gap_options import LIMIT_S, FiniteRange, layout_option, mass_option, sim_frame_option
 from mavcal.service.commands.gap_selftest import command as selftest
 from mavcal.service.commands.gauge import Gauge
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
@@ -79,7 +79,7 @@ WIDTH = 80
 )
 @click.option(
     "--limit-s",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     default=LIMIT_S,
     show_default=True,
     metavar="SECONDS",

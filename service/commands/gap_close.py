@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.gap_options import LIMIT_S, layout_option, mass_option, sim_frame_option
+from mavcal.service.commands.gap_options import LIMIT_S, FiniteRange, layout_option, mass_option, sim_frame_option
 from mavcal.service.commands.gauge import Line
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, EXIT_USAGE, AnsweredNo, json_option, write_json
 from mavcal.service.commands.reading import readable_file, reading_options
@@ -47,16 +47,14 @@ _PAGE = "diagnosis.html"
     help="Where the simulator speaks MAVLink.",
 )
 @click.option("--rounds", type=click.IntRange(0, 20), default=3, show_default=True, help="Most flights with a remedy.")
-@click.option(
-    "--speedup", type=click.FloatRange(min=0.0), default=4.0, show_default=True, help="What {speedup} stands for."
-)
+@click.option("--speedup", type=FiniteRange(min=0.0), default=4.0, show_default=True, help="What {speedup} stands for.")
 @click.option(
     "--mission",
     "kind",
     type=click.Choice(MISSIONS),
     default=MISSIONS[0],
     show_default=True,
-    help="What is flown: manoeuvres that show every effect, or the mission of --real (DataFlash), moved to the "
+    help="What is flown: manoeuvres that show every effect, or the mission that --real holds, moved to the "
     "simulator's home.",
 )
 @click.option(
@@ -79,7 +77,7 @@ _PAGE = "diagnosis.html"
 @click.option("--report", "page", type=click.Path(path_type=Path, dir_okay=False), help="Write the rounds as HTML.")
 @click.option(
     "--limit-s",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     default=LIMIT_S,
     show_default=True,
     metavar="SECONDS",

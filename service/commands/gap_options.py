@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import click
 
 FRAMES = (
@@ -12,6 +15,18 @@ FRAMES = (
 """Those of ``calib.airframe.geometry.NAMED``, stated here so that help does without numpy (a test compares them)."""
 LIMIT_S = 60.0
 """That of ``calib.gap.DEFAULT_LIMIT_S``, for the same reason."""
+
+
+class FiniteRange(click.FloatRange):
+    """A number of a range that is neither infinite nor none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number, or a sentence why not."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is no finite number", param, ctx)
+        return number
+
 
 layout_option = click.option(
     "--frame",
@@ -29,7 +44,7 @@ sim_frame_option = click.option(
 )
 mass_option = click.option(
     "--mass",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     default=None,
     metavar="KG",
     help="The real vehicle's mass, for the remedy: a flight shows only thrust, drag and inertia over the mass.",

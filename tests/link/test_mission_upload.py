@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -23,10 +24,12 @@ from mavcal.service.link import parse_endpoint
 from mavcal.service.simvehicle.flight.flightlog import FlightLog
 from mavcal.service.simvehicle.flight.frame import frame_of
 from mavcal.service.simvehicle.flight.ground import GroundLink
+from mavcal.service.simvehicle.flight.items import MissionState
+from mavcal.service.simvehicle.flight.modes import Mode
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
 from mavcal.service.simvehicle.flight.vehicle import FlyingVehicle
 from mavcal.service.simvehicle.links import TcpServer
-from mavcal.service.simvehicle.wire import message_id_of
+from mavcal.service.simvehicle.wire import Received, message_id_of
 
 pytestmark = pytest.mark.timeout(120)
 AT = Place(47.0, 8.0, 400.0)
@@ -58,14 +61,58 @@ class LosingServer(TcpServer):
             super().send(frame)
 
 
+MISSION_MODE, HOLD_MODE = 4 << 16 | 4 << 24, 4 << 16 | 3 << 24
+
+
+class AsPx4(GroundLink):
+    """Has PX4's numbers and its way to begin: items count from 0 without home, and arming begins the mission."""
+
+    def _handle(self, received: Received) -> None:
+        m = received.message
+        if received.name == "MISSION_COUNT":
+            m.count += 1
+        elif received.name == "MISSION_ITEM_INT":
+            m.seq, m.param4 = m.seq + 1, 0.0 if math.isnan(m.param4) else m.param4
+        elif received.name == "COMMAND_LONG" and m.command == dialect.MAV_CMD_DO_SET_MODE:
+            assert (m.param2, m.param3) == (4, 4)
+            m.param2 = Mode.GUIDED
+        super()._handle(received)
+        if received.name == "COMMAND_LONG" and m.command == dialect.MAV_CMD_COMPONENT_ARM_DISARM and m.param1:
+            self._vehicle.start_mission()
+
+    def _send(self, message: Any) -> None:
+        name = message.get_type()
+        if name == "MISSION_REQUEST" and message.seq == 0:  # home, which a ground station does not give it
+            head = (1, 1, 0, dialect.MAV_FRAME_GLOBAL, 16, 0, 1, 0.0, 0.0, 0.0, 0.0)
+            at = self._home()
+            home = dialect.MAVLink_mission_item_int_message(*head, at.latitude, at.longitude, 1e-3 * at.altitude)
+            self._mission.handle(Received(home, b"", message.target_system, message.target_component))
+            return
+        if name in ("MISSION_REQUEST", "MISSION_ITEM_REACHED"):
+            message.seq -= 1
+        elif name == "MISSION_CURRENT":
+            message.seq = max(message.seq - 1, 0)
+        super()._send(message)
+
+    def _heartbeat(self) -> Any:
+        beat = super()._heartbeat()
+        vehicle = self._vehicle
+        over = vehicle.auto.state is MissionState.COMPLETE
+        beat.autopilot, beat.custom_mode = dialect.MAV_AUTOPILOT_PX4, HOLD_MODE if over else MISSION_MODE
+        return beat
+
+
 @contextmanager
 def talking(
-    log: Path, lost: Callable[[int, int], bool] = lambda *_: False, frame: Mapping[str, Any] | None = None
+    log: Path,
+    lost: Callable[[int, int], bool] = lambda *_: False,
+    frame: Mapping[str, Any] | None = None,
+    kind: type[GroundLink] = GroundLink,
 ) -> Iterator[tuple[Conversation, LosingServer]]:
     """A conversation with a vehicle that flies in a thread, as fast as it may."""
     server, end = LosingServer(lost), threading.Event()
     vehicle = FlyingVehicle(frame_of(frame or {}), FlightParameters(), FlightLog(log), seed=5)
-    ground = GroundLink(vehicle, server)
+    ground = kind(vehicle, server)
 
     def live() -> None:
         while not end.is_set():
@@ -137,15 +184,18 @@ def test_a_refused_item_is_named(tmp_path: Path) -> None:
 
 
 def flown(talk: Conversation, *items: MissionItem) -> Follower:
-    mission = with_take_off(LoggedMission(HOME, items))
+    mission = with_take_off(LoggedMission(HOME, items, talk.way.name))
     follower = Follower(talk, LogMission(mission, rest_s=0.5, rest_after_s=0.5))
     follower.fly()
     return follower
 
 
 @pytest.mark.parametrize("items", [ITEMS, ITEMS[:2]], ids=["lands itself", "is landed"])
-def test_the_mission_is_flown_from_take_off_to_landing(tmp_path: Path, items: tuple[MissionItem, ...]) -> None:
-    with talking(tmp_path / "x.bin") as (talk, _):
+@pytest.mark.parametrize("kind", [GroundLink, AsPx4])
+def test_the_mission_is_flown_from_take_off_to_landing(
+    tmp_path: Path, items: tuple[MissionItem, ...], kind: type[GroundLink]
+) -> None:
+    with talking(tmp_path / "x.bin", kind=kind) as (talk, _):
         flown(talk, *items)
         assert not talk.state.armed
     logged = read_mission(tmp_path / "x.bin")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -197,6 +198,10 @@ if float(speedup) > 2.0:
 """A simulator that logs every other second only where it is to run at more than twice real time."""
 
 
+def half(text: str) -> str:
+    return re.sub(r"\b(4[5-9]|5[0-5]) %", "half", text)
+
+
 def test_a_simulator_that_drops_its_log_flies_again_at_half_the_speed(real: Recording, tmp_path: Path) -> None:
     script = tmp_path / "hurried.py"
     script.write_text(HURRIED)
@@ -207,12 +212,40 @@ def test_a_simulator_that_drops_its_log_flies_again_at_half_the_speed(real: Reco
     )
     result = closing.run()
     assert hover(logs.read(tmp_path / "work" / "round-0" / "log.bin")) > 0.0
-    assert [doing for doing in told if doing.startswith("starting")] == [
+    assert [half(doing) for doing in told if doing.startswith("starting")] == [
         "starting the simulator",
-        "starting the simulator at 4 times real time",
-        "starting the simulator at 2 times real time",
+        "starting the simulator at 4 times real time, since at 8 times real time its log lacked half of its samples",
+        "starting the simulator at 2 times real time, since at 4 times real time its log lacked half of its samples",
     ]
-    assert len(result.rounds) == 1
+    (flown,) = result.rounds
+    assert tuple(map(half, flown.notes)) == (
+        "at 8 times real time its log lacked half of its samples: flown again at 4 times real time",
+        "at 4 times real time its log lacked half of its samples: flown again at 2 times real time",
+    )
+    (tmp_path / "work" / "round-0" / "round.json").unlink()  # told again where only the diagnosis is made anew
+    again = Closing(plan(real, tmp_path / "work", command, speedup=8.0, rounds=0), compare).run()
+    assert again.rounds == result.rounds
+    assert nobody_left()
+
+
+@pytest.mark.parametrize(
+    ("speed", "speedup", "said"),
+    [
+        ("3", 8.0, r"^at 8 times real time its log lacked half .*write \{speedup\} into the command"),
+        ("3", 0.0, r"^as fast as it goes its log lacked half .*--speedup 1"),
+    ],
+)
+def test_a_log_that_stays_with_holes_is_told(
+    real: Recording, tmp_path: Path, speed: str, speedup: float, said: str
+) -> None:
+    """Where it cannot be flown more slowly, nobody is to believe that nothing was wrong."""
+    script = tmp_path / "hurried.py"
+    script.write_text(HURRIED)
+    asked = FLYING.replace("{speedup}", "0")
+    command = f"{PYTHON} {script} {{log}} {speed} {asked}" + (" --seed {speedup}" if speedup == 0.0 else "")
+    result = Closing(plan(real, tmp_path / "work", command, speedup=speedup, rounds=0), compare).run()
+    (note,) = result.rounds[0].notes
+    assert re.search(said, half(note))
     assert nobody_left()
 
 

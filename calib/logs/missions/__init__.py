@@ -1,4 +1,4 @@
-"""The mission that a log holds: `items` -> `course` (where it flies, how long it takes) -> `reading` (from a file)."""
+"""The mission that a log holds: `items` -> `course` (where it flies, how long) -> `flown` (of PX4) -> `reading`."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def moved(mission: LoggedMission, home: Place) -> LoggedMission:
     at_home = dataclasses.replace(
         mission.home, latitude=home.latitude, longitude=home.longitude, altitude=home.altitude, frame=Frame.GLOBAL
     )
-    return LoggedMission(at_home, items)
+    return dataclasses.replace(mission, home=at_home, items=items)
 
 
 def _moved(item: MissionItem, before: Place, home: Place) -> MissionItem:
@@ -113,8 +113,9 @@ def with_take_off(mission: LoggedMission) -> LoggedMission:
     if first.command not in (NavCommand.WAYPOINT, NavCommand.SPLINE_WAYPOINT, *_LOITERS):
         raise InvalidInputError(f"{first.name} is the first that moves the vehicle, and no take-off. {INSTEAD}")
     height = max(height_of(first, home_of(mission)), LEAST_TAKE_OFF_M)
-    added = MissionItem(-1, NavCommand.TAKEOFF, Frame.RELATIVE, altitude=height)
-    return LoggedMission(mission.home, (added, *mission.items))
+    home, free = mission.home, (0.0, 0.0, 0.0, math.nan)
+    added = MissionItem(-1, NavCommand.TAKEOFF, Frame.RELATIVE, free, home.latitude, home.longitude, height)
+    return dataclasses.replace(mission, items=(added, *mission.items))
 
 
 _LOITERS: Final = (NavCommand.LOITER_TIME, NavCommand.LOITER_TURNS)

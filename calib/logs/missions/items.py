@@ -91,7 +91,7 @@ class MissionItem:
     command, frame
         By MAVLink's numbers (MAV_CMD, MAV_FRAME).
     parameters
-        The first four of the command, in its own units.
+        The first four of the command, in its own units; the fourth of what flies may be NaN: the heading is free.
     latitude, longitude, altitude
         deg, deg, m; latitude and longitude 0: where the vehicle is then.
     """
@@ -125,6 +125,8 @@ class MissionItem:
 class LoggedMission:
     """The items that follow `home`, in their order; home is an item of the absolute frame.
 
+    `autopilot` is whose items they are, "ardupilot" or "px4": both read numbers of theirs in their own way.
+
     Raises
     ------
     InvalidInputError
@@ -133,6 +135,7 @@ class LoggedMission:
 
     home: MissionItem
     items: tuple[MissionItem, ...]
+    autopilot: str = "ardupilot"
 
     def __post_init__(self) -> None:
         _check_place(self.home)
@@ -153,7 +156,7 @@ def _check(item: MissionItem) -> None:
         raise InvalidInputError(
             f"{item.name} of the log's mission cannot be flown in a simulator. These can: {known}. {INSTEAD}"
         )
-    if not all(math.isfinite(value) for value in item.parameters):
+    if not all(math.isfinite(value) for value in item.parameters[: 3 if item.flies else 4]):
         raise InvalidInputError(f"{item.name} has a parameter that is no number. {INSTEAD}")
     if item.command == NavCommand.DELAY and item.parameters[0] < 0.0:
         raise InvalidInputError(f"{item.name} waits for a time of day, which a simulator does not have. {INSTEAD}")

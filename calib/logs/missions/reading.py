@@ -1,4 +1,4 @@
-"""The mission in a DataFlash log: its CMD messages, as ArduPilot writes them at the start and after each upload.
+"""The mission in a log: CMD messages in ArduPilot's, written at the start and after each upload; PX4's are `flown`.
 
 Old firmwares also wrote CMD for each item that they began; such a message alone is no upload.
 """
@@ -6,6 +6,7 @@ Old firmwares also wrote CMD for each item that they began; such a message alone
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +15,9 @@ import numpy as np
 from mavcal.calib.errors import InvalidInputError, UnreadableError
 from mavcal.calib.firmware.ardupilot.log_fields import ARMED_EVENT
 from mavcal.calib.logs.dataflash import DataFlash, Log, Table, TextLog
+from mavcal.calib.logs.missions.flown import read_flown
 from mavcal.calib.logs.missions.items import INSTEAD, Frame, LoggedMission, MissionItem
+from mavcal.calib.logs.ulog import MAGIC
 
 _NAMES: Final = ("CMD", "MODE", "EV", "ARM")
 _NUMBERS: Final = ("CTot", "CNum", "CId")
@@ -30,12 +33,12 @@ def read_mission(path: Path | str) -> LoggedMission:
     """The mission that was flown: the last complete upload before the flight, else the first one of the log.
 
     The flight begins where the motors were armed and the vehicle was in AUTO for the first time; without AUTO where
-    they were armed.
+    they were armed. PX4 logs no upload: there it is what was begun (`flown`).
 
     Parameters
     ----------
     path
-        A DataFlash log, binary or text.
+        A DataFlash log, binary or text, or a ULog.
 
     Raises
     ------
@@ -45,7 +48,12 @@ def read_mission(path: Path | str) -> LoggedMission:
         If the mission is not complete, or has items that a simulated multicopter cannot fly.
     """
     file = Path(path)
-    log = _opened(file)
+    with _readable(file), file.open("rb") as opened:
+        head = opened.read(_HEAD)
+    if head.startswith(MAGIC[:4]):
+        return read_flown(file)
+    with _readable(file):
+        log = _opened(file, head)
     table = log.get("CMD")
     if table is None or not len(table):
         raise UnreadableError(f"{file.name} holds no mission (no CMD message). {INSTEAD}")
@@ -65,20 +73,21 @@ def read_mission(path: Path | str) -> LoggedMission:
     return LoggedMission(home, tuple(items))
 
 
-def _opened(file: Path) -> Log:
-    """The log as tables, if it is one of ArduPilot's."""
+@contextmanager
+def _readable(file: Path) -> Iterator[None]:
     try:
-        with file.open("rb") as opened:
-            head = opened.read(_HEAD)
-        if head.startswith(b"ULog"):
-            raise UnreadableError(f"{file.name} is a log of PX4, which holds no items of a mission. {INSTEAD}")
-        if head.startswith(b"\xa3\x95"):
-            return DataFlash(file, _NAMES)
-        if b"FMT," in head:
-            return TextLog(file.read_bytes(), file.name, _NAMES)
+        yield
     except OSError as error:
         raise UnreadableError(f"{file.name} cannot be opened: {error.strerror or error}") from error
-    raise UnreadableError(f"{file.name} is no DataFlash log of ArduPilot, and holds no mission. {INSTEAD}")
+
+
+def _opened(file: Path, head: bytes) -> Log:
+    """The log as tables, if it is one of ArduPilot's."""
+    if head.startswith(b"\xa3\x95"):
+        return DataFlash(file, _NAMES)
+    if b"FMT," in head:
+        return TextLog(file.read_bytes(), file.name, _NAMES)
+    raise UnreadableError(f"{file.name} is no log of ArduPilot or PX4, and holds no mission. {INSTEAD}")
 
 
 def _uploads(table: Table) -> Iterator[_Upload]:

@@ -27,6 +27,14 @@ _IGNORE_VELOCITY = 0b000111 << 3
 _IGNORE_YAW, _IGNORE_YAW_RATE = 1 << 10, 1 << 11
 _BODY_FRAMES = (dialect.MAV_FRAME_BODY_NED, dialect.MAV_FRAME_BODY_OFFSET_NED)
 _VTOL_NONE = 0
+_CAPABILITIES = (
+    dialect.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | dialect.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+    | dialect.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | dialect.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+_VERSION = 4 << 24 | 7 << 16
+""""4.7.0-dev", whose behaviour it has."""
 
 
 class GroundLink:
@@ -51,6 +59,7 @@ class GroundLink:
             dialect.MAVLINK_MSG_ID_SYS_STATUS: self._status,
             dialect.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission.current,
             dialect.MAVLINK_MSG_ID_HOME_POSITION: self._home,
+            dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
         }
         self._commands: dict[int, Callable[[list[float]], int]] = {
             dialect.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
@@ -194,6 +203,11 @@ class GroundLink:
         status = dialect.MAV_STATE_ACTIVE if vehicle.armed else dialect.MAV_STATE_STANDBY
         quad, ardupilot = dialect.MAV_TYPE_QUADROTOR, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
         return dialect.MAVLink_heartbeat_message(quad, ardupilot, mode, int(vehicle.mode), status, 3)
+
+    def _version(self) -> Any:
+        """On no board, as SITL says it."""
+        zero = [0] * 8
+        return dialect.MAVLink_autopilot_version_message(_CAPABILITIES, _VERSION, 0, 0, 0, zero, zero, zero, 0, 0, 0)
 
     def _attitude(self) -> Any:
         return dialect.MAVLink_attitude_message(self._ms, *self._vehicle.estimate.euler, *self._vehicle.units[0].gyro)

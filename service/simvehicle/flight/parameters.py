@@ -27,7 +27,7 @@ _FIRMWARE: Mapping[str, float] = {
 """ArduCopter's names and defaults (4.7)."""
 _SIMULATOR: Mapping[str, float] = {
     "SIM_BATT_VOLTAGE": 12.6, "SIM_ENGINE_FAIL": 0, "SIM_ENGINE_MUL": 1, "SIM_GPS1_ENABLE": 1, "SIM_OPOS_ALT": 584,
-    "SIM_OPOS_HDG": 0, "SIM_OPOS_LAT": -35.363261, "SIM_OPOS_LNG": 149.16523,
+    "SIM_OPOS_HDG": 0, "SIM_OPOS_LAT": -35.363261, "SIM_OPOS_LNG": 149.16523, "SIM_SPEEDUP": 1,
     "SIM_WIND_DIR": 180, "SIM_WIND_SPD": 0, "SIM_WIND_T": 1, "SIM_WIND_TC": 5, "SIM_WIND_TURB": 0,
 }  # fmt: skip
 """SITL's names. The wind is the same at all heights, which SITL does with SIM_WIND_T 1 only."""

@@ -1,4 +1,4 @@
-"""Whom the follower does not fly: firmwares without such missions, and vehicles that do not know where they are."""
+"""Whom the follower does not fly: another firmware than the log's, and vehicles that do not know where they are."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Ticking:
 @pytest.mark.parametrize(
     ("autopilot", "error", "said"),
     [
-        (dialect.MAV_AUTOPILOT_PX4, MissionRefused, r"this is PX4.*--mission standard"),
+        (dialect.MAV_AUTOPILOT_PX4, MissionRefused, r"log of ArduPilot, and the simulator is PX4.*--mission standard"),
         (dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, SimulatorUnarmed, r"no home position within 150 s.*--mission standard"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from scipy.spatial.transform import Rotation
 
+from mavcal.calib.logs.missions import LoggedMission, MissionItem
 from mavcal.service.closing import autopilot as ways
 from mavcal.service.closing.mission import LOW, standard_mission
 
@@ -50,13 +52,23 @@ def test_a_velocity_target_leaves_position_acceleration_and_yaw_rate_alone() -> 
     assert (message.vx, message.vy, message.vz, message.yaw) == (1.0, 2.0, 3.0, math.pi)
 
 
-@pytest.mark.parametrize(("number", "kind", "mode"), [(3, ways.ArduPilot, 4), (12, ways.Px4, 6 << 16)])
-def test_each_firmware_is_flown_its_own_way(number: int, kind: type[ways.Autopilot], mode: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "kind", "mode", "auto"), [(3, ways.ArduPilot, 4, 3), (12, ways.Px4, 6 << 16, 4 << 16 | 4 << 24)]
+)
+def test_each_firmware_is_flown_its_own_way(number: int, kind: type[ways.Autopilot], mode: int, auto: int) -> None:
     heartbeat = dialect.MAVLink_heartbeat_message(2, number, 0, 0, 0, 3)
     way = ways.autopilot_of(heartbeat)
     assert isinstance(way, kind)
     assert way.guided == mode
-    assert way.auto == (3 if number == 3 else None)
+    assert way.auto == auto
     guide = way.guide((1, 1))
     assert (guide.command, guide.param1) == (dialect.MAV_CMD_DO_SET_MODE, 1)
     assert guide.param2 in (4, 6)
+
+
+def test_a_mission_has_home_for_ardupilot_and_free_headings_for_px4() -> None:
+    home = MissionItem(-1, 16, 0, latitude=47.0, longitude=8.0, altitude=400.0)
+    item = MissionItem(0, 22, 3, (1.0, 0.0, 0.0, math.nan), 47.0, 8.0, 5.0)
+    mission = LoggedMission(home, (item,))
+    assert ways.ArduPilot().items(mission) == (home, dataclasses.replace(item, parameters=(1.0, 0.0, 0.0, 0.0)))
+    assert ways.Px4().items(mission) == (item,)

@@ -21,12 +21,13 @@ from mavcal.calib.gap.schema import (
     ParameterEstimate,
     Shrink,
 )
-from mavcal.service.closing.errors import LogUnusable, OtherClosing
-from mavcal.service.closing.logs import find_log
+from mavcal.service.closing.errors import LogUnusable, OtherClosing, WorkFolderUnusable
+from mavcal.service.closing.logs import Flown, find_log
 from mavcal.service.closing.loop import ClosingResult
 from mavcal.service.closing.report import page, round_lines, sentence
-from mavcal.service.closing.rounds import Outcome, RoundResult, WorkFolder, measured, outcome_of, read_json
+from mavcal.service.closing.rounds import Outcome, RoundResult, measured, outcome_of
 from mavcal.service.closing.settings import SimSettings
+from mavcal.service.closing.work import WorkFolder, read_json
 
 START = SimSettings({"A": 1.0}, {"mass": 3.0})
 
@@ -112,12 +113,13 @@ def test_a_round_is_kept_and_found_again_with_its_settings_only(tmp_path: Path) 
     log = made / "logs" / "1.BIN"
     log.parent.mkdir()
     log.write_bytes(b"\xa3\x95")
-    folder.keep_flown(0, START, log)
+    flown = Flown(log, ("at 4 times real time its log lacked 5 % of its samples",))
+    folder.keep_flown(0, START, flown)
     result = measured(0, report(SCALE), START, "logs/1.BIN", with_frame=True)
     folder.keep(result, {"verdict": "explained"})
 
     again = WorkFolder(tmp_path / "w", {"real": "a"})
-    assert again.flown(0, START) == log
+    assert again.flown(0, START) == flown
     assert again.result(0, START) == result
     other = SimSettings({"A": 2.0})
     assert again.flown(0, other) is None
@@ -129,6 +131,28 @@ def test_a_file_that_was_cut_counts_as_none(tmp_path: Path) -> None:
     (tmp_path / "x.json").write_text('{"a": ')
     assert read_json(tmp_path / "x.json") is None
     assert read_json(tmp_path / "y.json") is None
+
+
+@pytest.mark.parametrize("inside", ["", "deeper/still"])
+def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path, inside: str) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(WorkFolderUnusable, match=r"file.* cannot be written: .*--work"):
+        WorkFolder(tmp_path / "file" / inside if inside else tmp_path / "file", {"real": "a"})
+
+
+def test_what_cannot_be_written_while_it_runs_is_said(tmp_path: Path) -> None:
+    folder = WorkFolder(tmp_path / "w", {"real": "a"})
+    (tmp_path / "w" / ".progress.json").symlink_to("/dev/full")
+    with pytest.raises(WorkFolderUnusable, match=r"cannot be written: No space left on device.*--work"), folder.owned():
+        folder.keep_progress(0, "flying", 0.5, None)
+
+
+def test_two_loops_do_not_run_in_one_folder(tmp_path: Path) -> None:
+    first, second = (WorkFolder(tmp_path / "w", {"real": "a"}) for _ in range(2))
+    with first.owned(), pytest.raises(OtherClosing, match=r"another loop runs in .*w now.*--work"), second.owned():
+        pass
+    with second.owned():
+        second.keep_progress(0, "flying", 0.5, None)
 
 
 def test_another_flight_does_not_go_on_with_these_rounds(tmp_path: Path) -> None:
@@ -193,6 +217,23 @@ def test_sensors_that_agree_close_nothing_where_the_airframe_was_not_compared() 
     alike = dataclasses.replace(report(verdict=GapVerdict.NO_GAP), not_testable=(why,))
     result = measured(0, alike, START, "log.bin", with_frame=True)
     assert outcome_of([result], rounds=2) is Outcome.NOT_TESTABLE
+
+
+def test_a_diagnosis_that_was_cut_short_closes_nothing() -> None:
+    warnings = ("the limit of 20 s ended the diagnosis: allow more time",)
+    cut = dataclasses.replace(report(verdict=GapVerdict.NOT_TESTABLE), left_out=("airframe",), warnings=warnings)
+    result = measured(0, cut, START, "log.bin", with_frame=True)
+    assert outcome_of([result], rounds=2) is Outcome.NOT_TESTABLE
+    assert round_lines(result)[1:] == [f"  not tested: {warnings[0]}"]
+
+
+def test_what_is_too_little_to_be_named_is_told_where_nothing_is() -> None:
+    """A loop that ends with nothing left, and an error of the predicted flight that is none of the simulator's."""
+    warnings = ("thrust_scale has a probability of 84 %, too little to name it",)
+    alike = dataclasses.replace(report(verdict=GapVerdict.NO_GAP), warnings=warnings)
+    assert round_lines(measured(0, alike, START, "log.bin", with_frame=True))[1:] == [f"  in doubt: {warnings[0]}"]
+    named = dataclasses.replace(report(SCALE), warnings=warnings)
+    assert measured(0, named, START, "log.bin", with_frame=True).notes == ()
 
 
 def test_a_loop_that_did_not_fly_again_says_what_is_left() -> None:

@@ -26,6 +26,7 @@ def test_help_states_what_the_code_does() -> None:
         (["--simulator", "sim {port}", "--connect", "nowhere"], "simulator-command", "not an endpoint"),
         (["--simulator", "sim {port}", "--mission", "log"], "no-mission", "--mission standard"),
         (["--simulator", "no-such-simulator {port}"], "simulator-missing", "cannot be started"),
+        (["--simulator", "sim {port}", "--work", "real.csv/inside"], "work-folder", "--work"),
     ],
 )
 def test_what_is_wrong_is_one_object(
@@ -45,3 +46,14 @@ def test_what_is_wrong_is_one_object(
     error = json.loads(capsys.readouterr().out)["error"]
     assert error["code"] == code
     assert said in error["detail"]
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--speedup", "nan"), ("--speedup", "inf"), ("--mass", "inf"), ("--limit-s", "nan")]
+)
+def test_numbers_are_finite(capsys: pytest.CaptureFixture[str], tmp_path: Path, option: str, value: str) -> None:
+    work = str(tmp_path / "work")
+    with pytest.raises(SystemExit) as ended:
+        main(["gap", "close", "--real", "x", "--simulator", "sim {port}", "--work", work, option, value, "--json"])
+    assert ended.value.code == 2
+    assert f"{value} is no finite number" in json.loads(capsys.readouterr().out)["error"]["detail"]

@@ -9,7 +9,7 @@ import pytest
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.problem import GapProblem
-from mavcal.calib.gap.progress import GapPace, GapProgress, GapStage, with_limit
+from mavcal.calib.gap.progress import GapPace, GapProgress, GapStage, unsearched, with_limit
 from mavcal.calib.gap.schema import GapReport, GapVerdict, as_json
 from mavcal.calib.gap.search.contest import Contest, ContestScore
 from mavcal.calib.gap.telling.recordings import inputs_of
@@ -115,6 +115,26 @@ def test_a_flight_is_asked_first_and_ends_in_time() -> None:
     watch.now = 31.0
     assert pace.ends()
     assert list(pace.left_out) == [GapStage.AIRFRAME]
+
+
+@pytest.mark.parametrize(
+    ("stage", "verdict", "said"),
+    [
+        (GapStage.AIRFRAME, GapVerdict.NO_GAP, GapVerdict.NOT_TESTABLE),
+        (GapStage.SELECTION, GapVerdict.NO_GAP, GapVerdict.NOT_TESTABLE),
+        (GapStage.AIRFRAME, GapVerdict.EXPLAINED, GapVerdict.EXPLAINED),
+        (GapStage.HELD_OUT, GapVerdict.NO_GAP, GapVerdict.NO_GAP),
+    ],
+)
+def test_no_gap_is_not_said_of_flights_that_were_not_searched(
+    stage: GapStage, verdict: GapVerdict, said: GapVerdict
+) -> None:
+    """A thrust of 0.90 was no gap where the limit left the airframe out: the loop ended with nothing left."""
+    pace = GapPace(Watch(now=1e9), 100.0)
+    pace.begin(stage)
+    assert pace.ends()
+    report = GapReport(inputs_of(biased()), verdict)
+    assert unsearched(report, pace).verdict is said
 
 
 def test_steps_go_on_inside_their_stage() -> None:

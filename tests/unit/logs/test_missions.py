@@ -96,8 +96,8 @@ def test_a_text_log_is_read_too(tmp_path: Path) -> None:
     ("content", "error", "said"),
     [
         (made.flight(0.5, seed=1), UnreadableError, r"no CMD message.*--mission standard"),
-        (b"ULog\x01\x12\x35" + bytes(40), UnreadableError, r"PX4, which holds no items.*--mission standard"),
-        (b"t,accel_x\n0,1\n", UnreadableError, r"no DataFlash log.*--mission standard"),
+        (b"ULog\x01\x12\x35" + bytes(40), UnreadableError, r"\(no navigator_mission_item.*--mission standard"),
+        (b"t,accel_x\n0,1\n", UnreadableError, r"no log of ArduPilot or PX4.*--mission standard"),
         (
             made.head() + CMD.definition() + cmd(0, 0, WAYPOINT),
             InvalidInputError,
