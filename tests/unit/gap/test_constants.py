@@ -18,11 +18,11 @@ LAYOUT = {
     "reference/posed.py": {"_CONVENTIONS"},
     "reference/trajectory.py": {
         *("NODE", "GYRO_BIAS", "OFFSET", "PER_AMPERE", "EARTH", "LATE_GPS", "LATE_MAG", "SOFT_IRON", "GYRO", "ACCEL"),
-        *("GYRO_DRIFT", "ACCEL_DRIFT", "CONSTANTS"),
+        *("ACCEL_SCALE", "GYRO_DRIFT", "ACCEL_DRIFT", "CONSTANTS"),
     },
     "unknown/discrepancy.py": {"_AXES"},
     "unknown/misattributed_noise.py": {"_AXIS_GROUPS"},
-    "worth/attitude_error.py": {"_TILTS", "_MATRIX", "_FIELD", "_ERRORS"},
+    "worth/attitude_error.py": {"_TILTS", "_MATRIX", "_FIELD", "_SCALES", "_ERRORS"},
 }
 """Positions in an array, and tables of names: numbers that could be no other."""
 PROVENANCE = re.compile(r"Source: [\w`:]|\b[Cc]hosen, not measured: \w")
