@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from mavcal.calib.airframe.answer import Domain
+from mavcal.calib.airframe.diagnose import LIKELY
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.schema import (
@@ -64,13 +65,20 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     named = explained or report.inputs.useless or _domains(report) - {Domain.SENSOR}
     if listed and named and report.effects:
         sure = [e for e in report.effects if not e.evidence.doubtful]
-        likely = [effect_phrase(e) for e in sure if e.domain is not Domain.ENVIRONMENT]
+        unsettled = [f"({chance(e.evidence.probability)}) {effect_phrase(e)}" for e in sure if _has_rivals(e)]
+        likely = [effect_phrase(e) for e in sure if e.domain is not Domain.ENVIRONMENT and not _has_rivals(e)]
         of_day = [airframe_effects.phrase(e) for e in sure if e.domain is Domain.ENVIRONMENT]
         doubtful = [effect_phrase(e) for e in report.effects if e.evidence.doubtful]
         said += f" Found: {'; '.join(likely)}." if likely else ""
+        said += f" Likely, or else one of the rivals below: {'; '.join(unsettled)}." if unsettled else ""
         said += f" Of the day, and not exported: {'; '.join(of_day)}." if of_day else ""
         said += f" In doubt, since something else is likelier: {'; '.join(doubtful)}." if doubtful else ""
     return said
+
+
+def _has_rivals(effect: EffectEstimate) -> bool:
+    """Whether an effect of the airframe is only the likeliest of several, one of which is there."""
+    return effect.domain is Domain.AIRFRAME and effect.evidence.probability < LIKELY
 
 
 def _domains(report: GapReport) -> set[Domain]:

@@ -271,6 +271,14 @@ def test_what_is_doubtful_is_no_finding_of_the_day():
     assert "Of the day" not in said
 
 
+def test_the_likeliest_of_several_is_no_certain_finding():
+    """A thrust of probability 0.58 beside its curve was "Found"."""
+    first = replace(DRAG, evidence=replace(DRAG.evidence, probability=0.58))
+    said = verdict_sentence(replace(report(first), airframe=AirframePart()))
+    assert "Likely, or else one of the rivals below: (58 %) the real vehicle has 1.60 times the rotor drag" in said
+    assert "Found" not in said
+
+
 def test_beside_a_useless_reference_the_flight_still_speaks():
     lost = replace(weak_motor().inputs, reference_kind="estimator", att_sigma_deg=9.0)
     said = verdict_sentence(
