@@ -124,4 +124,5 @@ def test_columns_and_types_are_those_of_a_real_firmware(shared_data: Path, defau
         real = DataFlash(file.read())
     ours = DataFlash(default)
     for message in MESSAGES:
-        assert ours[message.name].format == real[message.name].format
+        if message.name not in ("RFND", "CMD"):  # that vehicle has neither a rangefinder nor a mission
+            assert ours[message.name].format == real[message.name].format
