@@ -30,8 +30,8 @@ RIVAL: Final = 0.01
 """Probability from which another effect in the place of a found one is told. Source: GAP 6, the truth is in the set in
 99 of 100."""
 EVEN_ODDS: Final = 0.5
-"""Probability from which an effect that is not certain is spoken of, and above which the likeliest of several is told,
-one of which is there. Source: even odds."""
+"""Probability from which an unnamed effect becomes a warning. Above it, the likeliest of several competing effects is
+reported. Source: even odds."""
 _UNITS: Final = {
     "k": "m/s2", "c1": "1/s", "c2_x": "1/m", "cz": "1/s", "ch": "1/m", "tau": "s", "fall": "s", "delay": "s",
     "expo": "1", "sag": "1", "cg_x": "arms", "cg_y": "arms", "wind_north": "m/s", "wind_east": "m/s",
@@ -65,8 +65,8 @@ def effects_of(
 ) -> tuple[FoundEffect, ...]:
     """Every effect of `tested` whose probability is `least` or more, the one of most evidence first.
 
-    Where one of the others is there with that probability, and it is not certain which, the likeliest is told beside
-    its rivals. `beside` are effects that were judged on other rows of the flight.
+    If the others together reach `least` and none does alone, the likeliest of them is reported with its rivals.
+    `beside` are effects that were judged on other rows of the flight.
     """
     by_block = {e.block: e for e in evidence.effects}
     ids = _by_name(tested)
@@ -109,7 +109,7 @@ def _by_name(effects: Sequence[AirframeEffect]) -> _Named:
 
 
 def _likely(answer: Answer, ids: _Named, least: float) -> set[tuple[str, int | None]]:
-    """Names with a probability of `least`, and the likeliest of the others if one of these is there so probably."""
+    """Effects with a probability of `least`, and the likeliest of the others if these reach it together."""
     chances = {name: answer.probability(*(f.block for f in forms)) for name, forms in ids.items()}
     likely = {name for name, chance in chances.items() if chance >= least}
     rest = {name: chances[name] for name, forms in ids.items() if name not in likely and _of_airframe(forms[0])}

@@ -77,7 +77,7 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
 
 
 def _has_rivals(effect: EffectEstimate) -> bool:
-    """Whether an effect of the airframe is only the likeliest of several, one of which is there."""
+    """Whether an effect of the airframe is the likeliest of several competing ones, and not certain."""
     return effect.domain is Domain.AIRFRAME and effect.evidence.probability < LIKELY
 
 

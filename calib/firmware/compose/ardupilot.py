@@ -158,7 +158,7 @@ def _set_scale(draft: Draft, about: Subject, names: Names, fit: FitResult) -> No
 
 
 def boot_calibration(draft: Draft, *, planned: bool) -> None:
-    """Plan or warn that the next boot estimates gyro offsets anew; `planned`: the plan writes some."""
+    """Announce or warn that the next boot estimates the gyro offsets again; `planned`: the plan writes gyro offsets."""
     if int(draft.parameters.get("INS_GYR_CAL", 1)) == 0:
         return
     if draft.options.keep_gyro_at_boot:

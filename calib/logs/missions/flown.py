@@ -42,11 +42,12 @@ _FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
     HOME: ("lat", "lon", "alt"),
     STATUS: ("nav_state",),
 }  # fmt: skip
-"""What is needed of each topic."""
+"""Required fields of each topic."""
 _AUTO_MISSION: Final = 3
 """nav_state (VehicleStatus.msg)."""
 _IDLE, _LOITER_UNLIMITED, _LOITER_TO_ALTITUDE = 0, 17, 31
-"""Of an end on the ground, of one in the air, of a climb in the air (``mission.cpp``, ``mission_base.cpp``)."""
+"""Commands that PX4 adds: idle after landing, loiter after the last item, climb before the first (``mission.cpp``,
+``mission_base.cpp``)."""
 _WITHOUT_PLACE: Final = frozenset({*OtherCommand, NavCommand.RETURN_TO_LAUNCH, NavCommand.DELAY})
 _SECOND: Final = 1_000_000
 _WAITS: Final = (NavCommand.WAYPOINT, NavCommand.LOITER_TIME)
@@ -153,7 +154,7 @@ def _rounds_to(exact: Any, rounded: Any) -> Any:
 
 
 def _repeats(before: MissionItem, item: MissionItem) -> bool:
-    """Whether it is the same again: named anew for another heading, or as a pause ended."""
+    """Whether PX4 logged the same item twice: for a new heading, or when a pause ended."""
     same = dataclasses.replace(item, parameters=(*item.parameters[:3], before.parameters[3]))
     return repr(same) == repr(before)  # NaN is like itself
 
