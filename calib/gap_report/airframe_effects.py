@@ -129,10 +129,9 @@ def _thrust(p: _Params, effect: EffectEstimate) -> str:
     cause, chance = max(effect.forms.items(), key=lambda form: form[1])
     if chance < _DECIDED:
         return f"{said}; the flight does not tell thrust from mass ({_PER_CENT * effect.forms['mass']:.0f} % mass)"
-    if cause == "mass":
-        weighs = 1.0 / ratio_of(p["s"])[0]
-        return f"{said}: it is {weighs:.2f} times as heavy (probability {_PER_CENT * chance:.0f} %)"
-    return f"{said}: its thrust differs, not its mass (probability {_PER_CENT * chance:.0f} %)"
+    weighs = f"it is {1.0 / ratio_of(p['s'])[0]:.2f} times as heavy"
+    of_both = weighs if cause == "mass" else "its thrust differs, not its mass"
+    return f"{said}; if so, {of_both} ({_PER_CENT * chance:.0f} %)"
 
 
 def _expo(p: _Params, _: EffectEstimate) -> str:

@@ -46,6 +46,10 @@ _BOTH = (
     "The real vehicle flies differently from the simulated one and its sensors read differently; known effects explain "
     "the difference."
 )
+_ONE_OF_SEVERAL = (
+    "The real vehicle flies differently from the simulated one. One of several known effects explains it; these flights "
+    "do not tell which."
+)
 _DAY_ONLY = "The vehicle and its sensors are as simulated as far as these flights show; only the day differed."
 _UNFINISHED = {
     GapVerdict.PARTLY_EXPLAINED: "Known effects explain part of the difference; there was no time to try them all.",
@@ -92,6 +96,8 @@ def _verdict(report: GapReport) -> str:
         return _DAY_ONLY
     if domains >= {Domain.AIRFRAME, Domain.SENSOR} and report.verdict is GapVerdict.EXPLAINED:
         return _BOTH
+    if domains == {Domain.AIRFRAME} and report.verdict is GapVerdict.EXPLAINED and all(map(_has_rivals, report.effects)):
+        return _ONE_OF_SEVERAL
     of_flight = Domain.AIRFRAME in domains or (report.airframe is not None and report.verdict is GapVerdict.UNKNOWN)
     return _FLIGHTS.get(report.verdict, _VERDICTS[report.verdict]) if of_flight else _VERDICTS[report.verdict]
 
