@@ -124,7 +124,7 @@ def low_flight(near: NearGround, like: Airframe, theta: Array) -> LowFlight | No
     rows = len(gain) // _BLOCK
     gain, height = (x[: rows * _BLOCK].reshape(rows, _BLOCK).mean(axis=1) for x in (gain, near.above))
     step = _BLOCK / flight.fs
-    noise = _covariance(np.where(height > CALM_M, gain, np.nan), round(MEMORY_S / step))
+    noise = noise_by_lag(np.where(height > CALM_M, gain, np.nan), round(MEMORY_S / step))
     if noise is None:
         return None
     width = 2 * max(round(_CONTACT_S / step), 1) + 1
@@ -158,7 +158,7 @@ def _calm(flight: FlownFlight) -> Mask:
     return np.asarray((push < _CALM_PUSH) & (np.abs(flight.velocity[:, 2]) < _CALM_CLIMB) & (speed < _CALM_SPEED))
 
 
-def _covariance(gain: Array, memory: int) -> Array | None:
+def noise_by_lag(gain: Array, memory: int) -> Array | None:
     """Covariance by lag of the thrust noise in calm flight above the ground (nan elsewhere); None: too few rows."""
     known = np.isfinite(gain)
     if known.sum() < 2 * memory:
@@ -166,7 +166,7 @@ def _covariance(gain: Array, memory: int) -> Array | None:
     centre, spread = float(np.median(gain[known])), np.percentile(gain[known], (1.0, 99.0))
     off = np.where(known, np.clip(gain, *spread) - centre, 0.0)
     full = np.array([float(off[: len(off) - k] @ off[k:]) for k in range(memory)]) / float(known.sum())
-    full *= 0.5 + 0.5 * np.cos(np.pi * np.arange(memory) / memory)  # a taper keeps it positive definite
+    full *= 1.0 - np.arange(memory) / memory  # Bartlett's window has no negative lobe: no direction of negative variance
     full[0] += _LEAST_NOISE**2
     return np.asarray(full)
 

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
 
 from mavcal.calib.airframe.diagnose import airframe_gap
 from mavcal.calib.airframe.effects import ODDS
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect
 from mavcal.calib.airframe.ground import ID, TOLD_AT_M, compared, gain_at, power
-from mavcal.calib.airframe.low import LowFlight, Pass
+from mavcal.calib.airframe.low import LowFlight, Pass, noise_by_lag
 from mavcal.calib.recording import Recording, Sensor
 from tests.unit.airframe.flights import flight
 
@@ -39,6 +40,17 @@ def low(s: float, *, seed: int, sd: float = 0.003, legs: float = LEGS, hover_s: 
     noise = np.zeros(30)
     noise[0] = sd**2
     return LowFlight((Pass(gain, height + 0.02 * rng.normal()),), noise, 0.1, 0.03)
+
+
+@pytest.mark.parametrize("period", [0.4, 0.7, 1.9, 5.0])
+def test_the_noise_of_thrust_is_a_covariance_in_swinging_flight(period: float) -> None:
+    """A thrust that swung ended the diagnosis: not positive definite."""
+    swing = 0.1 * np.sin(2.0 * np.pi * 0.1 * np.arange(600) / period)
+    swing[200:260] = np.nan
+    noise = noise_by_lag(swing, 30)
+    assert noise is not None
+    longer = np.concatenate([noise, np.zeros(170)])
+    assert np.linalg.eigvalsh(toeplitz(longer)).min() > 0.0
 
 
 def test_a_gain_that_only_the_real_flight_has_is_found_with_its_size() -> None:
