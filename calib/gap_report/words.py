@@ -96,7 +96,11 @@ def _verdict(report: GapReport) -> str:
         return _DAY_ONLY
     if domains >= {Domain.AIRFRAME, Domain.SENSOR} and report.verdict is GapVerdict.EXPLAINED:
         return _BOTH
-    if domains == {Domain.AIRFRAME} and report.verdict is GapVerdict.EXPLAINED and all(map(_has_rivals, report.effects)):
+    if (
+        domains == {Domain.AIRFRAME}
+        and report.verdict is GapVerdict.EXPLAINED
+        and all(map(_has_rivals, report.effects))
+    ):
         return _ONE_OF_SEVERAL
     of_flight = Domain.AIRFRAME in domains or (report.airframe is not None and report.verdict is GapVerdict.UNKNOWN)
     return _FLIGHTS.get(report.verdict, _VERDICTS[report.verdict]) if of_flight else _VERDICTS[report.verdict]
