@@ -47,8 +47,8 @@ _BOTH = (
     "the difference."
 )
 _ONE_OF_SEVERAL = (
-    "The real vehicle flies differently from the simulated one. One of several known effects explains it; these flights "
-    "do not tell which."
+    "The real vehicle flies differently from the simulated one. One of several known effects explains it; these "
+    "flights do not tell which."
 )
 _DAY_ONLY = "The vehicle and its sensors are as simulated as far as these flights show; only the day differed."
 _UNFINISHED = {
