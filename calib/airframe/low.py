@@ -166,9 +166,8 @@ def noise_by_lag(gain: Array, memory: int) -> Array | None:
     centre, spread = float(np.median(gain[known])), np.percentile(gain[known], (1.0, 99.0))
     off = np.where(known, np.clip(gain, *spread) - centre, 0.0)
     full = np.array([float(off[: len(off) - k] @ off[k:]) for k in range(memory)]) / float(known.sum())
-    full *= (
-        1.0 - np.arange(memory) / memory
-    )  # Bartlett's window has no negative lobe: no direction of negative variance
+    # Bartlett's window has no negative lobe, so the covariance stays positive definite.
+    full *= 1.0 - np.arange(memory) / memory
     full[0] += _LEAST_NOISE**2
     return np.asarray(full)
 

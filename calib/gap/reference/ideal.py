@@ -202,13 +202,9 @@ def simulator_reference(recording: Recording) -> Ideal | None:
 
 
 def true_attitude(recording: Recording) -> Signal | None:
-    """Body to north-east-down: ``ref_q_*``, else that of a table; None for an estimator's.
-
-    In a table with ``vel_*``, ``q_*`` is the attitude of the estimator that said the velocity.
-    """
+    """Body to north-east-down: ``ref_q_*``, else that of a table; None for an estimator's."""
     found = [c for c in recording.reference if c.sensor == Sensor.ATTITUDE]
-    if not any(c.sensor == Sensor.VELOCITY for c in recording.dynamics):
-        found += [c for c in recording.channels if c.sensor == Sensor.ATTITUDE and c.source == TABLE]
+    found += [c for c in recording.channels if c.sensor == Sensor.ATTITUDE and c.source == TABLE]
     for channel in found:
         if (signal := Signal.of(channel)) is not None:
             return Signal(signal.t, continuous(signal.values))

@@ -20,7 +20,7 @@ from mavcal.calib.gap.reference.align import (
     correlation_in_best_frame,
     matched_to,
 )
-from mavcal.calib.gap.reference.ideal import Ideal, continuous, true_attitude, true_place
+from mavcal.calib.gap.reference.ideal import TABLE, Ideal, continuous, true_attitude, true_place
 from mavcal.calib.gap.reference.signals import LowPassedSignal, Signal, bandwidth, interpolated, low_passed
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
@@ -190,11 +190,12 @@ def body_rate(q: Array, change: Array) -> Array:
 
 
 def _acceleration(recording: Recording, t: Array, q: Array, highest: float | None) -> tuple[Array | None, float | None]:
-    """Acceleration in NED at `t` from velocity or place, and its cut-off; None without either.
+    """Acceleration in NED at `t` from velocity (also a flight table's own) or place, and its cut-off; None: neither.
 
     The cut-off is the highest frequency at which it still agrees with the accelerometer.
     """
-    found: dict[Sensor, Channel] = {c.sensor: c for c in recording.reference if len(c) >= _LEAST}
+    own = (c for c in recording.dynamics if c.sensor == Sensor.VELOCITY and c.source == TABLE)
+    found: dict[Sensor, Channel] = {c.sensor: c for c in (*own, *recording.reference) if len(c) >= _LEAST}
     turn = rotation(q)
     force = _readings_at(recording, Sensor.ACCEL, t)
     for sensor in (Sensor.VELOCITY, Sensor.PLACE):

@@ -126,15 +126,6 @@ def test_a_reference_is_what_its_columns_say_and_an_estimator_s_attitude_is_none
     np.testing.assert_array_equal(true_attitude(reference).values, -q)
 
 
-def test_beside_a_velocity_the_attitude_of_a_table_is_the_estimators():
-    """A windy null had a low pass of both accelerometers, judged along the attitude of its own estimator."""
-    attitude = channel(
-        values=np.tile([1.0, 0.0, 0.0, 0.0], (len(T), 1)), sensor=Sensor.ATTITUDE, source="table", unit="1"
-    )
-    velocity = channel(values=smooth(T), sensor=Sensor.VELOCITY, source="table", unit="m/s")
-    assert true_attitude(Recording((attitude,), dynamics=(velocity, attitude))) is None
-
-
 def quiet_trace(**over):
     t = np.arange(0.0, 20.0, 0.02)
     rng = np.random.default_rng(2)

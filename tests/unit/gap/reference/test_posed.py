@@ -49,6 +49,15 @@ def test_a_velocity_gives_the_acceleration():
     assert by_sensor(build(placed))[Sensor.ACCEL].residual[50:-50].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.003)
 
 
+def test_the_velocity_of_a_flight_table_gives_the_acceleration():
+    """A windy null had a low pass of both accelerometers: every force of flight was missing in the reference."""
+    t = np.arange(int(RATE * SECONDS)) / RATE
+    velocity = channel(Sensor.VELOCITY, t, np.column_stack([0.3 * t, np.zeros((len(t), 2))]))
+    problem = build(dataclasses.replace(posed(), dynamics=(velocity,)))
+    assert by_sensor(problem)[Sensor.ACCEL].residual.mean(axis=0) == pytest.approx(np.zeros(3), abs=0.003)
+    assert "acceleration is not in it" not in problem.reference.text
+
+
 def test_a_pose_goes_no_further_than_the_one_it_is_compared_with():
     noisy = pose_of(posed(jitter=2e-3))
     exact = pose_of(posed(), noisy.cutoffs)
