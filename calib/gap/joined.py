@@ -21,6 +21,7 @@ from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.progress import GapStage
+from mavcal.calib.gap.sampling_jitter import is_sampling_jitter
 from mavcal.calib.gap.schema import (
     EffectEstimate,
     EffectEvidence,
@@ -65,10 +66,11 @@ def joined(
     """
     refuted = refuted_at_rest(report, real, sim)
     shared = tuple(e for e in not_borne_out(report, real) if e not in refuted)
-    gone = (*refuted, *shared)
+    late = tuple(e for e in report.effects if is_sampling_jitter(e, real))
+    gone = (*refuted, *shared, *late)
     same = () if sim is None else tuple(e for e in as_simulated(report, real, sim) if e not in gone)
     sensors = tuple(e for e in report.effects if e not in (*gone, *same))
-    said = (*report.warnings, *map(_as_simulated, same), *map(_refuted, refuted))
+    said = (*report.warnings, *map(_as_simulated, same), *map(_refuted, refuted), *map(_late, late))
     if isinstance(answer, NoAirframe):
         untested = NotTestable("airframe", answer.reason, answer.need)
         report = replace(report, not_testable=(*report.not_testable, untested))
@@ -221,6 +223,13 @@ def _units(effect: EffectEstimate) -> str:
 
 def _as_simulated(effect: EffectEstimate) -> str:
     return f"{effect.id} is no gap: the simulator's units differ from each other by as much"
+
+
+def _late(effect: EffectEstimate) -> str:
+    return (
+        f"{effect.id} of {_units(effect)} is no vibration: it grows with the rate of change of the reading, as jitter "
+        "of the sampling does"
+    )
 
 
 def _moves(effect: EffectEstimate) -> bool:

@@ -17,6 +17,7 @@ from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.effects.vibration import RUNNING_THROTTLE
 from mavcal.calib.gap.export.state import matrix_of, vector
+from mavcal.calib.gap.sampling_jitter import is_sampling_jitter
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, GapReport, SeriesFit
 from mavcal.calib.recording import Channel, Recording, Sensor
 
@@ -44,8 +45,9 @@ not measured: a vehicle that waits longer may be carried."""
 
 
 def of_no_sensor(report: GapReport, real: Recording, sim: Recording | None) -> tuple[EffectEstimate, ...]:
-    """Effects that every unit shows alike, and only in flight, or that gravity at rest contradicts."""
-    return (*not_borne_out(report, real), *refuted_at_rest(report, real, sim))
+    """Effects that every unit shows alike and only in flight, that rest contradicts, or that are jitter of sampling."""
+    late = tuple(effect for effect in report.effects if is_sampling_jitter(effect, real))
+    return (*not_borne_out(report, real), *refuted_at_rest(report, real, sim), *late)
 
 
 def not_borne_out(report: GapReport, real: Recording) -> tuple[EffectEstimate, ...]:

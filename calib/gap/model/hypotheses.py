@@ -26,6 +26,8 @@ _REPEATS = 4
 _OTHER_INSTANCE_PRICE = 24.0
 """Price of an effect on another instance than the one that has something: it decides where nothing else does, and no
 more. Chosen, not measured: odds of exp(12) against the other instance."""
+_CANCELS = 1e-9
+"""Sum of the weights of a difference. Source: rounding."""
 _WAVE = "~wave"
 """Form of an effect that follows the angle of a rotor."""
 
@@ -80,6 +82,20 @@ class Hypothesis:
         """Whether one of `others` is the same effect on the same instances in any form, unless it is repeatable."""
         places = [other.instances for other in others if other.effect.id == self.effect.id]
         return not self.effect.repeatable and self.instances in places
+
+    def is_unobservable_beside(self, others: Iterable[Hypothesis], views: Iterable[View]) -> bool:
+        """Whether, beside the same effect on other units, it shows in differences of just these units alone.
+
+        Equal errors of all units cancel there, so that only how they differ is observable.
+        """
+        if not isinstance(self.effect, MeanEffect) or self.effect.shared:
+            return False
+        alike = [other for other in others if other.effect.id == self.effect.id]
+        units = {i for h in (self, *alike) for i in h.instances}
+        seen = [view for view in views if any(h.touches(view) for h in (self, *alike))]
+        return bool(alike) and all(
+            set(view.weights) <= units and abs(sum(view.weights.values())) < _CANCELS for view in seen
+        )
 
 
 @dataclass(frozen=True, eq=False)

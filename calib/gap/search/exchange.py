@@ -248,10 +248,13 @@ def _comparison(
         stiff = max(misfit(bare) - misfit(model) - own_gain, 0.0)
     taken = {t.hypothesis.key for t in model.members} | {one.score.hypothesis.key for one in known}
     found = list(known)
+    others = [t.hypothesis for t in model.members if t is not term]
     rivals = [
         rival
         for rival in contest.hypotheses
-        if not (rival.key in taken or rival.again) and _share_a_series(rival, term.hypothesis, model)
+        if not (rival.key in taken or rival.again)
+        and _share_a_series(rival, term.hypothesis, model)
+        and not rival.is_unobservable_beside(others, model.setting.views)
     ]
     likely = [
         rival for rival in rivals if _is_known_rival(rival, term.hypothesis)

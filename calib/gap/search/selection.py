@@ -256,6 +256,8 @@ def _candidate_scores(
     for hypothesis in candidates:
         if hypothesis.key in taken or hypothesis.is_covered_by(there):
             continue
+        if hypothesis.is_unobservable_beside(there, model.setting.views):
+            continue
         if hypothesis.before is not None and hypothesis.before not in taken:
             continue
         moved = changed is None or hypothesis.effect.shared or hypothesis.effect.sensor in changed

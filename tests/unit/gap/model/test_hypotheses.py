@@ -128,3 +128,19 @@ def test_what_happens_once_is_described_by_another_form_of_it():
     assert not Hypothesis(noise, (1,)).is_covered_by(there)
     assert not Hypothesis(wave, (0,)).is_covered_by(there)  # it can happen again
     assert not Hypothesis(by_id()["accel_noise"], (0,)).is_covered_by(there)
+
+
+def test_one_error_of_both_units_is_not_observable_in_their_difference():
+    """Both gyroscopes of a vehicle without a trajectory were 52 ms late: equal delays cancel in what they differ by."""
+    problem = problem_of(np.random.default_rng(1), (Sensor.GYRO,), instances=2)
+    own = views_of(problem, {}, {})[0]
+    apart = dataclasses.replace(own, weights={0: 1.0, 1: -1.0})
+    delay, noise = by_id()["gyro_delay"], by_id()["gyro_noise"]
+    first, second = (Hypothesis(delay, (k,)) for k in (0, 1))
+    assert second.is_unobservable_beside([first], [apart])
+    assert not second.is_unobservable_beside([], [apart])
+    assert not second.is_unobservable_beside([Hypothesis(by_id()["gyro_scale"], (0,))], [apart])
+    assert not Hypothesis(noise, (1,)).is_unobservable_beside([Hypothesis(noise, (0,))], [apart])
+    assert not second.is_unobservable_beside([first], [apart, own])
+    third = dataclasses.replace(own, weights={0: 0.5, 1: 0.5, 2: -1.0})
+    assert not second.is_unobservable_beside([first], [third])

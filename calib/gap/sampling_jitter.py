@@ -1,0 +1,66 @@
+"""Is a tone of an inertial sensor a vibration, or the jitter of its sampling?
+
+A unit that is sampled at another rate than it is logged is late by a time that varies with the difference of both
+rates. It reads that time's multiple of the rate of change: lines that grow, shrink and turn over with the movement,
+in a simulator as on a vehicle. ArduPilot's simulated second unit does so at multiples of 40 Hz.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from mavcal.calib.gap.schema import FIRST, EffectEstimate
+from mavcal.calib.recording import Channel, Recording, Sensor
+
+Array = NDArray[np.float64]
+
+_SEGMENT_S: Final = 2.0
+"""Seconds in which a tone keeps its phase. Chosen, not measured: a movement of a vehicle turns over within."""
+_SMOOTH_S: Final = 0.05
+"""Seconds over which a reading is averaged for its rate of change. Chosen, not measured: two periods of 40 Hz."""
+_BESIDE_HZ: Final = 4.0 / _SEGMENT_S
+"""Hz beside a tone that do not see it. Source: four times the resolution of a segment."""
+
+
+def is_sampling_jitter(effect: EffectEstimate, real: Recording) -> bool:
+    """Whether a tone is rather proportional to the rate of change of its units' readings than of one size."""
+    hz = next((p.value for p in effect.params if p.name == "frequency_hz"), None)
+    if hz is None or effect.sensor not in (Sensor.ACCEL, Sensor.GYRO):
+        return False
+    units = [i - FIRST for i in effect.instances if i - FIRST in real.instances(effect.sensor)]
+    return bool(units) and all(_follows_change(real.channel(effect.sensor, unit), hz) for unit in units)
+
+
+def _follows_change(channel: Channel, hz: float) -> bool:
+    """Whether a tone times the rate of change explains more of the reading than the tone itself."""
+    step = float(np.median(np.diff(channel.t)))
+    rows = round(_SEGMENT_S / step)
+    count = len(channel) // max(rows, 1)
+    if count < 1:
+        return False
+    smooth = uniform_filter1d(channel.values, max(round(_SMOOTH_S / step), 1), axis=0)
+    change = np.gradient(smooth, step, axis=0)
+    rest, change = (x[: count * rows].reshape(count, rows, 3) for x in (channel.values - smooth, change))
+    t = channel.t[: count * rows].reshape(count, rows, 1)
+
+    def excess(factor: Array) -> float:
+        """Energy of the tone times `factor`, beyond that of other frequencies close by."""
+        at, *beside = (
+            _explained(rest, factor * np.exp(2j * np.pi * f * t)) for f in (hz, hz - _BESIDE_HZ, hz + _BESIDE_HZ)
+        )
+        return at - float(np.mean(beside))
+
+    return excess(change) > max(excess(np.ones_like(change)), 0.0)
+
+
+def _explained(rest: Array, wave: NDArray[np.complex128]) -> float:
+    """Energy of `rest` (S, N, 3) that the real and imaginary part of `wave` explain in each segment and axis."""
+    parts = np.stack([wave.real, wave.imag])
+    gram = np.einsum("isnc,jsnc->scij", parts, parts)
+    moment = np.einsum("isnc,snc->sci", parts, rest)
+    found = np.linalg.pinv(gram, hermitian=True) @ moment[..., None]
+    return float((found[..., 0] * moment).sum())
