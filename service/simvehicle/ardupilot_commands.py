@@ -11,11 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle import ardupilot_calibration as calibration
 from mavcal.service.simvehicle import ardupilot_parameters as names
-from mavcal.service.simvehicle.ardupilot_accelcal import AccelCalibration
-from mavcal.service.simvehicle.ardupilot_magcal import MagCalibration
+from mavcal.service.simvehicle.ardupilot_calibration import AccelCalibration, MagCalibration, StoredCalibrations
 from mavcal.service.simvehicle.ardupilot_messages import ArduPilotMessages
 from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
-from mavcal.service.simvehicle.ardupilot_stored import StoredCalibrations
 from mavcal.service.simvehicle.parameters import Value
 from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
 from mavcal.service.simvehicle.wire import FORCED, Received, command_parameters

@@ -1,19 +1,34 @@
-"""What ArduPilot sends: its messages, and the streams that carry them."""
+"""What ArduPilot sends: its messages, and the streams that carry them.
+
+`Readings` are the sensors at the instants of one tick, converted once for all messages that carry them.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.simvehicle.ardupilot_ekf import TiltEstimate
-from mavcal.service.simvehicle.ardupilot_readings import Readings
-from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
+from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors, ImuReading
+from mavcal.service.simvehicle.corrections import as_float32, truncated
+from mavcal.service.simvehicle.rotation import Array, body_from_ned, euler_from_quaternions
 from mavcal.service.simvehicle.streams import ardupilot_interval_ms, ardupilot_stream
-from mavcal.service.simvehicle.telemetry import Block, Telemetry, microseconds, milliseconds, pressure_hpa
+from mavcal.service.simvehicle.telemetry import Block, Telemetry, make_block, microseconds, milliseconds, pressure_hpa
 from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
+from mavcal.service.simvehicle.world import MotionState
 
+BIAS_STEP_S = 0.1  # vehicle time between two looks at the accelerometer
+BIAS_TIME_CONSTANT_S = 8.0  # a third of 0.38 m/s² was left after 8 s upright, as captured
+UPRIGHT = 0.8  # |cosine| between an axis and the vertical from which its bias is learned
+BIAS_LIMIT = 1.0  # m/s², EK3_ACC_BIAS_LIM
+G = 9.80665
+MAG_DEFECT = 1000.0  # mGauss times this, where Gauss would be mGauss divided by it
+
+Rows = list[list[int]]
+Floats = list[list[float]]
 CAPABILITIES = 64495
 VERSION = 0x04070000
 GIT_HASH = b"90700977"
@@ -46,13 +61,109 @@ STREAM_GROUPS: dict[int, tuple[int, ...]] = {
         dialect.MAVLINK_MSG_ID_VIBRATION,
     ),
 }
-
-
 HEALTH_BITS = {
     "gyro": dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO,
     "accel": dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL,
     "mag": dialect.MAV_SYS_STATUS_SENSOR_3D_MAG,
 }
+
+
+class TiltEstimate:
+    """Accelerometer bias (3,), body frame, m/s², that ArduPilot's estimator has learnt and subtracts.
+
+    On the ground EKF3 learns the bias of an axis only while that axis is within 37 deg of the vertical
+    (``NavEKF3_core::CovariancePrediction``: ``fabsF(prevTnb[index][2]) > 0.8``, else the state is held); at boot it
+    knows none. A new INS_ACCOFFS leaves what it learned: the attitude is then wrong by that much. It stays so at rest
+    (2.2 deg for 34 s, unchanged within 0.01 deg) until the axis stands upright again or the vehicle is restarted.
+    """
+
+    def __init__(self, sensors: ArduPilotSensors) -> None:
+        self._sensors = sensors
+        self.boot()
+
+    def boot(self) -> None:
+        """Reset to zero bias: after a restart the attitude is the accelerometer's."""
+        self.bias = np.zeros(3)
+        self._time = 0.0
+
+    def advance(self, until: float, *, flying: bool) -> None:
+        """Update the bias from the primary accelerometer up to a vehicle time; in flight on every axis."""
+        dt = until - self._time
+        if dt < BIAS_STEP_S:
+            return
+        self._time = until
+        state = self._sensors.world.state(np.array([until]))
+        read = self._sensors.imu(self._sensors.primary, state, noise_scale=0.0).accel[0]
+        error = read - state.force[0]
+        if not np.isfinite(read).all() or not read.any():
+            return  # a dead sensor teaches nothing
+        down = body_from_ned(state.q, np.array([0.0, 0.0, 1.0]))[0]
+        learned = np.ones(3, dtype=bool) if flying else np.abs(down) > UPRIGHT
+        follow = 1.0 - math.exp(-dt / BIAS_TIME_CONSTANT_S)
+        self.bias = np.clip(self.bias + follow * learned * (error - self.bias), -BIAS_LIMIT, BIAS_LIMIT)
+
+    def unbiased(self, force: Array) -> Array:
+        """Corrected accelerations (N, 3) minus the bias."""
+        return np.asarray(force - self.bias)
+
+
+class Readings:
+    """The sensors at the instants of one tick: every message of an instant carries the same sample."""
+
+    def __init__(self, sensors: ArduPilotSensors, tilt: TiltEstimate, times: list[float]) -> None:
+        self._sensors, self._tilt = sensors, tilt
+        self.state: MotionState = sensors.world.state(np.asarray(times))
+        self._imus: dict[int, ImuReading] = {}
+        self._integers: dict[int, tuple[Rows, Rows, Rows, list[int]]] = {}
+        self._floats: tuple[Floats, ...] | None = None
+        self._euler: list[list[float]] | None = None
+        self._block: Block | None = None
+
+    def imu(self, instance: int) -> ImuReading:
+        """One IMU's corrected readings."""
+        if instance not in self._imus:
+            self._imus[instance] = self._sensors.imu(instance, self.state)
+        return self._imus[instance]
+
+    @property
+    def block(self) -> Block:
+        """Attitude and the like."""
+        if self._block is None:
+            sensors = self._sensors
+            primary, trim = self.imu(sensors.primary), sensors.table.vector("AHRS_TRIM")
+            force = self._tilt.unbiased(primary.accel)
+            self._block = make_block(sensors.world, self.state, force, primary.gyro, trim)
+        return self._block
+
+    def integers(self, instance: int) -> tuple[Rows, Rows, Rows, list[int]]:
+        """mG, mrad/s, mGauss and centidegrees as the C++ casts make them."""
+        if instance not in self._integers:
+            imu = self.imu(instance)
+            mag = self._sensors.compass(instance, self.state.t)
+            self._integers[instance] = (
+                truncated(imu.accel, 1000.0, G).tolist(),
+                truncated(imu.gyro, 1000.0).tolist(),
+                truncated(mag, 1.0).tolist(),
+                truncated(imu.temperature, 100.0).tolist(),
+            )
+        return self._integers[instance]
+
+    def floats(self) -> tuple[Floats, ...]:
+        """HIGHRES_IMU of the primary: its magnetometer in Gauss, or a million times that."""
+        if self._floats is None:
+            sensors = self._sensors
+            imu = self.imu(sensors.primary)
+            factor = MAG_DEFECT if sensors.world.config.highres_mag_defect else 1.0 / MAG_DEFECT
+            mag = sensors.compass(0, self.state.t) * factor
+            self._floats = tuple(as_float32(v).tolist() for v in (imu.accel, imu.gyro, mag))
+        return self._floats
+
+    def true_euler(self) -> list[list[float]]:
+        """True roll, pitch, yaw."""
+        if self._euler is None:
+            self._euler = euler_from_quaternions(self.state.q).tolist()
+        return self._euler
+
 
 Builder = Callable[[Readings, int], Any]
 

@@ -8,15 +8,20 @@ from collections.abc import Callable, Sequence
 from mavcal.service.simvehicle.flight import air
 from mavcal.service.simvehicle.flight.airframe import Airframe
 from mavcal.service.simvehicle.flight.auto import AutoFlight
-from mavcal.service.simvehicle.flight.control import Controller
-from mavcal.service.simvehicle.flight.estimator import Estimate, degrees_from_metres
+from mavcal.service.simvehicle.flight.control import Controller, Mixer
+from mavcal.service.simvehicle.flight.estimator import Estimate, InertialUnit, degrees_from_metres
 from mavcal.service.simvehicle.flight.frame import Frame, Vector, rotors_of
 from mavcal.service.simvehicle.flight.items import AT_ONCE, Command, Item
-from mavcal.service.simvehicle.flight.mixer import Mixer
-from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Log, Mode
+from mavcal.service.simvehicle.flight.modes import (
+    CLOSE_ENOUGH,
+    LOOP_HZ,
+    Guidance,
+    Log,
+    Mode,
+    landing_climb,
+    takeoff_climb,
+)
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
-from mavcal.service.simvehicle.flight.sensors import InertialUnit
-from mavcal.service.simvehicle.flight.vertical import CLOSE_ENOUGH, landing_climb, takeoff_climb
 
 SUBSTEPS = 2
 """Physics and sensors at 800 Hz: the fastest thing that is simulated, a filter of 20 Hz, is 40 times slower."""
