@@ -99,7 +99,7 @@ class ArduPilotCommands:
     def _set_interval(self, channel: MavlinkChannel, p: Parameters) -> int:
         if p[2] != 0:
             return DENIED
-        if not self._messages.knows(int(p[0])):
+        if int(p[0]) not in self._messages.builders:
             self._vehicle.say(f"No ap_message for mavlink id ({int(p[0])})", channel=channel)
             return DENIED
         accepted, text = self._messages.set_interval(channel, int(p[0]), p[1])
