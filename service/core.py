@@ -34,8 +34,7 @@ from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.rates.owed import OwedRates
 from mavcal.service.rates.watching import LiveRates
 from mavcal.service.recordings import Recordings
-from mavcal.service.retention import Retention
-from mavcal.service.rotation import Rotation
+from mavcal.service.retention import Retention, Rotation
 from mavcal.service.settings import Settings
 from mavcal.service.signing import SigningAdmin
 from mavcal.service.signing_keys import SigningKeys

@@ -28,11 +28,9 @@ from mavcal.calib.health.finding import (
     worst,
 )
 from mavcal.calib.health.inertial import inertial_findings
-from mavcal.calib.health.missing_data import every_sample, missing_data
-from mavcal.calib.health.rectified import explained, rectified
-from mavcal.calib.health.sampling import SENSORS, sampled, sampling_findings
+from mavcal.calib.health.sampling import SENSORS, every_sample, missing_data, sampled, sampling_findings
 from mavcal.calib.health.support import support_of
-from mavcal.calib.health.vibration import vibration_findings
+from mavcal.calib.health.vibration import explained, rectified, vibration_findings
 from mavcal.calib.preflight.history import corrected_by, covered_by
 from mavcal.calib.preflight.installed import Key
 from mavcal.calib.recording import Recording, Sensor

@@ -17,14 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.align_lag import FieldLag, lag_of, turning_of
 from mavcal.calib.mag.align_solve import (
     AlignmentNoise,
     AlignmentSolution,
+    FieldLag,
     align,
     check_dip,
+    lag_of,
     linear_start,
     misclosures,
+    turning_of,
     two_stage_start,
 )
 from mavcal.calib.mag.context import MagContext, MagFacts
