@@ -30,6 +30,7 @@ from mavcal.calib.mag.align_solve import (
     two_stage_start,
 )
 from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.coverage import mask_bytes, visited
 from mavcal.calib.mag.orientation import QUIET, interpolated
 from mavcal.calib.mag.result import (
     FIELD_TOLERANCE,
@@ -46,7 +47,6 @@ from mavcal.calib.mag.result import (
 )
 from mavcal.calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
 from mavcal.calib.mag.samples import axis_word, check_not_flat, check_samples
-from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, weakened_information
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.fit import OFFSETS, FitResult, parameter_names
 from mavcal.calib.mag.context import MagContext
+from mavcal.calib.mag.coverage import mask_bytes, visited
 from mavcal.calib.mag.distance import score_rows
 from mavcal.calib.mag.result import (
     FIELD_TOLERANCE,
@@ -37,7 +38,6 @@ from mavcal.calib.mag.result import (
     year_warning,
 )
 from mavcal.calib.mag.samples import axis_word
-from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, white_variance
 from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance
 from mavcal.calib.stats.residuals import residual_statistics

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.mag.coverage import sections
 from mavcal.calib.mag.free_rotation import (
     Euler,
     angle_between,
@@ -27,7 +28,6 @@ from mavcal.calib.mag.free_rotation import (
     mirror_words,
     turn,
 )
-from mavcal.calib.mag.sections import sections
 
 Array = NDArray[np.float64]
 

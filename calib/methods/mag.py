@@ -26,14 +26,12 @@ from mavcal.calib.mag.align import Vertical, fit_alignment
 from mavcal.calib.mag.blur import deblurred, rates_during
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
-from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis
 from mavcal.calib.mag.gyro_aided import fit_gyro_aided
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION
-from mavcal.calib.mag.minmax import fit_minmax
 from mavcal.calib.mag.result import plausible_field
 from mavcal.calib.mag.ring_centres import CENTRES, LABELS
 from mavcal.calib.mag.rings import fit_rings
-from mavcal.calib.mag.sphere import fit_sphere
+from mavcal.calib.mag.simple_fits import fit_ellipsoid_axis, fit_minmax, fit_sphere
 from mavcal.calib.methods import worthwhile
 from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, Suggestion, gravity_of
 from mavcal.calib.methods.source import Source

@@ -37,7 +37,6 @@ from mavcal.calib.firmware.compose.fitted import Pair, offset_at
 from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
 from mavcal.calib.firmware.names import OFFSET, SCALE, THERMAL, Role
 from mavcal.calib.firmware.options import how
-from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial
@@ -104,14 +103,7 @@ def set_thermal(draft: Draft, instance: int, pairs: Sequence[Pair]) -> None:
             _set_coefficients(draft, Subject(sensor, instance), names[sensor], drifts[sensor])
         elif sensor not in kept:
             _clear_coefficients(draft, Subject(sensor, instance), names[sensor])
-    draft.set_integer(
-        enable,
-        ENABLED,
-        Rank.THERMAL_ENABLE,
-        "use the temperature compensation",
-        kind=ParameterKind.INT8,
-        about=about,
-    )
+    draft.set_integer(enable, ENABLED, Rank.THERMAL_ENABLE, "use the temperature compensation", about=about)
 
 
 def _may_enable(draft: Draft, enable: str, abouts: Sequence[Subject]) -> bool:
@@ -348,13 +340,7 @@ def boot_calibration(draft: Draft, *, planned: bool) -> None:
     if int(draft.parameters.get("INS_GYR_CAL", 1)) == 0:
         return
     if draft.options.keep_gyro_at_boot:
-        draft.set_integer(
-            "INS_GYR_CAL",
-            0,
-            Rank.SETTING,
-            "keep the gyro offsets: no new estimate at boot",
-            kind=ParameterKind.INT8,
-        )
+        draft.set_integer("INS_GYR_CAL", 0, Rank.SETTING, "keep the gyro offsets: no new estimate at boot")
     elif planned:
         draft.warn(
             "the next boot discards these gyro offsets: INS_GYR_CAL = 1 makes the vehicle estimate its own at every "

@@ -25,7 +25,7 @@ from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.ardupilot.parameters import UT_PER_MGAUSS
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.names import Role
-from mavcal.calib.firmware.plan import ParameterKind, Value
+from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS
 from mavcal.calib.fit import AXES, FitResult
@@ -209,11 +209,7 @@ def _set_kind(draft: Draft, module: object, kind: str | None, kinds: Mapping[str
         )
         return
     draft.set_integer(
-        name,
-        new,
-        Rank.SETTING,
-        "no compass needs compensation" if kind is None else f"compensate against {kind}",
-        kind=ParameterKind.INT8 if module is ardupilot else ParameterKind.INT32,
+        name, new, Rank.SETTING, "no compass needs compensation" if kind is None else f"compensate against {kind}"
     )
 
 

@@ -42,7 +42,6 @@ from mavcal.calib.firmware.compose.px4_memory import (
 from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
 from mavcal.calib.firmware.names import THERMAL, Role
 from mavcal.calib.firmware.options import how
-from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.firmware.retained import asks_for_save
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Sensor
@@ -109,7 +108,6 @@ def set_thermal(draft: Draft, pair: Pair) -> None:
         int(draft.get(roles[Role.ID], 0.0)),
         Rank.THERMAL,
         f"the row belongs to {about}",
-        kind=ParameterKind.INT32,
         about=about,
         needs_reboot=True,
         hidden=True,
@@ -120,7 +118,6 @@ def set_thermal(draft: Draft, pair: Pair) -> None:
             ENABLED,
             Rank.THERMAL_ENABLE,
             "use the temperature compensation (from the next start on)",
-            kind=ParameterKind.INT32,
             about=about,
             needs_reboot=True,
         )
@@ -299,9 +296,7 @@ def set_row(draft: Draft, about: Subject) -> bool:
             about,
         )
         return False
-    draft.set_integer(
-        roles[Role.ID], device, Rank.ID, f"the row belongs to {about}", kind=ParameterKind.INT32, about=about
-    )
+    draft.set_integer(roles[Role.ID], device, Rank.ID, f"the row belongs to {about}", about=about)
     return True
 
 
@@ -435,7 +430,6 @@ def _silence_writers(draft: Draft, pairs: Sequence[Pair]) -> None:
             0,
             Rank.SESSION,
             "after a landing PX4 would write its own estimate of the offsets",
-            kind=ParameterKind.INT32,
             session=True,
         )
     if Sensor.GYRO in sensors and int(draft.parameters.get(GYRO_WRITER, 0)) != 0:
