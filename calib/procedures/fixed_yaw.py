@@ -17,8 +17,8 @@ from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.level import GRAVITY_WITHIN, roll_pitch
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.pool import Pool
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
+from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Channel, Sensor
@@ -91,8 +91,7 @@ class MagFixedYawProcedure(TickedProcedure):
             return
         self._dropped_rows()
         good = max(float(f.quality["heading_here_sd_deg"]) for f in known)
-        results = tuple(annotated(f, self.context, self.warnings) for f in known)
-        self._finish(Done(results, f"the heading is known to {good:.1f} deg as it stands; soft iron is kept"))
+        self._succeed(known, f"the heading is known to {good:.1f} deg as it stands; soft iron is kept")
 
     def _standing(self) -> KnownAttitude | None:
         """Attitude of the vehicle; None: the job has ended, since its accelerometer cannot determine it."""

@@ -15,7 +15,7 @@ import numpy as np
 from mavcal.calib.firmware.limits import COMPASS_OFFSET_MAX_UT
 from mavcal.calib.firmware.storable import MAG
 from mavcal.calib.firmware.stream.messages import COMPASS_WINDOW
-from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.blur import rates_during
 from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, interpolated
 from mavcal.calib.option import Option
@@ -23,8 +23,8 @@ from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, share_of_information
+from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -245,15 +245,12 @@ class MagProcedure(TickedProcedure):
 
     def _end(self, mountings: dict[int, OrientationResult | None], because: str) -> None:
         self._dropped_rows()
-        results: list[FitResult] = []
-        for instance, track in self._tracks.items():
-            if track.fit is not None:
-                results.append(annotated(track.result(mountings[instance]), self.context, self.warnings))
-        if all(r.status == FitStatus.REFUSED for r in results):
-            reason = results[0].message if results else "no compass gave enough samples"
+        fits = [t.result(mountings[i]) for i, t in self._tracks.items() if t.fit is not None]
+        if all(fit.status == FitStatus.REFUSED for fit in fits):
+            reason = fits[0].message if fits else "no compass gave enough samples"
             self._give_up(f"no compass can be calibrated: {reason}", "repeat away from steel, magnets and currents")
             return
-        self._finish(Done(tuple(results), because))
+        self._succeed(fits, because)
 
     def _on_answer(self, value: str) -> None:
         """``finish``: the operator takes what is there."""

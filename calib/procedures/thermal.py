@@ -21,8 +21,7 @@ from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.drift_fit import DriftPool, fit_drift
 from mavcal.calib.procedures.motion import Disturbance, StillnessVerdict
 from mavcal.calib.procedures.pool import Tail
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated
+from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Sensor
@@ -340,7 +339,7 @@ class ThermalProcedure(TickedProcedure):
             reason = fits[0].message if fits else self._shortfall(fits)
             self._give_up(f"no drift can be fitted: {reason}", "let it rest undisturbed over a wider range")
             return
-        self._finish(Done(tuple(annotated(f, self.context, self.warnings) for f in fits), because))
+        self._succeed(fits, because)
 
     def _on_answer(self, value: str) -> None:
         """``finish``: the operator takes the range that is covered."""
